@@ -4,7 +4,7 @@
 An order can only be wrong among three or more subgroups. The arbiter treats its bits alike, so the bounds read n for 3.
 """
 
-from amaranth.hdl import Cat, Mux, Signal
+from amaranth.hdl import Cat, Const, Mux, Signal
 
 from ..hdl import bus
 from ..hdl.packetizer import Packetizer
@@ -209,7 +209,7 @@ def packetizer(b: Bench):
         m.d.sync += kind.eq(send)
     now = Mux(grant, send.as_value(), kind.as_value())
     b.always(unit.valid == b.past(active))
-    b.always(unit.beat == 0, where=~unit.valid)
+    b.always((unit.beat == 0) & ~unit.beat_controlled, where=~unit.valid)
     b.always(unit.take_event == (active & last & (now == bus.Send.EVENT)))
     b.always(unit.take_record == (active & last & (now == bus.Send.RECORD)))
     b.always(kind.as_value() <= 2)
@@ -223,6 +223,8 @@ def packetizer(b: Bench):
     of_event = {name: window[name] for name in ("stamp", "count", "winner")} | {"map": window.hits}
     of_event |= {name: unit.head[name] for name in ("overrun", "pulse")} | {"subgroup": unit.subgroup}
     of_record = {"pulse": unit.record.pulse, "subgroup": unit.subgroup}
+    room = Const(0, SMALL.record_bits)  # of an entry in the packet
+    of_record["entries"] = Cat(unit.record.entries[g].as_value() | room for g in range(SMALL.minigroups))
     index = Signal(range(PARTS.longest))  # of the beat that was formed in the last cycle
     m.d.sync += index.eq(Mux(grant, 0, index + 1))
     b.always(index + 1 == unit.index_before, where=rest != 0)

@@ -5,7 +5,7 @@ from amaranth.hdl import Cat, Mux, ResetSignal, Signal
 
 from ..hdl import bus
 from ..hdl.axi import OKAY, SLVERR
-from ..hdl.registers import BLOCK_BITS, CHECK_CYCLES, DECODE_CYCLES, READ_CYCLES, Registers
+from ..hdl.registers import BLOCK_BITS, CHECK_CYCLES, CONTROL, DECODE_CYCLES, READ_CYCLES, STATUS, Registers
 from ..model.contract import registers
 from ..model.contract.registers import WRITABLE
 from ..model.contract.settings import AUTO_BOUNDS
@@ -16,6 +16,11 @@ SENT = 2 * SMALL.streams + AUTO_BOUNDS  # words for the thresholds: budgets, lim
 # After a read in progress: decode, checks, words for the thresholds.
 WRITE_MAX = 1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + SENT + 2
 READ_MAX = (CHECK_CYCLES + 2) + SENT + 1 + (READ_CYCLES + 2)  # after a write in progress, which may be the longest
+
+
+def _write(unit, name, bit):
+    """Return whether a write to a register is carried out that has this bit set."""
+    return unit.machine.ongoing("write") & (unit.write_address == registers.address(name)) & unit.value[bit]
 
 
 @proof(depth=3, cover=20)
@@ -114,6 +119,13 @@ def register_front(b: Bench):
     )
     b.always((unit.plan.period > sensor.guard) & (unit.plan.period <= sensor.period_max), where=busy)
     b.always((unit.plan.pulses != 0) & (unit.plan.gate_steps != 0), where=busy)
+
+    # Only a write to `control` aborts a frame, and a sticky bit is cleared by itself.
+    b.always(b.past(_write(unit, "control", CONTROL.bit("abort"))), where=unit.abort_frame)
+    for bits in STATUS.bits:
+        if bits.clears:
+            flag, cleared = unit.flag[bits.name], _write(unit, "status", bits.lsb)
+            b.always(flag, where=b.past(flag & ~cleared & ~ResetSignal()))
 
     # A refusal sets a sticky error bit.
     errors = Cat(flag for name, flag in unit.flag.items() if name not in ("busy", "done"))

@@ -146,6 +146,15 @@ async def addresses_that_are_not_there(dut):
 
 
 @cocotb.test()
+async def sticky_bits_are_cleared_one_by_one(dut):
+    bench = await fresh(dut)
+    assert await refuses(bench.write("id", 1)) and await refuses(bench.write("pulses", 0))
+    for cleared, left in (("bad_address", 1 << STATUS.bit("bad_value")), ("bad_value", 0)):
+        await bench.write("status", 1 << STATUS.bit(cleared))
+        assert await bench.read("status") == left
+
+
+@cocotb.test()
 async def only_what_is_built(dut):
     """Parameters say what is built. Formats, switches and registers of anything else are refused."""
     bench = await fresh(dut)
@@ -185,7 +194,7 @@ async def starts_that_make_no_sense(dut):
         for index, bound in enumerate(bounds):
             await bench.write("auto_bounds", bound, index=index)
 
-    of = config(frame={"period": 100, "pulses": 1})
+    of = config(frame={"period": 100, "pulses": 3})
     await bench.program(of)
     await bench.write("period", bench.sensor.guard)
     await refused(start(), bench, "start_period")
@@ -207,11 +216,21 @@ async def starts_that_make_no_sense(dut):
     await refused(start(), bench, "start_gate")
     await bench.write("mode", 0b001, subgroup=1)  # with gating off, a late gate does not matter
     dut.m_axis_tready.value = 1
+    periods = []
+
+    async def count_periods():
+        while True:
+            await RisingEdge(dut.laser)
+            periods.append(1)
+
+    counting = cocotb.start_soon(count_periods())
     await start()
     await refused_while_busy(bench)
     while not await bench.read("status") >> STATUS.bit("done") & 1:
         pass
     assert not await bench.read("status") & 1, "still busy"
+    counting.cancel()
+    assert len(periods) == of.pulses, "the refused start ended the frame"
 
 
 async def refused_while_busy(bench):

@@ -99,6 +99,12 @@ def test_no_sensor(name, value, says):
         read_sensor(memory)
 
 
+def test_later_maps_of_the_same_version_are_known():
+    memory = Memory()
+    memory.words[address("version")] += 1
+    assert read_sensor(memory) == Driver(memory).sensor
+
+
 def test_a_sensor_in_use():
     """Registers, refusals and frames of the RTL, used only through the driver, equal the golden model's."""
     of = configured(ODD, {"period": 80, "pulses": 6, "format": "full", "minigroup_records": True})

@@ -126,6 +126,7 @@ def test_measures_know_waits_and_missing_truth():
     waits = Run(small().but(frame={"dither_bits": 6, "frames": 1}))
     assert waits["stream_load"] == pytest.approx(waits.frame().beats.max() / waits.config.frame_cycles)
     assert waits.config.frame_cycles > 20 * 60
+    assert waits["capacity_share"] == waits["committed"] / (2 * waits.config.capacity)  # of two streams
     nowhere = Run(Setup.of("letter-f", **SMALL)).but(subgroup={"mask": "0"})
     assert nowhere["dropped_share"] is None and nowhere["wrong_share"] == 1
 
@@ -156,6 +157,7 @@ def test_a_campaign_continues_and_plays_equal_setups_once(tmp_path):
         second = campaign(setups, counted, workers, kept=kept, progress=told.append)
     assert asked == [1, 2, 2, 3] and told == [1, 2, 3]
     assert (second["a"], second["b"]) == (first[1], first[2]) and second["c"] == second["again"]
+    assert KeptFiles(tmp_path, NAMES[::-1]).load(small(seed=1).key) is None  # other columns
 
 
 def test_setups_that_share_the_words_of_the_rtl_come_out_as_alone():

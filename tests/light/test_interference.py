@@ -102,6 +102,29 @@ def test_dither_leaves_what_is_in_range_alone():
     assert len(dead) >= len(edges_of(wall, Timing(), Spad()))  # SPADs recover during a wait
 
 
+def test_a_wait_counts_as_dead_time():
+    """In dense light an edge follows as soon as the SPAD is alive and a period runs."""
+    timing, spad = Timing(dither_bits=8), Spad(dead_time_s=300e-9, jitter_fwhm_s=0)
+    edges = edges_of(Light(rows=1, cols=1, distance_m=np.nan, signal_per_pulse=0.0, background_cps=1e9), timing, spad)
+    start_s = timing.start_cycles(400) / timing.clock_hz
+    time_s = start_s[edges.pulse] + edges.tick * timing.tick_s
+    alive_s = time_s[:-1] + spad.dead_time_s
+    last = np.searchsorted(start_s, alive_s, side="right") - 1
+    first_s = np.where(alive_s < start_s[last] + timing.period_s, alive_s, start_s[last + 1])
+    assert np.all(time_s[1:] - first_s < 30e-9)
+
+
+def test_afterpulses_in_a_wait_are_lost():
+    trap_s, timing = 200e-9, Timing(dither_bits=8)
+    spad = Spad(dead_time_s=0, jitter_fwhm_s=0, afterpulse_probability=0.1, afterpulse_s=trap_s)
+    flight_s = timing.period_s - 1e-9
+    wall = Light(rows=8, cols=8, distance_m=flight_s * SPEED_OF_LIGHT_M_S / 2, signal_per_pulse=40.0, system_fwhm_s=0.0)
+    edges = edges_of(wall, timing, spad)
+    primary = np.isin(edges.tick, np.bincount(edges.tick).argmax())
+    released = np.exp(-(waits_of(400, 8) / timing.clock_hz) / trap_s).mean()  # mostly in the next period
+    assert np.sum(~primary) == pytest.approx(0.1 * primary.sum() * released, rel=0.25)
+
+
 def test_dither_spreads_what_is_out_of_range():
     """A target beyond the laser period answers the previous pulse, or falls into the wait after it."""
     timing = Timing(dither_bits=4)

@@ -73,19 +73,20 @@ def test_t3_by_hand(tmp_path):
         t3(0, 3, 100, 2),
         t3(1, 1, 0, 9),
         t3(0, 9, 4000, 3),
-        t3(0, 4, 7, 19),
+        t3(0, 4, 7, 39),
+        t3(0, 4, 7, 40),
         t3(1, 63, 0, 1),
         t3(0, 5, 8, 6),
     ]
     path = ptu(tmp_path / "a.ptu", records, mode=3, kind=0x00010307, clock_s=500e-9, bin_s=125e-12)
     found, lost = edges_of(path)
-    assert found == [(1, 3, 1), (2, 3, 201), (19, 4, 15)]
-    assert lost == {"after sync 39, the last of 2 x 20 pulses": 1, "beyond the laser period of 8000 ticks": 1}
+    assert found == [(1, 3, 1), (2, 3, 201), (39, 4, 15)]
+    assert lost == {"after sync 39, the last of 2 x 20 pulses": 2, "beyond the laser period of 8000 ticks": 1}
     found, lost = edges_of(path, first_sync=1024, channels={5: 60})
     assert found == [(6, 60, 17)]
-    assert sum(lost.values()) == 4
+    assert sum(lost.values()) == 5
     found, lost = edges_of(path, channels={3: 0, 4: 63}, delay_ps=125)
-    assert found == [(2, 0, 199), (19, 63, 13)]
+    assert found == [(2, 0, 199), (39, 63, 13)]
     assert lost["in channels without a pixel"] == 1 and lost["before the trigger, by the delay"] == 1
     assert not period_note(read_recording(path), TIMING)
     assert "frame.period = 250 would fit" in period_note(read_recording(path), Timing(period_cycles=100))

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from coincid.model.scenes.catalogue import RANGE_M, load_scene
-from coincid.model.scenes.depth_file import depth_scene
+from coincid.model.scenes.depth_file import BRIGHTEST, DARKEST, depth_scene
 from coincid.model.scenes.scene import scene_light
 from coincid.model.shared.errors import InputError
 
@@ -149,6 +149,15 @@ def test_reflectivity_comes_from_the_colour_of_the_very_sample(tmp_path):
     for scene in (load_scene(f"{depth},{colour}", 4, 4), load_scene(depth, 4, 4, colour=colour)):
         assert np.all(scene.truth_m == 2.0) and np.allclose(scene.reflectivity, 0.05)
     assert np.all(load_scene(depth, 4, 4, reflectivity=0.7).reflectivity == 0.7)
+
+
+def test_reflectivity_is_the_luminance_of_the_part_that_is_kept(tmp_path):
+    colours = np.zeros((3, 9, 3), np.uint8)
+    colours[:, 3:6] = 255 * np.eye(3)  # red, green, blue
+    Image.fromarray(colours).save(tmp_path / "colour.png")
+    scene = load_scene(png(tmp_path / "depth.png", np.full((3, 9), 2000)), 3, 3, colour=tmp_path / "colour.png")
+    luminance = [0.2126, 0.7152, 0.0722]  # of the primaries of sRGB (ITU-R BT.709)
+    assert np.allclose(scene.reflectivity[:, :, 0], DARKEST + (BRIGHTEST - DARKEST) * np.array(luminance))
 
 
 def test_invalid_samples_become_a_mask_and_a_note(tmp_path):

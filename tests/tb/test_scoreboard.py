@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The scoreboard accepts the predicted frame, and names each kind of difference."""
+
+import numpy as np
+import pytest
+
+from coincid.model.golden.frame import Golden
+from coincid.tb.frame_record import Recorded
+from coincid.tb.rtl_errors import Mismatch
+from coincid.tb.scoreboard import Scoreboard, check
+
+from ..random_cases import configured, trouble
+
+CONFIG = configured(
+    {"rows": 8, "cols": 16, "streams": 2}, {"period": 60, "pulses": 5}, {"threshold": 1, "coincidence": False}
+)
+TRACE = Golden(CONFIG.sensor).frame(CONFIG, trouble(CONFIG, 1, 4.0))
+AT = 5  # of the beats and commits: the one that differs
+
+
+def copy():
+    arrays = [array.copy() for array in (*TRACE.beats, *TRACE.beat_cycle, TRACE.commit_subgroup, TRACE.commit_cycle)]
+    return Recorded(arrays[:2], arrays[2:4], *arrays[4:], cycles=0)
+
+
+def beat_differs(record):
+    record.beats[1][AT] ^= np.uint64(1)
+
+
+def beat_is_late(record):
+    record.beat_cycle[1][AT] += 1
+
+
+def beat_is_lost(record):
+    record.beats[1], record.beat_cycle[1] = record.beats[1][:-1], record.beat_cycle[1][:-1]
+
+
+def beat_comes_after_the_end(record):
+    record.beats[1] = np.append(record.beats[1], record.beats[1][-1])
+    record.beat_cycle[1] = np.append(record.beat_cycle[1], record.beat_cycle[1][-1] + 1)
+
+
+def commit_is_late(record):
+    record.commit_cycle[AT] += 1
+
+
+def commit_is_of_another_subgroup(record):
+    record.commit_subgroup[AT] ^= 1
+
+
+def commit_is_lost(record):
+    record.commit_subgroup, record.commit_cycle = record.commit_subgroup[:-1], record.commit_cycle[:-1]
+
+
+def test_the_predicted_frame():
+    assert check(CONFIG.sensor, TRACE, copy()) == sum(map(len, TRACE.beats)) + len(TRACE.commit_cycle)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (beat_differs, "stream 1"),
+        (beat_is_late, "stream 1.*golden model"),
+        (beat_is_lost, "stream 1.*tlast is 1, golden model 0"),
+        (beat_comes_after_the_end, "stream 1.*tlast is 0, golden model 1"),
+        (commit_is_late, "stored in cycle"),
+        (commit_is_of_another_subgroup, "stored in cycle"),
+        (commit_is_lost, "events stored, golden model"),
+    ],
+)
+def test_every_difference(change, words):
+    record = copy()
+    change(record)
+    with pytest.raises(Mismatch, match=words):
+        check(CONFIG.sensor, TRACE, record)
+
+
+def test_a_frame_that_stops():
+    board = Scoreboard(CONFIG.sensor, TRACE)
+    with pytest.raises(Mismatch, match="0 beats, golden model"):
+        board.finish()
