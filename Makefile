@@ -70,9 +70,9 @@ mutation: ## [more checks, ARGS=--help] mutate RTL and golden model, and check t
 	@$(BIN)/python -m tests.mutation $(ARGS)
 	@$(BIN)/python -m tests.planted
 
-coverage: ## [more checks, ARGS=--help] situations, RTL lines and toggles, Python lines, against their goals (ARGS=functional: only these)
-	@scripts/setup icarus
-	@$(BIN)/python -m tests.coverage $(ARGS)
+coverage: ## [more checks, ARGS=--help] situations of the contract in random frames, against their goals
+	@scripts/setup
+	@$(BIN)/python -m tests.coverage
 
 verilog: ## the release: Verilog, register map, constraints; in build/rtl/
 	@scripts/setup
