@@ -198,7 +198,7 @@ def build(
         names, `*` and `?` allowed. Under Icarus everything is visible.
     blocks: modules without delays, of which Verilator compiles one instance for all.
     delays: the sources have delays, in the units that they declare themselves; Icarus always respects them.
-    options: of the compiler, such as Verilator's `--coverage-line`, with which every run leaves coverage.dat in its `out_dir`.
+    options: of the compiler.
     scopes: for Icarus: instances, as Verilog paths from the top, whose own nets every run dumps into <top>.vcd of its `out_dir`.
     Raises `ToolchainError` if a tool is missing and cannot be installed, or if the design does not compile.
     """
