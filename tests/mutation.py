@@ -18,6 +18,7 @@
 
 import argparse
 import ast
+import copy
 import itertools
 import os
 import re
@@ -25,6 +26,7 @@ import subprocess
 import sys
 import zlib
 from collections import Counter
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -171,85 +173,69 @@ def sample(total: int, items: list, rng: np.random.Generator) -> list:
     return [items[k] for k in sorted(chosen)]
 
 
+COMPARE = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
+ARITHMETIC = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Add,
+    ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.FloorDiv,
+    ast.LShift: ast.RShift,
+    ast.RShift: ast.LShift,
+    ast.BitOr: ast.BitAnd,
+    ast.BitAnd: ast.BitOr,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
+}
+
+
+def mutations(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
+    """Yield what can become of a part of a syntax tree: a description, and what takes its place."""
+    match node:
+        case ast.Compare(left, ops, others):
+            for k, op in enumerate(ops):
+                if type(op) in COMPARE:
+                    new = [*ops[:k], COMPARE[type(op)](), *ops[k + 1 :]]
+                    yield f"{ast.unparse(node)}: {type(op).__name__}", ast.Compare(left, new, others)
+        case ast.BinOp() | ast.AugAssign() | ast.BoolOp() if type(node.op) in ARITHMETIC:
+            new = copy.copy(node)
+            new.op = ARITHMETIC[type(node.op)]()
+            yield f"{ast.unparse(node)}: {type(node.op).__name__}", new
+        case ast.UnaryOp(ast.Not(), operand):
+            yield f"{ast.unparse(node)}: no not", operand
+        case ast.Constant(bool(value)):
+            yield f"{value}: not", ast.Constant(not value)
+        case ast.Constant(int(value)):
+            yield f"{value}: one more", ast.Constant(value + 1)
+        case ast.Assign() if node.col_offset > 4:  # where a forgotten reset of a loop's variables would do harm
+            yield f"{ast.unparse(node)}: left out", ast.Pass()
+        case ast.Continue():
+            yield "continue: left out", ast.Pass()
+
+
 class Mutator(ast.NodeTransformer):
     """Applies the mutation with a given number, or counts them."""
-
-    COMPARE = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
-    ARITHMETIC = {
-        ast.Add: ast.Sub,
-        ast.Sub: ast.Add,
-        ast.Mult: ast.Add,
-        ast.FloorDiv: ast.Mult,
-        ast.Mod: ast.FloorDiv,
-        ast.LShift: ast.RShift,
-        ast.RShift: ast.LShift,
-        ast.BitOr: ast.BitAnd,
-        ast.BitAnd: ast.BitOr,
-    }
 
     def __init__(self, source: str, apply: int = -1):
         self.lines, self.apply, self.count, self.done = source.splitlines(), apply, 0, ""
 
-    def _turn(self, node, text: str) -> bool:
-        self.count += 1
-        if self.count - 1 == self.apply:
-            self.done = f"`{self.lines[node.lineno - 1].strip()}`: {text} (line {node.lineno})"
-            return True
-        return False
-
-    def visit_FunctionDef(self, node):
-        node.args.defaults, node.decorator_list, kept = [], [], (node.args.defaults, node.decorator_list)
+    def visit(self, node):
         self.generic_visit(node)
-        node.args.defaults, node.decorator_list = kept
+        for what, new in mutations(node):
+            self.count += 1
+            if self.count - 1 == self.apply:
+                self.done = f"`{self.lines[node.lineno - 1].strip()}`: {what} (line {node.lineno})"
+                return ast.copy_location(new, node)
         return node
 
-    def visit_Compare(self, node):
-        self.generic_visit(node)
-        for k, op in enumerate(node.ops):
-            if type(op) in self.COMPARE and self._turn(node, f"{ast.unparse(node)}: {type(op).__name__}"):
-                node.ops[k] = self.COMPARE[type(op)]()
-        return node
-
-    def _arithmetic(self, node):
-        self.generic_visit(node)
-        if type(node.op) in self.ARITHMETIC and self._turn(node, f"{ast.unparse(node)}: {type(node.op).__name__}"):
-            node.op = self.ARITHMETIC[type(node.op)]()
-        return node
-
-    visit_BinOp = visit_AugAssign = _arithmetic
-
-    def visit_BoolOp(self, node):
-        self.generic_visit(node)
-        if self._turn(node, f"{ast.unparse(node)}: {type(node.op).__name__}"):
-            node.op = ast.Or() if isinstance(node.op, ast.And) else ast.And()
-        return node
-
-    def visit_UnaryOp(self, node):
-        self.generic_visit(node)
-        if isinstance(node.op, ast.Not) and self._turn(node, f"{ast.unparse(node)}: no not"):
-            return node.operand
-        return node
-
-    def visit_AnnAssign(self, node):  # an annotation does nothing
-        node.value = node.value and self.visit(node.value)
-        return node
-
-    def visit_Constant(self, node):
-        if type(node.value) is int and self._turn(node, f"{node.value}: one more"):
-            return ast.copy_location(ast.Constant(node.value + 1), node)
-        if type(node.value) is bool and self._turn(node, f"{node.value}: not"):
-            return ast.copy_location(ast.Constant(not node.value), node)
-        return node
-
-    def visit_Assign(self, node):
-        self.generic_visit(node)
-        # A reset of a loop's variables is where a forgotten assignment would do harm.
-        if node.col_offset > 4 and self._turn(node, f"{ast.unparse(node)}: left out"):
-            return ast.copy_location(ast.Pass(), node)
-        return node
-
-    def visit_Continue(self, node):
-        return ast.copy_location(ast.Pass(), node) if self._turn(node, "continue: left out") else node
+    def generic_visit(self, node):
+        """Visit what is computed when a function is called: neither its defaults and decorators, nor annotations."""
+        if isinstance(node, ast.FunctionDef):
+            node.body = [self.visit(statement) for statement in node.body]
+        elif isinstance(node, ast.AnnAssign):
+            node.value = node.value and self.visit(node.value)
+        else:
+            super().generic_visit(node)
 
 
 def _mutated(path: Path, number: int = -1) -> tuple[ast.Module, Mutator]:
@@ -262,19 +248,16 @@ def _mutated(path: Path, number: int = -1) -> tuple[ast.Module, Mutator]:
     return tree, mutator
 
 
-def golden_mutant(number: int) -> tuple[str, str, str]:
-    """Return module, source and description of a mutant of the golden model; all are empty if there are no more."""
-    for module, path in GOLDEN_SOURCES.items():
-        tree, mutator = _mutated(path, number)
-        if mutator.done:
-            return module, ast.unparse(ast.fix_missing_locations(tree)), f"{path.stem}: {mutator.done}"
-        number -= mutator.count
-    return "", "", ""
+def golden_mutants() -> list[tuple[str, int]]:
+    """Return module and number of every mutant of the golden model."""
+    return [(module, k) for module, path in GOLDEN_SOURCES.items() for k in range(_mutated(path)[1].count)]
 
 
-def golden_mutants() -> int:
-    """Return the number of mutants of the golden model."""
-    return sum(_mutated(path)[1].count for path in GOLDEN_SOURCES.values())
+def golden_mutant(module: str, number: int) -> tuple[str, str, str]:
+    """Return module, source and description of a mutant of the golden model."""
+    tree, mutator = _mutated(GOLDEN_SOURCES[module], number)
+    name = GOLDEN_SOURCES[module].stem
+    return module, ast.unparse(ast.fix_missing_locations(tree)), f"{name}: {mutator.done}"
 
 
 def run_golden(module: str, source: Path, jobs: Path, only_frames: bool = False) -> bool:
@@ -289,7 +272,7 @@ def run_golden(module: str, source: Path, jobs: Path, only_frames: bool = False)
     return done.returncode == 0
 
 
-def mutate_golden(numbers: list[int], folder: Path, jobs: Path, tell) -> list[Fate]:
+def mutate_golden(mutants: list[tuple[str, int]], folder: Path, jobs: Path, tell) -> list[Fate]:
     """Return fates of mutants of the golden model. Raises if the unchanged model does not pass."""
     module, path = next(iter(GOLDEN_SOURCES.items()))
     if not run_golden(module, path, jobs):
@@ -307,7 +290,7 @@ def mutate_golden(numbers: list[int], folder: Path, jobs: Path, tell) -> list[Fa
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         # The mutants are made here, because threads must not parse.
-        return list(pool.map(run, [golden_mutant(number) for number in numbers], numbers))
+        return list(pool.map(run, [golden_mutant(*mutant) for mutant in mutants], range(len(mutants))))
 
 
 @frozen
@@ -534,7 +517,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Mutation test of RTL and golden model")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rtl", type=int, default=RTL_MUTANTS, help="mutants of the RTL, about")
-    parser.add_argument("--golden", type=int, default=GOLDEN_MUTANTS, help="mutants of the golden model, of some 500")
+    parser.add_argument("--golden", type=int, default=GOLDEN_MUTANTS, help="mutants of the golden model, of some 800")
     given_ = parser.parse_args()
     folder = toolchain.build_root() / "mutation"
     subprocess.run(["rm", "-rf", str(folder)], check=True)
@@ -551,8 +534,7 @@ def main() -> None:
         others = frames(random_cases.SENSORS["odd"]) + frames(random_cases.SENSORS["default"], DEFAULT_FRAMES)
         save_job(folder / "jobs", [*frames(), *others])
         rng = np.random.default_rng(given_.seed)
-        numbers = sample(given_.golden, list(range(golden_mutants())), rng)
-        fates += mutate_golden(numbers, folder, folder / "jobs", tell)
+        fates += mutate_golden(sample(given_.golden, golden_mutants(), rng), folder, folder / "jobs", tell)
         clock.lap("golden model")
     if given_.rtl:
         fates += mutate_rtl(given_.rtl, folder / "rtl", frames(drawn=FRAMES_IN_LANES), given_.seed, tell)

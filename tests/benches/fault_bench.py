@@ -2,12 +2,11 @@
 """cocotb tests of the sensor whose registers are changed from outside: wrong copies, upset writes, wide numbers. On Icarus."""
 
 import itertools
-import json
-import os
 import random
 
 import cocotb
 import numpy as np
+from cocotb.handle import HierarchyObject
 from cocotb.triggers import ClockCycles, FallingEdge, ReadOnly
 from sensor_bench import NOTHING, STATUS, Queue, config, laser_fires, received, refuses, reset_cycle, some_edges
 from sensor_bench import fresh as fresh_bench
@@ -21,8 +20,6 @@ from coincid.tb.cosim import SensorBench
 from coincid.tb.scoreboard import Scoreboard
 from coincid.tb.stimulus import port_words
 
-# (path of the instance, register, bits) for every flip-flop of the design
-FLOPS = [tuple(flop) for flop in json.loads(os.environ["COINCID_BENCH_FLOPS"])]
 ANSWER_CYCLES = 60  # more than any access takes
 
 
@@ -58,61 +55,58 @@ async def fresh(dut):
     return bench, of, edges, Golden(of.sensor).frame(of, edges)
 
 
-def handle(dut, path: str, name: str):
-    for part in filter(None, path.split(".")):
-        dut = dut[part]
-    return dut[name]
-
-
-def change(dut, path: str, name: str, how) -> None:
+def change(register, how) -> None:
     """Overwrite a register with `how` of its value."""
-    register = handle(dut, path, name)
     register.value = how(int(register.value))
 
 
-def codes(dut, path: str, name: str, bits: int) -> dict[str, int]:
+def dpcu(dut, subgroup: int):
+    return dut["module_0"][f"subgroup_{subgroup}"]["dpcu"]
+
+
+def codes(unit, name: str) -> dict[str, int]:
     """Return by copy of a voted register which of its bits are stored inverted."""
-    full = (1 << bits) - 1
-    return {"plain": 0, "inverse": full, "by_turns": full * int(handle(dut, path, f"{name}_turn").value)}
+    full = (1 << len(unit[name])) - 1
+    return {"plain": 0, "inverse": full, "by_turns": full * int(unit[f"{name}_turn"].value)}
 
 
-async def put(dut, path: str, name: str, bits: int, value: int) -> None:
+async def put(dut, unit, name: str, value: int) -> None:
     """Set a voted register, in all three copies."""
     await FallingEdge(dut.clk)
-    for copy, code in codes(dut, path, name, bits).items():
-        handle(dut, path, f"{name}_{copy}").value = value ^ code
+    for copy, code in codes(unit, name).items():
+        unit[f"{name}_{copy}"].value = value ^ code
 
 
-def copies(dut, path: str, name: str, bits: int) -> set[int]:
+def copies(unit, name: str) -> set[int]:
     """Return the values of a voted register's copies: one value if they agree."""
-    of_copies = codes(dut, path, name, bits).items()
-    return {int(handle(dut, path, f"{name}_{copy}").value) ^ code for copy, code in of_copies}
+    return {int(unit[f"{name}_{copy}"].value) ^ code for copy, code in codes(unit, name).items()}
 
 
-def voted() -> list[tuple[str, str, int]]:
-    """Return (path of the instance, register, bits) for every register in three copies."""
-    return [(path, name.removesuffix("_plain"), bits) for path, name, bits in FLOPS if name.endswith("_plain")]
+def voted(unit) -> list[tuple]:
+    """Return (instance, name) for every register in three copies, in a unit and those inside."""
+    found = [(unit, part._name.removesuffix("_plain")) for part in unit if part._name.endswith("_plain")]
+    return found + [one for part in unit if isinstance(part, HierarchyObject) for one in voted(part)]
 
 
 @cocotb.test()
 async def copies_agree_and_outvote_one(dut):
     """One wrong copy of a voted register changes nothing and heals. Proofs say that without an upset the copies agree."""
     bench, of, edges, trace = await fresh(dut)
-    kept = voted()
+    kept = voted(dut)
     assert len(kept) >= 7  # five of the bus, frame number, budget
     await pulse_reset(bench)
     await ClockCycles(dut.clk, 2)
-    for register in kept:
-        path, name, bits = register
+    for unit, name in kept:
         for copy, cycles in itertools.product(("plain", "inverse", "by_turns"), (1, 2)):  # both values of the turn
             await ClockCycles(dut.clk, cycles)
             await FallingEdge(dut.clk)
-            value = int(handle(dut, path, name).value)
-            change(dut, path, f"{name}_{copy}", lambda code, bits=bits: code ^ 1 << random.randrange(bits))
+            value = int(unit[name].value)
+            bit = random.randrange(len(unit[name]))
+            change(unit[f"{name}_{copy}"], lambda code, bit=bit: code ^ 1 << bit)
             await ReadOnly()
-            assert int(handle(dut, path, name).value) == value and len(copies(dut, *register)) == 2, f"{name}_{copy}"
+            assert int(unit[name].value) == value and len(copies(unit, name)) == 2, f"{name}_{copy}"
             await FallingEdge(dut.clk)
-            assert copies(dut, *register) == {int(handle(dut, path, name).value)} == {value}, f"{name}_{copy}"
+            assert copies(unit, name) == {int(unit[name].value)} == {value}, f"{name}_{copy}"
     await works(bench, of, edges, trace)
 
 
@@ -131,7 +125,7 @@ async def writes_that_are_upset(dut):
         if writing.done():
             break
         await FallingEdge(dut.clk)
-        change(dut, "registers", "value", lambda value: value ^ 1 << random.randrange(32))
+        change(dut["registers"]["value"], lambda value: value ^ 1 << random.randrange(32))
         if await writing:
             outcomes.append("refused")
         elif await bench.read("capacity") == wanted:
@@ -144,13 +138,12 @@ async def writes_that_are_upset(dut):
     assert outcomes.count("refused") >= 2 and outcomes.count("start refused") <= 2, outcomes
 
 
-def counter_registers(sensor) -> dict[str, tuple[str, int]]:
-    """Return for every counter its register in the DPCU (with a suffix if a port has the same name), and its bits."""
-    own = [flop[1:] for flop in FLOPS if flop[0] == "module_0.subgroup_0.dpcu"]
-    of_dpcu = {register.partition("$")[0]: (register, bits) for register, bits in own}
+def counter_registers(dut, sensor) -> dict[str, str]:
+    """Return for every counter its register in the DPCU (with a suffix if a port has the same name)."""
+    of_dpcu = {name.partition("$")[0]: name for name in sorted(part._name for part in dpcu(dut, 0))}
     # `threshold_used` is already in force.
     names = {name: of_dpcu[name] for name in COUNTER_NAMES if name != "threshold_used"}
-    assert all(bits == counter_bits(name, sensor) for name, (_, bits) in names.items())
+    assert all(len(dpcu(dut, 0)[of]) == counter_bits(name, sensor) for name, of in names.items())
     return names
 
 
@@ -164,8 +157,8 @@ async def frame_with_counters(bench, of, edges, registers, values: list[dict]) -
     await FallingEdge(dut.clk)
     for s, of_subgroup in enumerate(values):
         for name, value in of_subgroup.items():
-            register, bits = registers[name]
-            handle(dut, f"module_0.subgroup_{s}.dpcu", register).value = value & (1 << bits) - 1
+            register = dpcu(dut, s)[registers[name]]
+            register.value = value & (1 << len(register)) - 1
     record = await playing
     return decode_frame(record.beats[0], of.sensor, of.sensor.subgroups).counters
 
@@ -175,12 +168,12 @@ async def counters_in_full_width(dut):
     """Force counters to values that no test frame reaches: all bits leave by stream and bus, and the counters saturate."""
     bench, of, edges, trace = await fresh(dut)
     bench.axi = Queue(bench.axi)
-    names = counter_registers(of.sensor)
+    names = counter_registers(dut, of.sensor)
     for value in (0xFFFF_FFFF, 0xA5A5_5A5A, 0x5A5A_A5A5, 0x1357_9BDF):
         counters = await frame_with_counters(bench, of, edges, names, [dict.fromkeys(names, value)] * 2)
         for s in range(2):
-            for name, (_, bits) in names.items():
-                highest = (1 << bits) - 1
+            for name in names:
+                highest = (1 << counter_bits(name, of.sensor)) - 1
                 shown = int(counters[s, COUNTER_NAMES.index(name)])
                 assert shown == await bench.read(name, s), name
                 assert value & highest <= shown <= min((value & highest) + 80, highest), f"{name}: {shown:#x}"
@@ -194,7 +187,7 @@ async def frame_numbers_in_full_width(dut):
     _, width = HEADER["pulse"]
     for bit in range(width):
         number = (2 << bit) - 1  # one more changes all bits up to the next one
-        await put(dut, "sequencer", "number_kept", width, number)
+        await put(dut, dut["sequencer"], "number_kept", number)
         for expected in (number, number + 1):
             record = await bench.play(of, NOTHING, np.zeros(0, np.uint8))
             shown = decode_frame(record.beats[0], of.sensor, of.sensor.subgroups).number
@@ -215,8 +208,8 @@ async def pulse_numbers_in_full_width(dut):
 
         def leap(cycle, jump=jump):
             if cycle == of.period // 2:
-                for path in ("sequencer", *(f"module_0.subgroup_{s}.dpcu" for s in range(2))):
-                    change(dut, path, "pulse", lambda value: value + jump)
+                for unit in (dut["sequencer"], dpcu(dut, 0), dpcu(dut, 1)):
+                    change(unit["pulse"], lambda value: value + jump)
 
         beats = await received(bench, lambda cycle, words=words: dict(words.get(cycle, ())), leap)
         shown = decode_frame(np.array(beats, np.uint64), of.sensor, 2)

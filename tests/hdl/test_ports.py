@@ -5,7 +5,6 @@ import pytest
 
 from coincid.model.contract.config import parse_config
 from coincid.tb.play import build_sensor
-from coincid.tb.rtl import rtl
 
 from ..benches import bench_environment
 from ..random_cases import LEAN, SMALL
@@ -23,5 +22,5 @@ from ..random_cases import LEAN, SMALL
 )
 def test_ports(bench, simulator, table, only, tmp_path):
     sensor = parse_config({"sensor": table}).sensor
-    environment = bench_environment(table, rtl(sensor)) | ({"COCOTB_TEST_FILTER": only} if only else {})
+    environment = bench_environment(table) | ({"COCOTB_TEST_FILTER": only} if only else {})
     build_sensor(sensor, simulator).run(bench, env=environment, out_dir=tmp_path, seed=1)
