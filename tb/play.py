@@ -83,7 +83,7 @@ def play_in(
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         job = Path(folder) / "job"
         try:
-            run = build.run("coincid.tb.cosim", env=save_job(job, frames, lines), out_dir=out_dir, seed=1, echo=line)
+            run = build.run("coincid.tb.cosim", env=save_job(job, frames, lines), out_dir=out_dir, echo=line)
         except SimulationError as error:
             if job.with_suffix(MISMATCH).exists():
                 wave = f"waveform {error.wave}" if error.wave else "no waveform was asked for"

@@ -23,4 +23,4 @@ from ..random_cases import LEAN, SMALL
 def test_ports(bench, simulator, table, only, tmp_path):
     sensor = parse_config({"sensor": table}).sensor
     environment = bench_environment(table) | ({"COCOTB_TEST_FILTER": only} if only else {})
-    build_sensor(sensor, simulator).run(bench, env=environment, out_dir=tmp_path, seed=1)
+    build_sensor(sensor, simulator).run(bench, env=environment, out_dir=tmp_path)
