@@ -36,8 +36,7 @@ from attrs import frozen
 from hypothesis import given, seed
 from hypothesis import strategies as st
 
-from coincid.model.contract.config import Config, parse_config
-from coincid.model.contract.edges import Edges
+from coincid.model.contract.config import parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import TOP
 from coincid.model.golden.frame import Golden
@@ -132,9 +131,6 @@ def frames(sensor: dict = random_cases.SMALL, drawn: int = FRAMES) -> list[Frame
     jobs: list[FrameJob] = []
     golden = Golden(parse_config({"sensor": sensor}).sensor)
 
-    def add(config: Config, edges: Edges, ready: np.ndarray) -> None:
-        jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready.astype(np.uint8)))
-
     @seed(CASES_SEED)
     @random_cases.generated(drawn)
     @given(config=random_cases.configurations(sensor, frames_max=1), draw=st.integers(0, 2**32 - 1))
@@ -146,11 +142,11 @@ def frames(sensor: dict = random_cases.SMALL, drawn: int = FRAMES) -> list[Frame
         edges = random_cases.trouble(config, draw, (4.0, 12.0, 25.0, 1.0)[k // 4 % 4])
         kind = random_cases.READY_KINDS[k % len(random_cases.READY_KINDS)]
         ready = random_cases.ready_pattern(draw, kind, config.pulses * config.period + 100)
-        add(config, edges, ready)
+        jobs.append(random_cases.predicted(golden, config, edges, ready))
 
     collect()
     gates = random_cases.gate_bits(sensor)
-    always, late = np.zeros(0, np.uint8), np.arange(480) // 80 == 3
+    always, late = None, np.arange(480) // 80 == 3
     for config, density, ready in (
         *(
             (config.with_frame(format=name), 300.0, always)
@@ -162,9 +158,8 @@ def frames(sensor: dict = random_cases.SMALL, drawn: int = FRAMES) -> list[Frame
         (random_cases.lengthy(sensor), 2.0, always),
         *((config, 25.0, always) for config in random_cases.scarce(sensor)),
     ):
-        add(config, random_cases.trouble(config, 0, density), ready)
-    add(*random_cases.aged(sensor))
-    return jobs
+        jobs.append(random_cases.predicted(golden, config, random_cases.trouble(config, 0, density), ready))
+    return [*jobs, random_cases.predicted(golden, *random_cases.aged(sensor))]
 
 
 def sample(total: int, items: list, rng: np.random.Generator) -> list:

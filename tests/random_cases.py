@@ -5,7 +5,7 @@ import itertools
 from typing import Any
 
 import numpy as np
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from coincid.model.contract.config import Config, parse_config, sensor_table
@@ -16,6 +16,8 @@ from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.registers import BY_NAME
 from coincid.model.contract.settings import FRAME, SUBGROUP
 from coincid.model.contract.table import Kind, Setting
+from coincid.model.golden.frame import Golden
+from coincid.tb.frame_record import FrameJob
 
 SENSORS = {  # small ones, so that a case is fast; together they change every parameter from its default
     "default": dict(rows=8, cols=16),
@@ -294,8 +296,14 @@ def ready_pattern(seed: int, kind: str, cycles: int) -> np.ndarray:
     return np.repeat(rng.random(cycles // 16 + 1) < 0.5, 16).astype(np.uint8)
 
 
+def predicted(golden: Golden, config: Config, edges: Edges, ready: np.ndarray | None = None) -> FrameJob:
+    """Return a frame to play, with its prediction; the golden model goes on to the next frame."""
+    ready = np.zeros(0, np.uint8) if ready is None else ready.astype(np.uint8)
+    return FrameJob(config, edges, golden.frame(config, edges, ready), ready)
+
+
 def generated(examples: int) -> settings:
-    """Return settings with which a program draws so many examples: the same in every run, without pytest."""
+    """Return settings with which a program draws so many examples, without pytest; with a seed, the same in every run."""
     return settings(
         max_examples=examples,
         phases=[Phase.generate],
@@ -305,8 +313,11 @@ def generated(examples: int) -> settings:
     )
 
 
-def drawn(strategy: st.SearchStrategy[Any], number: int) -> list[Any]:
-    """Return so many values. A generator begins with the simplest ones, so the later half of twice as many is taken."""
+def drawn(strategy: st.SearchStrategy[Any], number: int, of: int | None = None) -> list[Any]:
+    """Return so many values. A generator begins with the simplest ones, so the later half of twice as many is taken.
+
+    of: seed; None: that of pytest's run.
+    """
     values: list[Any] = []
 
     @generated(2 * number)
@@ -314,6 +325,8 @@ def drawn(strategy: st.SearchStrategy[Any], number: int) -> list[Any]:
     def collect(value: Any) -> None:
         values.append(value)
 
+    if of is not None:
+        collect = seed(of)(collect)
     collect()
     return values[number : 2 * number]
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """RTL against the golden model: every beat, its cycle, every commit, on every engine."""
 
+from itertools import cycle
+
 import numpy as np
 import pytest
 from hypothesis import strategies as st
@@ -38,11 +40,12 @@ def frames(sensor: dict, number: int) -> list[FrameJob]:
         (led,) = random_cases.drawn(random_cases.controlled(sensor, frames=1), 1)
         configs += [led.with_frame(capacity=led.capacity * (k % 4)) for k in range(number // 2)]
     jobs, golden = [], Golden(configs[0].sensor)
-    for k, (config, seed) in enumerate(zip(configs, random_cases.drawn(st.integers(0, 2**32 - 1), len(configs)))):
-        edges = random_cases.trouble(config, seed, random_cases.DENSITIES[k % len(random_cases.DENSITIES)])
-        kind = random_cases.READY_KINDS[k % len(random_cases.READY_KINDS)]
+    seeds = random_cases.drawn(st.integers(0, 2**32 - 1), len(configs))
+    for config, seed, density, kind in zip(
+        configs, seeds, cycle(random_cases.DENSITIES), cycle(random_cases.READY_KINDS)
+    ):
         ready = random_cases.ready_pattern(seed, kind, config.pulses * config.period + 200)
-        jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
+        jobs.append(random_cases.predicted(golden, config, random_cases.trouble(config, seed, density), ready))
     return jobs
 
 
@@ -62,25 +65,16 @@ def test_random_frames(sensor, engine, tmp_path):
 @pytest.mark.parametrize("sensor", ("default", "tiny"))
 def test_every_mode_in_every_format(sensor, tmp_path):
     """Play each twice in a row, so that the controller has a frame to follow."""
-    jobs, golden = [], None
-    configs = [config for config in random_cases.modes(random_cases.SENSORS[sensor]) for _ in range(2)]
-    configs += [
-        *random_cases.gate_bits(random_cases.SENSORS[sensor]),
-        *random_cases.collections(random_cases.SENSORS[sensor]),
-    ]
-    configs += [
-        case(random_cases.SENSORS[sensor])
-        for case in (random_cases.overfull, random_cases.lengthy, random_cases.dithered)
-    ]
-    for number, config in enumerate(configs):
-        golden = golden or Golden(config.sensor)
+    table = random_cases.SENSORS[sensor]
+    jobs, golden = [], Golden(random_cases.built_sensor(table))
+    configs = [config for config in random_cases.modes(table) for _ in range(2)]
+    configs += [*random_cases.gate_bits(table), *random_cases.collections(table)]
+    configs += [case(table) for case in (random_cases.overfull, random_cases.lengthy, random_cases.dithered)]
+    for (number, config), kind in zip(enumerate(configs), cycle(random_cases.READY_KINDS)):
         edges = random_cases.trouble(config, number, 12.0 * config.period / 60)
-        ready = random_cases.ready_pattern(
-            number, random_cases.READY_KINDS[number % len(random_cases.READY_KINDS)], 400
-        )
-        jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
+        jobs.append(random_cases.predicted(golden, config, edges, random_cases.ready_pattern(number, kind, 400)))
     records, _ = play(jobs, "sliced", tmp_path)
-    assert all(record.checked for record in records)
+    assert_all_checked(records, jobs)
 
 
 def test_streams_have_budgets_of_their_own(tmp_path):
@@ -91,16 +85,15 @@ def test_streams_have_budgets_of_their_own(tmp_path):
     for number, config in enumerate(configs):
         edges = random_cases.trouble(config, number, 25.0)
         edges = edges.take(np.isin(pixel_table(built).subgroup[edges.pixel], built.stream_subgroups(0)))
-        jobs.append(FrameJob(config, edges, golden.frame(config, edges), np.zeros(0, np.uint8)))
+        jobs.append(random_cases.predicted(golden, config, edges))
     assert any(job.expected.budget[0] != job.expected.budget[-1] for job in jobs)
     records, _ = play(jobs, "sliced", tmp_path)
-    assert all(record.checked for record in records)
+    assert_all_checked(records, jobs)
 
 
 def test_counters_saturate(tmp_path):
     config = random_cases.configured(random_cases.LEAN, {"period": 60, "pulses": 60}, {"threshold": 1})
-    edges = random_cases.trouble(config, 1, 20.0)
-    job = FrameJob(config, edges, Golden(config.sensor).frame(config, edges), np.zeros(0, np.uint8))
+    job = random_cases.predicted(Golden(config.sensor), config, random_cases.trouble(config, 1, 20.0))
     assert np.any(job.expected.counters == config.sensor.counter_max)
     records, _ = play([job], "sliced", tmp_path)
     assert_all_checked(records, [job])
@@ -125,14 +118,9 @@ def test_every_alignment_of_storing_and_freeing(tmp_path):
         {"period": 40, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1},
         {"threshold": 1, "window": 4},
     )
-    golden, jobs, counters = Golden(config.sensor), [], []
-    edges = random_cases.trouble(config, 5, 12.0)
-    for stall in range(320):
-        ready = np.zeros(stall, np.uint8)
-        trace = golden.frame(config, edges, ready)
-        jobs.append(FrameJob(config, edges, trace, ready))
-        counters.append(trace.counters)
+    golden, edges = Golden(config.sensor), random_cases.trouble(config, 5, 12.0)
+    jobs = [random_cases.predicted(golden, config, edges, np.zeros(stall)) for stall in range(320)]
     for name in ("stored", "mg_stored"):
-        kept = np.array(counters)[:, :, COUNTER_NAMES.index(name)]
+        kept = np.array([job.expected.counters[:, COUNTER_NAMES.index(name)] for job in jobs])
         assert np.all(np.ptp(kept, axis=0) > 0), f"{name}: the stall changes nothing"
     play(jobs, "sliced", tmp_path)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sliced engine beside the whole RTL: many frames at once, faults, and waveforms."""
 
+from itertools import cycle
+
 import numpy as np
 import pytest
 from pywellen import Waveform
@@ -24,14 +26,14 @@ FREE = {"command", "data", "index", "index_before", "at_last", "winner_5_0", "tr
 def job(golden: Golden, config, seed: int, kind: str = "always") -> FrameJob:
     edges = random_cases.trouble(config, seed, 12.0)
     ready = random_cases.ready_pattern(seed, kind, config.pulses * config.period + 200)
-    return FrameJob(config, edges, golden.frame(config, edges, ready), ready)
+    return random_cases.predicted(golden, config, edges, ready)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
     """Settings, light, length and the controller's memory differ between the sensors that share a word."""
     chains = []
-    for number in range(7):
+    for number, kind in zip(range(7), cycle(random_cases.READY_KINDS)):
         golden, chain = Golden(random_cases.built_sensor(ODD)), []
         for k in range(1 + number % 3):
             period, dither_bits = 60 + 7 * number, number % 4
@@ -41,9 +43,7 @@ def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
                 {"auto": True, "threshold": 1 + number % 3, "window": 10 + number},
                 {"subgroups": [1], "gating": True, "gate_start": 5, "gate_len": 30 + number},
             )
-            chain.append(
-                job(golden, config, 10 * number + k, random_cases.READY_KINDS[number % len(random_cases.READY_KINDS)])
-            )
+            chain.append(job(golden, config, 10 * number + k, kind))
         chains.append(chain)
     for chain, together in zip(chains, play_side_by_side(chains, threads=threads), strict=True):
         alone, _ = play(chain, "sliced", tmp_path)
@@ -51,10 +51,10 @@ def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
             assert check(frame.config.sensor, frame.expected, other, number) == one.checked
 
 
-def running(period: int = 60) -> random_cases.Config:
+def running() -> random_cases.Config:
     return random_cases.configured(
         SENSOR,
-        {"period": period, "pulses": 6, "format": "full", "minigroup_records": True},
+        {"period": 60, "pulses": 6, "format": "full", "minigroup_records": True},
         {"threshold": 1, "window": 12},
         {"subgroups": [1], "gating": True, "gate_start": 5, "gate_len": 40},
     )
