@@ -67,7 +67,7 @@ def caught_by(bug: Bug, thorough: bool) -> dict[str, bool]:
         builds = build_root() / "planted" / bug.name
         environment = os.environ | {"PYTHONPATH": str(folder), "COINCID_BUILD": str(builds), "NUMBA_DISABLE_JIT": "1"}
         checks = [(f"proof {name}", ["coincid", "formal", name]) for name in bug.proofs]
-        checks += [(test[0], ["pytest", "-x", "-q", "-p", "no:cacheprovider", *test]) for test in bug.tests]
+        checks += [(" ".join(test), ["pytest", "-x", "-q", "-p", "no:cacheprovider", *test]) for test in bug.tests]
         result = {}
         for name, command in checks:
             done = subprocess.run(
