@@ -98,10 +98,8 @@ def _parsed(text: str) -> Group:
             stack.pop()
             if len(stack) == 1:
                 break
-        elif found["name"]:
-            stack[-1].values[found["name"]] = found["value"].strip(' "')
         else:
-            stack[-1].values[found["list"]] = found["items"]
+            stack[-1].values[found["name"] or found["list"]] = (found["value"] or found["items"]).strip(' "')
     return next(iter(stack[0].groups.values()))[0]
 
 
@@ -134,13 +132,8 @@ def _tables(power: Group) -> Iterator[Energies]:
     """Yield the tables of rise and fall at `SLEW_NS`."""
     for name in ("rise_power", "fall_power"):
         for table in power.groups.get(name, []):
-            values = _numbers(table.values["values"])
-            if "index_1" not in table.values:
-                yield Energies(np.zeros(1), values)
-                continue
-            slews = _numbers(table.values["index_1"])
-            loads = _numbers(table.values["index_2"]) if "index_2" in table.values else np.zeros(1)
-            rows = values.reshape(len(slews), len(loads))
+            slews, loads = (_numbers(table.values.get(index, "0")) for index in ("index_1", "index_2"))
+            rows = _numbers(table.values["values"]).reshape(len(slews), len(loads))
             yield Energies(loads, np.array([np.interp(SLEW_NS, slews, column) for column in rows.T]))
 
 
@@ -150,4 +143,4 @@ def _mean(tables: list[Energies]) -> Energies:
 
 
 def _numbers(text: str) -> np.ndarray:
-    return np.array([float(number) for number in re.findall(r"-?[\d.]+(?:e[+-]?\d+)?", text)])
+    return np.array(re.findall(r"-?[\d.]+(?:e[+-]?\d+)?", text), float)

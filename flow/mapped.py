@@ -90,21 +90,32 @@ def slacks_ns(folder: Path, block: str, clock_ns: float) -> dict[str, float]:
     open latches must settle by mid-cycle, and the enables of clock gates by the end of the cycle. The clock is ideal, also
     behind a clock gate.
     """
-    # OpenSTA does not know parameters.
-    (folder / f"{block}.timed.v").write_text(re.sub(r"#\(\n(?:    \..*\n)*  \) ", "", (folder / NETLIST).read_text()))
+    timed = f"{block}.timed.v"
+    (folder / timed).write_text(without_parameters((folder / NETLIST).read_text()))
+    report = timing_report(folder, block, timed, clock_ns, LONGEST_PATHS)
+    if found := least_slacks_ns(report):
+        return found
+    raise ToolchainError(f"sta: no path in {block}")
+
+
+def without_parameters(verilog: str) -> str:
+    """Return a netlist for OpenSTA, which does not know parameters."""
+    return re.sub(r"#\(\n(?:    \..*\n)*  \) ", "", verilog)
+
+
+def timing_report(folder: Path, block: str, netlist: str, clock_ns: float, commands: str) -> str:
+    """Return the answer of OpenSTA to some commands about a netlist in `folder`, where also the cells are."""
     script = f"""\
 read_liberty {LIBERTY}
-read_verilog {block}.timed.v
+read_verilog {netlist}
 link_design {block}
-create_clock -name clk -period {clock_ns} [get_ports clk]
-{LONGEST_PATHS}"""
+create_clock -name clk -period {clock_ns:g} [get_ports clk]
+{commands}"""
     (folder / f"{block}.tcl").write_text(script)
     report = run_program(["sta", "-exit", f"{block}.tcl"], folder, "sta")
-    errors = [line for line in report.splitlines() if line.startswith("Error")]
-    found = least_slacks_ns(report)
-    if errors or not found:
-        raise ToolchainError(f"sta: {(errors or [f'no path in {block}'])[0]}")
-    return found
+    if errors := [line for line in report.splitlines() if line.startswith("Error")]:
+        raise ToolchainError(f"sta: {errors[0]}")
+    return report
 
 
 def least_slacks_ns(report: str) -> dict[str, float]:

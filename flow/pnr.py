@@ -133,8 +133,8 @@ def fastest(placements: Sequence[Placement]) -> Placement:
     return max(placements, key=lambda placement: min(placement.fmax_mhz.values()))
 
 
-def report(board: Board, placements: Sequence[Placement]) -> str:
-    """Return a page with Fmax of every clock and seed, the used resources, and the longest path, as Markdown."""
+def write_page(board: Board, placements: Sequence[Placement], path: Path) -> None:
+    """Write a page with Fmax of every clock and seed, the used resources, and the longest path."""
     first = placements[0]
     worst = max(placements, key=lambda placement: _delay_ns(placement.longest))
     hops = worst.longest["path"]
@@ -144,7 +144,7 @@ def report(board: Board, placements: Sequence[Placement]) -> str:
         f"{len(placements)} seeds, and every clock must reach {board.goal_mhz:g} MHz with each seed. "
         f"The bitstream has {first.bitstream.stat().st_size} bytes."
     )
-    path = (
+    longest = (
         f"The longest path takes {_delay_ns(worst.longest):.2f} ns, with seed {worst.seed}. It passes {cells} cells from "
         f"`{hops[0]['from']['cell']}` to `{hops[-1]['to']['cell']}`."
     )
@@ -159,10 +159,11 @@ def report(board: Board, placements: Sequence[Placement]) -> str:
         "",
         *markdown.table(["resource", "used", "of"], used),
         "",
-        *textwrap.wrap(path, PAGE_COLUMNS, break_long_words=False, break_on_hyphens=False),
+        *textwrap.wrap(longest, PAGE_COLUMNS, break_long_words=False, break_on_hyphens=False),
         "",
     ]
-    return "\n".join(lines)
+    with whole_file(path, "w") as file:
+        file.write("\n".join(lines))
 
 
 def place(board: Board) -> list[Placement]:
@@ -170,9 +171,3 @@ def place(board: Board) -> list[Placement]:
     netlist = synthesize(board)
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         return list(pool.map(lambda seed: place_and_route(board, netlist, seed), SEEDS))
-
-
-def write_page(board: Board, placements: Sequence[Placement], path: Path) -> None:
-    """Write the report to a Markdown file, which appears whole."""
-    with whole_file(path, "w") as file:
-        file.write(report(board, placements))

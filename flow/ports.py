@@ -6,6 +6,7 @@ Names, widths and directions come from the RTL. Meanings and values after a rese
 """
 
 import re
+from itertools import groupby
 
 from attrs import frozen
 
@@ -91,15 +92,13 @@ def _clock(name: str, view: View) -> str:
 def _meaning(name: str, sensor: Sensor, view: View) -> tuple[str, str]:
     if match := re.fullmatch(r"(spad|line)_(\d+)", name):
         kind, subgroup = match.groups()
-        of = f"of subgroup {subgroup}"
+        rises = f"SPADs of subgroup {subgroup}: bit i rises with an avalanche in pixel i"
         if kind == "line":
-            return (
-                "",
-                f"levels of the SPADs {of}: bit i rises with an avalanche in pixel i, {CYCLES} cycles before its edge word counts",
-            )
+            return "", f"levels of the {rises}, {CYCLES} cycles before its edge word counts"
         if view.macros:
-            return "", f"lines of the SPADs {of}: bit i rises with an avalanche in pixel i"
-        return "", f"edge words {of}: bit {sensor.phases} * i + k is an avalanche in pixel i in tick k of this cycle"
+            return "", f"lines of the {rises}"
+        word = f"bit {sensor.phases} * i + k is an avalanche in pixel i in tick k of this cycle"
+        return "", f"edge words of subgroup {subgroup}: {word}"
     for pattern, told in _MEANINGS.items():
         if re.fullmatch(pattern, name):
             return told
@@ -108,22 +107,13 @@ def _meaning(name: str, sensor: Sensor, view: View) -> tuple[str, str]:
 
 def port_table(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
     """Return the ports as a Markdown table. Ports that differ only in their number share a row."""
-    rows: list[tuple[str, list[PortRow]]] = []
-    for row in port_rows(sensor, top, view):
-        family = re.sub(r"^(spad|line)_\d+$", r"\1_N", row.name)
-        if rows and rows[-1][0] == family:
-            rows[-1][1].append(row)
-        else:
-            rows.append((family, [row]))
     told = []
-    for _, members in rows:
-        first, last = members[0], members[-1]
-        name = f"`{first.name}`" if first is last else f"`{first.name}` to `{last.name}`"
-        meaning = (
-            first.meaning
-            if first is last
-            else first.meaning.replace("of subgroup 0", "of the subgroup with the port's number")
-        )
+    for _, family in groupby(port_rows(sensor, top, view), lambda row: re.sub(r"^(spad|line)_\d+$", r"\1", row.name)):
+        first, *others = family
+        name, meaning = f"`{first.name}`", first.meaning
+        if others:
+            name += f" to `{others[-1].name}`"
+            meaning = meaning.replace("of subgroup 0", "of the subgroup with the port's number")
         told.append((name, first.width, first.direction, first.clock, first.reset, meaning))
     head = "port", "bits", "direction", "clock", "after reset", "meaning"
     return "\n".join([*markdown.table(head, told, left=(0, 2, 3, 4, 5)), ""])

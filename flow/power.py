@@ -11,6 +11,7 @@ delays, so there are no glitches. The netlist has no clock tree; `clock_tree_mw`
 
 import json
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from io import BufferedIOBase
 from operator import add
@@ -28,7 +29,7 @@ from ..tb.rtl import sensor_key
 from ..tools.build import ToolchainError
 from ..tools.wheels import yosys_once
 from .gls import netlist_build
-from .liberty import Cell, read_cells, supply_v
+from .liberty import Cell, Pin, read_cells, supply_v
 from .synth import CELLS, synthesize
 from .yosys import CLOCK_BUFFER, LIBERTY, SINKS_MAX
 
@@ -201,12 +202,14 @@ def _clock_net(of: Design) -> int:
 
 def _clock_nets(of: Design) -> set[int]:
     """Return the clock and the outputs of its gates."""
-    return {_clock_net(of)} | {
-        net
-        for instance in of.instances
-        for name, net in instance.nets.items()
-        if (pin := of.library[instance.kind].pins[name]).clock and pin.output
-    }
+    return {_clock_net(of)} | {net for _, net, pin in _pins(of) if pin.clock and pin.output}
+
+
+def _pins(of: Design) -> Iterator[tuple[str, int, Pin]]:
+    """Yield (block, net, pin) of every connected pin."""
+    for instance in of.instances:
+        for name, net in instance.nets.items():
+            yield instance.block, net, of.library[instance.kind].pins[name]
 
 
 def clock_tree_mw(
@@ -219,17 +222,14 @@ def clock_tree_mw(
     """
     moves, half = _moves(of, toggles, frame), of.supply_v**2 / 2
     sinks: dict[int, list[tuple[str, float]]] = {net: [] for net in _clock_nets(of)}
-    for instance in of.instances:
-        for name, net in instance.nets.items():
-            pin = of.library[instance.kind].pins[name]
-            if net in sinks and not pin.output:
-                sinks[net].append((instance.block, pin.capacitance_ff))
-    power_mw: dict[str, float] = {}
+    for block, net, pin in _pins(of):
+        if net in sinks and not pin.output:
+            sinks[net].append((block, pin.capacitance_ff))
+    power_mw: dict[str, float] = defaultdict(float)
     for net, loads in sinks.items():
         fj = _tree_fj(of.library[CLOCK_BUFFER], [farads for _, farads in loads], wire_ff, half)
         for block, _ in loads:
-            share = moves[net] * fj / len(loads) * MW_PER_FJ_MHZ * clock_mhz / cycles
-            power_mw[block] = power_mw.get(block, 0.0) + share
+            power_mw[block] += moves[net] * fj / len(loads) * MW_PER_FJ_MHZ * clock_mhz / cycles
     return power_mw
 
 
@@ -251,16 +251,14 @@ def _tree_fj(buffer: Cell, loads_ff: list[float], wire_ff: float, half: float) -
 
 def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, wire_ff: float) -> dict[str, Power]:
     """Return the power of every block from the transitions of the nets in a number of cycles."""
-    loads: dict[int, float] = {}
-    for instance in of.instances:
-        for name, net in instance.nets.items():
-            pin = of.library[instance.kind].pins[name]
-            if not pin.output:
-                loads[net] = loads.get(net, 0.0) + pin.capacitance_ff + wire_ff
+    loads: dict[int, float] = defaultdict(float)
+    for _, net, pin in _pins(of):
+        if not pin.output:
+            loads[net] += pin.capacitance_ff + wire_ff
     clock_nets = _clock_nets(of)
     per_cycle = MW_PER_FJ_MHZ * clock_mhz / cycles
     half = of.supply_v**2 / 2
-    sums: dict[str, Power] = {}
+    sums: dict[str, Power] = defaultdict(Power)
     for instance in of.instances:
         cell = of.library[instance.kind]
         clock = internal = switching = 0.0
@@ -269,7 +267,7 @@ def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, w
         passed = sum(moves[net] for net in gated)  # transitions of the clock that a gate lets through
         for name, net in instance.nets.items():
             pin, count = cell.pins[name], moves[net]
-            energy = pin.energies.at(loads.get(net, 0.0)) if pin.energies else 0.0
+            energy = pin.energies.at(loads[net]) if pin.energies else 0.0
             if pin.clock and pin.output:
                 clock += count * energy
                 continue
@@ -279,7 +277,7 @@ def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, w
             else:
                 internal += count * energy
             if pin.output:
-                switching += count * half * loads.get(net, 0.0)
+                switching += count * half * loads[net]
                 at_output = max(at_output, count)
             elif net in clock_nets:
                 clock += count * half * (pin.capacitance_ff + wire_ff)
@@ -289,7 +287,7 @@ def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, w
         idle = clock * (1 - min(1, at_output / (at_clock / 2))) if at_clock and not gated else 0.0
         clock, internal, switching, idle = (per_cycle * fj for fj in (clock, internal, switching, idle))
         own = Power(clock, internal, switching, MW_PER_NW * cell.leakage_nw, idle)
-        sums[instance.block] = sums.get(instance.block, Power()) + own
+        sums[instance.block] += own
     return sums
 
 

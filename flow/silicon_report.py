@@ -22,6 +22,7 @@ from ..model.contract.parameters import Sensor
 from ..model.shared import markdown
 from ..tools.wheels import run_program, run_yosys
 from .async_constraints import FS_PER_NS, SYSTEM, async_constraints
+from .mapped import without_parameters
 from .yosys import ENABLES, LIBERTY, cells_script, library_files
 
 MAPPED, TIMED = "mapped.v", "timed.v"
@@ -79,8 +80,7 @@ def timing(folder: Path, top: str, sdc: str) -> tuple[list[str], list[tuple[str,
 
     A path is (from clock, to clock, ns required, ns taken), without wires. Macros and the gates of the OR tree are black boxes.
     """
-    text = (folder / MAPPED).read_text()
-    text = re.sub(r"#\(\n(?:    \..*\n)*  \) ", "", text)  # OpenSTA does not know parameters
+    text = without_parameters((folder / MAPPED).read_text())
     text = re.sub(r"^module \S*coincid_or2.*?^endmodule\n", "", text, flags=re.MULTILINE | re.DOTALL)
     (folder / TIMED).write_text(text)
     lines = [f"read_liberty {LIBERTY}", f"read_verilog {TIMED}", f"link_design {top}", f"read_sdc {sdc}"]

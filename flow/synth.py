@@ -140,22 +140,17 @@ def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
                 if kind in order:
                     order.remove(kind)
                 order.append(kind)
-    cells: dict[str, Counter[str]] = {}
+    cells: dict[str, Counter[str]] = defaultdict(Counter)
     area: dict[str, float] = defaultdict(float)
     for name in order:
         owner = name.split(".")[0]
-        own = {
-            kind: n
-            for kind, n in modules[name]["num_cells_by_type"].items()
-            if kind not in modules and not kind.startswith("$scope")
-        }
-        cells.setdefault(owner, Counter()).update(own)
-        inner = sum(
-            n * float(modules[kind].get("area", 0))
-            for kind, n in modules[name]["num_cells_by_type"].items()
-            if kind in modules
-        )
-        area[owner] += float(modules[name].get("area", 0)) - inner
+        own = cells[owner]
+        area[owner] += float(modules[name].get("area", 0))
+        for kind, count in modules[name]["num_cells_by_type"].items():
+            if kind in modules:
+                area[owner] -= count * float(modules[kind].get("area", 0))
+            elif not kind.startswith("$scope"):
+                own[kind] += count
     return {
         name: Block(
             name.removeprefix(PREFIX), instances[name], dict(sorted(count.items())), area[name], levels.get(name)

@@ -10,7 +10,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from ...hdl.front_end_views import POLYPHASE, View
-from ...hdl.unit import Unit
+from ...hdl.unit import Port, Unit
 from ...model.contract.parameters import TOP, Sensor
 from ...tb import toolchain
 from ...tb.rtl import rtl, sensor_key
@@ -25,17 +25,15 @@ def shell(unit: Unit, routed: Collection[str], sdf: Path) -> str:
 
     routed: the ports of the netlist, each of one bit. sdf: file with the delays of the netlist.
     """
-    ports = {CLOCK: (True, 1), "rst": (True, 1)} | {
-        name: (way.name == "In", len(signal.as_value() if hasattr(signal, "as_value") else signal))
-        for name, (way, signal) in unit.flat_ports().items()
-    }
+    ports = [Port(CLOCK, 1, True), Port("rst", 1, True), *unit.ports()]
     kept = {name.replace("__", "_") for name in routed}
-    lines = ["`timescale 1ns/1ps", f"module {unit.unit_name} ({', '.join(map(escaped, ports))});"]
+    lines = ["`timescale 1ns/1ps", f"module {unit.unit_name} ({', '.join(escaped(port.name) for port in ports)});"]
     pins = []
-    for name, (is_input, bits) in ports.items():
-        lines.append(f"  {'input' if is_input else 'output'} [{bits - 1}:0] {escaped(name)};")
+    for port in ports:
+        name, bits = port.name, port.width
+        lines.append(f"  {'input' if port.is_input else 'output'} [{bits - 1}:0] {escaped(name)};")
         inner = escaped(name)
-        if is_input and name != CLOCK:
+        if port.is_input and name != CLOCK:
             inner = f"late_{name}"
             lines += [f"  wire [{bits - 1}:0] {inner};", f"  assign #{INPUT_NS} {inner} = {escaped(name)};"]
         for bit in range(bits):

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 
@@ -15,7 +16,7 @@ from ...model.shared.files import whole_file
 from ...tb.rtl_errors import Mismatch
 from ..mapped import map_block, slacks_ns
 from .delays import INPUT_NS, simulate
-from .flow import FINAL, Layout, lay_out
+from .flow import FINAL, lay_out
 
 PAGE = Path(__file__).with_name("page.md")
 PICTURE, PREFIX = "layout-{}.png", "coincid_"
@@ -33,13 +34,13 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
     columns = []
     for kind, view in ((Minigroup, POLYPHASE), (AsyncMinigroup, VIEWS["async"].at(clock_mhz))):
         unit = kind(config.sensor)
-        layout = lay_out(unit, clock_mhz, tell, view)
+        folder, found = lay_out(unit, clock_mhz, tell, view)
         before = map_block(unit, view, gated=False)
         slack_ns = min(slacks_ns(before.folder, before.name, 1000 / clock_mhz).values())
-        rules = [(rule, str(found)) for rule, found in layout.rules]
-        played = played_with_delays(kind(SMALL), view, layout, tell)
-        columns.append((facts(layout, before.area_um2), rules, slacks(layout, slack_ns), played))
-        picture = Image.open(layout.folder / f"{unit.unit_name}.png").convert("RGB").quantize(COLOURS)
+        rules = [(rule, str(violations)) for rule, violations in found["rules"]]
+        played = played_with_delays(kind(SMALL), view, folder, tell)
+        columns.append((facts(found, before.area_um2), rules, slacks(found, slack_ns), played))
+        picture = Image.open(folder / f"{unit.unit_name}.png").convert("RGB").quantize(COLOURS)
         with whole_file(images / PICTURE.format(unit.unit_name.removeprefix(PREFIX))) as file:
             picture.save(file, format="png", optimize=True)
     tables = dict(zip(("rows", "rules", "slacks", "played"), (_rows(*pair) for pair in zip(*columns))))
@@ -48,12 +49,12 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
         file.write(text)
 
 
-def played_with_delays(unit: Minigroup, view: View, layout: Layout, tell: Callable[[str], None]) -> Column:
+def played_with_delays(unit: Minigroup, view: View, folder: Path, tell: Callable[[str], None]) -> Column:
     """Simulate a layout with its delays, then with delays `TOO_SLOW` times as long, which must fail. Raises `Mismatch`."""
     tell(f"{unit.unit_name}: simulating the sensor with the routed minigroups and their delays")
-    checked, cycles = simulate(SMALL, unit, layout.folder, 1.0, view)
+    checked, cycles = simulate(SMALL, unit, folder, 1.0, view)
     try:
-        simulate(SMALL, unit, layout.folder, TOO_SLOW, view)
+        simulate(SMALL, unit, folder, TOO_SLOW, view)
     except Mismatch:
         return [("words and commits", str(checked)), ("cycles", str(cycles)), ("mismatches", "0")]
     raise Mismatch(f"the sensor passes with delays {TOO_SLOW:g} times as long, so the delays have no effect")
@@ -64,30 +65,30 @@ def _rows(first: Column, second: Column) -> str:
     return "\n".join(f"| {name} | {value} | {dict(second)[name]} |" for name, value in first)
 
 
-def facts(layout: Layout, mapped_um2: float) -> Column:
+def facts(found: dict[str, Any], mapped_um2: float) -> Column:
     """Return the names and values of the page's first table."""
-    area = layout.width_um * layout.height_um
+    area = found["width_um"] * found["height_um"]
     return [
         ("cells before layout, um2", f"{mapped_um2:,.0f}"),
-        ("cells with the clock tree", str(layout.cells)),
-        ("their area, um2", f"{layout.cell_area_um2:,.0f}"),
-        ("buffers of the clock tree", str(layout.buffers)),
-        ("power of the clock tree, without the flip-flops' pins, mW", f"{layout.clock_tree_mw:.2f}"),
-        ("block, um", f"{layout.width_um:.1f} x {layout.height_um:.1f}"),
+        ("cells with the clock tree", str(found["cells"])),
+        ("their area, um2", f"{found['cell_area_um2']:,.0f}"),
+        ("buffers of the clock tree", str(found["buffers"])),
+        ("power of the clock tree, without the flip-flops' pins, mW", f"{found['clock_tree_mw']:.2f}"),
+        ("block, um", f"{found['width_um']:.1f} x {found['height_um']:.1f}"),
         ("block, um2", f"{area:,.0f}"),
-        ("share of the block that cells cover", f"{layout.cell_area_um2 / area:.0%}"),
-        ("nets", str(layout.nets)),
-        ("wire, mm", f"{layout.wire_um / 1000:.2f}"),
-        ("wire for each input that it reaches, um", f"{layout.wire_um / layout.sinks:.1f}"),
-        ("capacitance of the wires, fF", f"{layout.wire_ff:.0f}"),
-        ("capacitance for each such input, fF", f"{layout.wire_ff / layout.sinks:.2f}"),
+        ("share of the block that cells cover", f"{found['cell_area_um2'] / area:.0%}"),
+        ("nets", str(found["nets"])),
+        ("wire, mm", f"{found['wire_um'] / 1000:.2f}"),
+        ("wire for each input that it reaches, um", f"{found['wire_um'] / found['sinks']:.1f}"),
+        ("capacitance of the wires, fF", f"{found['wire_ff']:.0f}"),
+        ("capacitance for each such input, fF", f"{found['wire_ff'] / found['sinks']:.2f}"),
     ]
 
 
-def slacks(layout: Layout, mapped_ns: float) -> Column:
+def slacks(found: dict[str, Any], mapped_ns: float) -> Column:
     """Return the names and values of the table of slacks."""
     return [
         ("longest, before layout: no wires, ideal clock", f"{mapped_ns:+.2f}"),
-        ("longest, with wires and clock tree", f"{layout.slack_ns:+.2f}"),
-        ("shortest (hold), with wires and clock tree", f"{layout.hold_ns:+.2f}"),
+        ("longest, with wires and clock tree", f"{found['slack_ns']:+.2f}"),
+        ("shortest (hold), with wires and clock tree", f"{found['hold_ns']:+.2f}"),
     ]

@@ -8,7 +8,6 @@ from typing import Any
 
 import klayout.db as db
 import klayout.lay as lay
-from attrs import frozen
 
 from .pins import Strip
 
@@ -18,8 +17,7 @@ ROW_UM, SITE_UM = 1.4, 0.19
 FILLERS = ("FILLCELL_X32", "FILLCELL_X16", "FILLCELL_X8", "FILLCELL_X4", "FILLCELL_X1")
 OUTLINE, TEXT_OF_CELLS = 235, 63  # layers of the cells' GDS that are not masks
 ROUTED = range(2, 7)  # metals that the router uses; metal2 has the strips of the pins
-WIDTH_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}
-SPACE_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}
+WIDTH_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}  # least widths of metals, and least distances
 CUT_SPACE_UM = {1: 0.08, 2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16}
 END_UM, ENDED_VIAS = 0.035, (1, 2, 3)  # metal must reach so far beyond the cut of these vias on two opposite sides
 COLOURS = {
@@ -150,19 +148,6 @@ def pin_places(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, 
                 yield net, one["name"], pin, one["x"] + strip.x, one["y"] + via
 
 
-@frozen
-class Connection:
-    """Comparison of the wires with the netlist.
-
-    opens: nets in several parts. shorts: parts that belong to several nets. off: number of pins without metal.
-    """
-
-    nets: int
-    opens: list[str]
-    shorts: list[list[str]]
-    off: int
-
-
 class Wires:
     """The connected parts of a block's metal2 to metal6 and their vias, when this object is made."""
 
@@ -192,9 +177,6 @@ class Wires:
         found = self._nets.probe_net(self._regions[layer], at)
         return found.cluster_id if found else None
 
-    def drawn(self, layer: int) -> db.Region:
-        return db.Region(self._cell.begin_shapes_rec(self._layers[layer])).merged()
-
     def beside(self, layer: int, edge: db.Edge) -> int | None:
         """Return the connected part beside an edge, or None."""
         x, y = (edge.x1 + edge.x2) / 2, (edge.y1 + edge.y2) / 2
@@ -206,8 +188,13 @@ class Wires:
         return None
 
 
-def connect(layout: db.Layout, top: str, placed: Placed, strips: Strips) -> Connection:
-    """Repair vias that are too close and gaps that are too narrow, and compare the wires with the netlist."""
+def connect(
+    layout: db.Layout, top: str, placed: Placed, strips: Strips
+) -> tuple[int, list[str], list[list[str]], list[str]]:
+    """Repair vias that are too close and gaps that are too narrow, and compare the wires with the netlist.
+
+    Returns the number of nets; the nets in several parts; the nets that share a part; and the nets of pins without metal.
+    """
     for _ in range(REPAIRS):
         gone = _thin_cuts(layout, top, Wires(layout, top))
         if not gone + _close_gaps(layout, top, Wires(layout, top)):
@@ -215,24 +202,25 @@ def connect(layout: db.Layout, top: str, placed: Placed, strips: Strips) -> Conn
     wires = Wires(layout, top)
     parts: dict[str, set[int]] = defaultdict(set)
     nets: dict[int, set[str]] = defaultdict(set)
-    off = 0
+    off = []
     for net, _, _, x, y in pin_places(placed, strips):
         found = wires.part(metal(2), database(x), database(y))
         if found is None:
-            off += 1
+            off.append(net)
         else:
             parts[net].add(found)
             nets[found].add(net)
     opens = sorted(net for net, found in parts.items() if len(found) > 1)
     shorts = sorted(sorted(found) for found in nets.values() if len(found) > 1)
-    return Connection(len(parts), opens, shorts, off)
+    return len(parts), opens, shorts, off
 
 
 def _close_gaps(layout: db.Layout, top: str, wires: Wires) -> int:
     """Fill gaps within a net that are narrower than the rule; return their number."""
     closed = 0
     for i in ROUTED[1:]:
-        for edges in wires.drawn(metal(i)).space_check(database(SPACE_UM[i])).each():
+        drawn = db.Region(layout.cell(top).begin_shapes_rec(layout.layer(metal(i), 0)))
+        for edges in drawn.space_check(database(WIDTH_UM[i])).each():
             ends = [wires.beside(metal(i), edge) for edge in (edges.first, edges.second)]
             if ends[0] is not None and ends[0] == ends[1]:
                 layout.cell(top).shapes(layout.layer(metal(i), 0)).insert(edges.polygon(0))
@@ -272,7 +260,7 @@ def check_rules(layout: db.Layout, top: str) -> list[tuple[str, int]]:
     for i in WIDTH_UM:
         wires = region(metal(i))
         found.append((f"metal{i}: width", wires.width_check(database(WIDTH_UM[i])).count()))
-        found.append((f"metal{i}: distance", wires.space_check(database(SPACE_UM[i])).count()))
+        found.append((f"metal{i}: distance", wires.space_check(database(WIDTH_UM[i])).count()))
     for i in CUT_SPACE_UM:
         cuts, below, above = region(metal(i) + 1), region(metal(i)), region(metal(i + 1))
         found.append((f"via{i}: distance", cuts.space_check(database(CUT_SPACE_UM[i])).count()))

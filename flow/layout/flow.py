@@ -24,9 +24,9 @@ from ...hdl.unit import Unit
 from ...model.shared.errors import InputError
 from ...model.shared.folders import build_root
 from ...tools.build import ToolchainError
-from ...tools.wheels import TAIL_LINES, run_program, yosys_once
+from ...tools.wheels import TAIL_LINES, yosys_once
 from ..liberty import read_cells, supply_v
-from ..mapped import LONGEST_PATHS, least_slacks_ns
+from ..mapped import LONGEST_PATHS, least_slacks_ns, timing_report
 from ..yosys import CLOCK_BUFFER, LIBERTY, bound, cells_folder, cells_script, library_files
 from . import drawn, wires
 from .drawn import Placed
@@ -63,34 +63,14 @@ ATTEMPTS = (
 )
 
 
-@frozen(kw_only=True)
-class Layout:
-    """A routed block and the folder of its files.
+def lay_out(
+    unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: View = POLYPHASE
+) -> tuple[Path, dict[str, Any]]:
+    """Return the layout of a flattened block without its macros: the folder of its files, and the facts of `finish`.
 
-    Slacks, in ns, are of paths between registers. sinks: the number of inputs that the wires reach. rules: (rule, violations).
-    """
-
-    folder: Path
-    cells: int
-    cell_area_um2: float
-    width_um: float
-    height_um: float
-    buffers: int
-    nets: int
-    slack_ns: float
-    hold_ns: float
-    clock_tree_mw: float
-    wire_um: float
-    wire_ff: float
-    sinks: int
-    rules: list[tuple[str, int]]
-
-
-def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: View = POLYPHASE) -> Layout:
-    """Return the layout of a flattened block without its macros. It is made once for each state of the Verilog.
-
-    The nets of the block have one bit and plain names; constants come from cells. Raises `InputError` if the tools are
-    missing, and `ToolchainError` if no attempt succeeds, or the wires are not those of the netlist.
+    It is made once for each state of the Verilog. The nets of the block have one bit and plain names; constants come from
+    cells. Raises `InputError` if the tools are missing, and `ToolchainError` if no attempt succeeds, or the wires are not
+    those of the netlist.
     """
     cells, top = cells_folder(), unit.unit_name
     if cells is None or find_spec("coriolis") is None:
@@ -119,7 +99,7 @@ def lay_out(unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: Vie
     code = (path for path in sorted(Path(__file__).parent.iterdir()) if path.suffix in (".py", ".toml"))
     state = [str(clock_mhz), *(path.read_text() for path in code if path.stem not in BEHIND)]
     folder = yosys_once(build_root() / "layout" / top, {**files, **library_files()}, script, state, make)
-    return Layout(folder=folder, **json.loads((folder / FACTS).read_text()))
+    return folder, json.loads((folder / FACTS).read_text())
 
 
 def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> None:
@@ -160,17 +140,17 @@ def failed(what: str, folder: Path) -> ToolchainError:
 
 
 def finish(top: str, cells: Path, clock_mhz: float, folder: Path) -> dict[str, Any]:
-    """Draw, check and time the routed block of `folder`; return its facts. Raises `ToolchainError` on an open or a short."""
+    """Draw, check and time the routed block of `folder`; return its facts. Raises `ToolchainError` on an open or a short.
+
+    Slacks are of paths between registers. sinks: number of inputs that the wires reach. rules: (rule, violations).
+    """
     placed: Placed = json.loads((folder / PLACED).read_text())
     stored, widths_um = json.loads((folder / STRIPS).read_text()), cell_widths_um(cells / LEFS[1])
     places = {cell: {pin: Strip(*values) for pin, values in pins.items()} for cell, pins in stored.items()}
     layout = drawn.draw(folder / f"{top}.gds", cells / GDS, placed, places, widths_um, top)
-    joined = drawn.connect(layout, top, placed, places)
-    if joined.opens or joined.shorts or joined.off:
-        raise ToolchainError(
-            f"{top}: {len(joined.opens)} open nets {joined.opens[:5]}, {len(joined.shorts)} shorts {joined.shorts[:5]}, "
-            f"{joined.off} pins without metal"
-        )
+    nets, opens, shorts, off = drawn.connect(layout, top, placed, places)
+    if opens or shorts or off:
+        raise ToolchainError(f"{top}: open nets {opens[:5]}, shorts {shorts[:5]}, pins without metal of {off[:5]}")
     layout.write(str(folder / FINAL))
     drawn.draw_picture(folder / FINAL, folder / f"{top}.png")
     wired = wires.wired(top, placed, places, wires.lengths_um(folder / f"{top}_export.def"), cells / LEFS[0])
@@ -185,12 +165,12 @@ def finish(top: str, cells: Path, clock_mhz: float, folder: Path) -> dict[str, A
         "width_um": placed["width"],
         "height_um": placed["height"],
         "buffers": kinds.count(CLOCK_BUFFER),
-        "nets": joined.nets,
+        "nets": nets,
         "slack_ns": slack_ns,
         "hold_ns": hold_ns,
         "clock_tree_mw": wires.clock_tree_mw(placed, wired, library, supply_v(folder / LIBERTY), clock_mhz),
         "wire_um": wired.length_um,
-        "wire_ff": wired.capacitance_ff,
+        "wire_ff": sum(wired.farads.values()),
         "sinks": wired.sinks,
         "rules": drawn.check_rules(layout, top),
     }
@@ -201,11 +181,7 @@ def time_wires(top: str, clock_mhz: float, folder: Path) -> tuple[float, float]:
 
     Paths include wires and the clock tree.
     """
-    script = f"""\
-read_liberty {LIBERTY}
-read_verilog {VERILOG}
-link_design {top}
-create_clock -name clk -period {1000 / clock_mhz:g} [get_ports {CLOCK}]
+    commands = f"""\
 set_input_transition 0.05 [all_inputs]
 set_load 0.005 [all_outputs]
 read_spef {SPEF}
@@ -214,11 +190,10 @@ set_propagated_clock [all_clocks]
 report_checks -path_delay min -format full
 write_sdf {SDF}
 """
-    (folder / "time.tcl").write_text(script)
-    report = run_program(["sta", "-exit", "time.tcl"], folder, "sta")
+    report = timing_report(folder, top, VERILOG, 1000 / clock_mhz, commands)
     longest, shortest = report.split("SHORTEST")
     slacks, holds = least_slacks_ns(longest), re.findall(r"(-?[\d.]+) +slack", shortest)
-    if not slacks or not holds or "Error" in report:
+    if not slacks or not holds:
         raise ToolchainError(f"sta: no timing of {top}: {report[-500:]}")
     sdf = (folder / SDF).read_text()
     # Icarus ignores a triplet with an empty middle. There is one corner, so all three values are the same.

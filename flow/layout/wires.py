@@ -13,6 +13,7 @@ from pathlib import Path
 from attrs import frozen
 
 from ..liberty import Cell
+from ..power import MW_PER_FJ_MHZ
 from ..yosys import CLOCK_BUFFER
 from .drawn import Placed, Strips, pin_places
 
@@ -20,7 +21,6 @@ VIA_OHM, PIN_FF, WITHOUT_WIRE_OHM = 20.0, 0.05, 3.0
 OUTPUTS = {"Z", "ZN", "Q", "QN", "CO", "S", "GCK"}
 SELECTS = ("MUX",)  # cells in which S is an input
 FF_PER_PF = 1000
-MW_PER_FJ_MHZ = 1e-6
 Lengths = dict[str, dict[int, float]]  # net -> metal -> um
 
 
@@ -72,10 +72,6 @@ class Wired:
     length_um: float
     farads: Mapping[str, float]
     sinks: int
-
-    @property
-    def capacitance_ff(self) -> float:
-        return sum(self.farads.values())
 
 
 def wired(top: str, placed: Placed, strips: Strips, lengths: Lengths, lef: Path) -> Wired:
