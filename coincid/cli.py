@@ -427,7 +427,7 @@ def gls() -> None:
         print(line, flush=True)
 
 
-@command("out", out=("FILE", "Markdown page."))
+@command("out", out=("FILE", "Markdown page; the picture goes to images/ beside it."))
 def power(*, out: Path = Path("docs/power.md")) -> None:
     """Compute the power of a subgroup in standard cells at several levels of light, from frames simulated on its netlist."""
     with extra("rtl"):

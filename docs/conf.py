@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sphinx's configuration of the documentation site. `docs/build.py` lays out its sources and runs it."""
 
+import json
 import re
 import tomllib
 from pathlib import Path
@@ -69,6 +70,36 @@ def add_contents(app, name, source):
         source[0] += "\n" + contents(source[0])
 
 
+TEXTS = "texts.js"  # texts of all pages: the search takes excerpts from it where a browser may not read files
+READ_TEXTS = """
+if (location.protocol === "file:") {
+  window.fetch = async (address) => {
+    const top = new URL(document.documentElement.dataset.content_root, location).href;
+    return new Response(TEXTS[decodeURI(new URL(address, location).href.slice(top.length))] ?? "");
+  };
+}
+"""
+
+
+def load_texts(app, name, template, context, doctree):
+    if name == "search":
+        app.add_js_file(TEXTS)
+
+
+def write_texts(app, error):
+    """Write the texts of all pages as a script, and keep only the attributes that are anchors."""
+    if error or app.builder.format != "html":
+        return
+    site, texts = Path(app.outdir), {}
+    for path in sorted(site.rglob("*.html")):
+        main = re.search(r"<article\b[^>]*role=\"main\".*?</article>", path.read_text(), re.DOTALL)
+        if main:
+            plain = re.sub(r"<(script|svg|style)\b.*?</\1>", "", main[0], flags=re.DOTALL)
+            kept = re.sub(r"<(\w+)[^>]*?((?: id=\"[^\"]*\")?)[^>]*>", r"<\1\2>", plain)
+            texts[path.relative_to(site).as_posix()] = f'<div role="main">{kept}</div>'
+    (site / "_static" / TEXTS).write_text(f"const TEXTS = {json.dumps(texts)};{READ_TEXTS}")
+
+
 def describe_thumbnails(app, doctree, name):
     """Give each picture of the gallery's index the title of its example as alternative text."""
     for image in doctree.findall(lambda node: node.tagname == "image" and not node.get("alt")):
@@ -118,4 +149,6 @@ def as_written(paragraph):
 def setup(app):
     app.connect("source-read", add_contents)
     app.connect("doctree-resolved", describe_thumbnails)
+    app.connect("html-page-context", load_texts)
+    app.connect("build-finished", write_texts)
     app.connect("autodoc-process-docstring", plain_text, priority=400)  # before napoleon

@@ -2,12 +2,15 @@
 """Sets the law of confidence (`model/depth/belief.py`) on random scenes, and tries it on others.
 
 `python -m coincid.study.confidence` prints the weights of the law, and a table for scenes that were not used to set them. It
-needs the extra `raytrace`. Half of the random scenes have one distance per
+also draws docs/images/depth_confidence.png, and needs the extra `raytrace`. Half of the random scenes have one distance per
 pixel, like a depth file. In the other half a pixel sees many points, as it does behind a lens, so surfaces mix at their
 edges, and slanted surfaces widen the pulse.
 """
 
+import sys
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +27,8 @@ from ..model.scenes.transient import dominant_surface_m
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.markdown import table
 from ..model.shared.threads import Threads
+from .palette import GREY
+from .plot_style import new_figure, save_figure, style
 from .surfaces import analytic_scenes
 
 SIDE, POINTS = 32, 4  # pixels of the array, and points per pixel where surfaces mix, both per side
@@ -48,7 +53,9 @@ REAL_SEEDS, REAL_COUNT = (1, 2, 3), 2  # each of these runs counts twice
 RAY_TRACED, RAY_KLUX, RAY_SEEDS = ("five-objects", "glass", "fog"), 50.0, range(101, 104)  # tried
 EASE = 1e-3  # weight of the prior, which draws all weights of the law to 0
 ROUNDS = 30
-NINETY, PIXELS_MIN = (0.85, 0.95), 100  # range of confidences that count as 90 %; fewest pixels for a share
+NINETY = (0.85, 0.95)  # range of confidences that count as 90 %
+BINS, PIXELS_MIN = (0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 0.98, 1.01), 100  # of the picture
+PICTURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "depth_confidence.png"
 
 
 class Seen(NamedTuple):
@@ -167,6 +174,23 @@ def rows(seen: Mapping[str, Sequence[Seen]]) -> Iterator[Sequence[str]]:
         yield name, *cells
 
 
+def draw(seen: Sequence[Seen], path: Path) -> None:
+    """Draw the share of right pixels against their confidence, by method."""
+    with style():
+        figure = new_figure(4.6, 4.2)
+        axis = figure.add_subplot()
+        axis.plot([0, 100], [0, 100], color=GREY, linewidth=0.8)
+        for method, mark in zip(METHODS, "sv^o"):
+            sure = np.concatenate([chance_of_right(one.features[method], LAW[method]) for one in seen])
+            right = np.concatenate([one.right[method] for one in seen])
+            bins = [(sure >= low) & (sure < high) for low, high in pairwise(BINS)]
+            points = [(sure[one].mean(), right[one].mean()) for one in bins if one.sum() >= PIXELS_MIN]
+            axis.plot(*(100 * np.array(points).T), f"-{mark}", label=method)
+        axis.set(xlabel="confidence in %", ylabel="pixels within 3.45 cm in %", xlim=(0, 101), ylim=(0, 101))
+        axis.legend()
+        save_figure(figure, path)
+
+
 def real_setups() -> list[Setup]:
     """Return the setups of `REAL`."""
     return [
@@ -195,7 +219,7 @@ def ray_traced() -> dict[str, list[Setup]]:
     }
 
 
-def main() -> None:
+def main(picture: Path) -> None:
     with Processes() as run:
         looked = list(campaign({seed: random_setup(seed) for seed in SET}, look, run).values())
         looked += REAL_COUNT * list(campaign(dict(enumerate(real_setups())), look, run).values())
@@ -210,7 +234,8 @@ def main() -> None:
         f"{name}, any surface": [one._replace(right=one.on_surface) for one in group] for name, group in rays.items()
     }
     print("\n".join(table(("scene", *METHODS), rows(unseen | {"all": everything} | rays | any_surface))))
+    draw(everything, picture)
 
 
 if __name__ == "__main__":
-    main()
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else PICTURE)

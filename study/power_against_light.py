@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 from attrs import field, frozen
+from matplotlib import colormaps
+from matplotlib.figure import Figure
 
 from ..flow.power import Power, clock_tree_mw, design, power, power_at_rest, simulate
 from ..flow.yosys import CLOCK_BUFFER, SINKS_MAX
@@ -22,10 +24,11 @@ from ..model.scenes.scene import Scene
 from ..model.shared.files import whole_file
 from ..model.shared.markdown import table
 from ..tb.frame_record import FrameJob
+from .plot_style import new_figure, save_figure, style
 
 PULSES, SEED = 2, 1
 SATURATION_KLUX = 1e5  # every SPAD fires again as soon as its dead time ends
-TEMPLATE = "power_page.md"
+PICTURE, TEMPLATE = "power.png", "power_page.md"
 SIDE, PIXELS = 8, 64
 WIRE_FF = 0.34  # wire per input: the mean of the routed minigroup (docs/layout.md)
 KINDS = (("clock", "clock"), ("internal", "inside cells"), ("switching", "driven pins"), ("leakage", "leakage"))
@@ -144,8 +147,11 @@ def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor
 
 
 def write_page(path: Path, tell: Callable[[str], None]) -> None:
-    """Measure, and write the page."""
+    """Measure; write the page, and its picture to `images/` beside it."""
     measured, between = measure(tell)
+    images = path.parent / "images"
+    images.mkdir(exist_ok=True)
+    save_figure(draw(measured), images / PICTURE)
     with whole_file(path, "w") as file:
         file.write(page(measured, between))
 
@@ -173,8 +179,10 @@ def page(measured: list[Measured], between: Power) -> str:
         users.append([f"mean at {rate_hz} frames/s, mW", *(f"{mean:.2f}" for mean in means)])
         users.append(["... per pixel, uW", *(f"{1000 * mean / PIXELS:.1f}" for mean in means)])
     users.append(["events per us", *(f"{one.events_cps / 1e6:.1f}" for one in by_light)])
-    nj_per_event = [f"{1e6 * one.total.total / one.events_cps:.2f}" if one.events_cps else "" for one in by_light]
-    users.append(["nJ per event", *nj_per_event])
+    dark = by_light[0].total.total
+    users.append(["nJ per event, all power", *(_nj(one, one.total.total) for one in by_light)])
+    users.append(["nJ per event, more than in the dark", *(_nj(one, one.total.total - dark) for one in by_light)])
+    energies = [[name, *(_nj(one, one.groups[name].total) for one in by_light[1:])] for _, name in GROUPS]
     settings = []
     for one in others:
         base = brightest if one.case.klux == SATURATION_KLUX else reference
@@ -182,22 +190,56 @@ def page(measured: list[Measured], between: Power) -> str:
         settings.append([one.case.name, f"{one.total.total:.2f}", f"{saved:+.2f}", f"{saved / base.total.total:+.1%}"])
     gates = [[name, f"{middle.groups[name].clock:.2f}", f"{middle.groups[name].idle:.2f}"] for _, name in GROUPS]
     gates.append(["**subgroup**", f"**{middle.total.clock:.2f}**", f"**{middle.total.idle:.2f}**"])
-    template = Path(__file__).with_name(TEMPLATE).read_text()
-    return template.format(
-        pulses=PULSES,
-        wire=WIRE_FF,
-        buffer=CLOCK_BUFFER,
-        sinks=SINKS_MAX,
-        klux=AT_KLUX,
-        middle=MIDDLE.klux,
-        default=f"{reference.total.total:.2f}",
-        share=f"{middle.total.clock / middle.total.total:.0%}",
-        users="\n".join(table(["a subgroup", *names], users)),
-        video=VIDEO_PULSES,
-        frame_us=f"{VIDEO_PULSES * PERIOD_US:g}",
-        leakage=f"{between.leakage:.2f}",
-        blocks="\n".join(table(["block", *names], blocks)),
-        kinds="\n".join(table(["kind", *names], kinds)),
-        settings="\n".join(table(["setting", "mW", "saves mW", "share"], settings)),
-        gates="\n".join(table(["block", "clock, mW", "of it in cycles without a change, mW"], gates)),
+    return (
+        Path(__file__)
+        .with_name(TEMPLATE)
+        .read_text()
+        .format(
+            pulses=PULSES,
+            picture=PICTURE,
+            wire=WIRE_FF,
+            buffer=CLOCK_BUFFER,
+            sinks=SINKS_MAX,
+            klux=AT_KLUX,
+            middle=MIDDLE.klux,
+            default=f"{reference.total.total:.2f}",
+            share=f"{middle.total.clock / middle.total.total:.0%}",
+            users="\n".join(table(["a subgroup", *names], users)),
+            energies="\n".join(table(["block, nJ per event", *names[1:]], energies)),
+            video=VIDEO_PULSES,
+            frame_us=f"{VIDEO_PULSES * PERIOD_US:g}",
+            leakage=f"{between.leakage:.2f}",
+            blocks="\n".join(table(["block", *names], blocks)),
+            kinds="\n".join(table(["kind", *names], kinds)),
+            settings="\n".join(table(["setting", "mW", "saves mW", "share"], settings)),
+            gates="\n".join(table(["block", "clock, mW", "of it in cycles without a change, mW"], gates)),
+        )
     )
+
+
+def _nj(one: Measured, mw: float) -> str:
+    """Return the energy per event in nJ for a power; empty without events."""
+    return f"{1e6 * mw / one.events_cps:.2f}" if one.events_cps else ""
+
+
+def draw(measured: list[Measured]) -> Figure:
+    """Draw stacked bars against the light, by block and by kind of power."""
+    shown = measured[: len(LIGHT)]
+    names = [one.case.name for one in shown]
+    with style():
+        figure = new_figure(10.5, 4.6)
+        by_block, by_kind = figure.subplots(1, 2, sharey=True)
+        stacks = (
+            (by_block, {name: [one.groups[name].total for one in shown] for _, name in GROUPS}),
+            (by_kind, {label: [getattr(one.total, name) for one in shown] for name, label in KINDS}),
+        )
+        for axis, values in stacks:
+            below = np.zeros(len(shown))
+            colours = colormaps["viridis"](np.linspace(0.05, 0.95, len(values)))
+            for (label, heights), colour in zip(values.items(), colours):
+                axis.bar(names, heights, bottom=below, label=label, color=colour, width=0.65)
+                below += heights
+            axis.legend(loc="upper left", ncols=2, fontsize=7.5)
+            axis.set_ylim(0, 1.45 * max(one.total.total for one in shown))
+        by_block.set_ylabel("mW per subgroup of 64 pixels")
+    return figure

@@ -10,10 +10,17 @@ from attrs import frozen
 from ...lab.campaign import Processes, Progress
 from ...model.shared.files import FilePath
 from ..plot_style import style
-from . import four_modes, interference, light_over_distance, reconstruction, rivals, thresholds
+from . import four_modes, interference, light_over_distance, noisy_spads, reconstruction, rivals, thresholds
 from .sections import Section, write_page, write_section
 
-COMPARISON = (rivals.background, rivals.bits, rivals.ranging, rivals.two_targets, interference.interference)
+COMPARISON = (
+    rivals.background,
+    rivals.bits,
+    rivals.ranging,
+    rivals.two_targets,
+    rivals.retroreflector,
+    interference.interference,
+)
 
 
 @frozen
@@ -27,7 +34,7 @@ class Page:
 
 PAGES = {  # by the commands that write them
     "figures": Page(
-        "Coincid: the paper's figures",
+        "Coincid: the paper's figures, and noisy SPADs",
         """Each figure is made from the equations as printed (literal), as corrected, and from a Monte Carlo of photons
 through the golden model; the pictures link to SVG. docs/paper-figures.md has the assumptions, and says where they differ
 from the paper, and why.""",
@@ -37,6 +44,7 @@ from the paper, and why.""",
             partial(reconstruction.figure_6, engine=engine),
             thresholds.figure_7,
             partial(reconstruction.figure_8, engine=engine),
+            noisy_spads.noisy_spads,
         ),
     ),
     "modes": Page(

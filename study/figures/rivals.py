@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the comparison with rivals (`comparison.py`): background, bits, range, two targets."""
+"""Draws the comparison with rivals (`comparison.py`): background, bits, range, two targets, a retroreflector."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ...lab.campaign import Processes, grouped
 from ...lab.setup import Setup, seeded
 from ...model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, wrong_pixels, wrong_share
+from ...model.light.light import Light, background_cps, signal_per_pulse
 from ...model.scenes.catalogue import load_scene
 from ..comparison import PULSES, RETURNS, SCHEMES, THRESHOLD, Found, compared, schemes
 from ..palette import ALARM, AMBER, BLUE, GREEN, GREY, INK, SKY, VIOLET
@@ -20,7 +21,7 @@ from ..plot_style import legend_below, new_figure, share_axis
 from .sections import Row, Section, section
 from .setups import SCENE
 
-# Rows and columns; two targets are the same in every subgroup, so a small array is enough.
+# Rows and columns; two targets and the sign are the same in every subgroup, so a small array is enough.
 SIDE, SMALL = 32, 16
 KLUX = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 SEEDS, FEW_SEEDS = 3, 2
@@ -32,6 +33,9 @@ BITS_KLUX, SEEDS_OF_PULSES = (10.0, 50.0, 100.0), {PULSES: SEEDS, 10 * PULSES: 1
 NEAR_M, TWO_KLUX = 5.0, 20.0
 # Above twice the tolerance, because otherwise a depth between the surfaces would count as right.
 STEPS_M = (0.08, 0.10, 0.12, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)
+# Light of the sign relative to a white wall; distance from the sign to the dark target.
+GAINS, BEHIND_M = (1.0, 10.0, 100.0, 1000.0), (0.3, 3.0)
+SIGN_M, DARK, SIGN, STRAY, RETRO_KLUX = 6.0, 0.1, slice(4, 12), 1e-3, 20.0  # a quarter of each subgroup sees the sign
 
 STYLES = {
     "winner takes all": ("#999999", "-", "o"),
@@ -207,6 +211,58 @@ def two_targets(run: Processes) -> Section:
         figure,
         f"Stripes of 4 columns at {NEAR_M:g} m and a step behind, {TWO_KLUX:g} klux",
         rows,
+    )
+
+
+def retroreflector(run: Processes) -> Section:
+    """Show a dark target around and behind a retroreflective sign, whose light strays onto all pixels."""
+    table = _table(run, {key: compared(sign_light(*key)) for key in product(BEHIND_M, GAINS)}, FEW_SEEDS)
+    dark = np.ones((SMALL, SMALL), bool)
+    dark[SIGN, SIGN] = False
+    columns = "scheme behind_m gain wrong_share_of_dark wrong_in_both_returns_share wrong_share_of_sign bits_per_frame"
+    rows: list[Row] = [columns.split()]
+    figure = new_figure(11, 8.2)
+    for column, behind_m in zip(figure.subplots(RETURNS, len(BEHIND_M), sharex=True, sharey=True).T, BEHIND_M):
+        for scheme in SHOWN:
+            shares = []
+            for gain in GAINS:
+                ones = [one[scheme] for one in table[behind_m, gain]]
+                wrong = np.stack([~(np.abs(one.depth_m - (SIGN_M + behind_m)) <= TOLERANCE_M) for one in ones])[:, dark]
+                shares.append((wrong[:, :, 0].mean(), wrong.all(axis=2).mean()))
+                of_sign = np.mean([~(np.abs(one.depth_m[SIGN, SIGN, 0] - SIGN_M) <= TOLERANCE_M) for one in ones])
+                sent = _bits(table[behind_m, gain], scheme)
+                rows.append((scheme, behind_m, gain, *map(float, shares[-1]), float(of_sign), sent))
+            for axis, values in zip(column, np.transpose(shares)):
+                _line(axis, scheme, GAINS, values)
+        for axis, returns in zip(column, OF_RETURNS):
+            share_axis(axis, ylabel="share of wrong pixels, dark target", xscale="log")
+            axis.set_title(f"{behind_m:g} m behind the sign, {returns}")
+        column[-1].set_xlabel("light of the sign against a white target's")
+    legend_below(figure)
+    return section(
+        "rivals_retroreflector",
+        "Beside a retroreflector",
+        figure,
+        f"A target of {DARK:.0%} in the subgroups of a sign at {SIGN_M:g} m, {RETRO_KLUX:g} klux; "
+        f"{STRAY:g} of the sign's light strays onto every pixel",
+        rows,
+    )
+
+
+def sign_light(behind_m: float, gain: float) -> Light:
+    """Return the light of a dark wall behind a sign of 8 x 8 pixels, where four subgroups meet. gain: of the sign over white."""
+    sign = np.zeros((SMALL, SMALL), bool)
+    sign[SIGN, SIGN] = True
+    of_sign = gain * float(signal_per_pulse(SIGN_M, 1.0))
+    signal = np.stack(
+        [np.where(sign, of_sign, STRAY * of_sign), np.where(sign, 0, signal_per_pulse(SIGN_M + behind_m, DARK))], axis=2
+    )
+    return Light(
+        rows=SMALL,
+        cols=SMALL,
+        distance_m=np.array([[SIGN_M, SIGN_M + behind_m]]),
+        signal_per_pulse=signal.reshape(SMALL * SMALL, 2),
+        background_cps=background_cps(RETRO_KLUX),
     )
 
 

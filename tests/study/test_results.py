@@ -23,7 +23,7 @@ from coincid.lab.outcomes import Run
 from coincid.study import surfaces
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.stages import Explorer
-from coincid.study.figures import four_modes, interference, reconstruction
+from coincid.study.figures import four_modes, interference, noisy_spads, reconstruction
 from coincid.study.plot_style import style
 
 from ..command import command
@@ -92,6 +92,7 @@ def surface(folder: Path) -> Any:
     return dropped, dict(zip(surfaces.METHODS, (shares[:2], shares[2:])))
 
 
+DARK = {"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}
 INTERFERENCE = dict(PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1)
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "f1b6a1bd02092015"),
@@ -99,6 +100,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "sweep": (sweep, "c722601e9ccfee6d"),
     "explorer": (explorer, "b904fc3e2af28bc9"),
     "surfaces": (surface, "56076c599e3d1736"),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "84c6b4b042f08787"),
     "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "cb2fe70284e73fa9"),
     "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "34aedca1bc290ba7"),
     "interference": (section(interference.interference, **INTERFERENCE), "4e34141db1efdaba"),
