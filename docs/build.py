@@ -18,7 +18,7 @@ PAGES = {".md", ".toml", ".svg", ".png", ".csv"}  # of docs/
 MODULES = {  # page: title, modules
     "model.contract": (
         "Contract: configuration, registers, words, files",
-        ("config", "parameters", "pixels", "edges", "result", "registers", "packet", "stream", "link", "latency", "windows"),
+        ("config", "parameters", "pixels", "edges", "result", "registers", "packet", "stream", "link", "latency"),
     ),
     "model.golden": ("Golden model", ("frame", "readout", "controller", "shape")),
     "model.light": (
