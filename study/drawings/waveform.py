@@ -5,7 +5,7 @@ python -m coincid.study.drawings.waveform
 """
 
 import tempfile
-from collections.abc import Awaitable, Callable, Container, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Container, Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -18,10 +18,12 @@ from pywellen import Waveform
 from ...hdl.sensor import SensorTop
 from ...model.contract import registers
 from ...model.contract.config import Config, parse_config
+from ...model.contract.edges import Edges
 from ...model.contract.packet import FORMATS, header_field
 from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ...tb.pysim import write_register
+from ...tb.stimulus import port_words
 from ..palette import DEEP_INK, FAINT, NOISE, PALE, SIGNAL
 from . import save
 
@@ -58,7 +60,7 @@ async def no_access(ctx: SimulatorContext, sensor: SensorTop) -> None:
 
 def simulate(
     config: Config,
-    edges: Iterable[tuple[int, int, int]],
+    edges: Sequence[tuple[int, int, int]],
     signals: dict[str, str],
     first: Callable[[SimulatorContext, SensorTop], Awaitable[None]] = no_access,
     stalled: Container[int] = (),
@@ -78,12 +80,14 @@ def simulate(
         for address, value in [*config.register_writes(), registers.control("start")]:
             await write_register(ctx, sensor, address, value)
 
+    pixel, cycle, phase = np.array(edges).T
+    words = port_words(config, Edges(np.zeros_like(pixel), pixel, cycle * PHASES + phase))
+
     async def light(ctx: SimulatorContext) -> None:
         while not ctx.get(sensor.laser):
             await ctx.tick()
         for now in range(SIMULATED_CYCLES):
-            word = sum(1 << pixel * PHASES + phase for pixel, cycle, phase in edges if cycle == now)
-            ctx.set(sensor.spad_0, word)
+            ctx.set(sensor.spad_0, dict(words.get(now, ())).get(0, 0))
             ctx.set(sensor.m_axis.tready, int(now not in stalled))
             await ctx.tick()
 
