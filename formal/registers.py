@@ -18,9 +18,9 @@ WRITE_MAX = 1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + SENT + 2
 READ_MAX = (CHECK_CYCLES + 2) + SENT + 1 + (READ_CYCLES + 2)  # after a write in progress, which may be the longest
 
 
-def _write(unit, name, bit):
-    """Return whether a write to a register is carried out that has this bit set."""
-    return unit.machine.ongoing("write") & (unit.write_address == registers.address(name)) & unit.value[bit]
+def _asks(unit, name, bit):
+    """Return whether the write at work sets this bit of a register."""
+    return (unit.write_address == registers.address(name)) & unit.value[bit]
 
 
 @proof(depth=3, cover=20)
@@ -99,7 +99,7 @@ def register_front(b: Bench):
                 here = where & (unit.write_address[:offset_bits] == offset)
                 allowed.append(here & (unit.value >= low) & (unit.value <= high))
     fits = b.same("fits", Cat(allowed).any() & unit.whole)
-    starts = (unit.write_address == registers.address("control")) & unit.value[0]
+    starts, aborts = (_asks(unit, "control", CONTROL.bit(name)) for name in ("start", "abort"))
     b.always(granted, where=b.past(state("write") & fits & ~starts))
     b.always(axi.bvalid & (axi.bresp == SLVERR), where=b.past(state("write") & ~fits))
 
@@ -121,11 +121,11 @@ def register_front(b: Bench):
     b.always((unit.plan.pulses != 0) & (unit.plan.gate_steps != 0), where=busy)
 
     # Only a write to `control` aborts a frame, and a sticky bit is cleared by itself.
-    b.always(b.past(_write(unit, "control", CONTROL.bit("abort"))), where=unit.abort_frame)
+    b.always(b.past(state("write") & aborts), where=unit.abort_frame)
     for bits in STATUS.bits:
         if bits.clears:
-            flag, cleared = unit.flag[bits.name], _write(unit, "status", bits.lsb)
-            b.always(flag, where=b.past(flag & ~cleared & ~ResetSignal()))
+            flag, clears = unit.flag[bits.name], _asks(unit, "status", bits.lsb)
+            b.always(flag, where=b.past(flag & ~(state("write") & clears) & ~ResetSignal()))
 
     # A refusal sets a sticky error bit.
     errors = Cat(flag for name, flag in unit.flag.items() if name not in ("busy", "done"))
