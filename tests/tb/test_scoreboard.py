@@ -14,12 +14,18 @@ from ..random_cases import configured, trouble
 CONFIG = configured(
     {"rows": 8, "cols": 16, "streams": 2}, {"period": 60, "pulses": 5}, {"threshold": 1, "coincidence": False}
 )
-TRACE = Golden(CONFIG.sensor).frame(CONFIG, trouble(CONFIG, 1, 4.0))
 AT = 5  # of the beats and commits: the one that differs
 
 
-def copy():
-    arrays = [array.copy() for array in (*TRACE.beats, *TRACE.beat_cycle, TRACE.commit_subgroup, TRACE.commit_cycle)]
+@pytest.fixture(scope="module")
+def trace():
+    return Golden(CONFIG.sensor).frame(CONFIG, trouble(CONFIG, 1, 4.0))
+
+
+@pytest.fixture
+def record(trace):
+    """Return the record of the predicted frame, which a test may change."""
+    arrays = [array.copy() for array in (*trace.beats, *trace.beat_cycle, trace.commit_subgroup, trace.commit_cycle)]
     return Recorded(arrays[:2], arrays[2:4], *arrays[4:], cycles=0)
 
 
@@ -52,8 +58,8 @@ def commit_is_lost(record):
     record.commit_subgroup, record.commit_cycle = record.commit_subgroup[:-1], record.commit_cycle[:-1]
 
 
-def test_the_predicted_frame():
-    assert check(CONFIG.sensor, TRACE, copy()) == sum(map(len, TRACE.beats)) + len(TRACE.commit_cycle)
+def test_the_predicted_frame(trace, record):
+    assert check(CONFIG.sensor, trace, record) == sum(map(len, trace.beats)) + len(trace.commit_cycle)
 
 
 @pytest.mark.parametrize(
@@ -68,14 +74,13 @@ def test_the_predicted_frame():
         (commit_is_lost, "events stored, golden model"),
     ],
 )
-def test_every_difference(change, words):
-    record = copy()
+def test_every_difference(change, words, trace, record):
     change(record)
     with pytest.raises(Mismatch, match=words):
-        check(CONFIG.sensor, TRACE, record)
+        check(CONFIG.sensor, trace, record)
 
 
-def test_a_frame_that_stops():
-    board = Scoreboard(CONFIG.sensor, TRACE)
+def test_a_frame_that_stops(trace):
+    board = Scoreboard(CONFIG.sensor, trace)
     with pytest.raises(Mismatch, match="0 beats, golden model"):
         board.finish()
