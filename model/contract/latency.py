@@ -2,8 +2,8 @@
 """The latencies that RTL and golden model share: the number of cycles that each block takes.
 
 They are our choice; the paper gives none. Cycles are counted at the sensor's ports: an edge word that is at the ports in
-cycle c belongs to cycle c, and all latencies count from there. The functions for the end of a
-window accept numbers and arrays, and kernels compile their own versions.
+cycle c belongs to cycle c, and all latencies count from there. The functions for the end of a window accept numbers and
+arrays, and kernels compile their own versions.
 """
 
 from typing import TypeVar

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one exception that a user is meant to read."""
+"""The one exception that a user is meant to read, and checks that raise it: of integers, and of optional packages."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
