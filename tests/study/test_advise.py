@@ -54,7 +54,8 @@ def test_what_a_configuration_means():
     assert told["array"] == "32 x 32 pixels in 16 subgroups of 8 x 8"
     shown = command("show fpga --set streams=3").output
     for name, value in told.items():
-        assert f"{name} " in shown and value in shown or name == "stream" or "events" in name
+        if name != "stream" and "events" not in name:
+            assert f"{name} " in shown and value in shown
     assert "* streams = 3 does not divide 16 subgroups" in shown
 
 

@@ -59,7 +59,6 @@ def test_photon_counts_by_hand():
     assert np.column_stack([np.argwhere(counts), counts[counts > 0]]).tolist() == rows
 
 
-# Of pixels 0 and 1; the others see nothing.
 def test_first_stamps_by_hand():
     of = photons(OF_PIXELS)
     stamps = [(0, 0, 10, [0]), (0, 0, 30, [0]), (0, 0, 50, [0]), (0, 1, 7, [1])]
