@@ -2,8 +2,9 @@
 """Hypothesis under pytest: reproducible by default, settable from outside.
 
 `--hypothesis-seed=N` chooses other random examples (default 0, so that every run tests the same ones).
-`HYPOTHESIS_PROFILE=thorough` tries ten times as many unless a test fixes their number. `--no-skips` makes a skipped test
-fail; with all extras installed, no test is skipped. A failure ends with the command that repeats it.
+`HYPOTHESIS_PROFILE=thorough` tries ten times as many unless a test fixes their number. A test that needs an extra is marked
+with it (`needs.py`) and skipped without it. `--no-skips` makes a skipped test fail; with all extras installed, no test is
+skipped. `--skipped-before` plays the tests that the last run skipped. A failure ends with the command that repeats it.
 """
 
 import os
@@ -13,7 +14,10 @@ from collections.abc import Iterator
 import hypothesis
 import pytest
 
+from .needs import missing
+
 DEFAULT_SEED = "0"
+SKIPPED = "coincid/skipped"  # in pytest's cache: the tests that the last run skipped, for what they need
 # Here compiling takes longer than running. In the environment, so that commands that tests start do it, too.
 os.environ.setdefault("COINCID_OPTIMISE", "-O1")
 
@@ -27,6 +31,9 @@ def pytest_configure(config: pytest.Config) -> None:
     config.option.hypothesis_seed = config.option.hypothesis_seed or DEFAULT_SEED
     if config.option.hypothesis_profile is None:
         config.option.hypothesis_profile = os.environ.get("HYPOTHESIS_PROFILE", "coincid")
+    config.addinivalue_line("markers", "needs(name): the test needs an extra of tests/needs.py")
+    if not hasattr(config, "workerinput"):  # not in a worker of xdist, which sends its reports to this process
+        config.pluginmanager.register(_Skipped(config), "coincid-skipped")
 
 
 def pytest_report_header(config: pytest.Config) -> str:
@@ -35,6 +42,42 @@ def pytest_report_header(config: pytest.Config) -> str:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--no-skips", action="store_true", help="a test that is skipped fails")
+    parser.addoption(
+        "--skipped-before", action="store_true", help="only tests that the last run skipped for their needs"
+    )
+
+
+class _Skipped:
+    """Keeps the names of the tests that this run skips for what they need."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+        self.names: list[str] = []
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.skipped and report.when == "setup" and "needs " in str(report.longrepr):
+            self.names.append(report.nodeid)
+
+    def pytest_sessionfinish(self) -> None:
+        if not self.config.option.skipped_before:
+            self.config.cache.set(SKIPPED, sorted(self.names))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not config.option.skipped_before:
+        return
+    wanted = set(config.cache.get(SKIPPED, []))
+    others = [item for item in items if item.nodeid not in wanted]
+    items[:] = [item for item in items if item.nodeid in wanted]
+    config.hook.pytest_deselected(items=others)
+
+
+@pytest.hookimpl(tryfirst=True)  # before fixtures that need the same
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    for mark in item.iter_markers("needs"):
+        for name in mark.args:
+            if why := missing(name):
+                pytest.skip(why)
 
 
 def _refuse_skip(config: pytest.Config, report: pytest.TestReport | pytest.CollectReport) -> None:

@@ -43,11 +43,13 @@ def _bugs() -> list[Bug]:
 BUGS = _bugs()
 
 
-def copy_of_sources(folder: Path) -> None:
-    """Copy packages and tests so that they are found before the installed ones."""
-    for name in ("coincid", "tests", *PACKAGES):
+def copy_of_sources(folder: Path) -> dict[str, str]:
+    """Copy packages and tests, and return the environment in which Python finds them before the installed ones."""
+    for name in ("src", "tests", *PACKAGES):
         shutil.copytree(ROOT / name, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", folder)
+    search = os.pathsep.join([str(folder / "src"), str(folder)])
+    return os.environ | {"PYTHONPATH": search, "COINCID_BUILD": str(folder / "build")}
 
 
 def plant(bug: Bug, folder: Path) -> None:
@@ -62,10 +64,9 @@ def caught_by(bug: Bug, thorough: bool) -> dict[str, bool]:
     """Return proof or test -> whether it noticed a bug; up to the first that does, unless `thorough`."""
     with tempfile.TemporaryDirectory(prefix="coincid-planted-") as scratch:
         folder = Path(scratch)
-        copy_of_sources(folder)
-        plant(bug, folder)
         builds = build_root() / "planted" / bug.name
-        environment = os.environ | {"PYTHONPATH": str(folder), "COINCID_BUILD": str(builds), "NUMBA_DISABLE_JIT": "1"}
+        environment = copy_of_sources(folder) | {"COINCID_BUILD": str(builds), "NUMBA_DISABLE_JIT": "1"}
+        plant(bug, folder)
         checks = [(f"proof {name}", ["coincid", "formal", name]) for name in bug.proofs]
         checks += [(" ".join(test), ["pytest", "-x", "-q", "-p", "no:cacheprovider", *test]) for test in bug.tests]
         result = {}

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A new setting and a new format of events are one entry each: CONTRIBUTING.md's examples, put into a copy of the sources."""
 
-import os
 import re
 import subprocess
 import sys
@@ -90,17 +89,16 @@ assert "0 times (with offsets)" in header_table()
 def extended(tmp_path_factory):
     """Return a function that runs Python in a copy of the sources with the examples."""
     folder, page = tmp_path_factory.mktemp("extended"), (ROOT / "CONTRIBUTING.md").read_text()
-    copy_of_sources(folder)
+    environment = copy_of_sources(folder) | {"NUMBA_DISABLE_JIT": "1"}
     examples = map(textwrap.dedent, re.findall(r"^ *```python\n(.*?)^ *```", page, re.DOTALL | re.MULTILINE))
     for example, (file, before) in zip(examples, PLACES.items()):
         text = (folder / file).read_text()
         assert text.count(before) == 1
         (folder / file).write_text(text.replace(before, textwrap.indent(example, "    ") + before))
-    more = {"PYTHONPATH": str(folder), "COINCID_BUILD": str(folder / "build"), "NUMBA_DISABLE_JIT": "1"}
 
     def run(*arguments):
         command = [sys.executable, *arguments]
-        done = subprocess.run(command, cwd=folder, env=os.environ | more, capture_output=True, text=True)
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
 
     return run

@@ -67,7 +67,6 @@ def test_code_about_light_prints_what_the_page_says():
 
 
 def test_notebook_block_runs(tmp_path, monkeypatch):
-    pytest.importorskip("bokeh")
     monkeypatch.chdir(tmp_path)
     _, names = printed(ROOT / "docs" / "explorer.md")
     assert len(names["run"].events()) > 0 and (tmp_path / "points.ply").exists()
@@ -85,7 +84,6 @@ def test_a_study_is_one_file(tmp_path):
 
 
 def test_sweep_blocks_run(tmp_path, monkeypatch):
-    pytest.importorskip("pandas")
     monkeypatch.chdir(tmp_path)
     page = ROOT / "docs" / "sweeps.md"
     (axes,) = blocks(page, "toml")

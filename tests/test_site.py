@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documentation site: links and anchors lead somewhere, docstrings are well-formed, and pages are whole.
 
-The examples do not run here (`test_examples.py` runs them). Without the tools of the site (scripts/setup docs), this test
-is skipped.
+The examples do not run here (`test_examples.py` runs them). The search is tried in a browser.
 """
 
 import re
@@ -14,8 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-pytest.importorskip("sphinx_gallery", reason="the tools of the site (scripts/setup docs) are not installed")
-pytest.importorskip("myst_parser")
+pytestmark = [pytest.mark.needs("docs", "chromium")]
 
 
 def copy_of_the_project(root):
@@ -29,12 +27,12 @@ def copy_of_the_project(root):
 
 def search_from_a_file(site):
     """Search a site that is opened from its files, and see an excerpt."""
-    if (chromium := shutil.which("chromium")) is None:
-        return
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
+        )
         tab = browser.new_page()
         tab.goto(f"file://{site}/search.html?q=crosstalk")
         tab.wait_for_selector("#search-results p.context")

@@ -26,7 +26,7 @@ assert all(path.exists() for path in view_at("async", 500).macros)
 
 def copy_of_the_project(source):
     """Copy what is built, so that the checkout stays unchanged."""
-    for name in (*ROOMS, "coincid"):
+    for name in (*ROOMS, "src"):
         shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE", "NOTICE"):
         shutil.copy(ROOT / name, source / name)
@@ -75,4 +75,18 @@ def test_a_script_beside_the_clone_finds_the_package(tmp_path):
     subprocess.run([python, *words.split(), clone], check=True, env=own)
     (tmp_path / "script.py").write_text("import coincid; print(coincid.__file__, coincid.__version__)")
     done = subprocess.run([python, "script.py"], cwd=tmp_path, capture_output=True, text=True)
-    assert done.stdout.startswith(str(clone / "coincid" / "__init__.py")), done.stdout + done.stderr
+    assert done.stdout.startswith(str(clone / "src" / "coincid" / "__init__.py")), done.stdout + done.stderr
+    for room in (*ROOMS, "tests"):
+        alone = subprocess.run([python, "-c", f"import {room}"], cwd=tmp_path, capture_output=True, text=True)
+        assert "ModuleNotFoundError" in alone.stderr, f"`import {room}` works in anybody's project"
+
+
+def test_a_clone_without_links_says_so(tmp_path):
+    """A ZIP file, or Git on Windows, has small text files in the place of the links."""
+    package = tmp_path / "coincid"
+    shutil.copytree(ROOT / "src" / "coincid", package, symlinks=True)
+    for room in ROOMS:
+        (package / room).unlink()
+        (package / room).write_text(f"../../{room}")
+    done = subprocess.run([sys.executable, "-c", "import coincid"], cwd=tmp_path, capture_output=True, text=True)
+    assert "git config --global core.symlinks true" in done.stderr, done.stderr

@@ -2,7 +2,6 @@
 """Flows on one small block: the cells and depth of its netlist, and its behaviour."""
 
 import json
-import shutil
 
 import pytest
 
@@ -11,7 +10,6 @@ from coincid.flow.gls import gate_level
 from coincid.flow.logic_depth import depths
 from coincid.flow.silicon_report import CLOCKS, timing, write
 from coincid.flow.synth import CELLS, ECP5, GATES, synthesize
-from coincid.flow.yosys import cells_folder
 from coincid.hdl.silicon.circuit import Circuit
 from coincid.model.contract.parameters import Sensor
 from coincid.tools.build import ToolchainError
@@ -31,10 +29,6 @@ module toy(input clk, input [7:0] a, output reg [3:0] n);
 endmodule
 """
 TO_GATES = ("dfflegalize -cell $_DFF_P_ x", "abc -g AND,XOR", "flatten", "opt_clean", "write_json toy.json")
-
-needs_cells = pytest.mark.skipif(
-    cells_folder() is None, reason="standard cells (scripts/setup cells) are not installed"
-)
 
 
 def test_depth_by_block(tmp_path):
@@ -71,14 +65,13 @@ def test_blocks_of_a_small_sensor():
     assert fpga.total(lambda block: block.flops) < flops  # memories are RAM there
 
 
-@pytest.mark.skipif(not shutil.which("iverilog"), reason="no Icarus")
-@pytest.mark.parametrize("target", [GATES, pytest.param(CELLS, marks=needs_cells)])
+@pytest.mark.parametrize("target", [GATES, pytest.param(CELLS, marks=pytest.mark.needs("cells"))])
 def test_netlist_behaves(target):
     checked, cycles = gate_level(SMALL, target, frames=4)
     assert checked > 200 and cycles > 1000
 
 
-@needs_cells
+@pytest.mark.needs("cells")
 def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
     """OpenSTA accepts the constraints (`write` raises if it complains), and every clock has a timed path."""
     top, report, sdc = write(SMALL, Circuit(), tmp_path)

@@ -5,12 +5,8 @@ import json
 
 import pytest
 
-from coincid.flow.yosys import cells_folder
-
-pya = pytest.importorskip("klayout.db", reason="the layout tools (scripts/setup layout) are not installed")
-
-from coincid.flow.layout import drawn, pins, wires  # noqa: E402
-from coincid.flow.layout.delays import scaled  # noqa: E402
+from coincid.flow.layout import pins, wires
+from coincid.flow.layout.delays import scaled
 
 DEF = """\
 UNITS DISTANCE MICRONS 1000 ;
@@ -77,7 +73,11 @@ def test_delays_scale():
 
 def two_cells(shapes):
     """A layout of two pins at (0.1, 0.5) and (1.1, 0.5) of nets a and `net`, with shapes (layer, box in um)."""
-    layout = pya.Layout()
+    import klayout.db
+
+    from coincid.flow.layout import drawn
+
+    layout = klayout.db.Layout()
     layout.dbu = drawn.DBU_UM
     top = layout.create_cell("top")
     for layer, corners in shapes:
@@ -97,15 +97,20 @@ WIRE = [(15, (0.03, 0.465, 1.17, 0.535))]
 
 def found_in(shapes, other_net="a"):
     """The layout with these shapes after repairs, and what `connect` finds."""
+    from coincid.flow.layout import drawn
+
     layout, placed, strips = two_cells(shapes)
     placed["cells"][1]["nets"]["P"] = other_net
     return layout, drawn.connect(layout, "top", placed, strips)
 
 
 def broken_rules(layout):
+    from coincid.flow.layout import drawn
+
     return {rule for rule, found in drawn.check_rules(layout, "top") if found}
 
 
+@pytest.mark.needs("layout")
 def test_opens_and_shorts_are_found():
     for shapes, other_net, expected in (
         (PINS + VIAS + WIRE, "a", ([], [], [])),
@@ -117,6 +122,7 @@ def test_opens_and_shorts_are_found():
         assert found[1:] == expected
 
 
+@pytest.mark.needs("layout")
 def test_rules_are_checked():
     layout, _, _ = two_cells(PINS + VIAS + WIRE)
     assert not broken_rules(layout)
@@ -129,6 +135,7 @@ def test_rules_are_checked():
     }
 
 
+@pytest.mark.needs("layout")
 def test_a_cut_too_near_its_neighbour_goes():
     near = [(14, (0.065, 0.565, 0.135, 0.635)), (15, (0.03, 0.565, 1.17, 0.635))]
     assert "via2: distance" in broken_rules(two_cells(PINS + VIAS + WIRE + near)[0])
@@ -136,7 +143,7 @@ def test_a_cut_too_near_its_neighbour_goes():
     assert found[1:] == ([], [], []) and not broken_rules(layout)
 
 
-@pytest.mark.skipif(cells_folder() is None, reason="standard cells (scripts/setup cells) are not installed")
+@pytest.mark.needs("cells", "layout")
 def test_a_small_minigroup_is_routed():
     from coincid.flow.layout.flow import PLACED, lay_out
     from coincid.hdl.minigroup import Minigroup

@@ -2,7 +2,6 @@
 """Information for integrators: the table of ports, an instance, the words, the cycle that `laser` marks, and the diagrams."""
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -82,7 +81,6 @@ def test_outputs_after_a_reset_are_as_told():
         assert bool(later) == (seen[2][row.name] == (1 << row.width) - 1 != int(first)), row.name
 
 
-@pytest.mark.skipif(not shutil.which("iverilog"), reason="Icarus is not installed")
 def test_the_instance_compiles(tmp_path):
     folder = small_releases() / "silicon"
     files = [str(folder / name) for name in (folder / FILE_LIST).read_text().split()]

@@ -52,9 +52,6 @@ $enddefinitions $end
 
 
 PER_FJ = 1e-6 * 100.0 / 10  # mW, of ten cycles at 100 MHz
-needs_cells = pytest.mark.skipif(
-    cells_folder() is None, reason="standard cells (scripts/setup cells) are not installed"
-)
 
 
 def always(fj):
@@ -147,7 +144,7 @@ def test_blocks_of_the_table():
     assert group_of("module_0.tdc") is group_of("readout_0") is None
 
 
-@needs_cells
+@pytest.mark.needs("cells")
 def test_cells_of_the_library():
     """Energies that stand in the file. A flip-flop's clock pin: of data at rest, between its tables' second and third slew.
 

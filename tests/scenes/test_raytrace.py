@@ -3,7 +3,7 @@
 
 import math
 import re
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError
 from types import SimpleNamespace
 
 import numpy as np
@@ -225,12 +225,8 @@ def test_unknown_scene(source, words):
 
 @pytest.fixture(scope="module")
 def tracer():
-    """The renderer; tests that need it are skipped without the extra."""
-    try:
-        version("mitransient")
-        return ray_scene._tracer()
-    except (PackageNotFoundError, InputError) as error:
-        pytest.skip(f"the extra `raytrace` is not installed ({error}): make raytrace")
+    """The renderer."""
+    return ray_scene._tracer()
 
 
 CAMERA = '<sensor type="perspective"/>'
@@ -253,6 +249,7 @@ def rendered(tracer, path, rows=8, cols=8, stop_s=1e-6):
 
 
 @pytest.mark.parametrize("distance_m", [1, 4, 10, 50])
+@pytest.mark.needs("raytrace")
 def test_flat_wall_is_the_link_budget(tracer, tmp_path, distance_m):
     """The rate is right within 2 %, in the corrected form; the range within a tick."""
     transient = rendered(tracer, scene_file(tmp_path / "wall.xml", wall(distance_m)))
@@ -268,6 +265,7 @@ def test_flat_wall_is_the_link_budget(tracer, tmp_path, distance_m):
     assert transient.ambient == pytest.approx(np.full((8, 8), 0.4), rel=1e-4)
 
 
+@pytest.mark.needs("raytrace")
 def test_the_renderer_agrees_with_mitsubas_own(tracer):
     """Compare all light of a corner and of the five objects with the path integrator and a projector; one common constant."""
     import mitsuba as mi
@@ -291,6 +289,7 @@ def test_the_renderer_agrees_with_mitsubas_own(tracer):
 
 
 @pytest.mark.parametrize(("target", "ball_at"), [("1,2,8", (2, 3, 8)), ("4,2,7", (4.8, 3, 6.4))])
+@pytest.mark.needs("raytrace")
 def test_users_camera(tracer, tmp_path, target, ball_at):
     """The camera's position and direction are used, its film is not; left is left and top is top in the picture."""
     ball = (
@@ -313,6 +312,7 @@ def test_users_camera(tracer, tmp_path, target, ball_at):
     assert elsewhere.surface_m == pytest.approx(straight.surface_m, rel=1e-5, nan_ok=True)
 
 
+@pytest.mark.needs("raytrace")
 def test_files_beside_a_scene(tracer, tmp_path, monkeypatch):
     """Meshes and included files come from the scene's own folder, and belong to the key of a cached rendering."""
     monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
@@ -328,6 +328,7 @@ def test_files_beside_a_scene(tracer, tmp_path, monkeypatch):
     assert truth_m == pytest.approx([4 * 1.011, 6 * 1.011, 8 * 1.011], rel=0.01)
 
 
+@pytest.mark.needs("raytrace")
 def test_threads_do_not_change_a_bit(tracer):
     import drjit as dr
 
@@ -347,6 +348,7 @@ def test_threads_do_not_change_a_bit(tracer):
     assert made[0] == made[1] == made[2]
 
 
+@pytest.mark.needs("raytrace")
 def test_depth_of_single_returns_is_the_geometrys(tracer):
     """For the five objects, depth is right within a tick wherever a pixel and its neighbours see one surface."""
     transient = rendered(tracer, ray_scene.SCENES / "five-objects.xml", 32, 32, stop_s=0.5e-6)
@@ -360,6 +362,7 @@ def test_depth_of_single_returns_is_the_geometrys(tracer):
     assert np.abs(depth_m - surface_m)[single].max() < TICK_M
 
 
+@pytest.mark.needs("raytrace")
 def test_pane_and_fog_take_their_share(tracer, tmp_path):
     """A pane transmits by Fresnel's law, there and back; fog takes exp(-2 sigma d) of the wall's light, and glows in the sun."""
     clear = rendered(tracer, scene_file(tmp_path / "clear.xml", wall(10)))
@@ -402,6 +405,7 @@ def test_pane_and_fog_take_their_share(tracer, tmp_path):
         (None, "has no camera"),
     ],
 )
+@pytest.mark.needs("raytrace")
 def test_broken_scenes(tracer, tmp_path, body, words):
     path = scene_file(tmp_path / "broken.xml", body or "", camera="" if body is None else CAMERA)
     with pytest.raises(InputError, match=words) as told:
@@ -409,6 +413,7 @@ def test_broken_scenes(tracer, tmp_path, body, words):
     assert "\n" not in str(told.value) and str(told.value).startswith(str(path))
 
 
+@pytest.mark.needs("raytrace")
 def test_a_scene_runs_from_photon_to_depth(tracer, tmp_path, monkeypatch):
     """A user's file, on the command line: a ball before a wall, each at its depth."""
     monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled code is renewed when a file that it depends on changes, is kept otherwise, and does not require a folder."""
 
-import os
 import subprocess
 import sys
 
@@ -25,9 +24,8 @@ REARM = "close + 1 + rearm_cycles"
 @pytest.fixture
 def run(tmp_path):
     """Run `PROGRAM` on a copy of the sources; return its output: stamps of windows, and whether compiled code was found."""
-    copy_of_sources(tmp_path)
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
-    environment |= {"PYTHONPATH": str(tmp_path), "COINCID_BUILD": str(tmp_path / "build")}
+    everything = copy_of_sources(tmp_path)
+    environment = {name: value for name, value in everything.items() if not name.startswith("NUMBA_")}
 
     def run(**variables):
         command, settings = [sys.executable, "-c", PROGRAM], environment | variables

@@ -299,4 +299,15 @@ def test_the_documentation_has_the_columns_and_settings():
 def test_the_example_parses():
     grid = read_spec(DOCS / "sweep-example.toml")
     assert (len(grid.points), list(grid.points[0].values)) == (105, ["klux", "subgroup.threshold", "seed"])
-    assert all(read_spec(path).points for path in DOCS.glob("sweep-*.toml"))
+
+
+def specs():
+    """Return the documents' sweeps; one of them has a ray-traced scene."""
+    for path in sorted(DOCS.glob("sweep-*.toml")):
+        needs = [pytest.mark.needs("raytrace")] if '"ray:' in path.read_text() else []
+        yield pytest.param(path, marks=needs, id=path.stem)
+
+
+@pytest.mark.parametrize("path", list(specs()))
+def test_the_documents_sweeps_parse(path):
+    assert read_spec(path).points

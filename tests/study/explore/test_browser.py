@@ -20,7 +20,7 @@ from .test_server import SMALL, explorer
 from .test_settings import other_value
 
 CHROMIUM = shutil.which("chromium")
-pytestmark = [pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed (scripts/setup chromium)")]
+pytestmark = [pytest.mark.needs("chromium")]
 FLAGS = "--no-sandbox --disable-gpu --disable-background-networking --disable-component-update --disable-sync".split()
 PATIENCE_MS = 240_000
 SHOWN = "document.body.dataset.state === 'shown'"

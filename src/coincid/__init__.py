@@ -10,6 +10,13 @@ HDL), `coincid.hdl` (RTL in Amaranth), `coincid.tb` (simulators, cocotb, scorebo
 
 from importlib import import_module as _import_module
 from importlib.metadata import version as _version
+from pathlib import Path as _Path
+
+if not (_Path(__file__).parent / "model").is_dir():
+    raise ImportError(
+        "src/coincid has no links to the rooms (model, hdl and so on); clone with Git where it may make symbolic links "
+        "(git config --global core.symlinks true), or install the wheel"
+    )
 
 __version__ = _version("coincid")
 

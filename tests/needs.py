@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What some tests need beside `make test`, and the command that installs it.
+
+`@pytest.mark.needs("cells")` marks such a test. Without what it needs the test is skipped, and the reason names the
+command. `--skipped-before` plays exactly the tests that the last run skipped for such a reason, so
+
+    make test
+    scripts/setup cells
+    make test PYTEST_ARGS="--skipped-before --no-skips"
+
+plays every test once.
+"""
+
+import shutil
+from collections.abc import Callable
+from importlib.util import find_spec
+
+import attrs
+
+from coincid.flow.yosys import cells_folder
+
+
+@attrs.frozen
+class Need:
+    """One thing that a test may need."""
+
+    what: str  # as in 'the standard cells'
+    install: str  # the command that installs it
+    there: Callable[[], bool]  # whether it is installed
+
+
+def _has_cells() -> bool:
+    return cells_folder() is not None and shutil.which("sta") is not None
+
+
+def _has_chromium() -> bool:
+    return shutil.which("chromium") is not None
+
+
+def _has_layout_tools() -> bool:
+    return find_spec("coriolis") is not None and find_spec("klayout") is not None
+
+
+def _has_site_tools() -> bool:
+    return find_spec("sphinx_gallery") is not None and find_spec("myst_parser") is not None
+
+
+def _has_renderer() -> bool:
+    return find_spec("mitransient") is not None
+
+
+NEEDS = {
+    "cells": Need("the standard cells", "scripts/setup cells", _has_cells),
+    "chromium": Need("the browser Chromium", "scripts/setup chromium", _has_chromium),
+    "docs": Need("the tools of the site", "scripts/setup docs", _has_site_tools),
+    "layout": Need("the layout tools", "scripts/setup layout", _has_layout_tools),
+    "raytrace": Need("the renderer", "scripts/setup raytrace", _has_renderer),
+}
+
+
+def missing(name: str) -> str | None:
+    """Return why a test that needs `name` is skipped, or None if it can be played."""
+    need = NEEDS[name]
+    if need.there():
+        return None
+    return f"needs {need.what}: {need.install}"
