@@ -13,7 +13,9 @@ plays every test once.
 
 import shutil
 from collections.abc import Callable
+from importlib import import_module
 from importlib.util import find_spec
+from typing import Any
 
 import attrs
 
@@ -64,3 +66,10 @@ def missing(name: str) -> str | None:
     if need.there():
         return None
     return f"needs {need.what}: {need.install}"
+
+
+def imported(need: str, module: str) -> Any:
+    """Return a module that cannot be imported without `need`, or None; tests that use it are marked with `need`."""
+    if missing(need):
+        return None
+    return import_module(module)

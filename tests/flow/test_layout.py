@@ -5,8 +5,14 @@ import json
 
 import pytest
 
-from coincid.flow.layout import pins, wires
-from coincid.flow.layout.delays import scaled
+from ..needs import imported
+
+pytestmark = pytest.mark.needs("layout")
+db = imported("layout", "klayout.db")
+delays = imported("layout", "coincid.flow.layout.delays")
+drawn = imported("layout", "coincid.flow.layout.drawn")
+pins = imported("layout", "coincid.flow.layout.pins")
+wires = imported("layout", "coincid.flow.layout.wires")
 
 DEF = """\
 UNITS DISTANCE MICRONS 1000 ;
@@ -66,18 +72,14 @@ def test_strips_stand_on_their_pins(tmp_path):
 
 
 def test_delays_scale():
-    assert scaled("(IOPATH A ZN (0.010:0.010:0.010) (0.020:0.020:0.020))", 3) == (
+    assert delays.scaled("(IOPATH A ZN (0.010:0.010:0.010) (0.020:0.020:0.020))", 3) == (
         "(IOPATH A ZN (0.0300:0.0300:0.0300) (0.0600:0.0600:0.0600))"
     )
 
 
 def two_cells(shapes):
     """A layout of two pins at (0.1, 0.5) and (1.1, 0.5) of nets a and `net`, with shapes (layer, box in um)."""
-    import klayout.db
-
-    from coincid.flow.layout import drawn
-
-    layout = klayout.db.Layout()
+    layout = db.Layout()
     layout.dbu = drawn.DBU_UM
     top = layout.create_cell("top")
     for layer, corners in shapes:
@@ -97,20 +99,15 @@ WIRE = [(15, (0.03, 0.465, 1.17, 0.535))]
 
 def found_in(shapes, other_net="a"):
     """The layout with these shapes after repairs, and what `connect` finds."""
-    from coincid.flow.layout import drawn
-
     layout, placed, strips = two_cells(shapes)
     placed["cells"][1]["nets"]["P"] = other_net
     return layout, drawn.connect(layout, "top", placed, strips)
 
 
 def broken_rules(layout):
-    from coincid.flow.layout import drawn
-
     return {rule for rule, found in drawn.check_rules(layout, "top") if found}
 
 
-@pytest.mark.needs("layout")
 def test_opens_and_shorts_are_found():
     for shapes, other_net, expected in (
         (PINS + VIAS + WIRE, "a", ([], [], [])),
@@ -122,7 +119,6 @@ def test_opens_and_shorts_are_found():
         assert found[1:] == expected
 
 
-@pytest.mark.needs("layout")
 def test_rules_are_checked():
     layout, _, _ = two_cells(PINS + VIAS + WIRE)
     assert not broken_rules(layout)
@@ -135,7 +131,6 @@ def test_rules_are_checked():
     }
 
 
-@pytest.mark.needs("layout")
 def test_a_cut_too_near_its_neighbour_goes():
     near = [(14, (0.065, 0.565, 0.135, 0.635)), (15, (0.03, 0.565, 1.17, 0.635))]
     assert "via2: distance" in broken_rules(two_cells(PINS + VIAS + WIRE + near)[0])
@@ -143,7 +138,7 @@ def test_a_cut_too_near_its_neighbour_goes():
     assert found[1:] == ([], [], []) and not broken_rules(layout)
 
 
-@pytest.mark.needs("cells", "layout")
+@pytest.mark.needs("cells")
 def test_a_small_minigroup_is_routed():
     from coincid.flow.layout.flow import PLACED, lay_out
     from coincid.hdl.minigroup import Minigroup
