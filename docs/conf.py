@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 project, author, copyright = "Coincid", "The Coincid authors", "2026, The Coincid authors"
 version = release = PROJECT["version"]
@@ -92,12 +92,12 @@ def write_texts(app, error):
         return
     site, texts = Path(app.outdir), {}
     for path in sorted(site.rglob("*.html")):
-        main = re.search(r"<article\b[^>]*role=\"main\".*?</article>", path.read_text(), re.DOTALL)
+        main = re.search(r"<article\b[^>]*role=\"main\".*?</article>", path.read_text(encoding="utf-8"), re.DOTALL)
         if main:
             plain = re.sub(r"<(script|svg|style)\b.*?</\1>", "", main[0], flags=re.DOTALL)
             kept = re.sub(r"<(\w+)[^>]*?((?: id=\"[^\"]*\")?)[^>]*>", r"<\1\2>", plain)
             texts[path.relative_to(site).as_posix()] = f'<div role="main">{kept}</div>'
-    (site / "_static" / TEXTS).write_text(f"const TEXTS = {json.dumps(texts)};{READ_TEXTS}")
+    (site / "_static" / TEXTS).write_text(f"const TEXTS = {json.dumps(texts)};{READ_TEXTS}", encoding="utf-8")
 
 
 def describe_thumbnails(app, doctree, name):

@@ -53,4 +53,6 @@ async def one_event(dut):
     assert stamp == 5 * PHASES + 22 and winner == 9 and count == len(EDGES)
     assert hits == sum(1 << pixel for pixel, _, _ in EDGES)
     dut._log.info(f"stamp {stamp} ticks, winner {winner}, count {count}, map {hits:#x}")
-    Path(os.environ["COINCID_SEEN"]).write_text(json.dumps({"rows": rows, "stamp": stamp, "count": count}))
+    Path(os.environ["COINCID_SEEN"]).write_text(
+        json.dumps({"rows": rows, "stamp": stamp, "count": count}), encoding="utf-8"
+    )

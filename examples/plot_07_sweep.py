@@ -36,7 +36,7 @@ sensor.fifo_depth = [1, 4, 16]
 
 if __name__ == "__main__":  # the workers are processes that import this file again
     folder = Path(tempfile.mkdtemp())
-    (folder / "spec.toml").write_text(SPEC)
+    (folder / "spec.toml").write_text(SPEC, encoding="utf-8")
     out = folder / "sweep.parquet"
     summary = sweep(read_spec(folder / "spec.toml"), out, workers=2, title="FIFO depth and threshold")
     table = pyarrow.parquet.read_table(out)

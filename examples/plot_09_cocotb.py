@@ -24,8 +24,10 @@ from coincid.model.contract.registers import address
 config = coincid.parse_config({"sensor": {"rows": 8, "cols": 8}})
 folder = Path(tempfile.mkdtemp())
 write_release(folder / "rtl", config)  # the same as `coincid verilog --config small.toml --out rtl`
-sources = [folder / "rtl" / name for name in (folder / "rtl" / "coincid.f").read_text().split()]
-print(f"{len(sources)} Verilog files, {sum(len(path.read_text().splitlines()) for path in sources)} lines")
+sources = [folder / "rtl" / name for name in (folder / "rtl" / "coincid.f").read_text(encoding="utf-8").split()]
+print(
+    f"{len(sources)} Verilog files, {sum(len(path.read_text(encoding='utf-8').splitlines()) for path in sources)} lines"
+)
 
 # %%
 # Compile and run. The bench checks the event itself; a failed check makes the run fail.
@@ -50,12 +52,12 @@ results = runner.test(
     log_file=folder / "sim.log",
 )
 tests, failures = get_results(results)
-assert (tests, failures) == (1, 0), (folder / "sim.log").read_text()
+assert (tests, failures) == (1, 0), (folder / "sim.log").read_text(encoding="utf-8")
 
 # %%
 # The record of the bench: photons arrive in cycles 5 and 6, and the event leaves the sensor after its window has closed.
 
-told = json.loads(seen.read_text())
+told = json.loads(seen.read_text(encoding="utf-8"))
 cycles, valid, photons = zip(*told["rows"])
 figure, axis = plt.subplots(figsize=(9, 2.6), layout="constrained")
 axis.bar(cycles, photons, width=0.9, color="#c8501e", label="photons driven in this cycle")

@@ -17,5 +17,5 @@ def async_constraints(sensor: Sensor, circuit: Circuit, spads: str = "spad_*") -
     tick, half = cycle / sensor.phases, cycle / 2
     times = {"cycle": cycle, "lag": lag, "tick": tick, "half": half, "half_tick": tick / 2}
     times |= {"roots": half - lag, "ends": half - lag - cycle / QUARTERS}
-    _, _, text = TEXT.read_text().partition("\n")  # without the licence
+    _, _, text = TEXT.read_text(encoding="utf-8").partition("\n")  # without the licence
     return text.format(system=SYSTEM, spads=spads, **times)

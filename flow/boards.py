@@ -28,7 +28,7 @@ def fpga_module() -> Board:
     """Return a module of the FPGA preset with registers, readout and deserialisers. Raises `ToolchainError` without nextpnr."""
     preset = load_config("fpga")
     sensor = evolve(preset.sensor, rows=8, cols=16)
-    files = verilog_files(sensor) | fpga_files(sensor) | {WRAPPER.name: WRAPPER.read_text()}
+    files = verilog_files(sensor) | fpga_files(sensor) | {WRAPPER.name: WRAPPER.read_text(encoding="utf-8")}
     del files[FILE_LIST], files[f"{TOP}.v"]
     return Board(
         title="The FPGA preset placed and routed",
@@ -48,7 +48,7 @@ def _along_the_edge() -> str:
 
     Without them nextpnr would place the ports, and the logic behind them, at random. nextpnr chooses only the clock pin.
     """
-    sites = json.loads((wheel_folder(NEXTPNR) / PADS).read_text())["packages"][PACKAGE]
+    sites = json.loads((wheel_folder(NEXTPNR) / PADS).read_text(encoding="utf-8"))["packages"][PACKAGE]
     right = max(site["col"] for site in sites.values())
 
     def clockwise(item: tuple[str, dict[str, Any]]) -> tuple[int, int, str]:
@@ -57,7 +57,7 @@ def _along_the_edge() -> str:
         side, along = (0, -row) if col == 0 else (1, col) if row == 0 else (2, row) if col == right else (3, -col)
         return side, along, pad
 
-    ports = re.findall(r"(?:input|output) (?:\[(\d+):0\] )?(\w+)", WRAPPER.read_text())
+    ports = re.findall(r"(?:input|output) (?:\[(\d+):0\] )?(\w+)", WRAPPER.read_text(encoding="utf-8"))
     bits = [
         f"{name}[{k}]" if msb else name for msb, name in ports for k in range(int(msb or 0) + 1) if name != "clk_in"
     ]

@@ -25,7 +25,7 @@ _GROUPS = {  # places and widths in groups of events
 
 def c_driver() -> dict[str, str]:
     """Return the files of the driver by name. It fits every sensor, and needs the header of the registers."""
-    return {path.name: path.read_text() for path in SOURCES} | {PACKETS_HEADER: _packets_header()}
+    return {path.name: path.read_text(encoding="utf-8") for path in SOURCES} | {PACKETS_HEADER: _packets_header()}
 
 
 def _packets_header() -> str:

@@ -53,7 +53,7 @@ def netlist_build(sensor: Sensor, target: str, scopes: Sequence[str] = ()) -> to
     synthesized = synthesize(sensor, target)
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         models = Path(folder) / f"{target}.v"
-        models.write_text(cell_models(target))
+        models.write_text(cell_models(target), encoding="utf-8")
         return toolchain.build(
             "icarus",
             [synthesized.folder / "netlist.v", models],
@@ -72,8 +72,8 @@ def cell_models(target: str = CELLS) -> str:
         if folder is None:
             raise InputError("the standard cells are not installed; run: scripts/setup cells")
         source = folder / CELL_MODELS
-    own = FLOPS.read_text()
-    text = source.read_text()
+    own = FLOPS.read_text(encoding="utf-8")
+    text = source.read_text(encoding="utf-8")
     for name in re.findall(r"^(?:module |`CLOCK_GATE\()([^\s)]+)", own, flags=re.MULTILINE):
         text = re.sub(
             rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", text, count=1, flags=re.DOTALL | re.MULTILINE

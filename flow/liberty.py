@@ -69,7 +69,7 @@ class Cell:
 
 def read_cells(path: Path, names: Collection[str]) -> dict[str, Cell]:
     """Return some cells of a liberty file. Raises `ValueError` if one is missing."""
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     starts = [(found[1], found.start()) for found in re.finditer(r"^\s*cell \((\w+)\) \{", text, re.MULTILINE)]
     ends = [*(at for _, at in starts[1:]), len(text)]
     cells = {name: _cell(_parsed(text[at:end])) for (name, at), end in zip(starts, ends) if name in names}
@@ -79,7 +79,7 @@ def read_cells(path: Path, names: Collection[str]) -> dict[str, Cell]:
 
 
 def supply_v(path: Path) -> float:
-    found = re.search(r"nom_voltage\s*:\s*([\d.]+)", path.read_text())
+    found = re.search(r"nom_voltage\s*:\s*([\d.]+)", path.read_text(encoding="utf-8"))
     if found is None:
         raise ValueError(f"{path.name}: no nom_voltage")
     return float(found[1])

@@ -40,7 +40,7 @@ def lint(config: Config, view: View = POLYPHASE) -> dict[str, str]:
 def lint_emulator(files: Mapping[str, str], top: str) -> dict[str, str]:
     """Return the findings in the files of `emulator_release`. Of a board's own cells, only the ports are known."""
     names = files[EMULATOR_LIST].split()
-    boxes = {PLL_MODEL.name: PLL_MODEL.read_text()} if top == BOARD_TOP else {}
+    boxes = {PLL_MODEL.name: PLL_MODEL.read_text(encoding="utf-8")} if top == BOARD_TOP else {}
     return _findings(
         {name: files[name] for name in (*names, CONTROL_FILE)} | boxes, [(top, [*names, *boxes])], POLYPHASE
     )
@@ -53,7 +53,7 @@ def _findings(files: Mapping[str, str], runs: Sequence[tuple[str, list[str]]], v
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         for name, text in files.items():
             (Path(folder) / name).parent.mkdir(exist_ok=True)
-            (Path(folder) / name).write_text(text)
+            (Path(folder) / name).write_text(text, encoding="utf-8")
         for top, names in runs:
             verilator = [str(toolchain.verilator()), *VERILATOR, *options, "--top-module", top, CONTROL_FILE]
             icarus = ["iverilog", "-g2005", "-Wall", "-s", top, "-o", os.devnull]
@@ -64,5 +64,7 @@ def _findings(files: Mapping[str, str], runs: Sequence[tuple[str, list[str]]], v
 
 
 def _complaints(command: list[str], folder: str) -> str:
-    done = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False, encoding="utf-8"
+    )
     return done.stdout or (f"exit code {done.returncode}\n" if done.returncode else "")

@@ -62,7 +62,7 @@ class Placement:
 
     @property
     def report(self) -> dict[str, Any]:
-        return json.loads((self.folder / "report.json").read_text())
+        return json.loads((self.folder / "report.json").read_text(encoding="utf-8"))
 
     @property
     def bitstream(self) -> Path:
@@ -110,8 +110,8 @@ def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
 
     def make(folder: Path) -> None:
         (folder / NETLIST).hardlink_to(netlist / NETLIST)  # the wheel's nextpnr sees its own folder only
-        (folder / PINS).write_text(board.pins)
-        (folder / "nextpnr.log").write_text(run_wheel(NEXTPNR, "run_nextpnr_ecp5", options, folder))
+        (folder / PINS).write_text(board.pins, encoding="utf-8")
+        (folder / "nextpnr.log").write_text(run_wheel(NEXTPNR, "run_nextpnr_ecp5", options, folder), encoding="utf-8")
         run_wheel(NEXTPNR, "run_ecppack", ["board.config", BITSTREAM], folder)
 
     key = digest(netlist.name, board.pins, *options)

@@ -189,4 +189,4 @@ if __name__ == "__main__":
         raise SystemExit("docs/: is renewed in a checkout of the project")
     for page, parts in pages().items():
         path = folder / "docs" / page
-        path.write_text(with_parts(path.read_text(), parts))
+        path.write_text(with_parts(path.read_text(encoding="utf-8"), parts), encoding="utf-8")

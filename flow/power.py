@@ -87,7 +87,7 @@ class Design:
 def design(sensor: Sensor) -> Design:
     """Return the sensor in standard cells."""
     synthesized = synthesize(sensor, CELLS)
-    files = {name: (synthesized.folder / name).read_text() for name in (LIBERTY, NETLIST)}
+    files = {name: (synthesized.folder / name).read_text(encoding="utf-8") for name in (LIBERTY, NETLIST)}
     script = (
         f"read_liberty -lib {LIBERTY}",
         f"read_verilog {NETLIST}",
@@ -96,7 +96,7 @@ def design(sensor: Sensor) -> Design:
         f"write_json {FLAT}",
     )
     folder = yosys_once(synthesized.folder.with_name(f"{synthesized.folder.name}-flat"), files, script)
-    module = json.loads((folder / FLAT).read_text())["modules"][TOP]
+    module = json.loads((folder / FLAT).read_text(encoding="utf-8"))["modules"][TOP]
     instances, scopes = [], {""}
     for name, cell in module["cells"].items():
         if cell["type"].startswith("$"):

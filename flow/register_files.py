@@ -131,7 +131,7 @@ def _html(sensor: Sensor) -> str:
         lines.append("</table>")
     title, text = map(html.escape, _intro(sensor))
     access = (f"<dt>{access.name.lower()}</dt><dd>{html.escape(access.value)}</dd>" for access in Access)
-    _, _, page = PAGE.read_text().partition("\n")  # without the licence
+    _, _, page = PAGE.read_text(encoding="utf-8").partition("\n")  # without the licence
     return Template(page).substitute(title=title, text=text, access="\n".join(access), blocks="\n".join(lines))
 
 
@@ -193,13 +193,13 @@ def _ip_xact(rdl: str) -> str:
 
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         source, target = Path(folder) / RDL, Path(folder) / IP_XACT
-        source.write_text(rdl)
+        source.write_text(rdl, encoding="utf-8")
         compiler = RDLCompiler()
         compiler.compile_file(str(source))
         IPXACTExporter(vendor="coincid", library="sensor", version="1.0").export(
             compiler.elaborate(), str(target), component_name=TOP
         )
-        return target.read_text()
+        return target.read_text(encoding="utf-8")
 
 
 def _header(sensor: Sensor) -> str:

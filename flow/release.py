@@ -64,7 +64,7 @@ def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str
             f"{top}.sdc": _constraints(sensor, clock_mhz, top, view),
         }
     if view.macros:
-        boxes = {path.name: path.read_text() for path in view.macros}
+        boxes = {path.name: path.read_text(encoding="utf-8") for path in view.macros}
         files |= boxes | {SYNTHESIS_LIST: _list([*lists[TOP], *boxes])}
     cells = {name: (f"{CELLS_FOLDER}/{name}", text) for name, text in cell_files(sensor, view).items()}
     names = [cells[name][0] if name in cells else name for name in lists[TOP]]
@@ -180,7 +180,7 @@ def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view:
     commands += [f"iverilog {options['icarus']} -s {top} -o smoke.vvp -f {top}.f && vvp -n smoke.vvp" for top in smoke]
     verilator = f"verilator --binary {options['verilate']} --top-module"
     commands += [f"{verilator} {top} {CONTROL_FILE} -f {top}.f" for top in smoke]
-    about, of_words, of_lines, of_levels = README_TEXT.read_text().split("---\n")
+    about, of_words, of_lines, of_levels = README_TEXT.read_text(encoding="utf-8").split("---\n")
     tops = [of_lines if view.macros else of_words, *([of_levels] if FPGA_TOP in lists else [])]
     late = deserialiser.CYCLES
     numbers = {"phases": sensor.phases, "half": sensor.phases // 2, "late": late, "late_ticks": late * sensor.phases}

@@ -44,10 +44,12 @@ class Domain:
 def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> tuple[str, dict[str, Any]]:
     """Return the name and the flattened netlist of a module from Yosys, in generic cells and black boxes."""
     module = SensorModule(sensor, min(2, sensor.subgroups), Asynchronous(circuit))
-    files = units_files([module]) | {path.name: path.read_text() for path in (*Asynchronous.cells, MACROS)}
+    files = units_files([module]) | {
+        path.name: path.read_text(encoding="utf-8") for path in (*Asynchronous.cells, MACROS)
+    }
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
-        (folder / name).write_text(text)
+        (folder / name).write_text(text, encoding="utf-8")
     run_yosys(
         folder,
         f"read_verilog -sv {' '.join(files)}",
@@ -56,13 +58,15 @@ def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> tuple[str, dict[s
         "check -assert",
         "write_json netlist.json",
     )
-    return module.unit_name, json.loads((folder / "netlist.json").read_text())["modules"][module.unit_name]
+    return module.unit_name, json.loads((folder / "netlist.json").read_text(encoding="utf-8"))["modules"][
+        module.unit_name
+    ]
 
 
 def mapped(folder: Path, top: str) -> None:
     """Map the files of `netlist` in `folder` to standard cells. The hierarchy stays."""
     for name, text in library_files().items():
-        (folder / name).write_text(text)
+        (folder / name).write_text(text, encoding="utf-8")
     ours = {MAPPED, TIMED, ENABLES.name}
     files = " ".join(sorted(path.name for path in folder.glob("*.v") if path.name not in ours))
     run_yosys(
@@ -80,14 +84,14 @@ def timing(folder: Path, top: str, sdc: str) -> tuple[list[str], list[tuple[str,
 
     A path is (from clock, to clock, ns required, ns taken), without wires. Macros and the gates of the OR tree are black boxes.
     """
-    text = without_parameters((folder / MAPPED).read_text())
+    text = without_parameters((folder / MAPPED).read_text(encoding="utf-8"))
     text = re.sub(r"^module \S*coincid_or2.*?^endmodule\n", "", text, flags=re.MULTILINE | re.DOTALL)
-    (folder / TIMED).write_text(text)
+    (folder / TIMED).write_text(text, encoding="utf-8")
     lines = [f"read_liberty {LIBERTY}", f"read_verilog {TIMED}", f"link_design {top}", f"read_sdc {sdc}"]
     lines += ["check_setup -no_clock -loops -generated_clocks", 'puts "PATHS"']
     report = "report_checks -path_delay max -format end"
     lines += [f'puts "{a} {b}"; {report} -from [get_clocks {a}] -to [get_clocks {b}]' for a in CLOCKS for b in CLOCKS]
-    (folder / "timing.tcl").write_text("\n".join([*lines, ""]))
+    (folder / "timing.tcl").write_text("\n".join([*lines, ""]), encoding="utf-8")
     head, paths = run_program(["sta", "-exit", "timing.tcl"], folder, "sta").split("PATHS\n")
     complaints = [line for line in head.splitlines() if re.match("Error|Warning", line) and "black box" not in line]
     ends = re.compile(r"^(\w+) (\w+)\n(?:(?!^\w+ \w+$).*\n)*?\S+ \(\w+\) +(-?[\d.]+) +(-?[\d.]+) ", re.MULTILINE)
@@ -162,12 +166,12 @@ def write(sensor: Sensor, circuit: Circuit, folder: Path) -> tuple[str, Path, Pa
     top, module = netlist(sensor, circuit, folder)
     text, sdc = folder / "domains.md", folder / "coincid_async.sdc"
     clock = f"create_clock -name {SYSTEM} -period {circuit.clock_fs / FS_PER_NS:g} [get_ports {SYSTEM}]"
-    sdc.write_text(f"{clock}\n{async_constraints(sensor, circuit, 'words_*')}")
+    sdc.write_text(f"{clock}\n{async_constraints(sensor, circuit, 'words_*')}", encoding="utf-8")
     mapped(folder, top)
     complaints, paths = timing(folder, top, sdc.name)
     if found := [*latches(module), *complaints]:
         raise ValueError(f"latches outside the macros, or constraints that do not hold on: {', '.join(found)}")
-    text.write_text(report(sensor, circuit, module, paths))
+    text.write_text(report(sensor, circuit, module, paths), encoding="utf-8")
     return top, text, sdc
 
 

@@ -99,14 +99,16 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
     else:
         bench, flips = LINES, line_toggles(config.with_frame(clock_mhz=view.circuit.clock_mhz), edges)
     included = {
-        BENCH.name: BENCH.read_text(),
+        BENCH.name: BENCH.read_text(encoding="utf-8"),
         "smoke_tables.vh": _sizes(config, trace, accesses, levels, view)
         + _registers(accesses)
         + _beats(trace)
         + _flips(sensor, *flips),
         "smoke_sensor.vh": _instance(sensor, levels, view),
     }
-    text = re.sub(r'^ *`include "(.*)"\n', lambda line: included[line[1]], bench.read_text(), flags=re.MULTILINE)
+    text = re.sub(
+        r'^ *`include "(.*)"\n', lambda line: included[line[1]], bench.read_text(encoding="utf-8"), flags=re.MULTILINE
+    )
     licence, _, rest = text.partition("\n")
     return f"{licence}\n`ifndef SYNTHESIS\n{rest}`endif\n"
 

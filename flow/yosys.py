@@ -93,4 +93,8 @@ def library_files() -> dict[str, str]:
     cells = cells_folder()
     if cells is None:
         raise InputError("the standard cells are not installed; run: scripts/setup cells")
-    return {LIBERTY: (cells / LIBERTY).read_text(), CONSTRAINTS: DRIVER, ENABLES.name: ENABLES.read_text()}
+    return {
+        LIBERTY: (cells / LIBERTY).read_text(encoding="utf-8"),
+        CONSTRAINTS: DRIVER,
+        ENABLES.name: ENABLES.read_text(encoding="utf-8"),
+    }

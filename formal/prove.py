@@ -74,7 +74,7 @@ def _programs(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for name, how in PROGRAMS.items():
         scratch = folder / f".{name}.{os.getpid()}"
-        scratch.write_text(f'#!/bin/sh\nexec "{sys.executable}" -{how} "$@"\n')
+        scratch.write_text(f'#!/bin/sh\nexec "{sys.executable}" -{how} "$@"\n', encoding="utf-8")
         scratch.chmod(0o755)
         os.replace(scratch, folder / name)
     return folder
@@ -83,8 +83,8 @@ def _programs(folder: Path) -> Path:
 def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    (folder / "bench.il").write_text(rtlil.convert(proof.build(), name="bench", ports=[]))
-    script = SCRIPT.read_text().format(
+    (folder / "bench.il").write_text(rtlil.convert(proof.build(), name="bench", ports=[]), encoding="utf-8")
+    script = SCRIPT.read_text(encoding="utf-8").format(
         depth=proof.depth,
         cover=proof.cover,
         models="".join(f"read_verilog -sv -DSYNTHESIS -lib {path.name}\n" for path in proof.models),
@@ -92,10 +92,10 @@ def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
         kept=KEPT,
         files="\n".join(map(str, proof.models)),
     )
-    (folder / "bench.sby").write_text(script)
+    (folder / "bench.sby").write_text(script, encoding="utf-8")
     environment = os.environ | {"PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
     begin = time.monotonic()
-    with (folder / "log").open("w") as log:
+    with (folder / "log").open("w", encoding="utf-8") as log:
         process = subprocess.Popen(
             [programs / "sby", "-f", "bench.sby"],
             cwd=folder,
@@ -113,13 +113,13 @@ def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
             if not isinstance(error, subprocess.TimeoutExpired):
                 raise
             code = -15
-    text = (folder / "log").read_text()
+    text = (folder / "log").read_text(encoding="utf-8")
     return Verdict(proof, time.monotonic() - begin, *_cells(folder), "" if code == 0 else _reason(text), folder)
 
 
 def _cells(folder: Path) -> tuple[int, int]:
     """Return the number of statements proven, and of situations covered."""
-    text = (folder / "bench.il").read_text()
+    text = (folder / "bench.il").read_text(encoding="utf-8")
     return text.count('"assert"'), text.count('"cover"')
 
 

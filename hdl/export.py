@@ -57,7 +57,7 @@ class _Blocks:
 @lru_cache(maxsize=SENSORS_KEPT)
 def _sensor_blocks(sensor: Sensor, view) -> _Blocks:
     blocks = _emitted([SensorTop(sensor, view)])
-    files = blocks.files | {path.name: path.read_text() for path in view.cells}
+    files = blocks.files | {path.name: path.read_text(encoding="utf-8") for path in view.cells}
     return _Blocks(files | {FILE_LIST: "".join(f"{name}\n" for name in files)}, blocks.cells)
 
 

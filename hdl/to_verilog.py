@@ -41,7 +41,7 @@ def to_verilog(design: str) -> str:
     linker, module = _program()
     with tempfile.TemporaryDirectory() as folder:
         given, written, messages = (Path(folder, name) for name in ("script", "output", "messages"))
-        given.write_text(SCRIPT.format(design))
+        given.write_text(SCRIPT.format(design), encoding="utf-8")
         store, system = wasmtime.Store(linker.engine), wasmtime.WasiConfig()
         system.argv = ("yosys", "-q", "-")
         system.stdin_file, system.stdout_file, system.stderr_file = map(str, (given, written, messages))
@@ -52,5 +52,5 @@ def to_verilog(design: str) -> str:
             start(store)
         except wasmtime.ExitTrap as end:
             if end.code:
-                raise RuntimeError(f"Yosys: {messages.read_text().strip()}") from None
-        return written.read_text()
+                raise RuntimeError(f"Yosys: {messages.read_text(encoding='utf-8').strip()}") from None
+        return written.read_text(encoding="utf-8")

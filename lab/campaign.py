@@ -130,7 +130,7 @@ class KeptFiles:
     def load(self, key: str) -> dict[str, Number] | None:
         """Return what is kept under `key`; None if no readable file with these names exists."""
         try:
-            kept = json.loads((self.folder / f"{key}.json").read_text())
+            kept = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
         return kept if isinstance(kept, dict) and list(kept) == self.names else None

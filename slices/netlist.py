@@ -116,7 +116,7 @@ FLOPS = {  # cells that `dfflegalize` leaves, and their values at reset
 
 def read_netlist(path: Path) -> dict[str, Block]:
     """Return the blocks of a JSON netlist by name. Raises `NetlistError`."""
-    modules = json.loads(path.read_text())["modules"]
+    modules = json.loads(path.read_text(encoding="utf-8"))["modules"]
     return {name: _block(name, module, modules) for name, module in modules.items()}
 
 

@@ -41,8 +41,8 @@ class Design:
 
         def emit(scratch: Path) -> None:
             emission = self._emission(scratch)
-            (scratch / SOURCE).write_text(emission.source)
-            (scratch / HEADER).write_text(emission.header)
+            (scratch / SOURCE).write_text(emission.source, encoding="utf-8")
+            (scratch / HEADER).write_text(emission.header, encoding="utf-8")
 
         state = [sources_digest("slices"), top, repr(self._sparse)]
         self.folder = yosys_once(build_root() / "slices" / name, sources, lines, state, emit)

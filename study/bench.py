@@ -221,7 +221,9 @@ def _whole_frames(size: str, repeats: int) -> dict[str, float]:
         depth_s, _ = _timed(_depth, config, record)
         whole_s = photons_s + sensor_s + depth_s
         rounds.append({"photons_s": photons_s, "sensor_s": sensor_s, "depth_s": depth_s, "sliced_s": whole_s})
-    status = Path("/proc/self/status").read_text()  # unlike getrusage, this excludes the process that started this one
+    status = Path("/proc/self/status").read_text(
+        encoding="utf-8"
+    )  # unlike getrusage, this excludes the process that started this one
     peak_kib = int(status.partition("VmHWM:")[2].split()[0])
     return {
         f"frame_{size}_{name}": value
@@ -273,7 +275,7 @@ def _set_environment(variables: dict[str, str]) -> None:
 
 
 def _machine() -> dict[str, int | float | str]:
-    cpuinfo = Path("/proc/cpuinfo").read_text()
+    cpuinfo = Path("/proc/cpuinfo").read_text(encoding="utf-8")
     names = [line.partition(":")[2].strip() for line in cpuinfo.splitlines() if line.startswith("model name")]
     return {
         "machine_cpu": names[0] if names else platform.machine(),
@@ -285,7 +287,9 @@ def _machine() -> dict[str, int | float | str]:
 
 def _versions() -> dict[str, str]:
     def first_line(*command: str) -> str:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.partition("\n")[0]
+        return subprocess.run(command, capture_output=True, text=True, check=True, encoding="utf-8").stdout.partition(
+            "\n"
+        )[0]
 
     return {
         "version_python": platform.python_version(),

@@ -193,7 +193,7 @@ def page(measured: list[Measured], between: Power) -> str:
     return (
         Path(__file__)
         .with_name(TEMPLATE)
-        .read_text()
+        .read_text(encoding="utf-8")
         .format(
             pulses=PULSES,
             picture=PICTURE,

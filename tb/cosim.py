@@ -220,7 +220,7 @@ async def play_job(dut: Any) -> None:
         try:
             record = await bench.play(frame.config, frame.edges, frame.ready, board, progress)
         except Mismatch as mismatch:
-            path.with_suffix(MISMATCH).write_text(str(mismatch))
+            path.with_suffix(MISMATCH).write_text(str(mismatch), encoding="utf-8")
             raise
         before += record.cycles
         records.append(record)

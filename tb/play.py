@@ -87,6 +87,8 @@ def play_in(
         except SimulationError as error:
             if job.with_suffix(MISMATCH).exists():
                 wave = f"waveform {error.wave}" if error.wave else "no waveform was asked for"
-                raise Mismatch(f"{job.with_suffix(MISMATCH).read_text()} ({wave}; log {error.log})") from None
+                raise Mismatch(
+                    f"{job.with_suffix(MISMATCH).read_text(encoding='utf-8')} ({wave}; log {error.log})"
+                ) from None
             raise
         return pickle.loads(job.with_suffix(RESULT).read_bytes()), run

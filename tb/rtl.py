@@ -51,11 +51,11 @@ def emitted(name: str, parameters: str, files: Callable[[], dict[str, str]]) -> 
 
     def emit(directory: Path) -> None:
         for file, text in files().items():
-            (directory / file).write_text(text)
+            (directory / file).write_text(text, encoding="utf-8")
 
     return build_once(build_root() / "verilog" / f"{name}-{key}", emit)
 
 
 def listed(path: Path) -> list[Path]:
     """Return the files that a file list names, which lie beside it."""
-    return [path.with_name(name) for name in path.read_text().split()]
+    return [path.with_name(name) for name in path.read_text(encoding="utf-8").split()]

@@ -28,7 +28,7 @@ def prove_module(sensor: Sensor, files: list[Path]) -> None:
     needed = {
         unit.unit_name for unit in (module, piece, *(POLYPHASE.tdc(sensor, lines) for lines in (1, module.lines)))
     }
-    texts = {path.name: path.read_text() for path in files if path.stem in needed}
+    texts = {path.name: path.read_text(encoding="utf-8") for path in files if path.stem in needed}
     texts[BOX] = f"(* blackbox *) {_head(subgroup)}\nendmodule\n"
     texts[TWO] = _two(module, piece, sensor)
     script = [

@@ -54,7 +54,7 @@ def design(sensor: Sensor) -> Design:
     _, files = rtl_in_two(sensor)
     return Design(
         f"{sensor_key(sensor)}",
-        {path.name: path.read_text() for path in files},
+        {path.name: path.read_text(encoding="utf-8") for path in files},
         Slice.unit_name,
         units=[Minigroup.unit_name],
         sparse=[Sparse(Minigroup.unit_name, "words", sensor.phases)],

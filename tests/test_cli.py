@@ -55,7 +55,7 @@ def some_edges(n=200):
 def files(tmp_path, monkeypatch):
     """Return the current folder, with a good configuration and good edges."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "config.toml").write_text(CONFIG)
+    (tmp_path / "config.toml").write_text(CONFIG, encoding="utf-8")
     np.savez(tmp_path / "edges.npz", **some_edges())
     return tmp_path
 
@@ -63,7 +63,7 @@ def files(tmp_path, monkeypatch):
 @pytest.mark.parametrize("text", ["[subgroup]\nthreshhold = 2", "threshold:"])  # contract/test_config.py has the others
 @pytest.mark.parametrize("job", ["replay --edges edges.npz --out out/x", "sim --out out", "verilog --out out", "lint"])
 def test_bad_configuration(files, text, job):
-    (files / "config.toml").write_text(text)
+    (files / "config.toml").write_text(text, encoding="utf-8")
     words = ("TOML",) if ":" in text else ("threshhold", "threshold")
     assert_refused(command(f"{job} --config config.toml"), "config.toml", *words)
     assert_refused(command(f"{job} --config none.toml"), "none.toml", "no such file", "silicon", "fpga")
@@ -183,7 +183,7 @@ def test_interrupt_leaves_nothing(files, number, code, inherited):
     (files / "edges.npz").unlink()
     os.mkfifo("edges.npz")
     words, disposition = [sys.executable, "-m", "coincid", *REPLAY.split()], partial(signal.signal, number, inherited)
-    process = subprocess.Popen(words, preexec_fn=disposition, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(words, preexec_fn=disposition, stderr=subprocess.PIPE, text=True, encoding="utf-8")
     with process, open("edges.npz", "wb"):  # opens when the command does, which then waits for bytes
         process.send_signal(number)
         stderr = process.communicate(timeout=60)[1]
@@ -203,8 +203,8 @@ def test_budget_for_programs_and_people():
 def exports(tmp_path_factory):
     """Exports of the default sensor over an earlier export, and of 8 x 16 pixels: name -> {file: bytes}."""
     folder = tmp_path_factory.mktemp("rtl")
-    (folder / FILE_LIST).write_text("stale.v\n")
-    (folder / "stale.v").write_text("module stale; endmodule\n")
+    (folder / FILE_LIST).write_text("stale.v\n", encoding="utf-8")
+    (folder / "stale.v").write_text("module stale; endmodule\n", encoding="utf-8")
     assert command("verilog", "--out", folder).exit_code == 0
     return {"default": contents(folder), "small": contents(small_releases() / "silicon")}
 
@@ -236,7 +236,7 @@ def test_export_names_no_place_of_this_machine(exports):
 
 
 def test_export_replaces_nothing_but_an_export(tmp_path):
-    (tmp_path / "thesis.tex").write_text("x")
+    (tmp_path / "thesis.tex").write_text("x", encoding="utf-8")
     assert_refused(command("verilog", "--out", tmp_path), tmp_path.name, "empty")
     assert (tmp_path / "thesis.tex").exists()
 
@@ -256,7 +256,7 @@ def test_register_files_agree_with_the_register_table(exports, tmp_path):
         arguments = ", ".join(["3"] * (register in SUBGROUP) + ["1"] * index)
         macro = f"COINCID_{name.upper()}" + (f"({arguments})" if arguments else "")
         checks.append(f'_Static_assert({macro} == {address(name, 3, index)}u, "{name}");')
-    (tmp_path / "check.c").write_text("\n".join(checks))
+    (tmp_path / "check.c").write_text("\n".join(checks), encoding="utf-8")
     (tmp_path / HEADER).write_bytes(files[HEADER])
     subprocess.run(["gcc", "-std=c11", "-Wall", "-Werror", "-fsyntax-only", tmp_path / "check.c"], check=True)
 

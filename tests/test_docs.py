@@ -27,7 +27,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 def rows(page, title):
     """Return the cells of the table whose head begins with `title`."""
-    text = page.read_text().split(f"| {title} |", 1)[1]
+    text = page.read_text(encoding="utf-8").split(f"| {title} |", 1)[1]
     table = re.match(r"(?:.*\|\n)+", text)[0].splitlines()[2:]
     return [[cell.strip().strip("`") for cell in line.strip("|").split("|")] for line in table]
 
@@ -50,7 +50,7 @@ def test_readme_snippet_runs():
 
 def blocks(page, language):
     """Return the fenced blocks of a page in a language; "": without one."""
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
 
 
 def test_all_python_blocks_are_tested():
@@ -61,7 +61,7 @@ def test_all_python_blocks_are_tested():
 
 def test_code_about_light_prints_what_the_page_says():
     page = ROOT / "docs" / "light.md"
-    said = re.sub(r"```python\n.*?```", "", page.read_text(), flags=re.DOTALL)
+    said = re.sub(r"```python\n.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     lines = printed(page)[0].splitlines()
     assert len(lines) > 10 and [line for line in lines if line not in said] == []
 
@@ -75,8 +75,10 @@ def test_notebook_block_runs(tmp_path, monkeypatch):
 def test_a_study_is_one_file(tmp_path):
     """The page's study runs as a program, on all cores, and draws."""
     (code,) = blocks(ROOT / "docs" / "experiments.md", "python")
-    (tmp_path / "thresholds.py").write_text(code)
-    done = subprocess.run([sys.executable, "thresholds.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    (tmp_path / "thresholds.py").write_text(code, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "thresholds.py"], cwd=tmp_path, capture_output=True, text=True, check=True, encoding="utf-8"
+    )
     table = ast.literal_eval(done.stdout)
     assert list(table) == ["klux", "threshold", "wrong_share", "events_per_s"]
     assert table["wrong_share"][1] < 0.1 < table["wrong_share"][3]
@@ -87,10 +89,10 @@ def test_sweep_blocks_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     page = ROOT / "docs" / "sweeps.md"
     (axes,) = blocks(page, "toml")
-    Path("spec.toml").write_text(axes)
+    Path("spec.toml").write_text(axes, encoding="utf-8")
     assert len(read_spec("spec.toml").points) == 27
     small = "[frame]\npulses = 10\n[sensor]\nrows = 8\ncols = 8\n[[axis]]\nklux = [5, 50]\n[[axis]]\nsubgroup.threshold = [2]\n"
-    Path("small.toml").write_text(small)
+    Path("small.toml").write_text(small, encoding="utf-8")
     Path("build").mkdir()
     sweep(read_spec("small.toml"), Path("build/sweep.parquet"), workers=1, title="small")
     printed(page)
@@ -148,15 +150,15 @@ def test_waveform_picture_shows_the_stages():
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_to_files(page):
-    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
+    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), target
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_named_files_and_commands_exist(page):
-    text = page.read_text()
+    text = page.read_text(encoding="utf-8")
     for name in re.findall(r"`((?:model|hdl|tb|docs|scripts|tests)/[\w/.]*)`", text):
         assert (ROOT / name).exists(), name
     assert set(re.findall(r"`coincid (\w+)", text)) <= get_command(app).commands.keys()
-    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     assert set(re.findall(r"(?:^|`)make (\w+)", text, re.MULTILINE)) <= targets

@@ -19,7 +19,7 @@ if __name__ == "__main__":
 
 
 def test_every_example_is_listed():
-    listed = re.findall(r"\]\((\w+\.py)\)", (EXAMPLES / "README.md").read_text())
+    listed = re.findall(r"\]\((\w+\.py)\)", (EXAMPLES / "README.md").read_text(encoding="utf-8"))
     assert sorted(listed) == sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
@@ -27,7 +27,7 @@ def test_every_example_is_listed():
 def test_example_runs(example, tmp_path):
     more = {"MPLBACKEND": "agg", "TMPDIR": str(tmp_path), "PYTHONWARNINGS": "ignore:FigureCanvasAgg"}
     script = tmp_path / example.name
-    script.write_text(f"{example.read_text()}{DRAWN}")
+    script.write_text(f"{example.read_text(encoding='utf-8')}{DRAWN}", encoding="utf-8")
     command, environment = [sys.executable, script], os.environ | more
-    done = subprocess.run(command, cwd=EXAMPLES, env=environment, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=EXAMPLES, env=environment, capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 0 and done.stdout, done.stderr

@@ -27,7 +27,7 @@ OPTIONAL = ("mitsuba", "mitransient", "drjit")  # of the extra `raytrace`
 @cache
 def rooms() -> dict[str, list[str]]:
     """Return README's table: room -> the rooms from which its files may import, in addition to its own."""
-    text = (Path(__file__).parents[1] / "README.md").read_text()
+    text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `([\w/]+)/` \|.*\|([^|]*)\|$", text, re.MULTILINE)
     found = {room: re.findall(r"`([\w/]+)`", named) for room, named in rows if room not in NOT_ROOMS}
     return {room.replace("/", "."): [name.replace("/", ".") for name in named] for room, named in found.items()}
@@ -51,7 +51,7 @@ def imports() -> dict[str, set[str]]:
     found: dict[str, set[str]] = {}
     for name, path in files.items():
         package, found[name] = name if path.stem == "__init__" else name.rpartition(".")[0], set()
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom):
                 base = resolve_name("." * node.level + (node.module or ""), package)
                 inner = {alias.name: f"{base}.{alias.name}" for alias in node.names}
@@ -98,7 +98,9 @@ for name in sys.argv[1:]:
 print([name for name in {NEVER[room]!r} if name in sys.modules])
 """
     modules = [module for module in imports() if inside(module, room)]
-    done = subprocess.run([sys.executable, "-c", program, *modules], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program, *modules], capture_output=True, text=True, check=True, encoding="utf-8"
+    )
     assert done.stdout.strip() == "[]"
 
 

@@ -11,7 +11,7 @@ from .planted import BUGS, ROOT
 
 @pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.name)
 def test_planted_bugs_fit(bug):
-    assert (ROOT / bug.file).read_text().count(bug.old) == 1
+    assert (ROOT / bug.file).read_text(encoding="utf-8").count(bug.old) == 1
     assert bug.old != bug.new and (bug.proofs or bug.tests)
     assert set(bug.proofs) <= PROOFS.keys()
 

@@ -43,18 +43,18 @@ def search_from_a_file(site):
 def test_a_bad_link_is_the_only_warning(tmp_path):
     project = tmp_path / "project"
     copy_of_the_project(project)
-    with open(project / "docs" / "depth.md", "a") as file:
+    with open(project / "docs" / "depth.md", "a", encoding="utf-8") as file:
         file.write("\n[a heading that is not there](contract.md#nowhere)\n")
     command = [sys.executable, project / "docs" / "build.py", "-D", "plot_gallery=0"]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8")
     warnings = [line for line in done.stderr.splitlines() if "WARNING" in line or "ERROR" in line]
     assert done.returncode != 0 and len(warnings) == 1 and "nowhere" in warnings[0], done.stderr
     site = project / "build" / "docs"
     for page in "index README docs/index docs/contract docs/integrate api/coincid gallery/index search".split():
         assert (site / f"{page}.html").exists(), page
-    assert "estimate_depth" in (site / "api" / "coincid.html").read_text()
+    assert "estimate_depth" in (site / "api" / "coincid.html").read_text(encoding="utf-8")
     for path in site.rglob("*.html"):
-        page = path.read_text()
+        page = path.read_text(encoding="utf-8")
         assert re.search(r"<title>\w", page), f"{path}: has no title"
         prose = re.sub(r"<(pre|code|script)\b.*?</\1>", "", page, flags=re.DOTALL)
         assert "](" not in prose, f"{path}: has a link that is not one"

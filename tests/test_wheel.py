@@ -39,7 +39,9 @@ def wheel(tmp_path_factory):
     source = folder / "source"
     copy_of_the_project(source)
     words = "-m pip wheel . --no-deps --no-build-isolation --quiet -w"
-    done = subprocess.run([sys.executable, *words.split(), folder], cwd=source, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, *words.split(), folder], cwd=source, capture_output=True, text=True, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr
     (built,) = folder.glob("*.whl")
     return built
@@ -60,7 +62,7 @@ def test_the_wheel_runs_by_itself(wheel, tmp_path):
     environment = os.environ | {"PYTHONPATH": str(site), "COINCID_BUILD": str(tmp_path / "build")}
     for words in (("-c", PRESETS_AND_SCENES.format(here=str(site))), ("-m", "coincid", "--help")):
         command = [sys.executable, *words]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, encoding="utf-8")
         assert done.returncode == 0, done.stderr
     assert "explore" in done.stdout
 
@@ -73,11 +75,15 @@ def test_a_script_beside_the_clone_finds_the_package(tmp_path):
     own = os.environ | {"PYTHONPATH": str(Path(attrs.__path__[0]).parent)}  # setuptools, for the build alone
     words = "-m pip install --no-deps --no-build-isolation --quiet --editable"
     subprocess.run([python, *words.split(), clone], check=True, env=own)
-    (tmp_path / "script.py").write_text("import coincid; print(coincid.__file__, coincid.__version__)")
-    done = subprocess.run([python, "script.py"], cwd=tmp_path, capture_output=True, text=True)
+    (tmp_path / "script.py").write_text(
+        "import coincid; print(coincid.__file__, coincid.__version__)", encoding="utf-8"
+    )
+    done = subprocess.run([python, "script.py"], cwd=tmp_path, capture_output=True, text=True, encoding="utf-8")
     assert done.stdout.startswith(str(clone / "src" / "coincid" / "__init__.py")), done.stdout + done.stderr
     for room in (*ROOMS, "tests"):
-        alone = subprocess.run([python, "-c", f"import {room}"], cwd=tmp_path, capture_output=True, text=True)
+        alone = subprocess.run(
+            [python, "-c", f"import {room}"], cwd=tmp_path, capture_output=True, text=True, encoding="utf-8"
+        )
         assert "ModuleNotFoundError" in alone.stderr, f"`import {room}` works in anybody's project"
 
 
@@ -87,6 +93,8 @@ def test_a_clone_without_links_says_so(tmp_path):
     shutil.copytree(ROOT / "src" / "coincid", package, symlinks=True)
     for room in ROOMS:
         (package / room).unlink()
-        (package / room).write_text(f"../../{room}")
-    done = subprocess.run([sys.executable, "-c", "import coincid"], cwd=tmp_path, capture_output=True, text=True)
+        (package / room).write_text(f"../../{room}", encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-c", "import coincid"], cwd=tmp_path, capture_output=True, text=True, encoding="utf-8"
+    )
     assert "git config --global core.symlinks true" in done.stderr, done.stderr

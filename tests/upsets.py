@@ -102,7 +102,11 @@ class Flop:
 
 def registers_of(sources: Sequence[Path]) -> dict[str, int]:
     """Return every register and every memory's row of the design, and its bits."""
-    modules = {module[1].lstrip("\\"): module[0] for path in sources for module in MODULE.finditer(path.read_text())}
+    modules = {
+        module[1].lstrip("\\"): module[0]
+        for path in sources
+        for module in MODULE.finditer(path.read_text(encoding="utf-8"))
+    }
     found, todo = {}, [("", TOP)]
     while todo:
         at, name = todo.pop()
@@ -116,7 +120,7 @@ def registers_of(sources: Sequence[Path]) -> dict[str, int]:
 @cache
 def design(sensor: Sensor) -> Design:
     """Return the whole sensor in slices."""
-    sources = {path.name: path.read_text() for path in rtl(sensor)}
+    sources = {path.name: path.read_text(encoding="utf-8") for path in rtl(sensor)}
     return Design(f"{sensor_key(sensor)}-flops", sources, TOP, before=KEPT)
 
 

@@ -89,7 +89,7 @@ def execute(
 ) -> int:
     """Run `command`, append its output to `log` (and to `echo`), and return its exit code. Exceptions end it."""
     show = sys.stdout.write if echo is True else echo
-    with log.open("a", buffering=1) as output:
+    with log.open("a", buffering=1, encoding="utf-8") as output:
         with program(
             command,
             cwd=cwd,
@@ -99,6 +99,7 @@ def execute(
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
+            encoding="utf-8",
         ) as process:
             if show and process.stdout:
                 for line in process.stdout:
@@ -113,13 +114,16 @@ def compile_in(cwd: Path, log: Path, command: Sequence[str]) -> None:
     if execute(command, cwd, log, environment):
         program, places = Path(command[0]).name, f"{log.parent} or {tempfile.gettempdir()}"
         # On a full disk, the log itself may be cut off.
-        if NO_SPACE in log.read_text(errors="replace") or shutil.disk_usage(log.parent).free < FULL_BELOW_BYTES:
+        if (
+            NO_SPACE in log.read_text(errors="replace", encoding="utf-8")
+            or shutil.disk_usage(log.parent).free < FULL_BELOW_BYTES
+        ):
             raise ToolchainError(f"{program}: {NO_SPACE}, in {places}; COINCID_BUILD and TMPDIR name others")
         raise ToolchainError(f"{program} failed{tail(log)}")
 
 
 def tail(log: Path) -> str:
-    lines = log.read_text(errors="replace").splitlines()
+    lines = log.read_text(errors="replace", encoding="utf-8").splitlines()
     return "\n".join(["", *lines[-LOG_TAIL_LINES:], f"the whole log: {log}"])
 
 

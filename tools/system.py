@@ -31,7 +31,7 @@ def system_packages(*names: str) -> None:
         raise missing
     print(f"installing system packages: {' '.join(names)}", file=sys.stderr, flush=True)
     apt = [*prefix, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq"]
-    with open(__file__) as lock:  # apt-get does not wait for its list lock
+    with open(__file__, encoding="utf-8") as lock:  # apt-get does not wait for its list lock
         fcntl.flock(lock, fcntl.LOCK_EX)
         _run(*apt, "update")  # its failure matters only if the packages then cannot be found
         done = _run(*apt, "-o", "DPkg::Lock::Timeout=600", "install", "-y", "--no-install-recommends", *names)
@@ -42,7 +42,13 @@ def system_packages(*names: str) -> None:
 
 def _run(*command: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+        encoding="utf-8",
     )
 
 

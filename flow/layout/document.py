@@ -44,7 +44,9 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
         with whole_file(images / PICTURE.format(unit.unit_name.removeprefix(PREFIX))) as file:
             picture.save(file, format="png", optimize=True)
     tables = dict(zip(("rows", "rules", "slacks", "played"), (_rows(*pair) for pair in zip(*columns))))
-    text = PAGE.read_text().format(gds=FINAL, clock=1000 / clock_mhz, factor=TOO_SLOW, input=INPUT_NS, **tables)
+    text = PAGE.read_text(encoding="utf-8").format(
+        gds=FINAL, clock=1000 / clock_mhz, factor=TOO_SLOW, input=INPUT_NS, **tables
+    )
     with whole_file(path, "w") as file:
         file.write(text)
 

@@ -76,11 +76,11 @@ def lay_out(
     if cells is None or find_spec("coriolis") is None:
         raise InputError("the tools for layouts are not installed; run: scripts/setup cells layout")
     files = bound(units_files([unit], cells=True), gated=False)
-    files |= {path.name: path.read_text() for path in (*view.cells, *view.macros)}
+    files |= {path.name: path.read_text(encoding="utf-8") for path in (*view.cells, *view.macros)}
 
     def make(folder: Path) -> None:
         route(top, cells, folder, tell)
-        (folder / FACTS).write_text(json.dumps(finish(top, cells, clock_mhz, folder), indent=1))
+        (folder / FACTS).write_text(json.dumps(finish(top, cells, clock_mhz, folder), indent=1), encoding="utf-8")
 
     script = [
         f"read_verilog -sv {' '.join(files)}",
@@ -97,22 +97,22 @@ def lay_out(
         f"write_blif -buf BUF_X1 A Z {BLIF}",
     ]
     code = (path for path in sorted(Path(__file__).parent.iterdir()) if path.suffix in (".py", ".toml"))
-    state = [str(clock_mhz), *(path.read_text() for path in code if path.stem not in BEHIND)]
+    state = [str(clock_mhz), *(path.read_text(encoding="utf-8") for path in code if path.stem not in BEHIND)]
     folder = yosys_once(build_root() / "layout" / top, {**files, **library_files()}, script, state, make)
-    return folder, json.loads((folder / FACTS).read_text())
+    return folder, json.loads((folder / FACTS).read_text(encoding="utf-8"))
 
 
 def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> None:
     """Place and route the BLIF file of `folder`. Raises `ToolchainError` if no attempt succeeds."""
-    used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(), re.MULTILINE))
+    used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(encoding="utf-8"), re.MULTILINE))
     used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # for the clock tree, nets with many pins, and constants
     places = strips(cells / LEFS[1], used)
     flat = {cell: {pin: astuple(strip) for pin, strip in pins.items()} for cell, pins in places.items()}
-    (folder / STRIPS).write_text(json.dumps(flat))
+    (folder / STRIPS).write_text(json.dumps(flat), encoding="utf-8")
     files = {"blif": BLIF.removesuffix(".blif"), "lef": [str(cells / lef) for lef in LEFS], "strips": STRIPS}
     for attempt in ATTEMPTS:
         tell(f"{top}: placing and routing, {attempt.margin:.0%} of the area free")
-        (folder / JOB).write_text(json.dumps(files | {"clock": CLOCK} | asdict(attempt)))
+        (folder / JOB).write_text(json.dumps(files | {"clock": CLOCK} | asdict(attempt)), encoding="utf-8")
         if run_coriolis(folder):
             return
     raise failed(f"{top}: {len(ATTEMPTS)} attempts did not route every net", folder)
@@ -122,7 +122,7 @@ def run_coriolis(folder: Path) -> bool:
     """Run the job of `folder`; return whether everything was routed in time."""
     command = [sys.executable, "-m", "coincid.flow.layout.place_route", JOB]
     environment = os.environ | {"PYTHONHASHSEED": "0"}
-    with (folder / LOG).open("a") as log:
+    with (folder / LOG).open("a", encoding="utf-8") as log:
         try:
             code = subprocess.run(
                 command, cwd=folder, stdout=log, stderr=log, timeout=LIMIT_S, check=False, env=environment
@@ -135,7 +135,7 @@ def run_coriolis(folder: Path) -> bool:
 
 
 def failed(what: str, folder: Path) -> ToolchainError:
-    tail = (folder / LOG).read_text(errors="replace").splitlines()[-TAIL_LINES:]
+    tail = (folder / LOG).read_text(errors="replace", encoding="utf-8").splitlines()[-TAIL_LINES:]
     return ToolchainError("\n".join([what, *tail]))
 
 
@@ -144,8 +144,8 @@ def finish(top: str, cells: Path, clock_mhz: float, folder: Path) -> dict[str, A
 
     Slacks are of paths between registers. sinks: number of inputs that the wires reach. rules: (rule, violations).
     """
-    placed: Placed = json.loads((folder / PLACED).read_text())
-    stored, widths_um = json.loads((folder / STRIPS).read_text()), cell_widths_um(cells / LEFS[1])
+    placed: Placed = json.loads((folder / PLACED).read_text(encoding="utf-8"))
+    stored, widths_um = json.loads((folder / STRIPS).read_text(encoding="utf-8")), cell_widths_um(cells / LEFS[1])
     places = {cell: {pin: Strip(*values) for pin, values in pins.items()} for cell, pins in stored.items()}
     layout = drawn.draw(folder / f"{top}.gds", cells / GDS, placed, places, widths_um, top)
     nets, opens, shorts, off = drawn.connect(layout, top, placed, places)
@@ -154,8 +154,8 @@ def finish(top: str, cells: Path, clock_mhz: float, folder: Path) -> dict[str, A
     layout.write(str(folder / FINAL))
     drawn.draw_picture(folder / FINAL, folder / f"{top}.png")
     wired = wires.wired(top, placed, places, wires.lengths_um(folder / f"{top}_export.def"), cells / LEFS[0])
-    (folder / SPEF).write_text(wired.spef)
-    (folder / VERILOG).write_text(wires.netlist(top, placed))
+    (folder / SPEF).write_text(wired.spef, encoding="utf-8")
+    (folder / VERILOG).write_text(wires.netlist(top, placed), encoding="utf-8")
     slack_ns, hold_ns = time_wires(top, clock_mhz, folder)
     kinds = [one["kind"] for one in placed["cells"] if not one["kind"].startswith("FILL")]
     library = read_cells(folder / LIBERTY, set(kinds))
@@ -195,7 +195,7 @@ write_sdf {SDF}
     slacks, holds = least_slacks_ns(longest), re.findall(r"(-?[\d.]+) +slack", shortest)
     if not slacks or not holds:
         raise ToolchainError(f"sta: no timing of {top}: {report[-500:]}")
-    sdf = (folder / SDF).read_text()
+    sdf = (folder / SDF).read_text(encoding="utf-8")
     # Icarus ignores a triplet with an empty middle. There is one corner, so all three values are the same.
-    (folder / SDF).write_text(re.sub(r"\(([-\d.]+)::([-\d.]+)\)", r"(\1:\2:\2)", sdf))
+    (folder / SDF).write_text(re.sub(r"\(([-\d.]+)::([-\d.]+)\)", r"(\1:\2:\2)", sdf), encoding="utf-8")
     return min(slacks.values()), min(map(float, holds))

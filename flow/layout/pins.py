@@ -69,7 +69,7 @@ def pin_metal(lef: Path) -> dict[str, dict[str, db.Region]]:
 
 def cell_widths_um(lef: Path) -> dict[str, float]:
     """Return cell -> width from a LEF file."""
-    found = re.findall(r"^MACRO (\w+).*?SIZE ([\d.]+) BY", lef.read_text(), re.MULTILINE | re.DOTALL)
+    found = re.findall(r"^MACRO (\w+).*?SIZE ([\d.]+) BY", lef.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     return {name: float(width) for name, width in found}
 
 

@@ -17,7 +17,7 @@ NOT_ROUTED = 3
 
 
 def main(path: str) -> int:
-    job = SimpleNamespace(**json.loads(Path(path).read_text()))
+    job = SimpleNamespace(**json.loads(Path(path).read_text(encoding="utf-8")))
     technology.set_up([Path(lef) for lef in job.lef], Path(job.strips), job.um2_per_pin)
     from coriolis import CRL
     from coriolis.Hurricane import Net

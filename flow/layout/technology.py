@@ -36,7 +36,7 @@ def set_up(lef: list[Path], strips: Path, um2_per_pin: float) -> Library:
     _technology()
     _gauges()
     _settings()
-    return _cells(lef, json.loads(strips.read_text()), um2_per_pin)
+    return _cells(lef, json.loads(strips.read_text(encoding="utf-8")), um2_per_pin)
 
 
 def _technology() -> None:
@@ -129,7 +129,7 @@ def _gauges() -> None:
 def _settings() -> None:
     """Set all values that Coriolis asks for."""
     with CfgCache(priority=Cfg.Parameter.Priority.ConfigurationFile) as cfg:
-        _set(cfg, tomllib.loads(SETTINGS.read_text()))
+        _set(cfg, tomllib.loads(SETTINGS.read_text(encoding="utf-8")))
         cfg.anabatic.cellGauge = SITE_NAME
 
 

@@ -27,7 +27,9 @@ Lengths = dict[str, dict[int, float]]  # net -> metal -> um
 def metals(lef: Path) -> dict[int, tuple[float, float]]:
     """Return routing layer -> (capacitance in fF per um, ohm per um) of a wire of least width, from a LEF file."""
     found = {}
-    for number, body in re.findall(r"^LAYER metal(\d+)\n(.*?)^END metal\d+", lef.read_text(), re.MULTILINE | re.DOTALL):
+    for number, body in re.findall(
+        r"^LAYER metal(\d+)\n(.*?)^END metal\d+", lef.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    ):
         value = {name: float(number) for name, number in re.findall(r"(\w+) ([\d.eE+-]+) ;", body)}
         width = value["WIDTH"]
         capacitance = value["CPERSQDIST"] * width + 2 * value["EDGECAPACITANCE"]
@@ -37,7 +39,7 @@ def metals(lef: Path) -> dict[int, tuple[float, float]]:
 
 def lengths_um(routed: Path) -> Lengths:
     """Return net -> metal -> length from a routed DEF file. The nets of the clock are special nets there."""
-    text = routed.read_text()
+    text = routed.read_text(encoding="utf-8")
     units = re.search(r"^UNITS DISTANCE MICRONS (\d+)", text, re.MULTILINE)
     nets = re.findall(r"^((?:SPECIAL)?NETS) (.*?)^END \1", text, re.MULTILINE | re.DOTALL)
     if units is None or not nets:

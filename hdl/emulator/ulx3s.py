@@ -100,7 +100,7 @@ class Lights(Unit):
 def board_verilog(emulator: Emulator, clock_mhz: float) -> str:
     """Return the board's top: PLL, emulator, lights, and a reset that the button or an unlocked PLL holds. Raises `InputError`."""
     dividers = pll(clock_mhz)
-    return Template(TEMPLATE.read_text()).substitute(
+    return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         licence=SPDX,
         oscillator_mhz=OSCILLATOR_MHZ,
         clock_mhz=f"{clock_mhz:g}",

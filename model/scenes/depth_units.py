@@ -68,7 +68,7 @@ def _stereo(path: FilePath, unit: str) -> tuple[float, float, float]:
             raise InputError(f"unit = {unit!r}: must be {DISPARITY}:FOCAL_PX,BASELINE_M[,OFFSET_PX]") from None
     beside = Path(path).with_name("calib.txt")
     try:
-        lines = dict(line.split("=", 1) for line in beside.read_text().splitlines() if "=" in line)
+        lines = dict(line.split("=", 1) for line in beside.read_text(encoding="utf-8").splitlines() if "=" in line)
         return (
             float(lines["cam0"].strip("[] ").split()[0]),
             float(lines["baseline"]) / 1000,

@@ -29,7 +29,7 @@ def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
     try:
-        with os.fdopen(handle, mode) as file:
+        with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8") as file:
             yield file
         umask = os.umask(0)
         os.umask(umask)

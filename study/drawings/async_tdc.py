@@ -30,7 +30,9 @@ def draw() -> None:
     half = SENSOR.phases // 2
     parameters = {"PHASES": SENSOR.phases, "CLOCK_FS": CLOCK_FS, "LAG_FS": lag_fs(SENSOR)}
     parameters |= {"ERROR_BITS": ERROR_BITS, "MISMATCH_FS": packed, "EVENTS": 40_000}
-    told = run_bench(Path(__file__).with_name("async_tdc.v"), {CELLS.name: CELLS.read_text()}, parameters=parameters)
+    told = run_bench(
+        Path(__file__).with_name("async_tdc.v"), {CELLS.name: CELLS.read_text(encoding="utf-8")}, parameters=parameters
+    )
     codes = np.array([[int(bit) for bit in line[::-1]] for line in told if set(line) <= {"0", "1"}])
     tick = np.where(codes[:, 0] == 1, codes.sum(1) - 1, half + (half - codes.sum(1)) - 1)
     found = code_density(tick, SENSOR.phases)

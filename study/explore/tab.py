@@ -318,9 +318,9 @@ def _variables(views: Views) -> dict[str, Any]:
     """Return the variables of the template."""
     return {
         "views_html": Environment(loader=FileSystemLoader(SHOW)).get_template("views.html"),
-        "css": FILES["page.css"] + Path(__file__).with_name("page.css").read_text(),
+        "css": FILES["page.css"] + Path(__file__).with_name("page.css").read_text(encoding="utf-8"),
         "tables_js": FILES["tables.js"],
-        "page_js": Path(__file__).with_name("page.js").read_text(),
+        "page_js": Path(__file__).with_name("page.js").read_text(encoding="utf-8"),
         "maps": [one.figure.name for one in (*views.a_maps, *views.maps)],
         "fates": FATE_MARKS,
         "verdicts": VERDICT_MARKS,

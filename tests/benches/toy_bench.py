@@ -33,6 +33,6 @@ async def counts(dut):
     if BEHAVE == "crash":
         os.abort()
     if BEHAVE == "hang":
-        Path("pid").write_text(str(os.getpid()))
+        Path("pid").write_text(str(os.getpid()), encoding="utf-8")
         while True:
             await Timer(1, "us")

@@ -154,6 +154,6 @@ def test_picture_of_a_row(tmp_path, five_objects):
     with Image.open(tmp_path / "a.png") as picture:
         assert picture.width > 2 * picture.height and not picture.text
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
-    (tmp_path / "file").write_text("")
+    (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(InputError, match="cannot be written"):
         depth_row(tmp_path / "file" / "c.png", panels, truth_m)

@@ -57,7 +57,7 @@ def compiled_driver(sensor) -> ctypes.CDLL:
     with tempfile.TemporaryDirectory(prefix="coincid-") as name:
         folder = Path(name)
         for file, text in (c_driver() | {HEADER: register_files(sensor)[HEADER]}).items():
-            (folder / file).write_text(text)
+            (folder / file).write_text(text, encoding="utf-8")
         subprocess.run(["cc", *FLAGS, "-shared", "-fPIC", "-o", "driver.so", "coincid.c"], cwd=folder, check=True)
         loaded = ctypes.CDLL(str(folder / "driver.so"))
     loaded.coincid_counter.restype = loaded.coincid_offset.restype = ctypes.c_uint32

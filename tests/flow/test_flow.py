@@ -32,9 +32,9 @@ TO_GATES = ("dfflegalize -cell $_DFF_P_ x", "abc -g AND,XOR", "flatten", "opt_cl
 
 
 def test_depth_by_block(tmp_path):
-    (tmp_path / "toy.v").write_text(TOY)
+    (tmp_path / "toy.v").write_text(TOY, encoding="utf-8")
     run_yosys(tmp_path, "read_verilog toy.v", "hierarchy -top toy", "proc", "synth -noabc -top toy", *TO_GATES)
-    found = depths(json.loads((tmp_path / "toy.json").read_text())["modules"]["toy"])
+    found = depths(json.loads((tmp_path / "toy.json").read_text(encoding="utf-8"))["modules"]["toy"])
     assert found == {"": 1, "parity": 3}  # an AND; eight inputs, three levels of XOR
 
 
@@ -75,12 +75,12 @@ def test_netlist_behaves(target):
 def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
     """OpenSTA accepts the constraints (`write` raises if it complains), and every clock has a timed path."""
     top, report, sdc = write(SMALL, Circuit(), tmp_path)
-    text = report.read_text()
+    text = report.read_text(encoding="utf-8")
     lines = text[text.index("| from clock") :].splitlines()
     rows = {tuple(line.strip("| ").split(" | ")[:2]) for line in lines if line.startswith("| ")}
     assert {clock for pair in rows for clock in pair} >= set(CLOCKS)
     assert {("clk", "spads"), ("clk", "roots"), ("spads", "clk"), ("roots", "clk"), ("ends", "clk")} <= rows
-    sdc.write_text(sdc.read_text().replace("*window_*/ended", "*no_such_pin*/ended"))
+    sdc.write_text(sdc.read_text(encoding="utf-8").replace("*window_*/ended", "*no_such_pin*/ended"), encoding="utf-8")
     complaints, _ = timing(tmp_path, top, sdc.name)
     assert any("no_such_pin" in line for line in complaints)
 
@@ -94,7 +94,7 @@ def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path):
         fmax = {"$glbnet$clk": {"achieved": reached_mhz if seed == 3 else 130.0, "constraint": 125.0}}
         path = {"from": "posedge clk", "to": "posedge clk", "path": [hop]}
         report = {"fmax": fmax, "utilization": used, "critical_paths": [path]}
-        (folder / "report.json").write_text(json.dumps(report))
+        (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
         (folder / pnr.BITSTREAM).write_bytes(b"bits")
         return pnr.Placement(seed, folder)
 
@@ -104,4 +104,6 @@ def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path):
         result = command("pnr --out", tmp_path / "page.md")
         assert result.exit_code == code
         assert ("seed 3: clk reaches 124.9 MHz" in result.stderr) == bool(code)
-        assert f"| clk | 130.0 | 130.0 | {reached_mhz} | 130.0 | 130.0 |" in (tmp_path / "page.md").read_text()
+        assert f"| clk | 130.0 | 130.0 | {reached_mhz} | 130.0 | 130.0 |" in (tmp_path / "page.md").read_text(
+            encoding="utf-8"
+        )

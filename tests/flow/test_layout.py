@@ -58,14 +58,14 @@ END TWO
 
 def test_lengths_of_wires(tmp_path):
     path = tmp_path / "routed.def"
-    path.write_text(DEF)
+    path.write_text(DEF, encoding="utf-8")
     lengths = {net: dict(on) for net, on in wires.lengths_um(path).items()}
     assert lengths == {"clk": {6: 2.0}, "a": {}, "b": {4: 0.7, 3: 1.0}}
 
 
 def test_strips_stand_on_their_pins(tmp_path):
     path = tmp_path / "two.lef"
-    path.write_text(LEF)
+    path.write_text(LEF, encoding="utf-8")
     found = pins.strips(path, {"TWO"})["TWO"]
     assert {pin: (strip.x, strip.fits) for pin, strip in found.items()} == {"A": (0.095, True), "Z": (0.475, True)}
     assert all(0.3 < strip.via < 0.9 and strip.low < strip.via < strip.high for strip in found.values())
@@ -149,7 +149,7 @@ def test_a_small_minigroup_is_routed():
     assert not any(found for _, found in layout["rules"])
     assert layout["cell_area_um2"] < layout["width_um"] * layout["height_um"]
     assert layout["slack_ns"] < 2.0
-    placed = json.loads((folder / PLACED).read_text())
+    placed = json.loads((folder / PLACED).read_text(encoding="utf-8"))
     real = [one for one in placed["cells"] if not one["kind"].startswith("FILL")]
     assert len(real) == layout["cells"]
     assert {one["x"] % 0.19 < 1e-6 or 0.19 - one["x"] % 0.19 < 1e-6 for one in real} == {True}

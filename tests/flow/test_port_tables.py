@@ -27,7 +27,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 @pytest.mark.parametrize("page", pages())
 def test_the_page_has_what_tables_and_rtl_say(page):
-    text = (DOCS / page).read_text()
+    text = (DOCS / page).read_text(encoding="utf-8")
     assert with_parts(text, pages()[page]) == text
     assert all(f"<!-- begin {name} -->" in text for name in pages()[page])
 
@@ -35,7 +35,7 @@ def test_the_page_has_what_tables_and_rtl_say(page):
 @pytest.mark.parametrize("name, top", [("silicon", TOP), ("fpga", FPGA_TOP)])
 def test_rows_are_the_ports_of_the_verilog(name, top):
     folder = small_releases() / name
-    check_rows(config(name).sensor, top, POLYPHASE, lambda file: (folder / file).read_text())
+    check_rows(config(name).sensor, top, POLYPHASE, lambda file: (folder / file).read_text(encoding="utf-8"))
 
 
 def test_rows_are_the_ports_of_several_streams_and_cells():
@@ -83,10 +83,10 @@ def test_outputs_after_a_reset_are_as_told():
 
 def test_the_instance_compiles(tmp_path):
     folder = small_releases() / "silicon"
-    files = [str(folder / name) for name in (folder / FILE_LIST).read_text().split()]
-    (tmp_path / "user.v").write_text(f"module user;\n{instantiation(EXAMPLE)}endmodule\n")
+    files = [str(folder / name) for name in (folder / FILE_LIST).read_text(encoding="utf-8").split()]
+    (tmp_path / "user.v").write_text(f"module user;\n{instantiation(EXAMPLE)}endmodule\n", encoding="utf-8")
     command = ["iverilog", "-g2005", "-Wall", "-s", "user", "-o", "user.vvp", *files, "user.v"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 0 and "port" not in done.stderr, done.stderr
 
 

@@ -64,7 +64,7 @@ CLOCK = Pin(False, 1.0, always(3.0), True)
 
 def test_liberty_at_its_slew_and_load(tmp_path):
     path = tmp_path / "toy.lib"
-    path.write_text(LIBRARY)
+    path.write_text(LIBRARY, encoding="utf-8")
     cell = read_cells(path, {"BUF"})["BUF"]
     assert supply_v(path) == 1.0
     assert cell.leakage_nw == 7.5

@@ -50,7 +50,7 @@ def files(folder):
 
 
 def line_of_readme(folder, pattern):
-    return re.search(rf"^ +({pattern}.*)$", (folder / "README.md").read_text(), re.MULTILINE)[1]
+    return re.search(rf"^ +({pattern}.*)$", (folder / "README.md").read_text(encoding="utf-8"), re.MULTILINE)[1]
 
 
 def simulated(folder, smoke=SMOKE, sources=f"-f {SMOKE}.f"):
@@ -66,7 +66,9 @@ def alone(command, folder, path=""):
         for program in PROGRAMS.split():
             (programs / program).symlink_to(shutil.which(program))
     environment = {"PATH": f"{programs}:{toolchain.verilator().parent}:{path}"}
-    return subprocess.run(command, shell=True, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        command, shell=True, cwd=folder, env=environment, capture_output=True, text=True, check=False, encoding="utf-8"
+    )
 
 
 @pytest.mark.parametrize(("preset", "top", "smoke"), TOPS)
@@ -104,9 +106,9 @@ def test_captured_streams_decode_to_their_rows(releases, preset):
     of, folder = config(preset).sensor, releases / preset / "captured"
     for name in FORMAT_NAMES:
         (text,) = folder.glob(f"*_{name}.txt")
-        rows = [line.split() for line in text.read_text().splitlines()[1:]]
+        rows = [line.split() for line in text.read_text(encoding="utf-8").splitlines()[1:]]
         result = read_npz(text.with_suffix(".npz"), ("subgroup", "stamp", "count", "opened"))
-        events = text.with_suffix(".csv").read_text().splitlines()[1:]
+        events = text.with_suffix(".csv").read_text(encoding="utf-8").splitlines()[1:]
         assert len(events) == len(result["subgroup"]) > 0
         for stream in range(of.streams):
             beats = np.array([int(beat, 16) for k, beat, _ in rows if int(k) == stream], np.uint64)
@@ -142,9 +144,9 @@ WORD, RTL, CONSTANT = ("64'hc0", "64'hc1"), ("~ to_border", "to_border"), ("32'd
 @pytest.mark.parametrize("file, old, new", [(f"{SMOKE}.v", *WORD), ("coincid_tree.v", *RTL), (f"{SMOKE}.v", *CONSTANT)])
 def test_smoke_test_finds_a_difference(releases, tmp_path, file, old, new):
     folder = Path(shutil.copytree(releases / "silicon", tmp_path / "rtl"))
-    text = (folder / file).read_text()
+    text = (folder / file).read_text(encoding="utf-8")
     assert old in text
-    (folder / file).write_text(text.replace(old, new, 1))
+    (folder / file).write_text(text.replace(old, new, 1), encoding="utf-8")
     done = simulated(folder)
     assert "FAIL" in done.stdout and "PASS" not in done.stdout and done.returncode != 0
 
@@ -154,7 +156,9 @@ def test_fusesoc_runs_the_core(releases, tmp_path, target):
     path = f"{Path(sys.executable).parent}:{toolchain.verilator().parent}:{os.environ['PATH']}"
     command = ["fusesoc", "--cores-root", str(releases / "fpga"), "run", "--target", target, f"coincid:sensor:{TOP}"]
     environment = os.environ | {"PATH": path, "HOME": str(tmp_path)}
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, encoding="utf-8"
+    )
     told = done.stdout + done.stderr
     assert done.returncode == 0 and "%Warning" not in told, told
     assert ("PASS" in told) is target.startswith("sim")
@@ -167,20 +171,22 @@ def test_presets_of_one_process_do_not_mix(releases, tmp_path):
         subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONHASHSEED": "17"}, check=True)
         for path in files(tmp_path / name):
             assert (tmp_path / name / path).read_bytes() == (releases / name / path).read_bytes(), path
-        parameters = json.loads((releases / name / MANIFEST).read_text())["parameters"]
+        parameters = json.loads((releases / name / MANIFEST).read_text(encoding="utf-8"))["parameters"]
         assert {key: parameters[key] for key in SMALL[name]} == SMALL[name]
     assert not list((releases / "silicon").glob(f"{FPGA_TOP}*"))
 
 
 @pytest.mark.parametrize("preset", SMALL)
 def test_manifest(releases, preset):
-    manifest = json.loads((releases / preset / MANIFEST).read_text())
+    manifest = json.loads((releases / preset / MANIFEST).read_text(encoding="utf-8"))
     for name, digest in manifest["sha256"].items():
         assert hashlib.sha256((releases / preset / name).read_bytes()).hexdigest() == digest, name
     built = {path for path in files(releases / preset) if not path.endswith(".vvp") and not path.startswith("obj/")}
     assert built == {*manifest["sha256"], MANIFEST}
     assert manifest["clock_mhz"] == CLOCK_MHZ[preset]
-    period_ns = re.search(r"^set period (.*)$", (releases / preset / f"{TOP}.sdc").read_text(), re.MULTILINE)[1]
+    period_ns = re.search(
+        r"^set period (.*)$", (releases / preset / f"{TOP}.sdc").read_text(encoding="utf-8"), re.MULTILINE
+    )[1]
     assert float(period_ns) == 1000 / CLOCK_MHZ[preset]
     assert manifest["view"] == ("async" if preset == "async" else "polyphase")
     assert load_config("fpga" if preset == "fpga" else "silicon").sensor.phases == manifest["parameters"]["phases"]
@@ -188,7 +194,7 @@ def test_manifest(releases, preset):
 
 def test_exported_verilog_is_what_the_other_tests_simulate(releases):
     for path in rtl(config("silicon").sensor):
-        assert (releases / "silicon" / path.name).read_text() == path.read_text()
+        assert (releases / "silicon" / path.name).read_text(encoding="utf-8") == path.read_text(encoding="utf-8")
 
 
 def registers(compiler):

@@ -64,9 +64,9 @@ endmodule
 def simulated(folder, *texts):
     """Return what a bench says on Icarus."""
     source, program = folder / "bench.v", folder / "bench.vvp"
-    source.write_text("\n".join(texts))
+    source.write_text("\n".join(texts), encoding="utf-8")
     subprocess.run(["iverilog", "-g2012", "-s", "bench", "-o", program, source], check=True)
-    return subprocess.run(["vvp", "-n", program], check=True, capture_output=True, text=True).stdout
+    return subprocess.run(["vvp", "-n", program], check=True, capture_output=True, text=True, encoding="utf-8").stdout
 
 
 @pytest.mark.parametrize(("depth", "width"), [(1, 12), (2, 5), (3, 40), (16, 64)])

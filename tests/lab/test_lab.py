@@ -151,7 +151,7 @@ def test_a_campaign_continues_and_plays_equal_setups_once(tmp_path):
 
     with Processes(1) as workers:
         first = campaign({seed: small(seed=seed) for seed in (1, 2)}, counted, workers, kept=kept)
-        (tmp_path / f"{small(seed=2).key}.json").write_text("{")  # spoilt
+        (tmp_path / f"{small(seed=2).key}.json").write_text("{", encoding="utf-8")  # spoilt
         setups = {"a": small(seed=1), "b": small(seed=2), "c": small(seed=3), "again": small(seed=3)}
         told = []
         second = campaign(setups, counted, workers, kept=kept, progress=told.append)

@@ -153,7 +153,7 @@ def test_scan_by_another_writer(tmp_path, both_ways):
 
 def test_tables_by_hand(tmp_path):
     (tmp_path / "syncs.csv").write_text(
-        "# a lab\n\nSync;time_ns;note;channel\n0;0.0625;1;5\n3;499.99;2;6\n1;500;3;6\n0;0.0624;4;7\n"
+        "# a lab\n\nSync;time_ns;note;channel\n0;0.0625;1;5\n3;499.99;2;6\n1;500;3;6\n0;0.0624;4;7\n", encoding="utf-8"
     )
     found, lost = edges_of(tmp_path / "syncs.csv")
     assert found == [(0, 7, 0), (0, 5, 1), (3, 6, 7999)]
@@ -214,7 +214,7 @@ BAD_TABLES = {
 @pytest.mark.parametrize("name", BAD_TABLES)
 def test_bad_tables(tmp_path, name):
     text, words = BAD_TABLES[name]
-    (tmp_path / "bad.csv").write_text(text)
+    (tmp_path / "bad.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=words):
         edges_of(tmp_path / "bad.csv")
 
@@ -266,7 +266,7 @@ def test_bad_ptu(tmp_path):
 
 
 def test_channel_maps(tmp_path):
-    (tmp_path / "map.csv").write_text("channel,pixel\n4,1\n5,0\n")
+    (tmp_path / "map.csv").write_text("channel,pixel\n4,1\n5,0\n", encoding="utf-8")
     assert parse_channels(str(tmp_path / "map.csv")) == parse_channels("4:1, 5:0") == {4: 1, 5: 0}
     for text, words in (
         ("4-1", "must be CHANNEL:PIXEL"),
@@ -275,7 +275,7 @@ def test_channel_maps(tmp_path):
     ):
         with pytest.raises(InputError, match=words):
             parse_channels(text)
-    (tmp_path / "a.csv").write_text("sync,channel,time_ps\n0,4,5\n")
+    (tmp_path / "a.csv").write_text("sync,channel,time_ps\n0,4,5\n", encoding="utf-8")
     for channels, words in (
         ({5: 0}, "channel 5 is not in the recording, must be one of 4"),
         ({4: 64}, "pixel of channel 4 = 64"),
@@ -287,7 +287,7 @@ def test_channel_maps(tmp_path):
 def test_recording_replays_alike_through_model_and_rtl(tmp_path):
     """From a scene's photons to a recording and back to edges, on the command line."""
     sensor = "".join(f"{key} = {value}\n" for key, value in SENSORS["tiny"].items())
-    (tmp_path / "small.toml").write_text(f"[sensor]\n{sensor}[frame]\npulses = 20\nframes = 2\n")
+    (tmp_path / "small.toml").write_text(f"[sensor]\n{sensor}[frame]\npulses = 20\nframes = 2\n", encoding="utf-8")
 
     def run(*words):
         result = command(*words, "--config", tmp_path / "small.toml")
@@ -315,7 +315,7 @@ def test_offsets_inside_a_tick(tmp_path):
 
 
 def test_errors_at_the_command_line(tmp_path):
-    (tmp_path / "a.csv").write_text("sync,channel,time_ps\n0,4,5\n")
+    (tmp_path / "a.csv").write_text("sync,channel,time_ps\n0,4,5\n", encoding="utf-8")
     for arguments, words in (
         (("--out", tmp_path / "out.txt"), "must end with one of .npz"),
         (("--out", tmp_path / "out.npz", "--channels", "7:0"), "a.csv: channels: channel 7 is not"),

@@ -233,7 +233,7 @@ CAMERA = '<sensor type="perspective"/>'
 
 
 def scene_file(path, body, camera=CAMERA):
-    path.write_text(f'<scene version="3.0.0">{camera}{body}</scene>')
+    path.write_text(f'<scene version="3.0.0">{camera}{body}</scene>', encoding="utf-8")
     return path
 
 
@@ -323,7 +323,7 @@ def test_files_beside_a_scene(tracer, tmp_path, monkeypatch):
         scene_file(
             path.parent / "mesh.xml", '<shape type="obj"><string name="filename" value="m.obj"/></shape>', camera=""
         )
-        (path.parent / "m.obj").write_text(f"v -20 -20 {z}\nv 20 -20 {z}\nv 0 20 {z}\nf 1 3 2\n")
+        (path.parent / "m.obj").write_text(f"v -20 -20 {z}\nv 20 -20 {z}\nv 0 20 {z}\nf 1 3 2\n", encoding="utf-8")
         truth_m.append(np.nanmin(load_scene(str(path), 4, 4).truth_m))
     assert truth_m == pytest.approx([4 * 1.011, 6 * 1.011, 8 * 1.011], rel=0.01)
 
@@ -419,7 +419,7 @@ def test_a_scene_runs_from_photon_to_depth(tracer, tmp_path, monkeypatch):
     monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
     ball = '<shape type="sphere"><bsdf type="diffuse"/><float name="radius" value="1"/><point name="center" x="0" y="0" z="5"/></shape>'
     path = scene_file(tmp_path / "ball.xml", wall(9) + ball)
-    (tmp_path / "small.toml").write_text("[sensor]\nrows = 16\ncols = 16\n")
+    (tmp_path / "small.toml").write_text("[sensor]\nrows = 16\ncols = 16\n", encoding="utf-8")
     told = command(
         f"sim --scene {path} --engine golden --klux 2 --pulses 200 --config {tmp_path}/small.toml --out {tmp_path}/out"
     )

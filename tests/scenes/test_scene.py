@@ -199,7 +199,7 @@ def test_files_that_are_no_depth(tmp_path):
     Image.new("L", (8, 8), 90).save(tmp_path / "grey.png")
     whole = png(tmp_path / "depth.png", np.full((64, 64), 3000)).read_bytes()
     (tmp_path / "cut.png").write_bytes(whole[: len(whole) // 2])
-    (tmp_path / "text.npy").write_text("no array")
+    (tmp_path / "text.npy").write_text("no array", encoding="utf-8")
     (tmp_path / "depth.exr").write_bytes(b"v/1\x01")
     np.savez(tmp_path / "many.npz", a=np.ones(3))
     (tmp_path / "many.npz").rename(tmp_path / "many.npy")
@@ -264,7 +264,9 @@ def test_middleburys_calibration_lies_beside_the_file(tmp_path):
     path = pfm(tmp_path / "disp0.pfm", np.where(RAMP_M > 3.5, np.inf, 900 * 0.1 / RAMP_M - 20))
     with pytest.raises(InputError, match="needs disparity:FOCAL_PX,BASELINE_M or a calib.txt"):
         load_scene(str(path), 8, 8, unit="middlebury")
-    (tmp_path / "calib.txt").write_text("cam0=[900 0 10; 0 900 10; 0 0 1]\ndoffs=20\nbaseline=100\nwidth=8\n")
+    (tmp_path / "calib.txt").write_text(
+        "cam0=[900 0 10; 0 900 10; 0 0 1]\ndoffs=20\nbaseline=100\nwidth=8\n", encoding="utf-8"
+    )
     read = load_scene(str(path), 8, 8, unit="middlebury").truth_m
     assert np.array_equal(np.isnan(read), RAMP_M > 3.5)  # what has no disparity stays a hole
     assert np.allclose(read[RAMP_M <= 3.5], RAMP_M[RAMP_M <= 3.5], atol=1e-4)

@@ -29,7 +29,9 @@ def run(tmp_path):
 
     def run(**variables):
         command, settings = [sys.executable, "-c", PROGRAM], environment | variables
-        done = subprocess.run(command, cwd=tmp_path, env=settings, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, cwd=tmp_path, env=settings, capture_output=True, text=True, check=False, encoding="utf-8"
+        )
         return done.stdout.strip() or done.stderr
 
     return run
@@ -39,9 +41,9 @@ def test_a_change_in_a_file_that_a_kernel_takes_in_is_seen(run, tmp_path):
     assert run() == f"{OPENED} 0"
     assert run() == f"{OPENED} 1"
     file = tmp_path / "model" / "contract" / "latency.py"
-    original = file.read_text()
+    original = file.read_text(encoding="utf-8")
     assert original.count(REARM) == 1
-    file.write_text(original.replace(REARM, f"{REARM} + 1"))
+    file.write_text(original.replace(REARM, f"{REARM} + 1"), encoding="utf-8")
     assert run() == f"{OPENED_LATE} 0"
     assert run() == f"{OPENED_LATE} 1"
 

@@ -27,7 +27,7 @@ def test_tables_keep_their_function(tmp_path, inputs):
         for bits in functions
     }
     (tmp_path / "netlist.json").write_text(
-        json.dumps({"modules": {"top": {"ports": {}, "netnames": {}, "cells": cells}}})
+        json.dumps({"modules": {"top": {"ports": {}, "netnames": {}, "cells": cells}}}), encoding="utf-8"
     )
     tables = {table.outputs[0] - 100: table for table in read_netlist(tmp_path / "netlist.json")["top"].tables}
     for bits, free in product(functions, product((0, 1), repeat=3)):

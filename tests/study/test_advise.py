@@ -94,5 +94,9 @@ def test_prices_are_those_of_the_pages():
     ):
         assert UM2_PER_PIXEL[name][1] == (chosen[choice], chosen["`silicon`"])
     assert um2_per_pixel(load_config("lean").sensor) == pytest.approx(chosen["`lean`: all of them"], rel=0.1)
-    row = next(line for line in (DOCS / "power.md").read_text().splitlines() if line.startswith("| uW per pixel |"))
+    row = next(
+        line
+        for line in (DOCS / "power.md").read_text(encoding="utf-8").splitlines()
+        if line.startswith("| uW per pixel |")
+    )
     assert list(map(float, row.split("|")[2:6])) == list(UW_PER_PIXEL[1])

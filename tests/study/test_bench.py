@@ -32,7 +32,7 @@ def test_amaranths_simulator_plays_what_the_golden_model_predicts():
 
 def test_page_shows_every_key():
     page = Path(__file__).parents[2] / "docs" / "performance.md"
-    assert re.findall(r"^\| `(\w+)` \|", page.read_text(), re.MULTILINE) == list(bench.KEYS)
+    assert re.findall(r"^\| `(\w+)` \|", page.read_text(encoding="utf-8"), re.MULTILINE) == list(bench.KEYS)
 
 
 def test_benchmark_measures_every_key(tmp_path, monkeypatch):
@@ -56,10 +56,10 @@ def test_benchmark_measures_every_key(tmp_path, monkeypatch):
     monkeypatch.setattr(bench, "_in_new_process", in_new_process)
     told, out = [], tmp_path / "new" / "bench.json"
     result = bench.benchmark(out, repeats=3, tell=told.append)
-    assert list(result) == list(bench.KEYS) and json.loads(out.read_text()) == result
+    assert list(result) == list(bench.KEYS) and json.loads(out.read_text(encoding="utf-8")) == result
     assert result["repeats"] == 3 and result["cocotb_icarus_cycles_per_s"] == 500 and told
     ratio = result["golden_cycles_per_s"] / result["sliced_cycles_per_s"]
     assert np.isclose(result["golden_per_sliced"], ratio, rtol=1e-3)
-    rows = out.with_suffix(".md").read_text().splitlines()
+    rows = out.with_suffix(".md").read_text(encoding="utf-8").splitlines()
     assert [row.split("`")[1] for row in rows[2:]] == list(bench.KEYS)
     assert all(row.count("|") == 5 for row in rows)

@@ -58,7 +58,7 @@ def test_files_of_a_section_have_the_same_bytes_again(tmp_path):
 
 def test_page_is_html_with_every_number(tmp_path):
     write_page(tmp_path, "title", "", [section()])
-    text = (tmp_path / "index.html").read_text()
+    text = (tmp_path / "index.html").read_text(encoding="utf-8")
     ElementTree.fromstring(re.sub("<(!doctype|meta|img)[^>]*>", "", text))  # whose tags are balanced
     assert "a &lt; b" in text and "caption &amp; more" in text and "text &amp; more" in text and "demo_a.svg" in text
     assert "<td>7 %</td><td>1</td><td>2</td><td></td>" in text

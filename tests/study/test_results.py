@@ -55,14 +55,14 @@ def library(folder: Path) -> Any:
 def sim(folder: Path) -> Any:
     done = command(f"sim --engine golden --set rows=8 --set cols=16 --pulses 40 --frames 2 --out {folder}")
     assert done.exit_code == 0, done.output
-    report = json.loads((folder / "report.json").read_text())
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     with np.load(folder / "events.npz") as events:
         return {name: value for name, value in report.items() if name not in TIMES}, dict(events)
 
 
 def sweep(folder: Path) -> Any:
     spec, out = folder / "spec.toml", folder / "out.parquet"
-    spec.write_text(SWEEP)
+    spec.write_text(SWEEP, encoding="utf-8")
     done = command(f"sweep {spec} --out {out} --workers 1")
     assert done.exit_code == 0, done.output
     return pq.read_table(out).drop_columns(["point"]).to_pydict()

@@ -148,11 +148,11 @@ WITH_RTL = "verilog lint synth gls power layout pnr cost formal bench".split()
 def test_only_what_has_rtl_needs_its_tools(tmp_path):
     """The library and other commands run; those with RTL say in one line what is missing. All in one process."""
     np.savez(tmp_path / "edges.npz", **{name: np.arange(3) for name in ("pulse", "pixel", "tick")})
-    (tmp_path / "small.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\npulses = 3\n")
+    (tmp_path / "small.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\npulses = 3\n", encoding="utf-8")
     lack = [words.replace("golden", "sliced") for words in WITHOUT_RTL[:2]] + WITH_RTL
     block = f"import sys\nsys.modules |= dict.fromkeys({RTL_TOOLS!r})\n"
     program = [sys.executable, "-c", block + RUN, tmp_path, *WITHOUT_RTL, *lack]
-    done = subprocess.run(program, capture_output=True, text=True, check=False)
+    done = subprocess.run(program, capture_output=True, text=True, check=False, encoding="utf-8")
     told = ["set()", "True", *["0 0 False"] * len(WITHOUT_RTL), *["2 1 True"] * len(lack)]
     assert done.stdout.splitlines() == told, done.stderr
 

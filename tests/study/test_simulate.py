@@ -44,7 +44,7 @@ def run(out, document=SMALL, scene="flat:5,0.4", threshold=None, waves=False, **
 
 def test_report_agrees_with_the_events(tmp_path):
     report, arrays, told = run(tmp_path)
-    assert json.loads((tmp_path / REPORT).read_text()) == json.loads(json.dumps(report))
+    assert json.loads((tmp_path / REPORT).read_text(encoding="utf-8")) == json.loads(json.dumps(report))
     assert report["events"] == len(arrays["pulse"]) == arrays["stored"].sum()
     assert report["dropped"] == arrays["dropped"].sum()
     assert report["mismatches"] == 0
@@ -81,7 +81,7 @@ def test_fixed_threshold_is_named_or_the_best_of_all(tmp_path):
 def test_the_controller_wins_on_the_default_scene(tmp_path):
     """Sun beside shade on a link of 8 Gbit/s: the case that the job demonstrates."""
     assert command("sim --engine golden --out", tmp_path).exit_code == 0
-    report = json.loads((tmp_path / REPORT).read_text())
+    report = json.loads((tmp_path / REPORT).read_text(encoding="utf-8"))
     assert report["configuration"]["frame"]["link_gbps"] == 8.0
     assert report["configuration"]["frame"]["format"] == "compact"
     assert report["wrong_share_auto"] < 0.8 * report["wrong_share_fixed"] < 0.8 * report["wrong_share_off"]
@@ -97,7 +97,7 @@ def test_same_seed_same_bytes(tmp_path):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
     assert (tmp_path / "a" / EVENTS).read_bytes() != (tmp_path / "c" / EVENTS).read_bytes()
     # Bokeh goes on counting its models in a process.
-    a, b = (re.sub(r'"p\d+"', "", (tmp_path / name / PAGE).read_text()) for name in "ab")
+    a, b = (re.sub(r'"p\d+"', "", (tmp_path / name / PAGE).read_text(encoding="utf-8")) for name in "ab")
     assert a == b
 
 
@@ -140,7 +140,7 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
     for word in ("frame 2", "subgroup 0", "pulse 0", "cycle", "count is", "golden model", "sim.log"):
         assert word in result.stderr
-    report = json.loads((out / REPORT).read_text())
+    report = json.loads((out / REPORT).read_text(encoding="utf-8"))
     assert report["mismatches"] == 1 and report["mismatch"] in result.stderr
     assert not {path.name for path in out.iterdir()} & {*PICTURES, EVENTS, PAGE}
     assert (out / "sim.log").exists()
@@ -153,13 +153,13 @@ def test_views_name_signals_of_the_waveform(tmp_path, simulator):
     widths = {variable.full_name: variable.bitwidth for variable in Waveform(str(fst)).all_vars()}
     assert (widths[f"{TOP}.m_axis_tdata"], widths[f"{TOP}.spad_0"], widths[f"{TOP}.laser"]) == (64, 16 * 4, 1)
 
-    gtkwave = (tmp_path / f"{TOP}.gtkw").read_text().splitlines()
+    gtkwave = (tmp_path / f"{TOP}.gtkw").read_text(encoding="utf-8").splitlines()
     shown = [line for line in gtkwave if line.startswith(TOP)]
     assert [line[1:] for line in gtkwave if line.startswith("-")] == [title for title, _, _ in wave_views.BLOCKS]
     blocks = [(f"{TOP}.{scope}".rstrip("."), signals.split()) for _, scope, signals in wave_views.BLOCKS]
     wanted = [f"{scope}.{name}" for scope, names in blocks for name in names]
     assert shown == [f"{path}[{widths[path] - 1}:0]" if widths[path] > 1 else path for path in wanted]
-    surfer = (tmp_path / f"{TOP}.sucl").read_text().splitlines()
+    surfer = (tmp_path / f"{TOP}.sucl").read_text(encoding="utf-8").splitlines()
     assert [line.split()[1] for line in surfer if line.startswith("variable_add")] == wanted
     for suffix in (".fst", ".gtkw", ".sucl"):
         assert f"{TOP}{suffix}" in told

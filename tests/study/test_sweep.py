@@ -73,7 +73,7 @@ def processes():
 
 def sweep(folder, spec=GRID, *options, name="s"):
     """Run the command and return its result; the table is `table(folder)`."""
-    (folder / f"{name}.toml").write_text(spec)
+    (folder / f"{name}.toml").write_text(spec, encoding="utf-8")
     return command(f"sweep {folder}/{name}.toml --out {folder}/{name}.parquet", *options)
 
 
@@ -106,7 +106,7 @@ def test_a_row_a_point_in_the_order_of_the_axes(tmp_path, quick):
 
 
 def grid(folder, spec):
-    (folder / "s.toml").write_text(spec)
+    (folder / "s.toml").write_text(spec, encoding="utf-8")
     return read_spec(folder / "s.toml")
 
 
@@ -198,7 +198,7 @@ def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path, quick, mo
 
 def test_killed_in_the_middle_and_started_again(tmp_path, quick):
     spec = GRID.replace("pulses = 10", "pulses = 400").replace("[1, 2, 3]", str(list(range(1, 9))))
-    (tmp_path / "s.toml").write_text(spec)
+    (tmp_path / "s.toml").write_text(spec, encoding="utf-8")
     words = "-m coincid sweep s.toml --out s.parquet --workers 1"
     killed = subprocess.Popen([sys.executable, *words.split()], cwd=tmp_path, start_new_session=True)
     while len(points(tmp_path)) < 2:
@@ -304,7 +304,7 @@ def test_the_example_parses():
 def specs():
     """Return the documents' sweeps; one of them has a ray-traced scene."""
     for path in sorted(DOCS.glob("sweep-*.toml")):
-        needs = [pytest.mark.needs("raytrace")] if '"ray:' in path.read_text() else []
+        needs = [pytest.mark.needs("raytrace")] if '"ray:' in path.read_text(encoding="utf-8") else []
         yield pytest.param(path, marks=needs, id=path.stem)
 
 

@@ -257,7 +257,7 @@ def test_frames_of_bytes():
 def test_blocks_of_the_page_run(tmp_path, monkeypatch):
     """Run the blocks of docs/board.md, with simulated pins in place of the board."""
     monkeypatch.chdir(tmp_path)
-    page = (Path(__file__).parents[2] / "docs" / "board.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "board.md").read_text(encoding="utf-8")
     export, drive = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
     exec(compile(export, "board.md", "exec"), {})
     assert any((tmp_path / "build" / "emulator").glob("*.v"))

@@ -41,7 +41,7 @@ each_simulator = pytest.mark.parametrize("simulator", SIMULATORS)
 @pytest.fixture
 def toy(tmp_path):
     path = tmp_path / "toy.v"
-    path.write_text(TOY)
+    path.write_text(TOY, encoding="utf-8")
     return path
 
 
@@ -64,7 +64,9 @@ def run(built, out_dir, behave="pass", **options):
 def test_run_leaves_log_and_results_and_nothing_on_the_terminal(simulator, toy, tmp_path, capfd):
     done = run(build(simulator, toy), tmp_path / "out", seed=7)
     assert capfd.readouterr() == ("", "")
-    assert "random number" in done.log.read_text() and "testcase" in done.results.read_text()
+    assert "random number" in done.log.read_text(encoding="utf-8") and "testcase" in done.results.read_text(
+        encoding="utf-8"
+    )
     assert {done.log.parent, done.results.parent} == {tmp_path / "out"}
     assert done.wave is None
 
@@ -91,7 +93,7 @@ def test_what_is_no_pass_raises(simulator, toy, tmp_path):
         with pytest.raises(SimulationError, match=reason) as caught:
             run(built, tmp_path, behave)
         assert caught.value.log.is_file() and str(caught.value.log) in str(caught.value)
-        assert caught.value.log.read_text().splitlines()[-1] in str(caught.value)
+        assert caught.value.log.read_text(encoding="utf-8").splitlines()[-1] in str(caught.value)
 
 
 @each_simulator
@@ -103,24 +105,24 @@ def test_interrupt_gets_through_and_ends_the_simulator(simulator, toy, tmp_path)
         f"Build({built.simulator!r}, 'toy', Path({str(built.directory)!r}), False).run('toy_bench',"
         f"env={{'PYTHONPATH': {BENCHES!r}, 'BEHAVE': 'hang'}}, out_dir={str(tmp_path)!r})"
     )
-    process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True)
-    while not ((tmp_path / "pid").exists() and (tmp_path / "pid").read_text()):
+    process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True, encoding="utf-8")
+    while not ((tmp_path / "pid").exists() and (tmp_path / "pid").read_text(encoding="utf-8")):
         assert process.poll() is None
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     assert "KeyboardInterrupt" in process.communicate()[1]
     with pytest.raises(ProcessLookupError):
-        os.kill(int((tmp_path / "pid").read_text()), 0)
+        os.kill(int((tmp_path / "pid").read_text(encoding="utf-8")), 0)
 
 
 @each_simulator
 def test_second_build_is_the_first_and_a_change_is_not(simulator, toy, tmp_path):
-    toy.write_text(f"// {tmp_path}\n{TOY}")  # never built before
+    toy.write_text(f"// {tmp_path}\n{TOY}", encoding="utf-8")  # never built before
     first = build(simulator, toy)
     made = first.directory.stat().st_ctime_ns
     again = build(simulator, toy)
     assert again == first and again.directory.stat().st_ctime_ns == made
-    toy.write_text(TOY)
+    toy.write_text(TOY, encoding="utf-8")
     assert build(simulator, toy).directory != first.directory
     shutil.rmtree(first.directory)
     for left in first.directory.parent.glob(f"{first.directory.name}.*"):
@@ -129,7 +131,7 @@ def test_second_build_is_the_first_and_a_change_is_not(simulator, toy, tmp_path)
 
 @each_simulator
 def test_design_that_does_not_compile(simulator, toy, empty_build_root):
-    toy.write_text(TOY.replace("count + 1", "count +"))
+    toy.write_text(TOY.replace("count + 1", "count +"), encoding="utf-8")
     for _ in range(2):  # the second time, too
         with pytest.raises(ToolchainError, match="(?s)syntax error.*the whole log"):
             build(simulator, toy)
@@ -138,15 +140,15 @@ def test_design_that_does_not_compile(simulator, toy, empty_build_root):
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_failed_build_is_no_build(tmp_path, error):
     def fail(scratch):
-        (scratch / "content").write_text("half")
+        (scratch / "content").write_text("half", encoding="utf-8")
         raise error
 
     with pytest.raises(error):
         build_once(tmp_path / "thing", fail)
     (tmp_path / "thing.part-of-a-killed-process").mkdir()
     assert not (tmp_path / "thing").exists()
-    made = build_once(tmp_path / "thing", lambda scratch: (scratch / "content").write_text("whole"))
-    assert (made / "content").read_text() == "whole"
+    made = build_once(tmp_path / "thing", lambda scratch: (scratch / "content").write_text("whole", encoding="utf-8"))
+    assert (made / "content").read_text(encoding="utf-8") == "whole"
     assert not list(tmp_path.glob("*.part*"))
 
 
@@ -172,7 +174,9 @@ def test_engine_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, e
     environment = os.environ | {"COINCID_BUILD": str(empty_build_root)}
 
     def start():
-        return subprocess.Popen([sys.executable, "-c", program], env=environment, stdout=subprocess.PIPE, text=True)
+        return subprocess.Popen(
+            [sys.executable, "-c", program], env=environment, stdout=subprocess.PIPE, text=True, encoding="utf-8"
+        )
 
     killed = start()
     while not calls.exists():
@@ -183,7 +187,7 @@ def test_engine_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, e
     calls.unlink()
     for process in [start() for _ in range(3)]:
         assert process.communicate()[0] == "4\n" and process.returncode == 0
-    assert sorted(calls.read_text().splitlines()) == [*4 * ["g++"], "g++ -shared", "verilator"]
+    assert sorted(calls.read_text(encoding="utf-8").splitlines()) == [*4 * ["g++"], "g++ -shared", "verilator"]
     assert not list(empty_build_root.rglob("*.part*"))
 
 

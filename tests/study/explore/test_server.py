@@ -19,7 +19,7 @@ def explorer(*settings, port=0):
     """Serve an explorer; return (process, address)."""
     words = [word for setting in settings for word in ("--set", setting)]
     command = [sys.executable, "-m", "coincid", "explore", "--port", str(port), "--no-browser", *words]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, encoding="utf-8")
     try:
         yield process, process.stdout.readline().split()[2]
     finally:
@@ -55,7 +55,7 @@ def test_other_origins_are_refused(address, headers):
 def test_a_port_in_use_is_named(address):
     port = address.rstrip("/").rpartition(":")[2]
     command = [sys.executable, "-m", "coincid", "explore", "--no-browser", "--port", port]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"coincid: port = {port}: in use or not allowed, must be a free port from 1024 to 65535\n"
 
