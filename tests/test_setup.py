@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The set-up: one version of each package, needs that have all that they ask for, and a sentence where nothing can be reached."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from coincid.tools.locked import missing, uv_options
+
+ROOT = Path(__file__).parents[1]
+LOCKS = sorted(ROOT.glob("requirements*.lock"))
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+MARKED = {"extra": ""}
+
+
+def names(lock):
+    found = re.findall(r"^([\w.-]+)==", lock.read_text(), re.MULTILINE)
+    return [canonicalize_name(name) for name in found]
+
+
+def brought(need):
+    """Return the locks that `scripts/setup need` installs, as the script itself says."""
+    text = (ROOT / "scripts" / "setup").read_text()
+    case = re.search(rf"^ +{need}\) echo ([\w ]+) ;;", text, re.MULTILINE)
+    parts = case[1].split() if case else [need]
+    chosen = [ROOT / f"requirements-{part}.lock" for part in parts]
+    return [ROOT / "requirements.lock", *filter(Path.exists, chosen)]
+
+
+def asked_for(requirement, seen):
+    """Add the names of all installed packages that a requirement asks for, directly or not."""
+    name = canonicalize_name(requirement.name)
+    if name in seen or not (requirement.marker is None or requirement.marker.evaluate(MARKED)):
+        return
+    if name == "coincid":
+        for extra in requirement.extras:
+            for line in EXTRAS[extra]:
+                asked_for(Requirement(line), seen)
+        return
+    seen.add(name)
+    for line in requires(name) or []:
+        asked_for(Requirement(line), seen)
+
+
+def test_every_package_has_one_version():
+    found = [name for lock in LOCKS for name in names(lock)]
+    assert sorted(set(found)) == sorted(found)
+
+
+@pytest.mark.parametrize("need", [None, *EXTRAS])
+def test_a_need_brings_all_that_it_asks_for(need):
+    lines = EXTRAS[need] if need else requires("coincid")
+    seen = set()
+    try:
+        for line in lines:
+            asked_for(Requirement(line), seen)
+    except PackageNotFoundError as lost:
+        pytest.skip(f"{lost.name} is not installed (scripts/setup {need})")
+    locked = {name for lock in brought(need) for name in names(lock)}
+    assert not seen - locked
+
+
+def test_uv_looks_where_pip_looks(tmp_path):
+    settings = (
+        f"global.find-links='{tmp_path}\\n{tmp_path}/not-there'\n"
+        ":env:.no-index='1'\n"
+        ":env:.index-url='https://mirror.example/simple'\n"
+        ":env:.extra-index-url='file:///not-there https://more.example'\n"
+        "global.timeout='9'\n"
+    )
+    wanted = ["--find-links", str(tmp_path), "--no-index", "--default-index", "https://mirror.example/simple"]
+    assert uv_options(settings) == [*wanted, "--index", "https://more.example"]
+
+
+def test_missing_packages_are_found(tmp_path):
+    lock = tmp_path / "some.lock"
+    lock.write_text("# pytest==0\nnot-there==1.0\npytest==0.1\npackaging==" + version("packaging") + "\n")
+    assert missing([str(lock)]) == ["not-there==1.0", "pytest==0.1"]
+
+
+def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):
+    python = [sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")]
+    subprocess.run(python, check=True)
+    lock = tmp_path / "some.lock"
+    lock.write_text("not-there==1.0\n")
+    environment = os.environ | {"PIP_NO_INDEX": "1", "COINCID_PIP": f"{sys.executable} -m pip"}
+    program = tmp_path / "venv" / "bin" / "python"
+    command = [str(program), str(ROOT / "tools" / "locked.py"), str(lock)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("missing Python packages: not-there==1.0; ")
+    assert "PIP_FIND_LINKS=FOLDER" in done.stderr
+
+
+def test_an_unknown_need_is_refused():
+    if shutil.which("bash") is None:
+        pytest.skip("bash is not there")
+    done = subprocess.run([ROOT / "scripts" / "setup", "nothing"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "known: rtl, explore" in done.stderr
