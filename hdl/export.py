@@ -2,8 +2,10 @@
 """Verilog export: one file per block, stable names, and identical bytes for identical parameters."""
 
 import gc
+import os
 import re
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
 
@@ -82,19 +84,19 @@ def instantiated(unit: Unit) -> list[str]:
 def _emitted(units: list[Unit]) -> _Blocks:
     """Return the files of these units and of all that they instantiate."""
     pending = {unit.unit_name: unit for unit in units}
-    designs, cells = {}, {}
-    with _garbage_left():
+    converted: dict[str, Future[str]] = {}
+    cells = {}
+    # One block is converted while the next is elaborated.
+    with _garbage_left(), ThreadPoolExecutor(os.cpu_count()) as pool:
         while pending:
             name, unit = pending.popitem()
-            if name not in designs:
+            if name not in converted:
                 platform = Export()
-                designs[name] = _design(unit, platform)
+                converted[name] = pool.submit(to_verilog, _design(unit, platform))
                 if form := unit.for_cells():
                     cells[f"{name}.v"] = _licensed(form)
                 pending |= platform.units
-    files = {}
-    for name, text in sorted(zip(designs, to_verilog(designs.values()))):
-        files[f"{name}.v"] = _licensed(_stable(text))
+    files = {f"{name}.v": _licensed(_stable(converted[name].result())) for name in sorted(converted)}
     return _Blocks(files, cells)
 
 

@@ -4,10 +4,7 @@
 Every design gets a fresh Yosys, because the order of the output depends on what Yosys has read before.
 """
 
-import os
 import tempfile
-from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from ..tools.wheels import run_yosys
@@ -25,13 +22,8 @@ SCRIPT = (
 )
 
 
-def to_verilog(designs: Iterable[str]) -> list[str]:
-    """Return the Verilog of each design, on all cores. Raises `ToolchainError` with Yosys's message."""
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        return list(pool.map(_converted, designs))
-
-
-def _converted(design: str) -> str:
+def to_verilog(design: str) -> str:
+    """Return the Verilog of a design. Raises `ToolchainError` with Yosys's message."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / DESIGN).write_text(design, encoding="utf-8")

@@ -28,6 +28,7 @@ from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import port_bits
+from ..model.shared.folders import build_root
 from ..slices.emit import Sparse
 from ..slices.library import LANES, compiled, library, widest
 from ..slices.probe import Probe, numbers
@@ -88,18 +89,24 @@ def wiring_header(sensor: Sensor) -> str:
 
 
 def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
-    """Compile the engine for some sensors at once, unless it is there already, and load it."""
+    """Compile the engine for some sensors at once, unless it is there already, and load it. A process looks for it once."""
+    return _library(sensor, lanes(sensor, sensors), build_root())
+
+
+@cache
+def _library(sensor: Sensor, width: int, root: Path) -> ctypes.CDLL:
+    """Return the engine for words of `width` bits. root: folder of its build."""
     for_core, for_slices = rtl_in_two(sensor)
     with ThreadPoolExecutor() as pool:
         proof = pool.submit(prove_module, sensor, for_slices)
         core = pool.submit(verilated_unit, CORE, "Vcore", for_core, [toolchain.NOT_INLINED], CORE_OPTIMISE)
         support = pool.submit(run_time)
         slices = design(sensor)
-        compiled(slices, lanes(sensor, sensors))  # while the core is compiled
+        compiled(slices, width)  # while the core is compiled
         proof.result()
         objects = objects_in(core.result(), support.result())
     include = [core.result(), toolchain.verilator().parents[1] / "include"]
-    path = library(slices, lanes(sensor, sensors), SOURCE, wiring_header(sensor), include, objects)
+    path = library(slices, width, SOURCE, wiring_header(sensor), include, objects)
     pointer, i64, u32, i32 = ctypes.c_void_p, ctypes.c_int64, ctypes.c_uint32, ctypes.c_int
     rows = ctypes.POINTER(pointer)
     functions: Functions = {
