@@ -7,7 +7,15 @@ from threading import Event, Thread
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
+from ..model.shared.compiled import is_compiled
+
 LINE_EVERY_S = 4.0
+COMPILES = "compiling the models, first run only"
+
+
+def first_time(stage: str, module: str) -> str:
+    """Return the name of a stage, with a note if the kernels of a module's room are still to be compiled."""
+    return stage if is_compiled(module) else f"{stage} ({COMPILES})"
 
 
 class Bar:

@@ -2,6 +2,7 @@
 """The main entry of the library: `simulate`, and the run that it returns, with methods for the usual next steps."""
 
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,15 +15,18 @@ from ..model.contract.config import SETTINGS, TABLES, Config, load_config
 from ..model.contract.pixels import pixel_number
 from ..model.contract.result import events_table, write_result
 from ..model.depth.estimate import DEFAULT_METHOD
+from ..model.golden.frame import Golden
 from ..model.light.light import BACKGROUNDS
 from ..model.light.link_budget import Optics
 from ..model.light.spad import Spad
 from ..model.scenes.ambient import Ambient
 from ..model.scenes.catalogue import NAMES, usual_klux
 from ..model.scenes.scene import REFLECTIVITY, Scene
+from ..model.shared.compiled import is_compiled
 from ..model.shared.errors import InputError
 from ..tb.replay import DEFAULT_VIEW
 from .point_cloud import point_cloud, write_ply
+from .progress import COMPILES
 
 if TYPE_CHECKING:
     from .show.notebook import PixelHistogram, Shown
@@ -162,6 +166,8 @@ def simulate(
         view=view,
         estimators=(method,),
     )
+    if not is_compiled(Golden.__module__):
+        print(f"coincid: {COMPILES}", file=sys.stderr)
     run = Run(setup, workers=os.cpu_count() or 1)
     _ = run.result  # computed here, so that errors appear in this call
     return run

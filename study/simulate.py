@@ -29,8 +29,9 @@ from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import subgroup_image
 from ..model.contract.result import ResultBuilder, write_result
 from ..model.contract.settings import SUBGROUP
-from ..model.depth.estimate import DEFAULT_METHOD
+from ..model.depth.estimate import DEFAULT_METHOD, estimate_depth
 from ..model.golden.frame import Golden, Trace
+from ..model.light.photons import edge_chunks
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import told_klux
 from ..model.shared.errors import InputError, extra
@@ -39,7 +40,7 @@ from ..model.shared.interrupts import in_background
 from ..tb.frame_record import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.rtl_errors import Mismatch
-from .progress import Bar
+from .progress import Bar, first_time
 from .show.frame_content import FrameView
 
 if TYPE_CHECKING:
@@ -195,11 +196,11 @@ def simulate(
     results = [out / name for name in (*PICTURES, EVENTS, DEPTH, PAGE)]
     compiled = partial(_prepare, engine, config.sensor, waves, shown)
     with Bar(console, lines=True) as bar, in_background(compiled) as preparing:
-        bar.stage("photons")
+        bar.stage(first_time("photons", edge_chunks.__module__))
         _ = run.edges
         fixed = config.threshold
         if "subgroup.threshold" not in config.given:
-            bar.stage("best threshold")
+            bar.stage(first_time("best threshold", Golden.__module__))
             fixed = np.full_like(fixed, best_threshold(run))
         if shown is not None:
             bar.stage("RTL: emitted and compiled once")
@@ -214,7 +215,7 @@ def simulate(
                 path.unlink(missing_ok=True)
             _write_report(out, {"mismatches": 1, "mismatch": str(mismatch)} | given)
             raise
-        bar.stage("depth")
+        bar.stage(first_time("depth", estimate_depth.__module__))
         titles = {name: title.format(threshold=_span(fixed)) for name, (title, _) in schemes.items()}
         ambient_shown = ambient if isinstance(ambient, str) else f"{ambient:g}"
         heading = f"{run.scene.name}, {ambient_shown} klux, {config.pulses} laser pulses"

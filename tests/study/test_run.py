@@ -187,3 +187,10 @@ def test_settings_are_options_of_simulate():
     assert run.config.sensor.rows == 16 and run.setup.spad_gate and run.setup.estimators == ("maximum",)
     with pytest.raises(coincid.InputError, match="estimator = -1: must be METHOD.*frame=-1"):
         run.depth(-1)
+
+
+@pytest.mark.parametrize(("compiled", "told"), [(False, "coincid: compiling the models, first run only\n"), (True, "")])
+def test_a_first_run_says_that_it_compiles(compiled, told, monkeypatch, capsys):
+    monkeypatch.setattr("coincid.study.run.is_compiled", lambda module: compiled)
+    coincid.simulate(None, "flat:5", rows=8, cols=8, pulses=3)
+    assert capsys.readouterr() == ("", told)

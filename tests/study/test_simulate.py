@@ -165,6 +165,14 @@ def test_views_name_signals_of_the_waveform(tmp_path, simulator):
         assert f"{TOP}{suffix}" in told
 
 
+@pytest.mark.parametrize(
+    ("compiled", "told"), [(False, "photons (compiling the models, first run only)"), (True, "photons")]
+)
+def test_a_stage_that_compiles_says_so(compiled, told, monkeypatch):
+    monkeypatch.setattr(progress, "is_compiled", lambda module: compiled)
+    assert progress.first_time("photons", "coincid.model.light.photons") == told
+
+
 def test_a_long_stage_says_that_it_lasts(monkeypatch):
     monkeypatch.setattr(progress, "LINE_EVERY_S", 0.05)
     text = io.StringIO()
