@@ -18,18 +18,18 @@ from coincid.tools.locked import missing, uv_options
 
 ROOT = Path(__file__).parents[1]
 LOCKS = sorted(ROOT.glob("requirements*.lock"))
-EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
 MARKED = {"extra": ""}
 
 
 def names(lock):
-    found = re.findall(r"^([\w.-]+)==", lock.read_text(), re.MULTILINE)
+    found = re.findall(r"^([\w.-]+)==", lock.read_text(encoding="utf-8"), re.MULTILINE)
     return [canonicalize_name(name) for name in found]
 
 
 def brought(need):
     """Return the locks that `scripts/setup need` installs, as the script itself says."""
-    text = (ROOT / "scripts" / "setup").read_text()
+    text = (ROOT / "scripts" / "setup").read_text(encoding="utf-8")
     case = re.search(rf"^ +{need}\) echo ([\w ]+) ;;", text, re.MULTILINE)
     parts = case[1].split() if case else [need]
     chosen = [ROOT / f"requirements-{part}.lock" for part in parts]
@@ -81,7 +81,9 @@ def test_uv_looks_where_pip_looks(tmp_path):
 
 def test_missing_packages_are_found(tmp_path):
     lock = tmp_path / "some.lock"
-    lock.write_text("# pytest==0\nnot-there==1.0\npytest==0.1\npackaging==" + version("packaging") + "\n")
+    lock.write_text(
+        "# pytest==0\nnot-there==1.0\npytest==0.1\npackaging==" + version("packaging") + "\n", encoding="utf-8"
+    )
     assert missing([str(lock)]) == ["not-there==1.0", "pytest==0.1"]
 
 
@@ -89,11 +91,11 @@ def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):
     python = [sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")]
     subprocess.run(python, check=True)
     lock = tmp_path / "some.lock"
-    lock.write_text("not-there==1.0\n")
+    lock.write_text("not-there==1.0\n", encoding="utf-8")
     environment = os.environ | {"PIP_NO_INDEX": "1", "COINCID_PIP": f"{sys.executable} -m pip"}
     program = tmp_path / "venv" / "bin" / "python"
     command = [str(program), str(ROOT / "tools" / "locked.py"), str(lock)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("missing Python packages: not-there==1.0; ")
@@ -101,6 +103,6 @@ def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):
 
 
 def test_an_unknown_need_is_refused():
-    done = subprocess.run([ROOT / "scripts" / "setup", "nothing"], capture_output=True, text=True)
+    done = subprocess.run([ROOT / "scripts" / "setup", "nothing"], capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 2
     assert "known: rtl, explore" in done.stderr

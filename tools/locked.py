@@ -29,7 +29,7 @@ def install(locks: Sequence[str]) -> None:
     files = [part for lock in locks for part in ("-r", lock)]
     pip = shlex.split(os.environ["COINCID_PIP"])
     uv = os.environ.get("COINCID_UV")
-    with LOG.open("w") as log:
+    with LOG.open("w", encoding="utf-8") as log:
         if uv and _run([*uv_command(uv, uv_options(_pip_settings(pip))), "--no-deps", *files], log):
             return
         # Python compiles the modules that it imports, a sixth of all.
@@ -57,7 +57,7 @@ def uv_options(settings: str) -> list[str]:
 
 def missing(locks: Sequence[str]) -> list[str]:
     """Return the lines of lock files whose packages are not installed in that version."""
-    lines = [line.strip() for lock in locks for line in Path(lock).read_text().splitlines()]
+    lines = [line.strip() for lock in locks for line in Path(lock).read_text(encoding="utf-8").splitlines()]
     return [line for line in lines if "==" in line and not line.startswith("#") and not _is_installed(line)]
 
 
@@ -77,7 +77,7 @@ def _may_exist(place: str) -> bool:
 
 def _pip_settings(pip: Sequence[str]) -> str:
     command = [*pip, "config", "list"]
-    return subprocess.run(command, capture_output=True, text=True, check=False).stdout
+    return subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False).stdout
 
 
 def _run(command: Sequence[str], log: TextIO) -> bool:

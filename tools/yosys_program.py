@@ -25,9 +25,8 @@ def main() -> None:
 
 def _send_output_to(path: str) -> None:
     """Send the standard output of this process to a file, also that of libraries that are not Python."""
-    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
-    os.dup2(file, 1)
-    os.close(file)
+    with open(path, "wb") as file:
+        os.dup2(file.fileno(), 1)
 
 
 if __name__ == "__main__":
