@@ -7,7 +7,7 @@ unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 # $(call option,scene,SCENE): --scene 'value' if SCENE= was given.
 option = $(if $(value $2),--$1 '$(value $2)')
 
-.PHONY: help setup sim explore check test formal upsets soak mutation coverage verilog synth gls power layout pnr cost lint figures compare modes raytrace bench clean emulate emulator docs
+.PHONY: help pages release setup sim explore check test formal upsets soak mutation coverage verilog synth gls power layout pnr cost lint figures compare modes raytrace bench clean emulate emulator docs
 
 # A target's comment is its line in `make help`; in brackets: the list in which it appears there by name.
 help:
@@ -128,6 +128,14 @@ compare: ## [numbers of pages] this sensor and other schemes on the same photons
 modes: ## [numbers of pages] coincidence and gating, a target behind glass, 100 m: curves into build/modes/
 	@scripts/setup rtl
 	@$(BIN)/coincid modes --rtl
+
+pages: ## tables and pictures of the pages (NAMES="depth controller", ONLY=stale; STALE=1 lists what is older than the code)
+	@scripts/setup
+	@$(BIN)/python docs/pages.py $(if $(filter-out 0,$(STALE)),--stale) $(if $(filter stale,$(ONLY)),--only-stale) $(NAMES)
+
+release: ## whether this version may be released: no page is stale, changelog and citation name it
+	@scripts/setup
+	@$(BIN)/python docs/pages.py --release
 
 raytrace: ## [install only] what ray-traced scenes need (make sim SCENE=ray:corner)
 	@scripts/setup rtl explore raytrace

@@ -16,11 +16,12 @@ from ..model.contract.config import Config, load_config
 from ..model.contract.emulator import Emulator
 from ..model.contract.parameters import TOP
 from ..tools.wheels import wheel_folder
-from .pnr import NEXTPNR, Board
+from .pnr import NEXTPNR, Board, place, write_page
 
 WRAPPER = Path(__file__).with_name("ecp5.v")
 PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # of the device of `fpga_module`, in the wheel of nextpnr
 PACKAGE = "CABGA756"
+BUFFER_BEATS = 8192  # of the emulator's frame buffer, if nothing else is given
 RESERVE = 1.02  # the router stops when it meets its goal, so its goal is a faster clock than that of the emulator
 
 
@@ -32,6 +33,7 @@ def fpga_module() -> Board:
     del files[FILE_LIST], files[f"{TOP}.v"]
     return Board(
         title="The FPGA preset placed and routed",
+        page="docs/place-and-route.md",
         command="make pnr",
         what="a module of two subgroups (with TDC, FIFOs and deserialisers), readout, registers and a PLL",
         chip=f"ECP5 um5g-85k, {PACKAGE}, speed grade 8",
@@ -76,6 +78,7 @@ def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -
     sensor = config.sensor
     return Board(
         title="The emulator on an ULX3S",
+        page="docs/emulator-board.md",
         command="make emulator",
         what=(
             f"the emulator of {sensor.rows} x {sensor.cols} pixels in {sensor.subgroups} subgroups, {sensor.phases} phases, with photon "
@@ -90,3 +93,16 @@ def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -
         options=options,
         apart=tuple(sorted({*instantiated(EmulatorTop(emulator)), Subgroup(sensor).unit_name})),
     )
+
+
+def place_fpga_module() -> None:
+    """Place the module of the FPGA preset, and write its page. Raises `ToolchainError`."""
+    board = fpga_module()
+    write_page(board, place(board))
+
+
+def place_emulator() -> None:
+    """Place the emulator of the preset `emulator`, and write its page. Raises `ToolchainError`."""
+    config = load_config("emulator")
+    board = ulx3s(config, Emulator.of(config, BUFFER_BEATS))
+    write_page(board, place(board))

@@ -17,10 +17,10 @@ from typing import Any
 from attrs import field, frozen
 
 from ..model.shared import markdown
-from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tools.build import build_once
+from ..tools.pages import put_page
 from ..tools.wheels import run_wheel, yosys_once
 
 NETLIST, NETLIST_VERILOG, PINS, BITSTREAM = "netlist.json", "netlist.v", "board.lpf", "board.bit"
@@ -33,7 +33,7 @@ WIRE_PS = 900  # delay of a wire behind a LUT, for abc. With the 300 of `synth_l
 
 @frozen(kw_only=True)
 class Board:
-    """A design and the chip on which it is placed. title, command, what, chip: words for its page.
+    """A design and the chip on which it is placed. title, command, what, chip: words for its page, `page`.
 
     top: module in the Verilog `files` (name -> text). pins: constraints (LPF). device: options of nextpnr for the chip, the
     placer and the router. goal_mhz: frequency that every clock must reach. options: of the synthesis. apart: modules that are
@@ -41,6 +41,7 @@ class Board:
     """
 
     title: str
+    page: str
     command: str
     what: str
     chip: str
@@ -133,8 +134,8 @@ def fastest(placements: Sequence[Placement]) -> Placement:
     return max(placements, key=lambda placement: min(placement.fmax_mhz.values()))
 
 
-def write_page(board: Board, placements: Sequence[Placement], path: Path) -> None:
-    """Write a page with Fmax of every clock and seed, the used resources, and the longest path."""
+def write_page(board: Board, placements: Sequence[Placement], out: Path | None = None) -> None:
+    """Write a page with Fmax of every clock and seed, the used resources, and the longest path. out: a file instead of the page."""
     first = placements[0]
     worst = max(placements, key=lambda placement: _delay_ns(placement.longest))
     hops = worst.longest["path"]
@@ -162,8 +163,7 @@ def write_page(board: Board, placements: Sequence[Placement], path: Path) -> Non
         *textwrap.wrap(longest, PAGE_COLUMNS, break_long_words=False, break_on_hyphens=False),
         "",
     ]
-    with whole_file(path, "w") as file:
-        file.write("\n".join(lines))
+    put_page(board.page, "placement", "\n".join(lines), out)
 
 
 def place(board: Board) -> list[Placement]:

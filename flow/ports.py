@@ -29,7 +29,7 @@ from ..model.contract.packet import (
 )
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared import markdown
-from ..model.shared.folders import checkout
+from ..tools.pages import put
 from .contract_tables import header_table, settings_tables
 
 EXAMPLE = Sensor(rows=8, cols=16)  # for docs/integrate.md: two subgroups, one module
@@ -162,31 +162,24 @@ def stream_words(sensor: Sensor) -> str:
 
 
 def pages() -> dict[str, dict[str, str]]:
-    """Return the generated parts of the pages in docs/, by page and by the names of their markers."""
+    """Return the generated regions by page and by name."""
     return {
-        "integrate.md": {
+        "docs/integrate.md": {
             "ports": port_table(EXAMPLE),
             "instance": f"```verilog\n{instantiation(EXAMPLE)}```\n",
             "words": stream_words(EXAMPLE),
         },
-        "contract.md": {"header": header_table()},
-        "files.md": settings_tables(),
+        "docs/contract.md": {"header": header_table()},
+        "docs/files.md": settings_tables(),
     }
 
 
-def with_parts(page: str, parts: dict[str, str]) -> str:
-    """Return a page with its generated parts renewed. A part is between `<!-- begin NAME -->` and `<!-- end NAME -->`."""
-    for name, text in parts.items():
-        head, begin, rest = page.partition(f"<!-- begin {name} -->\n")
-        _, end, tail = rest.partition(f"<!-- end {name} -->\n")
-        page = f"{head}{begin}\n{text}\n{end}{tail}"
-    return page
+def write_pages() -> None:
+    """Write the regions into the pages."""
+    for page, parts in pages().items():
+        for name, text in parts.items():
+            put(page, name, text)
 
 
 if __name__ == "__main__":
-    folder = checkout()
-    if folder is None:
-        raise SystemExit("docs/: is renewed in a checkout of the project")
-    for page, parts in pages().items():
-        path = folder / "docs" / page
-        path.write_text(with_parts(path.read_text(encoding="utf-8"), parts), encoding="utf-8")
+    write_pages()

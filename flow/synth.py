@@ -27,9 +27,9 @@ from ..hdl.unit import Unit
 from ..model.contract.config import Config, load_config
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared import markdown
-from ..model.shared.files import whole_file
 from ..model.shared.folders import build_root
 from ..tb.rtl import sensor_key
+from ..tools.pages import put_page
 from ..tools.wheels import YOSYS, yosys_once
 from .logic_depth import depths
 from .mapped import FLOP, GATE, LATCH, map_block, slacks_ns
@@ -180,13 +180,12 @@ def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
     return dict(worst)
 
 
-def write_page(path: Path) -> None:
-    """Write the cost of the presets to a Markdown file, which appears whole."""
+def write_page(out: Path | None = None) -> None:
+    """Write the cost of the presets into docs/synthesis.md, or as Markdown to the file `out`."""
     text = PAGE.read_text(encoding="utf-8").format(yosys=version(YOSYS)) + "\n".join(
         report(name, load_config(name)) for name in ("silicon", "fpga")
     )
-    with whole_file(path, "w") as file:
-        file.write(text)
+    put_page("docs/synthesis.md", "cost", text, out)
 
 
 def report(name: str, config: Config) -> str:

@@ -12,7 +12,8 @@ from ..model.contract.config import Config, parse_config
 from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.packet import BEAT_BITS
 from ..model.contract.result import EVENT_FIELDS
-from ..model.depth.estimate import DEFAULT_METHOD, estimate_depth
+from ..model.depth.estimate import estimate_depth
+from ..model.depth.methods import DEFAULT_METHOD
 from ..model.shared.compiled import is_compiled
 
 

@@ -15,7 +15,8 @@ from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
 from ..model.contract.packet import FORMATS
 from ..model.contract.result import ResultBuilder
-from ..model.depth.estimate import DEFAULT_METHOD, Depth, estimate_depth
+from ..model.depth.estimate import Depth, estimate_depth
+from ..model.depth.methods import DEFAULT_METHOD
 from ..model.depth.quality import wrong_pixels
 from ..model.golden.frame import Golden, Trace
 from ..model.light.light import Light

@@ -14,7 +14,7 @@ from ..model.contract.config import Config, parse_config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.settings import THRESHOLD_MAX
-from ..model.depth.estimate import DEFAULT_METHOD
+from ..model.depth.methods import DEFAULT_METHOD
 from ..model.light.light import BACKGROUNDS, Light
 from ..model.light.photons import edge_chunks
 from ..model.light.spad import Spad, SpadGate

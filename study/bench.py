@@ -22,7 +22,8 @@ from ..lab.setup import Setup
 from ..model.contract.config import Config, parse_config
 from ..model.contract.edges import Edges
 from ..model.contract.result import ResultBuilder
-from ..model.depth.estimate import DEFAULT_METHOD, estimate_depth
+from ..model.depth.estimate import estimate_depth
+from ..model.depth.methods import DEFAULT_METHOD
 from ..model.golden.frame import Golden, Trace
 from ..model.shared import markdown
 from ..model.shared.files import whole_file

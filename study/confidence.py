@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sets the law of confidence (`model/depth/belief.py`) on random scenes, and tries it on others.
 
-`python -m coincid.study.confidence` prints the weights of the law, and a table for scenes that were not used to set them. It
-also draws docs/images/depth_confidence.png, and needs the extra `raytrace`. Half of the random scenes have one distance per
+`python -m coincid.study.confidence` prints the weights of the law, and writes tables for scenes that were not used to set
+them, and a picture, into docs/depth.md. It needs the extra `raytrace`. Half of the random scenes have one distance per
 pixel, like a depth file. In the other half a pixel sees many points, as it does behind a lens, so surfaces mix at their
 edges, and slanted surfaces widen the pulse.
 """
 
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -20,13 +19,15 @@ from ..lab.outcomes import Run
 from ..lab.setup import SETTLING, Setup
 from ..model.depth.arrivals import SYSTEM_FWHM_S
 from ..model.depth.belief import LAW, chance_of_right
-from ..model.depth.estimate import METHODS, find_returns
+from ..model.depth.estimate import find_returns
+from ..model.depth.methods import METHODS
 from ..model.depth.quality import off_surfaces, wrong_pixels
 from ..model.scenes.scene import Scene
 from ..model.scenes.transient import dominant_surface_m
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
-from ..model.shared.markdown import table
+from ..model.shared.markdown import text_table
 from ..model.shared.threads import Threads
+from ..tools.pages import counted, picture, put
 from .palette import GREY
 from .plot_style import new_figure, save_figure, style
 from .surfaces import analytic_scenes
@@ -55,7 +56,7 @@ EASE = 1e-3  # weight of the prior, which draws all weights of the law to 0
 ROUNDS = 30
 NINETY = (0.85, 0.95)  # range of confidences that count as 90 %
 BINS, PIXELS_MIN = (0.0, 0.3, 0.5, 0.7, 0.85, 0.95, 0.98, 1.01), 100  # of the picture
-PICTURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "depth_confidence.png"
+PICTURE = "docs/images/depth_confidence.png"
 
 
 class Seen(NamedTuple):
@@ -174,6 +175,17 @@ def rows(seen: Mapping[str, Sequence[Seen]]) -> Iterator[Sequence[str]]:
         yield name, *cells
 
 
+def ray_rows(seen: Mapping[str, Sequence[Seen]]) -> Iterator[Sequence[str]]:
+    """Yield rows for `planes`: of the pixels with a confidence of 90 %, the shares right, and on any surface of the pixel."""
+    method = "planes"
+    for name, runs in seen.items():
+        sure = np.concatenate([chance_of_right(one.features[method], LAW[method]) for one in runs])
+        chosen = (sure >= NINETY[0]) & (sure < NINETY[1])
+        right = np.concatenate([one.right[method] for one in runs])[chosen]
+        on_surface = np.concatenate([one.on_surface[method] for one in runs])[chosen]
+        yield name, f"{right.mean():.0%}", f"{on_surface.mean():.0%}"
+
+
 def draw(seen: Sequence[Seen], path: Path) -> None:
     """Draw the share of right pixels against their confidence, by method."""
     with style():
@@ -219,8 +231,9 @@ def ray_traced() -> dict[str, list[Setup]]:
     }
 
 
-def main(picture: Path) -> None:
-    with Processes() as run:
+def make() -> None:
+    """Print the law; write tables and picture into their page."""
+    with Processes(progress=counted) as run:
         looked = list(campaign({seed: random_setup(seed) for seed in SET}, look, run).values())
         looked += REAL_COUNT * list(campaign(dict(enumerate(real_setups())), look, run).values())
         unseen, rays = (
@@ -230,12 +243,14 @@ def main(picture: Path) -> None:
     for method in METHODS:
         print(f'    "{method}": ({", ".join(f"{weight:.3g}" for weight in law(looked, method))}),')
     everything = [one for group in unseen.values() for one in group]
-    any_surface = {
-        f"{name}, any surface": [one._replace(right=one.on_surface) for one in group] for name, group in rays.items()
-    }
-    print("\n".join(table(("scene", *METHODS), rows(unseen | {"all": everything} | rays | any_surface))))
-    draw(everything, picture)
+    put("docs/depth.md", "confidence", text_table(("scene", *METHODS), rows(unseen | {"all of them": everything})))
+    head = "ray-traced scene", "right", "on one of the pixel's surfaces"
+    put("docs/depth.md", "confidence in rays", text_table(head, ray_rows(rays)))
+    set_by = {"all scenes of the fit": looked}
+    put("docs/depth.md", "confidence of the fit", text_table(("scene", *METHODS), rows(set_by)))
+    draw(everything, picture(PICTURE))
+    put("docs/depth.md", "confidence picture")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else PICTURE)
+    make()

@@ -16,14 +16,13 @@ from matplotlib.figure import Figure
 
 from ..flow.power import Power, clock_tree_mw, design, power, power_at_rest, simulate
 from ..flow.yosys import CLOCK_BUFFER, SINKS_MAX
-from ..lab.outcomes import Run
 from ..lab.setup import Setup
 from ..model.golden.frame import Golden
 from ..model.light.light import REFERENCE_DISTANCE_M, REFERENCE_REFLECTIVITY
 from ..model.scenes.scene import Scene
-from ..model.shared.files import whole_file
 from ..model.shared.markdown import table
 from ..tb.frame_record import FrameJob
+from ..tools.pages import picture, put, put_page
 from .plot_style import new_figure, save_figure, style
 
 PULSES, SEED = 2, 1
@@ -123,9 +122,13 @@ def _grouped(blocks: dict[str, Power]) -> dict[str, Power]:
 
 def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor: Any) -> tuple[list[Measured], Power]:
     """Return the power of the subgroup in each case, and between frames. sensor: parameters that differ from the preset."""
-    runs = [Run(setup(case, **sensor)) for case in cases]
-    config, golden = runs[0].config, Golden(runs[0].config.sensor)  # one for all runs, because it numbers the frames
-    jobs = [FrameJob(run.config, run.edges, golden.frame(run.config, run.edges)) for run in runs]
+    setups = [setup(case, **sensor) for case in cases]
+    config = setups[0].config
+    golden = Golden(config.sensor)  # one for all frames, because it numbers them
+    jobs = []
+    for one in setups:
+        edges = one.photons.edges()
+        jobs.append(FrameJob(one.config, edges, golden.frame(one.config, edges)))
     whole = design(config.sensor)
     tell(f"simulating {len(jobs)} frames of {config.frame_cycles} cycles on the netlist")
     toggles = simulate(config.sensor, jobs)
@@ -146,14 +149,14 @@ def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor
     return measured, sum(_grouped(power_at_rest(whole, config.clock_mhz)).values(), Power())
 
 
-def write_page(path: Path, tell: Callable[[str], None]) -> None:
-    """Measure; write the page, and its picture to `images/` beside it."""
+def write_page(out: Path | None = None, tell: Callable[[str], None] = print) -> None:
+    """Measure; write docs/power.md and its picture, or the file `out` and the picture to `images/` beside it."""
     measured, between = measure(tell)
-    images = path.parent / "images"
-    images.mkdir(exist_ok=True)
-    save_figure(draw(measured), images / PICTURE)
-    with whole_file(path, "w") as file:
-        file.write(page(measured, between))
+    shown = f"images/{PICTURE}"
+    save_figure(draw(measured), out.parent / shown if out else picture(f"docs/{shown}"))
+    put_page("docs/power.md", "power", page(measured, between), out)
+    if out is None:
+        put("docs/silicon.md", "power against light")
 
 
 def page(measured: list[Measured], between: Power) -> str:

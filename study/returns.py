@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures how much light it takes to see four surfaces in every pixel, and a single point at 150 m.
 
-`python -m coincid.study.returns` prints the tables of docs/returns.md and draws its picture. All surfaces send back the same
+`python -m coincid.study.returns` writes the tables of docs/returns.md and draws its picture. All surfaces send back the same
 amount of light. The background is that of a target of 40 %, so it does not depend on this amount.
 """
 
-import sys
 from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
@@ -22,11 +21,12 @@ from ..model.depth.quality import TOLERANCE_M
 from ..model.light.light import Light, background_cps, signal_per_pulse
 from ..model.scenes.catalogue import AT, RETURNS
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
-from ..model.shared.markdown import table
+from ..model.shared.markdown import text_table
+from ..tools.pages import counted, picture, put
 from .palette import ALARM, GREY, SERIES
 from .plot_style import legend_below, new_figure, save_figure, style
 
-PICTURE = Path(__file__).resolve().parents[1] / "docs" / "images" / "returns.png"
+PAGE, PICTURE = "docs/returns.md", "docs/images/returns.png"
 SENSOR = {"rows": 16, "cols": 16}
 # NEAREST_M: two places of the nearest surface in a clock cycle.
 SURFACES, STEPS_M, NEAREST_M = 4, (0.15, 0.3), (4.0, 4.1)
@@ -187,18 +187,22 @@ def _threshold(threshold: int) -> str:
     return f"threshold {threshold}" if threshold else "coincidence off"
 
 
-def main(picture: Path) -> None:
-    draw_returns(picture)
-    with Processes() as run:
+def make() -> None:
+    """Write tables and picture into their page."""
+    draw_returns(picture(PICTURE))
+    put(PAGE, "picture")
+    with Processes(progress=counted) as run:
         head = "apart", "pulses", "window", "klux", *(f"{photons:g} photons" for photons in LIGHTS)
-        print("\n".join(table(head, found_rows(run), left=(0, 2))))
+        put(PAGE, "found", text_table(head, found_rows(run), left=(0, 2)))
         bright = {
             faster: [setup(m, STEPS_M[0], LIGHTS[-1], faster=faster) for m in NEAREST_M] for faster in (False, True)
         }
-        for faster, outcomes in grouped(bright, all_found, run).items():
-            print(f"{LIGHTS[-1]:g} photons, {15 if faster else 30} cm per cycle: {_per_cent(outcomes)} %")
-        print("\n".join(table(("target", "klux", "pulses", *map(_threshold, FAR_THRESHOLDS)), far_rows(run))))
+        cells = {faster: _per_cent(outcomes) for faster, outcomes in grouped(bright, all_found, run).items()}
+        rows = [("32 phases, 500 MHz", cells[False]), ("16 phases, 1 GHz", cells[True])]
+        put(PAGE, "faster", text_table(("sensor", f"{LIGHTS[-1]:g} photons, 15 cm apart"), rows))
+        head = "target", "klux", "pulses", *map(_threshold, FAR_THRESHOLDS)
+        put(PAGE, "far", text_table(head, far_rows(run)))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else PICTURE)
+    make()

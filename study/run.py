@@ -14,7 +14,7 @@ from ..lab.setup import Setup, scene_of
 from ..model.contract.config import SETTINGS, TABLES, Config, load_config
 from ..model.contract.pixels import pixel_number
 from ..model.contract.result import events_table, write_result
-from ..model.depth.estimate import DEFAULT_METHOD
+from ..model.depth.methods import DEFAULT_METHOD
 from ..model.golden.frame import Golden
 from ..model.light.light import BACKGROUNDS
 from ..model.light.link_budget import Optics

@@ -29,7 +29,8 @@ from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import subgroup_image
 from ..model.contract.result import ResultBuilder, write_result
 from ..model.contract.settings import SUBGROUP
-from ..model.depth.estimate import DEFAULT_METHOD, estimate_depth
+from ..model.depth.estimate import estimate_depth
+from ..model.depth.methods import DEFAULT_METHOD
 from ..model.golden.frame import Golden, Trace
 from ..model.light.photons import edge_chunks
 from ..model.light.timing import Timing
@@ -57,6 +58,8 @@ SCHEMES = {  # name: (title, settings that differ), in the order of the frames
     "auto": ("controller", {"coincidence": True, "auto": True}),
 }
 CONTROLLED = "auto"
+LINK_GBPS = 8.0  # if nothing else sets the rate: the pins of such a chip can carry this much
+LINK_FORMAT = "compact"  # if the configuration sets no format: such a link carries the most events in it
 SLOW_ENGINE, SLOW_SETTLING = "icarus", 2
 Progressed = Callable[[int], None]
 
@@ -81,6 +84,13 @@ class Played:
     def frames(self) -> dict[str, Frame]:
         """The last frame of each scheme, which represents it."""
         return {name: run.frame() for name, run in self.runs.items()}
+
+
+def with_link(config: Config, link_gbps: float | None = None) -> Config:
+    """Return a configuration with a link. link_gbps: its rate; None: that of the configuration if it has one, else `LINK_GBPS`."""
+    if link_gbps is not None or not config.frame["link_gbps"]:
+        config = config.with_frame(link_gbps=LINK_GBPS if link_gbps is None else link_gbps)
+    return config if "frame.format" in config.given else config.with_frame(format=LINK_FORMAT)
 
 
 def schemes_of(sensor: Sensor) -> dict[str, tuple[str, dict[str, bool]]]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures the errors on surfaces that slant, bend and hide each other.
 
-`python -m coincid.study.surfaces` prints a table of docs/depth.md. The scenes are analytic.
+`python -m coincid.study.surfaces` writes a table of docs/depth.md. The scenes are analytic.
 """
 
 from collections.abc import Iterator
@@ -13,8 +13,9 @@ from ..lab.outcomes import Run
 from ..lab.setup import Setup, seeded
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene
-from ..model.shared.markdown import table
+from ..model.shared.markdown import text_table
 from ..model.shared.quantities import Numbers
+from ..tools.pages import counted, put
 
 ROWS = COLS = 32
 KLUX, SEEDS = 50.0, 3
@@ -70,6 +71,11 @@ def rows(run: Processes) -> Iterator[tuple[str, ...]]:
         yield *key, *("{:.1%} / {:.1%}".format(*pair) for pair in zip(shares[::2], shares[1::2])), f"{dropped:.0%}"
 
 
+def make() -> None:
+    """Write the table into its page."""
+    with Processes(progress=counted) as run:
+        put("docs/depth.md", "surfaces", text_table(("scene", "format", *METHODS, "dropped"), rows(run), left=(0, 1)))
+
+
 if __name__ == "__main__":
-    with Processes() as processes:
-        print("\n".join(table(("scene", "format", *METHODS, "dropped"), rows(processes), left=(0, 1))))
+    make()

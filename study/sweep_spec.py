@@ -16,7 +16,7 @@ from attrs import frozen
 from ..lab.setup import Setup
 from ..model.contract.config import parse_config, read_toml
 from ..model.contract.preset_files import PRESETS
-from ..model.depth.estimate import DEFAULT_METHOD, METHODS
+from ..model.depth.methods import DEFAULT_METHOD, METHODS
 from ..model.light.light import BACKGROUNDS
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import ambient_klux

@@ -14,6 +14,7 @@ from ...model.contract.config import load_config
 from ...model.contract.parameters import Sensor
 from ...model.shared.files import whole_file
 from ...tb.rtl_errors import Mismatch
+from ...tools.pages import picture, put, put_page
 from ..mapped import map_block, slacks_ns
 from .delays import INPUT_NS, simulate
 from .flow import FINAL, lay_out
@@ -26,11 +27,14 @@ TOO_SLOW = 6.0  # factor on all delays; the sensor must fail with it
 Column = list[tuple[str, str]]  # name and value of every row
 
 
-def write_page(path: Path, tell: Callable[[str], None]) -> None:
-    """Lay out both minigroups of the preset `silicon`. Write the page to `path`, and pictures to the folder `images` beside it."""
+def write_page(out: Path | None = None, tell: Callable[[str], None] = print) -> None:
+    """Lay out both minigroups of the preset `silicon`.
+
+    Write docs/layout.md and its pictures, or the page to the file `out` and pictures to the folder `images` beside it.
+    """
     config = load_config("silicon")
-    clock_mhz, images = config.clock_mhz, path.parent / "images"
-    images.mkdir(exist_ok=True)
+    clock_mhz = config.clock_mhz
+    images = out.parent / "images" if out else picture("docs/images")
     columns = []
     for kind, view in ((Minigroup, POLYPHASE), (AsyncMinigroup, VIEWS["async"].at(clock_mhz))):
         unit = kind(config.sensor)
@@ -40,15 +44,16 @@ def write_page(path: Path, tell: Callable[[str], None]) -> None:
         rules = [(rule, str(violations)) for rule, violations in found["rules"]]
         played = played_with_delays(kind(SMALL), view, folder, tell)
         columns.append((facts(found, before.area_um2), rules, slacks(found, slack_ns), played))
-        picture = Image.open(folder / f"{unit.unit_name}.png").convert("RGB").quantize(COLOURS)
+        routed = Image.open(folder / f"{unit.unit_name}.png").convert("RGB").quantize(COLOURS)
         with whole_file(images / PICTURE.format(unit.unit_name.removeprefix(PREFIX))) as file:
-            picture.save(file, format="png", optimize=True)
+            routed.save(file, format="png", optimize=True)
     tables = dict(zip(("rows", "rules", "slacks", "played"), (_rows(*pair) for pair in zip(*columns))))
     text = PAGE.read_text(encoding="utf-8").format(
         gds=FINAL, clock=1000 / clock_mhz, factor=TOO_SLOW, input=INPUT_NS, **tables
     )
-    with whole_file(path, "w") as file:
-        file.write(text)
+    put_page("docs/layout.md", "layout", text, out)
+    if out is None:
+        put("docs/silicon.md", "layout")
 
 
 def played_with_delays(unit: Minigroup, view: View, folder: Path, tell: Callable[[str], None]) -> Column:

@@ -21,18 +21,11 @@ from ..shared.threads import Threads
 from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
 from .belief import SENTENCES, Reason, Signs, believe, find_signs
 from .histograms import Events, frame_events, frame_records, minigroup_step_ticks, pixel_image, subgroup_histograms
+from .methods import DEFAULT_METHOD, METHODS
 from .peaks import live_share, pixel_peaks, record_live
 from .planes import find_surfaces
 
 RETURNS_MAX = 8
-
-METHODS = {
-    "maximum": "highest bin of the pixel's histogram",
-    "matched": "highest point of the histogram after filtering with the pulse",
-    "background": "largest excess of hits over the expected background, corrected for the times when the tree is not armed",
-    "planes": "likelihood of all events, fitted by planes that neighbouring pixels share",
-}
-DEFAULT_METHOD = "planes"
 
 
 @frozen(eq=False)

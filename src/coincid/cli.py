@@ -33,8 +33,6 @@ STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
 ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # for `sim --view async`; Icarus takes about three minutes for them
 FRAMES_MAX = 1000  # for the controller
-LINK_GBPS = 8.0  # for `sim` if nothing else sets the rate: the pins of such a chip can carry this much
-LINK_FORMAT = "compact"  # for `sim` if the configuration sets no format: such a link carries the most events in it
 REPEATS_MAX = 1000
 BAUD_MAX = 100_000_000
 WORKERS_MAX = 1 << 10
@@ -166,7 +164,7 @@ def sim(
     **given: Any,
 ) -> None:
     """Simulate frames of a scene and check every word against the golden model; write depth.png, events.npz and report.json."""
-    from coincid.study.simulate import simulate
+    from coincid.study.simulate import simulate, with_link
     from coincid.tb.replay import chosen_view
 
     settings = _config(given)
@@ -176,10 +174,7 @@ def sim(
         frames = ASYNC_FRAMES if frames is None else frames
     if pulses is not None:
         settings = settings.with_pulses(check_integer("pulses", pulses, 1, PULSES_MAX))
-    if link_gbps is not None or not settings.frame["link_gbps"]:
-        settings = settings.with_frame(link_gbps=LINK_GBPS if link_gbps is None else link_gbps)
-    if "frame.format" not in settings.given:
-        settings = settings.with_frame(format=LINK_FORMAT)
+    settings = with_link(settings, link_gbps)
     engine = engine or ("verilator" if waves else "sliced")
     chosen_view(engine, view, settings.clock_mhz, waves)
     simulate(
@@ -409,13 +404,13 @@ def verilog(*, out: Path = Path("build/rtl"), view: str = "polyphase", **given: 
     print(f"{out}: {len(files)} files, {sum(path.stat().st_size for path in files) / 1000:.0f} kB")
 
 
-@command("out", out=("FILE", "Markdown page with the cost of the presets."))
-def synth(*, out: Path = Path("docs/synthesis.md")) -> None:
+@command("out", out=("FILE", "Markdown page with the cost of the presets; default: docs/synthesis.md."))
+def synth(*, out: Path | None = None) -> None:
     """Synthesize both presets to gates, standard cells and ECP5, and write the table of their cost."""
     with extra("rtl"):
         from coincid.flow.synth import write_page
-    write_page(_file(out))
-    print(out)
+    write_page(out and _file(out))
+    print(out or "docs/synthesis.md")
 
 
 @command()
@@ -427,35 +422,36 @@ def gls() -> None:
         print(line, flush=True)
 
 
-@command("out", out=("FILE", "Markdown page; the picture goes to images/ beside it."))
-def power(*, out: Path = Path("docs/power.md")) -> None:
+@command("out", out=("FILE", "Markdown page; the picture goes to images/ beside it; default: docs/power.md."))
+def power(*, out: Path | None = None) -> None:
     """Compute the power of a subgroup in standard cells at several levels of light, from frames simulated on its netlist."""
     with extra("rtl"):
         from coincid.study.power_against_light import write_page
-    write_page(_file(out), partial(print, flush=True))
-    print(out)
+    write_page(out and _file(out), partial(print, flush=True))
+    print(out or "docs/power.md")
 
 
-@command("out", out=("FILE", "Markdown page; the picture goes to images/ beside it."))
-def layout(*, out: Path = Path("docs/layout.md")) -> None:
+@command("out", out=("FILE", "Markdown page; the pictures go to images/ beside it; default: docs/layout.md."))
+def layout(*, out: Path | None = None) -> None:
     """Lay out a minigroup in standard cells: place, route, check, time with its wires, and simulate with their delays."""
     with extra("rtl"):
         from coincid.flow.layout.document import write_page
-    write_page(_file(out), partial(print, flush=True))
-    print(out)
+    write_page(out and _file(out), partial(print, flush=True))
+    print(out or "docs/layout.md")
 
 
-@command("out", out=("FILE", "Markdown report of Fmax and resources."))
-def pnr(*, out: Path = Path("docs/place-and-route.md")) -> None:
+@command("out", out=("FILE", "Markdown report of Fmax and resources; default: docs/place-and-route.md."))
+def pnr(*, out: Path | None = None) -> None:
     """Place and route a module of the FPGA preset on an ECP5, with five seeds. Exit code 1: a clock misses its goal."""
     with extra("rtl"):
         from coincid.flow import boards, pnr
 
-    _file(out)
+    if out is not None:
+        _file(out)
     board = boards.fpga_module()
     placements = pnr.place(board)
     pnr.write_page(board, placements, out)
-    print(out)
+    print(out or board.page)
     _all_met(pnr.missed(board, placements))
 
 
@@ -465,14 +461,14 @@ def pnr(*, out: Path = Path("docs/place-and-route.md")) -> None:
     config=("FILE", "TOML file or preset; default: emulator, and emulator-axi for axi."),
     buffer_beats=("N", "Size of the frame buffer in beats."),
     out=("DIR", "Folder of Verilog, register map and bitstream."),
-    page=("FILE", "With ulx3s: Markdown report of Fmax and resources."),
+    page=("FILE", "With ulx3s: Markdown report of Fmax and resources; default: docs/emulator-board.md."),
 )
 def emulator(
     *,
     kind: str = "ulx3s",
     buffer_beats: int = 8192,
     out: Path = Path("build/emulator"),
-    page: Path = Path("docs/emulator-board.md"),
+    page: Path | None = None,
     **given: Any,
 ) -> None:
     """Build the emulator for a board. Exit code 1: lint found something, or one of five seeds misses a clock."""
@@ -481,7 +477,8 @@ def emulator(
     with extra("rtl"):
         from coincid.flow import boards, emulator_release, lint, pnr
     on_bus, on_board = kind == emulator_release.AXI, kind == emulator_release.BOARD
-    _file(page)
+    if page is not None:
+        _file(page)
     settings = _config({"config": "emulator-axi" if on_bus else "emulator"} | {k: v for k, v in given.items() if v})
     files = emulator_release.emulator_release(settings, kind, buffer_beats)
     written = emulator_release.write_emulator(_folder(out), files)
@@ -493,17 +490,18 @@ def emulator(
         bitstream = out / f"{board.top}.bit"
         bitstream.write_bytes(pnr.fastest(placements).bitstream.read_bytes())
         pnr.write_page(board, placements, page)
-        print(f"{bitstream}\n{page}")
+        print(f"{bitstream}\n{page or board.page}")
         _all_met(pnr.missed(board, placements))
 
 
-@command("out", out=("DIR", "Folder of the table and the picture."))
-def cost(*, out: Path = Path("docs/images")) -> None:
-    """Draw area, bits of an event and readout rate against the paper's parameters."""
+@command()
+def cost() -> None:
+    """Write area, bits of an event and readout rate against the paper's parameters, and the cost of each choice, into docs/."""
     with extra("rtl"):
-        from coincid.study.cost import write_pages
-    for line in write_pages(_folder(out)):
-        print(line)
+        from coincid.study import choices, cost
+    cost.make()
+    choices.make()
+    print("docs/cost.md docs/silicon.md")
 
 
 @command("config changes view")
@@ -744,7 +742,7 @@ def _progress(cycles: int, what: str) -> "Iterator[Bar]":
 
 def _drawn(page: str, out: Path, rtl: bool = False) -> None:
     """Draw the figures of a page into a folder, and print its path."""
-    from coincid.study import figures
+    from coincid.study.figures import command as figures
 
     _folder(out)
     with _progress(0, "frames") as bar:

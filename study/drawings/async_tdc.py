@@ -11,12 +11,14 @@ import numpy as np
 from ...hdl.silicon.circuit import CELLS, ERROR_BITS, Circuit, lag_fs
 from ...model.contract.parameters import Sensor
 from ...model.light.code_density import code_density
+from ...model.shared import markdown
 from ...tb.stimulus import FS_PER_PS
 from ...tb.stress import run_bench
+from ...tools.pages import picture, put
 from ..palette import GREEN, INK, LIGHT_GREY, ORANGE, VIOLET
 from ..plot_style import new_figure, save_figure, style
-from . import image
 
+IMAGE = "docs/images/async_tdc.png"
 SENSOR = Sensor()
 CLOCK_FS = Circuit().clock_fs
 TICK_PS = CLOCK_FS / SENSOR.phases / FS_PER_PS
@@ -52,9 +54,17 @@ def draw() -> None:
         right.axhline(0, color=INK, linewidth=0.8)
         right.set(xlabel="phase", ylabel="bias of the stamp in ps")
         right.set_title(f"rms {np.sqrt((centre**2).mean()):.1f} ps, {len(tick)} events")
-        save_figure(figure, image("async_tdc.png"))
+        save_figure(figure, picture(IMAGE))
     worst = np.abs(found.dnl_lsb - truth).max()
-    print(f"tdc: worst difference of DNL from the borders {worst:.3f} LSB, {len(tick)} events")
+    rms_ps = np.sqrt((centre**2).mean())
+    shown = f"![DNL, INL and bias with mismatched taps]({IMAGE.removeprefix('docs/')})"
+    told = (
+        f"The picture shows a code density test with {len(tick):,} events on the Verilog of the sampling line, with a "
+        f"mismatch of {SIGMA_PS / TICK_PS:g} LSB rms per border. The DNL follows the given borders; the largest difference is "
+        f"{worst:.3f} LSB, and the standard error of a width at most {found.sigma_lsb.max():.3f} LSB. Stamps have a bias of "
+        f"{rms_ps:.1f} ps rms and at most {np.abs(centre).max():.1f} ps."
+    )
+    put("docs/async.md", "tdc", f"{shown}\n\n{markdown.paragraph(told)}")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draws ray-NAME.png for each ray-traced scene: the truth, and the depth from the RTL. Needs `make raytrace`.
 
-python -m coincid.study.drawings.raytrace [NAME ...]
+python -m coincid.study.drawings.raytrace
 """
 
-import sys
 import tempfile
 from pathlib import Path
 
@@ -16,11 +15,13 @@ from ...model.contract.config import load_config
 from ...model.depth.quality import wrong_share
 from ...model.scenes.ray_scene import BUILT_IN, PREFIX
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
+from ...model.shared.markdown import text_table
+from ...tools.pages import picture, put
 from ..pictures import Panel, depth_row
 from ..simulate import SCHEMES, play_schemes
-from . import image
 
 KLUX, PULSES, SEED = 50, 400, 1
+TITLES = "coincidence off", "threshold 2", "threshold per subgroup"  # of the schemes
 WINDOW_M = 1e-9 * SPEED_OF_LIGHT_M_S / 2  # surfaces within one coincidence window of 1 ns cannot be told apart
 
 
@@ -36,13 +37,22 @@ def draw(name: str) -> list[tuple[float, float]]:
         Panel(title.format(threshold=np.unique(config.threshold)[0]), depth)
         for (title, _), depth in zip(SCHEMES.values(), depths)
     ]
-    path = image(f"ray-{name}.png")
+    path = picture(f"docs/images/ray-{name}.png")
     shares = depth_row(
         path, panels, scene.truth_m, f"{scene.name}, {KLUX} klux, {PULSES} laser pulses", tolerance_m=WINDOW_M
     )
     return [(share, wrong_share(depth, scene.truth_m)) for share, depth in zip(shares, depths)]
 
 
+def make() -> None:
+    """Draw the pictures for their page, and write the table of the shares of wrong pixels."""
+    rows = []
+    for name in BUILT_IN:
+        rows.append((name, *(f"{100 * coarse:.1f} % ({100 * fine:.1f})" for coarse, fine in draw(name))))
+        print(f"  {name}", flush=True)
+    put("docs/raytrace.md", "depth", text_table(("scene", *TITLES), rows, left=range(4)))
+    put("docs/raytrace.md", "pictures")
+
+
 if __name__ == "__main__":
-    for scene_name in sys.argv[1:] or BUILT_IN:
-        print(scene_name, *(f"{coarse:.1%} {fine:.1%}" for coarse, fine in draw(scene_name)), sep="  ")
+    make()

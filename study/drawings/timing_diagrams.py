@@ -18,6 +18,7 @@ from ...model.contract import registers
 from ...model.contract.config import parse_config
 from ...model.contract.packet import FORMATS, FRAME_END, FRAME_START, GROUP_KIND, header_field
 from ...tb.pysim import write_register
+from ...tools.pages import put
 from ..palette import DEEP_INK, FAINT, NOISE, SIGNAL
 from . import save
 from .waveform import PHASES, draw_boxes, draw_grid, finish, simulate
@@ -257,7 +258,13 @@ PICTURES = {
 }
 
 
-if __name__ == "__main__":
+def make() -> None:
+    """Draw the pictures for their page."""
     traces = {form: traced(form) for form in {picture.form for picture in PICTURES.values()}}
     for name, picture in PICTURES.items():
         save(picture(traces[picture.form]), name)
+        put("docs/integrate.md", name.removesuffix(".svg"))
+
+
+if __name__ == "__main__":
+    make()

@@ -24,6 +24,7 @@ from ...model.light.timing import Timing
 from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ...tb.pysim import write_register
 from ...tb.stimulus import port_words
+from ...tools.pages import put
 from ..palette import DEEP_INK, FAINT, NOISE, PALE, SIGNAL
 from . import save
 
@@ -231,5 +232,11 @@ def draw(values: dict[str, list[int]]) -> Figure:
     return figure
 
 
-if __name__ == "__main__":
+def make() -> None:
+    """Draw the picture for its page."""
     save(draw(one_period()), "waveform.svg")
+    put("docs/architecture.md", "waveform")
+
+
+if __name__ == "__main__":
+    make()

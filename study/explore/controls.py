@@ -17,7 +17,7 @@ from ...model.contract.packet import WITH_MAP
 from ...model.contract.parameters import SENSOR, Sensor
 from ...model.contract.settings import FRAME, SUBGROUP
 from ...model.contract.table import Kind
-from ...model.depth.estimate import DEFAULT_METHOD, METHODS
+from ...model.depth.methods import DEFAULT_METHOD, METHODS
 from ...model.light.light import BACKGROUNDS, NEAREST_M
 from ...model.light.timing import RANGE_M
 from ...model.scenes.catalogue import BUILT_IN

@@ -78,7 +78,7 @@ def figure_2(run: Processes) -> Section:
         figure,
         "Events per pixel and second (left) and signal to background (right) against distance",
         rows,
-        Comparison("distance of 0 dB", "4 m", {name: f"{_zero_m(*key):.3g} m" for name, key in zero.items()}),
+        Comparison("distance of 0 dB", "4 m", {name: f"{zero_m(*key):.3g} m" for name, key in zero.items()}),
     )
 
 
@@ -156,7 +156,7 @@ def figure_5(run: Processes) -> Section:
     )
 
 
-def _zero_m(form: str, reading: str) -> float:
+def zero_m(form: str, reading: str) -> float:
     """Return the distance at which the ratio is 0 dB, in metres."""
     distance_m = np.geomspace(0.05, 50, 4000)
     sbr_db = link_budget(distance_m, REFLECTIVITY, KLUX, form=form, sbr_reading=reading).sbr_db

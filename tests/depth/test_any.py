@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.depth.belief import Reason
-from coincid.model.depth.estimate import METHODS
 from coincid.model.depth.histograms import SOURCES
+from coincid.model.depth.methods import METHODS
 from coincid.model.light.light import Light
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError

@@ -7,7 +7,7 @@ import pytest
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.depth.belief import SENTENCES, Reason
-from coincid.model.depth.estimate import METHODS
+from coincid.model.depth.methods import METHODS
 from coincid.model.depth.quality import TOLERANCE_M
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S

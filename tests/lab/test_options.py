@@ -9,7 +9,7 @@ import typer
 import coincid
 from coincid.cli import app
 from coincid.lab.options import OPTIONS
-from coincid.model.depth.estimate import DEFAULT_METHOD
+from coincid.model.depth.methods import DEFAULT_METHOD
 from coincid.model.light.light import BACKGROUNDS
 from coincid.model.scenes.catalogue import NAMES
 from coincid.model.scenes.depth_file import SCALES

@@ -11,8 +11,9 @@ from coincid.model.contract.edges import Edges, Fate
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.light import Light
-from coincid.study import comparison, figures, other_schemes
+from coincid.study import comparison, other_schemes
 from coincid.study.comparison import SCHEMES, Shot, coarse_peaks, compared
+from coincid.study.figures import command as figures
 from coincid.study.figures import rivals as studies
 
 from ..random_cases import configured
