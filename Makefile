@@ -130,11 +130,11 @@ modes: ## [numbers of pages] coincidence and gating, a target behind glass, 100 
 	@$(BIN)/coincid modes --rtl
 
 pages: ## tables and pictures of the pages (NAMES="depth controller", ONLY=stale; STALE=1 lists what is older than the code)
-	@scripts/setup
+	@scripts/setup flow icarus cells
 	@$(BIN)/python docs/pages.py $(if $(filter-out 0,$(STALE)),--stale) $(if $(filter stale,$(ONLY)),--only-stale) $(NAMES)
 
 release: ## whether this version may be released: no page is stale, changelog and citation name it
-	@scripts/setup
+	@scripts/setup rtl explore
 	@$(BIN)/python docs/pages.py --release
 
 raytrace: ## [install only] what ray-traced scenes need (make sim SCENE=ray:corner)
