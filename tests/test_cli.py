@@ -9,10 +9,13 @@ import subprocess
 import sys
 import zipfile
 from functools import partial
+from inspect import getdoc
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
+from coincid.cli import app
 from coincid.flow.register_files import HEADER, JSON, MARKDOWN
 from coincid.flow.release import CELLS_LIST
 from coincid.flow.waivers import OF_CELLS, OF_SENSOR
@@ -189,6 +192,21 @@ def test_interrupt_leaves_nothing(files, number, code, inherited):
         stderr = process.communicate(timeout=60)[1]
     assert (process.returncode, stderr) == (code, "coincid: interrupted\n")
     assert not (files / "out").exists()
+
+
+@pytest.mark.parametrize("name", get_command(app).commands)
+def test_help_shows_every_text_whole(name):
+    """Square brackets, too, which the library that lays it out takes for markup."""
+    shown = letters(command(f"{name} --help").output.replace("│", " "))
+    one = get_command(app).commands[name]
+    for text in (getdoc(one.callback), *(parameter.help for parameter in one.params)):
+        assert letters(text.replace("\\[", "[")) in shown
+    assert "[[" not in shown
+
+
+def letters(text):
+    """Return a text without its spaces and line ends, which also stand within words."""
+    return "".join(text.split())
 
 
 def test_budget_for_programs_and_people():

@@ -12,7 +12,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +20,16 @@ from attrs import asdict, astuple, frozen
 from ...hdl.export import units_files
 from ...hdl.front_end_views import POLYPHASE, View
 from ...hdl.unit import Unit
-from ...model.shared.errors import InputError
 from ...model.shared.folders import build_root
 from ...tools.build import ToolchainError
 from ...tools.wheels import TAIL_LINES, yosys_once
 from ..liberty import read_cells, supply_v
 from ..mapped import LONGEST_PATHS, least_slacks_ns, timing_report
-from ..yosys import CLOCK_BUFFER, LIBERTY, bound, cells_folder, cells_script, library_files
+from ..yosys import CLOCK_BUFFER, LIBERTY, bound, cells_script, library_files
 from . import drawn, wires
 from .drawn import Placed
 from .pins import Strip, cell_widths_um, strips
+from .tools import layout_cells
 
 LEFS, GDS = ("rtk-tech.lef", "stdcells.lef"), "stdcells.gds"  # of `cells_folder`
 BLIF = "mapped.blif"
@@ -72,9 +71,8 @@ def lay_out(
     cells. Raises `InputError` if the tools are missing, and `ToolchainError` if no attempt succeeds, or the wires are not
     those of the netlist.
     """
-    cells, top = cells_folder(), unit.unit_name
-    if cells is None or find_spec("coriolis") is None:
-        raise InputError("the tools for layouts are not installed; run: scripts/setup cells layout")
+    cells = layout_cells()
+    top = unit.unit_name
     files = bound(units_files([unit], cells=True), gated=False)
     files |= {path.name: path.read_text(encoding="utf-8") for path in (*view.cells, *view.macros)}
 

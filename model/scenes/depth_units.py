@@ -23,7 +23,7 @@ DATA_SETS = {  # name: (unit, what it is)
     "middlebury": (DISPARITY, "Middlebury: PFM of disparities, with the data set's calib.txt beside it"),
 }
 UNIT_FORMS = (
-    f"{', '.join(PER_METRE)}, 1/N (of a metre), {DISPARITY}:FOCAL_PX,BASELINE_M[,OFFSET_PX], {', '.join(DATA_SETS)}"
+    f"{', '.join(PER_METRE)}, 1/N (of a metre), {DISPARITY}:FOCAL_PX,BASELINE_M (optionally also ,OFFSET_PX), {', '.join(DATA_SETS)}"
 )
 NEAR_M, FAR_M = (
     0.2,

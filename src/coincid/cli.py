@@ -11,12 +11,13 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from inspect import Parameter, Signature, signature
+from inspect import Parameter, Signature, getdoc, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from typer.core import TyperGroup
 
 from coincid.lab.options import OPTIONS
@@ -124,8 +125,9 @@ def command(options: str = "", **told: str | tuple[str, str]) -> Callable[[Calla
                 metavar, text = given
             elif given is not text:
                 text = f"{text.rstrip('.')}; default: {given}." if text else given
+            text = escape(text)  # square brackets are no markup
             if word.isupper():
-                info: Any = typer.Argument(metavar=word, help=text)
+                info: Any = typer.Argument(metavar=word.strip("[]"), help=text)
             else:
                 flag = _FLAGS.get(name, f"--{name.replace('_', '-')}")
                 info = typer.Option(flag, metavar=metavar or None, help=text, show_default=default is not None)
@@ -133,7 +135,7 @@ def command(options: str = "", **told: str | tuple[str, str]) -> Callable[[Calla
                 Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info])
             )
         function.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-        return app.command()(function)
+        return app.command(help=escape(getdoc(function) or ""))(function)
 
     return decorate
 
@@ -435,7 +437,10 @@ def power(*, out: Path | None = None) -> None:
 def layout(*, out: Path | None = None) -> None:
     """Lay out a minigroup in standard cells: place, route, check, time with its wires, and simulate with their delays."""
     with extra("rtl"):
-        from coincid.flow.layout.document import write_page
+        from coincid.flow.layout.tools import layout_cells
+    layout_cells()
+    from coincid.flow.layout.document import write_page
+
     write_page(out and _file(out), partial(print, flush=True))
     print(out or "docs/layout.md")
 
