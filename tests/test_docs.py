@@ -20,6 +20,7 @@ from coincid.study.sweep import sweep
 from coincid.study.sweep_spec import read_spec
 
 from .command import command
+from .commands import BLOCK
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -50,7 +51,7 @@ def test_readme_snippet_runs():
 
 def blocks(page, language):
     """Return the fenced blocks of a page in a language; "": without one."""
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    return [block for name, block in BLOCK.findall(page.read_text(encoding="utf-8")) if name == language]
 
 
 def test_all_python_blocks_are_tested():
