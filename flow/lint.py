@@ -18,10 +18,10 @@ from ..model.contract.parameters import TOP
 from ..tb import toolchain
 from .release import CELLS_LIST, SYNTHESIS_LIST, release_files, tool_options
 from .smoke import FPGA_SMOKE, SMOKE
-from .waivers import CONTROL_FILE
+from .waivers import CONTROL_FILE, EXACT
 
 PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
-VERILATOR = ("--lint-only", "--timing", "--quiet-stats")
+VERILATOR = ("--lint-only", "--timing", "--quiet-stats", f"-D{EXACT}")
 
 
 def lint(config: Config, view: View = POLYPHASE) -> dict[str, str]:

@@ -26,7 +26,7 @@ from .captured import captured_files
 from .ports import instantiation, port_table, stream_words
 from .register_files import register_files
 from .smoke import FPGA_SMOKE, SMOKE, smoke_test
-from .waivers import CONTROL_FILE, control_file
+from .waivers import CONTROL_FILE, OLDEST_VERILATOR, control_file
 
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
 # Parts of the README: the page, and a sentence about each top: with edge words, with SPAD lines, and for FPGAs.
@@ -39,6 +39,7 @@ PORT_DELAY = 0.4  # share of a period for the logic outside the ports
 UNCERTAINTY = 0.05  # share of a period
 DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_bits", "period_max")
 PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
+TARGETS = ("lint", "sim", "verilate")  # of FuseSoC, for every top
 
 
 def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str]:
@@ -138,7 +139,7 @@ def _core(lists: dict[str, list[str]], view: View) -> str:
     sets: dict[str, Any] = {"waivers": {"files": [CONTROL_FILE], "file_type": "vlt"}}
     targets: dict[str, Any] = {}
     for top, names in lists.items():
-        smoke, suffix = PER_TOP[top], "" if top == TOP else "_fpga"
+        smoke, suffix = PER_TOP[top], _suffix(top)
         rtl, bench = f"rtl{suffix}", f"smoke{suffix}"
         sets |= {rtl: _verilog(names), bench: _verilog([f"{smoke}.v"])}
         linted = ["waivers", rtl, *(["boxes"] if boxes else [])]
@@ -164,6 +165,11 @@ def _core(lists: dict[str, list[str]], view: View) -> str:
     return "\n".join(["CAPI=2:", *(f"{key}: {json.dumps(value, indent=2)}" for key, value in entries.items()), ""])
 
 
+def _suffix(top: str) -> str:
+    """Return what FuseSoC's targets of a top end with."""
+    return "" if top == TOP else "_fpga"
+
+
 def _verilog(names: list[str]) -> dict[str, Any]:
     """Return a file set of Verilog for FuseSoC."""
     return {"files": names, "file_type": "verilogSource"}
@@ -179,7 +185,9 @@ def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view:
     smoke = [PER_TOP[top] for top in lists]
     commands += [f"iverilog {options['icarus']} -s {top} -o smoke.vvp -f {top}.f && vvp -n smoke.vvp" for top in smoke]
     verilator = f"verilator --binary {options['verilate']} --top-module"
-    commands += [f"{verilator} {top} {CONTROL_FILE} -f {top}.f" for top in smoke]
+    commands += [f"{verilator} {top} {CONTROL_FILE} -f {top}.f && obj_dir/V{top}" for top in smoke]
+    targets = [f"{target}{_suffix(top)}" for top in lists for target in TARGETS]
+    fusesoc = [f"fusesoc --cores-root . run --target {target} coincid:sensor:{TOP}" for target in targets]
     about, of_words, of_lines, of_levels = README_TEXT.read_text(encoding="utf-8").split("---\n")
     tops = [of_lines if view.macros else of_words, *([of_levels] if FPGA_TOP in lists else [])]
     late = deserialiser.CYCLES
@@ -191,7 +199,8 @@ def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view:
         tops="".join(tops).rstrip().format(**numbers),
         clock_mhz=clock_mhz,
         commands="\n".join(f"    {command}" for command in commands),
-        fpga=", and the same with _fpga" if FPGA_TOP in lists else "",
+        oldest=OLDEST_VERILATOR,
+        fusesoc="\n".join(f"    {command}" for command in fusesoc),
         ports="\n".join(f"## Ports of `{top}`\n\n{port_table(sensor, top, view)}" for top in lists),
         words=stream_words(sensor),
         instances="\n\n".join(instances),

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-  // Sensor's ports. Inputs change at falling edges; the rising edge takes them.
+  // Sensor's ports. No process reads at the moment at which another one writes, so their order does not matter:
+  // at a falling edge, the inputs of both buses change; outputs are looked at SETTLE later; the rising edge takes inputs.
   reg clk = 1'b0;
   reg rst = 1'b1;
   reg [19:0] s_axi_awaddr = 0;
@@ -51,23 +52,38 @@
   localparam [1:0] OKAY = 2'd0;
   localparam [1:0] SLVERR = 2'd2;
 
+  // VALID does not wait for READY, and stays until both are high at a rising edge.
+  reg address_taken = 1'b0;
+  reg data_taken = 1'b0;
+  reg answered = 1'b0;
+  reg [1:0] answer = 0;
+
   task write(input [19:0] address, input [31:0] value, input [1:0] response);
     begin
       @(negedge clk);
-      while (!s_axi_awready || !s_axi_wready) @(negedge clk);
       s_axi_awaddr = address;
       s_axi_wdata = value;
       s_axi_wstrb = 4'hf;
       s_axi_awvalid = 1'b1;
       s_axi_wvalid = 1'b1;
+      while (s_axi_awvalid || s_axi_wvalid) begin
+        #SETTLE;
+        address_taken = s_axi_awready;
+        data_taken = s_axi_wready;
+        @(negedge clk);
+        if (address_taken) s_axi_awvalid = 1'b0;
+        if (data_taken) s_axi_wvalid = 1'b0;
+      end
       s_axi_bready = 1'b1;
-      @(negedge clk);
-      s_axi_awvalid = 1'b0;
-      s_axi_wvalid = 1'b0;
-      while (!s_axi_bvalid) @(negedge clk);
-      check(s_axi_bresp === response, {62'd0, s_axi_bresp}, {62'd0, response});
-      @(negedge clk);
+      answered = 1'b0;
+      while (!answered) begin
+        #SETTLE;
+        answered = s_axi_bvalid;
+        answer = s_axi_bresp;
+        @(negedge clk);
+      end
       s_axi_bready = 1'b0;
+      check(answer === response, {62'd0, answer}, {62'd0, response});
     end
   endtask
 
@@ -76,16 +92,25 @@
   task read(input [19:0] address);
     begin
       @(negedge clk);
-      while (!s_axi_arready) @(negedge clk);
       s_axi_araddr = address;
       s_axi_arvalid = 1'b1;
+      while (s_axi_arvalid) begin
+        #SETTLE;
+        address_taken = s_axi_arready;
+        @(negedge clk);
+        if (address_taken) s_axi_arvalid = 1'b0;
+      end
       s_axi_rready = 1'b1;
-      @(negedge clk);
-      s_axi_arvalid = 1'b0;
-      while (!s_axi_rvalid) @(negedge clk);
-      data = s_axi_rdata;
-      @(negedge clk);
+      answered = 1'b0;
+      while (!answered) begin
+        #SETTLE;
+        answered = s_axi_rvalid;
+        answer = s_axi_rresp;
+        data = s_axi_rdata;
+        @(negedge clk);
+      end
       s_axi_rready = 1'b0;
+      check(answer === OKAY, {62'd0, answer}, {62'd0, OKAY});
     end
   endtask
 
@@ -111,8 +136,7 @@
   endtask
 
   // The frame: cycle 0 is the one in which `laser` goes high for the first time.
-  integer cycle = -1;
-  event counted;  // `cycle` is that of the present falling edge
+  integer cycle = -1;  // changes at falling edges
   integer stream;
   integer complete;
   reg whole = 1'b0;  // every stream has sent what is expected of it
@@ -122,8 +146,8 @@
   always @(negedge clk) begin
     if (cycle >= 0) cycle = cycle + 1;
     else if (laser) cycle = 0;
-    ->counted;
     tready = {STREAMS{cycle >= 0 && (cycle >= STALL_CYCLES || cycle % STALL_EVERY != 0)}};
+    #SETTLE;
     complete = 0;
     for (stream = 0; stream < STREAMS; stream = stream + 1) begin
       take(stream);

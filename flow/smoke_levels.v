@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Smoke test of coincid_fpga: prints PASS, or FAIL and why. The expected words are the golden model's.
 module coincid_fpga_smoke;
+  localparam SETTLE = 1;
+
   `include "smoke_tables.vh"
   `include "smoke_bench.vh"
 

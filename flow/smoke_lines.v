@@ -4,9 +4,11 @@
 // Smoke test of coincid_sensor: prints PASS, or FAIL and why. The expected words are the golden model's.
 module coincid_smoke;
   `include "smoke_tables.vh"
-  `include "smoke_bench.vh"
 
   localparam real HALF_PS = CLOCK_FS / 2000.0;
+  localparam real SETTLE = HALF_PS / 2.0;
+
+  `include "smoke_bench.vh"
 
   always #(HALF_PS) clk = !clk;
 
@@ -14,7 +16,8 @@ module coincid_smoke;
   realtime begun_ps;
 
   initial begin
-    while (cycle < 0) @(counted);
+    @(negedge clk);
+    while (laser !== 1'b1) @(negedge clk);
     begun_ps = $realtime - HALF_PS;
     while (next < FLIPS) begin
       #(begun_ps + flip_time[next] / 1000.0 - $realtime);
