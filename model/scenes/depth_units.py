@@ -22,9 +22,9 @@ DATA_SETS = {  # name: (unit, what it is)
     ROTATED: (ROTATED, "SUN RGB-D: PNG in 1/8000 m with rotated bits"),
     "middlebury": (DISPARITY, "Middlebury: PFM of disparities, with the data set's calib.txt beside it"),
 }
-UNIT_FORMS = (
-    f"{', '.join(PER_METRE)}, 1/N (of a metre), {DISPARITY}:FOCAL_PX,BASELINE_M (optionally also ,OFFSET_PX), {', '.join(DATA_SETS)}"
-)
+_METRIC = ", ".join(PER_METRE)
+_DISPARITIES = f"{DISPARITY}:FOCAL_PX,BASELINE_M (optionally also ,OFFSET_PX)"
+UNIT_FORMS = f"{_METRIC}, 1/N (of a metre), {_DISPARITIES}, {', '.join(DATA_SETS)}"
 NEAR_M, FAR_M = (
     0.2,
     8.0,
