@@ -47,6 +47,10 @@ def _has_site_tools() -> bool:
     return find_spec("sphinx_gallery") is not None and find_spec("myst_parser") is not None
 
 
+def _has_verilator_of_the_system() -> bool:
+    return shutil.which("verilator") is not None
+
+
 def _has_renderer() -> bool:
     return find_spec("mitransient") is not None
 
@@ -56,6 +60,7 @@ NEEDS = {
     "chromium": Need("the browser Chromium", "scripts/setup chromium", _has_chromium),
     "docs": Need("the tools of the site", "scripts/setup docs", _has_site_tools),
     "layout": Need("the layout tools", "scripts/setup layout", _has_layout_tools),
+    "verilator": Need("a Verilator of the system", "scripts/setup verilator", _has_verilator_of_the_system),
     "raytrace": Need("the renderer", "scripts/setup raytrace", _has_renderer),
 }
 
