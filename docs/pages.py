@@ -27,6 +27,8 @@ RECORDER = Path(__file__).with_name("recorder")
 # Read by every process, and part of no result: the package's front, and the writers of pages.
 ALWAYS = {"pyproject.toml", "docs/pages.toml", "docs/recorder/sitecustomize.py"}
 
+NEEDS = ("rtl", "flow", "explore", "sweep")  # of `scripts/setup`, for every program
+
 
 def all_pages(root: Path = ROOT) -> Pages:
     """Return the pages of a checkout."""
@@ -70,8 +72,7 @@ def _duration(program: Program) -> str:
 
 def make(pages: Pages, program: Program) -> None:
     """Run a program, which writes its regions, and check what it read. Raises `InputError`."""
-    if program.needs:
-        subprocess.run([ROOT / "scripts" / "setup", *program.needs], check=True)
+    subprocess.run([ROOT / "scripts" / "setup", *NEEDS, *program.needs], check=True)
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         read = Path(folder) / "read"
         search = os.pathsep.join(filter(None, [str(RECORDER), os.environ.get("PYTHONPATH")]))
