@@ -280,7 +280,7 @@ def _texts(tree: ast.AST) -> Iterator[str]:
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             text = node.value
         elif isinstance(node, ast.JoinedStr):
-            text = "".join(part.value if isinstance(part, ast.Constant) else "*" for part in node.values)
+            text = "".join(str(part.value) if isinstance(part, ast.Constant) else "*" for part in node.values)
         if 0 < len(text) <= NAME_MAX and "\n" not in text:
             yield text
 

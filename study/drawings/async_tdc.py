@@ -58,13 +58,13 @@ def draw() -> None:
     worst = np.abs(found.dnl_lsb - truth).max()
     rms_ps = np.sqrt((centre**2).mean())
     shown = f"![DNL, INL and bias with mismatched taps]({IMAGE.removeprefix('docs/')})"
-    told = (
+    caption = (
         f"The picture shows a code density test with {len(tick):,} events on the Verilog of the sampling line, with a "
         f"mismatch of {SIGMA_PS / TICK_PS:g} LSB rms per border. The DNL follows the given borders; the largest difference is "
         f"{worst:.3f} LSB, and the standard error of a width at most {found.sigma_lsb.max():.3f} LSB. Stamps have a bias of "
         f"{rms_ps:.1f} ps rms and at most {np.abs(centre).max():.1f} ps."
     )
-    put("docs/async.md", "tdc", f"{shown}\n\n{markdown.paragraph(told)}")
+    put("docs/async.md", "tdc", f"{shown}\n\n{markdown.paragraph(caption)}")
 
 
 if __name__ == "__main__":
