@@ -87,13 +87,13 @@ def links() -> None:
 
 def settling() -> None:
     """Write how the controller settles with new photons in every frame."""
-    rows = rows_of("settling", "threshold_mean", "capacity_share", "dropped_share")
+    rows = rows_of("settling", "threshold_mean", "stream_load", "dropped_share")
     lights = {5: "5 klux", 20: "20 klux", 50: "50 klux", 100: "100 klux", "5|100": "5 and 100 klux"}
     frames = sorted({row["frame.frames"] for row in rows})
     cells = []
     for number in frames:
         some = [only(rows, frame__frames=number, klux=klux)[0] for klux in lights]
-        cells.append((number, *(f"{one['threshold_mean']:.2f} ({100 * one['capacity_share']:.0f} %)" for one in some)))
+        cells.append((number, *(f"{one['threshold_mean']:.2f} ({100 * one['stream_load']:.0f} %)" for one in some)))
     dropped = [100 * only(rows, frame__frames=number, klux=100)[0]["dropped_share"] for number in frames]
     told = f"At 100 klux the first frame drops {dropped[0]:.0f} % of its events, and later frames drop at most "
     told += f"{max(dropped[1:]):.1f} %."
