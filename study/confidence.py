@@ -192,7 +192,7 @@ def draw(seen: Sequence[Seen], path: Path) -> None:
         figure = new_figure(4.6, 4.2)
         axis = figure.add_subplot()
         axis.plot([0, 100], [0, 100], color=GREY, linewidth=0.8)
-        for method, mark in zip(METHODS, "sv^o"):
+        for method, mark in zip(METHODS, "sv^o", strict=True):
             sure = np.concatenate([chance_of_right(one.features[method], LAW[method]) for one in seen])
             right = np.concatenate([one.right[method] for one in seen])
             bins = [(sure >= low) & (sure < high) for low, high in pairwise(BINS)]

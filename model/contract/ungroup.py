@@ -5,7 +5,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from ..shared.compiled import njit
+from ..shared.compiled import njit, part
 from . import groups
 from .packet import BEAT_BITS, GROUP_KIND, HEADER, KIND_LSB
 from .parameters import OFFSET_NONE, Sensor
@@ -27,7 +27,7 @@ for _ in range(8):
 CHECK_TABLE = _TABLE.astype(np.uint64)
 
 
-@njit
+@part(inlined=False)
 def check_of(beats):
     """Return the check of a group, from all its beats; the check in its last beat counts as 0."""
     check = _CHECK_MASK
@@ -114,7 +114,7 @@ def _spans(beats, at):
     return spans[:n].copy(), damaged[:n_damaged].copy()
 
 
-@njit
+@part(inlined=False)
 def _read(beats, bit, width):
     """Return `width` bits, at most 32, of the string of a group's payloads; what lies behind it is 0."""
     value, taken = np.uint64(0), 0

@@ -170,7 +170,7 @@ def find_returns(
         )
         for s, histogram in enumerate(histograms)
     ]
-    ticks, sure = (pixel_image(np.stack(part), config.sensor) for part in zip(*peaks))
+    ticks, sure = (pixel_image(np.stack(part), config.sensor) for part in zip(*peaks, strict=True))
     sure = np.where(np.isnan(ticks), 0.0, sure)
     return Found(ticks, sure, None, None, events, pulses, sigma_ticks, everywhere=source == "subgroup")
 

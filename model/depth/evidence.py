@@ -23,7 +23,7 @@ import numpy as np
 from scipy import special
 
 from ..contract.parameters import OFFSET_NONE
-from ..shared.compiled import njit
+from ..shared.compiled import njit, part
 from .clusters import NEVER
 from .histograms import is_hit
 from .vector_math import fast_log
@@ -150,7 +150,7 @@ def add_events(law, events, pixels):
     return common
 
 
-@njit(allocates=False)
+@part
 def _add_silence(silent, from_pulse, since, to_pulse, until):
     """Count the pulses without an event nearby, from time `since` of one pulse to time `until` of another."""
     silent[since] += 1
@@ -158,7 +158,7 @@ def _add_silence(silent, from_pulse, since, to_pulse, until):
     silent[0] += to_pulse - from_pulse
 
 
-@njit(allocates=False)
+@part
 def _lose(law, events, e, lost, k0, k1):
     """Add event e to `lost`: a pixel outside its map did not fire in the window, nor between the last event and it.
 
@@ -176,7 +176,7 @@ def _lose(law, events, e, lost, k0, k1):
         lost[j] += alive * (c[j] - b[j]) + sharp[j] * (b[j] - a[j]) + stored * heard[j] * (a[j] - z[j])
 
 
-@njit(allocates=False)
+@part
 def _lose_after(law, armed, lost, k0, k1):
     """Add the silence after the last event of a pulse to `lost`."""
     here, n = slice(k0 * law.lights, k1 * law.lights), (k1 - k0) * law.lights
@@ -186,7 +186,7 @@ def _lose_after(law, armed, lost, k0, k1):
         lost[j] += heard[j] * (f[j] - d[j])
 
 
-@njit(allocates=False)
+@part
 def _not_lost(lost, frequency, unseen, common):
     """Compute `unseen` from `lost`, and add it to `common` so many times."""
     for j in range(len(lost)):
@@ -194,7 +194,7 @@ def _not_lost(lost, frequency, unseen, common):
         common[j] += frequency * unseen[j]
 
 
-@njit(allocates=False)
+@part
 def _add_hits(law, events, e, cluster, alike, pixels, rows, k0, k1):
     """Add what event e, and single events `alike` it, say about the pixels in their maps; pixels of a kind share a row."""
     mask, activity, first, counted = pixels.mask, pixels.activity, pixels.first, pixels.counted
@@ -229,7 +229,7 @@ def _add_hits(law, events, e, cluster, alike, pixels, rows, k0, k1):
             _add(pixels.total[i], pixels.touched[i], rows.logs, np.float32(number), first[i], k0, k1, law.lights)
 
 
-@njit(allocates=False)
+@part
 def _count(hits, winner, e, alike, number, hit):
     """Count how often each pixel was hit without winning, and won, in event e and those alike: int64[2, pixels].
 
@@ -251,7 +251,7 @@ def _count(hits, winner, e, alike, number, hit):
     return n
 
 
-@njit(allocates=False, error_model="numpy")
+@part(error_model="numpy")
 def _row(law, events, e, hit, noise, rows, k0, k1):
     """Compute logs[k0:k1] of `rows`: the likelihood ratio of a hit of event e.
 
@@ -279,7 +279,7 @@ def _row(law, events, e, hit, noise, rows, k0, k1):
         logs[j] = fast_log(weight * inside + earlier) - unseen[j]
 
 
-@njit(allocates=False)
+@part
 def _add(total, touched, row, number, first, k0, k1, lights):
     """Add times k0 to k1 of a row, a number of times, to a pixel's total, which begins at time `first`."""
     low, high = max(k0, first), min(k1, first + len(touched))
@@ -329,7 +329,7 @@ def first_shares(law, events, minigroup, time, light, sigma):
     return shares
 
 
-@njit(allocates=False)
+@part
 def _unfired(distance, light, sigma):
     """Return 1 - F."""
     return math.exp(-light * 0.5 * math.erfc(-distance / sigma * math.sqrt(0.5)))
@@ -368,7 +368,7 @@ def chances_to_be_heard(silent, every, origin, span, step, lights, alive):
     return heard
 
 
-@njit(allocates=False)
+@part
 def reached(law, begin, end, times):
     """Return the times of surfaces whose photons come between two ticks, the first one and the one after the last."""
     k0 = (begin - law.reach) // law.step - law.origin
@@ -376,7 +376,7 @@ def reached(law, begin, end, times):
     return min(times, max(0, k0)), min(times, max(0, k1))
 
 
-@njit(allocates=False)
+@part
 def fired_by(law, tick, k0):
     """Return where `law.fired` has F at a tick for the surfaces from time k0 on, and all lights."""
     steps = (tick + law.reach) // law.step

@@ -14,7 +14,7 @@ from ..contract.config import Config
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE, Sensor
 from ..contract.pixels import Pixels, pixel_table
-from ..shared.compiled import njit
+from ..shared.compiled import njit, part
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import check_choice
 from .arrivals import SYSTEM_FWHM_S, arrival_ticks, lead_sigmas, photons_of, pulse_sigma_ticks
@@ -219,7 +219,7 @@ def frame_records(
     return arrays["mg_stamp"][row], arrays["mg_map"][row], bounds
 
 
-@njit(allocates=False)
+@part
 def is_hit(hits, e, i):
     """Return whether pixel i of the subgroup is in the map of event e. hits: uint64[n, words]."""
     return hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1) != 0

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from ..shared.compiled import njit
+from ..shared.compiled import njit, part
 from .vector_math import fast_exp, fast_log, top_of
 
 LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
@@ -108,7 +108,7 @@ def mean_over_lights(common, pixels, prior, lightest, place, level, light):
             level[place[i]], light[place[i]] = 0, 0
 
 
-@njit(allocates=False)
+@part
 def _over_lights_of(
     total, touched, first, level, light, common, lightest, work, best, level_of_all, light_of_all, line
 ):
@@ -134,14 +134,14 @@ def _over_lights_of(
         k = end
 
 
-@njit(allocates=False)
+@part
 def _copy(source, target):
     """Copy the values of a line to another one of the same length."""
     for k in range(len(target)):
         target[k] = source[k]
 
 
-@njit(allocates=False)
+@part
 def _mean(line, lightest, work, best, level, light):
     """Compute the mean over the lights and the likeliest light of at most `BLOCK` times.
 

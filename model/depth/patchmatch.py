@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..shared.compiled import njit
+from ..shared.compiled import njit, part
 from ..shared.quantities import Numbers
 from .seeds import Blocks
 from .vector_math import fast_exp, fast_log, top_of
@@ -100,7 +100,7 @@ class Field(NamedTuple):
         return field
 
 
-@njit(allocates=False)
+@part
 def _place(cols, r, c):
     """Return the place of pixel (r, c) in the arrays of a field, which have a margin around the array."""
     return (r + HALF) * (cols + 2 * HALF) + c + HALF
@@ -130,7 +130,7 @@ def _fill(field, levels, first, highest, begin, end):
                 highest[r, c] = max(highest[r, c], top_of(other))
 
 
-@njit(allocates=False)
+@part
 def _chances(line, best, most, own, other):
     """Write a line relative to its pixel's best, and its probabilities in a unit of their own; return their sum and deviation."""
     for j in range(len(line)):
@@ -143,7 +143,7 @@ def _chances(line, best, most, own, other):
     return total, np.sqrt(max(0.0, float(square / total - (mean / total) ** 2)))
 
 
-@njit(allocates=False)
+@part
 def _add_one_log(line, factor):
     """Replace each value x of a line by log(1 + factor * x)."""
     for j in range(len(line)):
@@ -194,7 +194,7 @@ def doublings(down: Numbers, right: Numbers, sigma_ticks: float) -> np.ndarray:
     return 0.5 * np.log2(1 + (down**2 + right**2) * (BOX / sigma_ticks) ** 2)
 
 
-_doublings = njit(doublings)
+_doublings = part(doublings)
 
 
 @njit
@@ -209,7 +209,7 @@ def level_on(field, planes):
     return level
 
 
-@njit(allocates=False)
+@part
 def _between(lines, k, place, at):
     """Interpolate a pixel's line linearly at a fractional index; return a never-winning value outside."""
     if not 0 <= at < lines.shape[2] - 1:
@@ -219,7 +219,7 @@ def _between(lines, k, place, at):
     return value + np.float32(at - j) * (following - value)
 
 
-@njit(allocates=False)
+@part
 def _along(field, time, by):
     """Return the time on a plane at the pixel where its tangent has changed by `by` ticks."""
     if len(field.scale) == 1:
@@ -227,7 +227,7 @@ def _along(field, time, by):
     return time / (1 - min(AHEAD_MAX, by / max(time, 1.0)))
 
 
-@njit(allocates=False)
+@part
 def _width(field, down, right):
     """Return the width of the pulse from a plane as a fractional index."""
     if len(field.scale) == 1:
@@ -235,19 +235,19 @@ def _width(field, down, right):
     return min(len(field.scale) - 1.0, _doublings(down, right, field.sigma_ticks))
 
 
-@njit(allocates=False)
+@part
 def _bin(field, k, place, time):
     """Return where a time is among a pixel's bins of width k: 0 is the middle of the first."""
     return (time - field.first[k, place]) * field.scale[k] - 0.5
 
 
-@njit(allocates=False)
+@part
 def _inside(field, width, place, time):
     """Return whether a time is between the middles of a pixel's bins."""
     return 0 <= _bin(field, int(width), place, time) < field.own.shape[2] - 1
 
 
-@njit(allocates=False)
+@part
 def _level(field, lines, width, place, time):
     """Interpolate a pixel's line at a time and between two widths."""
     k = int(width)
@@ -259,7 +259,7 @@ def _level(field, lines, width, place, time):
     return value
 
 
-@njit(allocates=False)
+@part
 def _plane_of(field, planes, rr, cc, r, c):
     """Return time and slopes at pixel (r, c) of the plane of pixel (rr, cc)."""
     time, down, right = planes.time[rr, cc], planes.down[rr, cc], planes.right[rr, cc]
@@ -268,13 +268,13 @@ def _plane_of(field, planes, rr, cc, r, c):
     return there, down * steeper, right * steeper
 
 
-@njit(allocates=False)
+@part
 def _slope_cost(down, right):
     """Return by how much a plane's slopes, in ticks per pixel, lower its score (a logarithm)."""
     return np.float32(SLOPE_COST * np.log((1 + (down / SLOPE) ** 2) * (1 + (right / SLOPE) ** 2)))
 
 
-@njit(allocates=False)
+@part
 def _score(field, r, c, time, down, right, least):
     """Return the score of a plane at pixel (r, c) and around it, or less than `least` if it is less."""
     width, place = _width(field, down, right), _place(field.best.shape[1], r, c)
@@ -285,10 +285,10 @@ def _score(field, r, c, time, down, right, least):
         return _NEVER
     total -= _slope_cost(down, right)
     number = field.number[reach]
-    for part in range(0, number, PART):
-        if total + left[part // PART] < least - SLACK:
+    for first in range(0, number, PART):
+        if total + left[first // PART] < least - SLACK:
             return _NEVER
-        for j in range(part, min(part + PART, number)):
+        for j in range(first, min(first + PART, number)):
             tap = field.taps[reach, j]
             here = _along(field, time, down * tap.down + right * tap.right)
             total += tap.weight * _level(field, field.other, width, np.uint64(place + tap.place), here)
@@ -404,7 +404,7 @@ def _posterior(field, planes, tolerance, confidence, error, scores, begin, end):
             error[r, c] = np.sqrt(max(0.0, square / total - (mean / total) ** 2) + 1 / 12)
 
 
-@njit(allocates=False)
+@part
 def _add_neighbours(field, reach, place, time, down, right, width, score):
     """Add what the neighbours say about planes that begin at a time and follow each other by one tick."""
     bins, k = field.own.shape[2], int(width)
@@ -429,7 +429,7 @@ def _add_neighbours(field, reach, place, time, down, right, width, score):
                 _add_line(line, np.float32(at + begin * step), np.float32(step), part, score[begin:end])
 
 
-@njit(allocates=False)
+@part
 def _add_line(line, at, step, weight, score):
     """Add a line, interpolated from a fractional index on in steps."""
     last = np.int32(len(line) - 2)
@@ -439,7 +439,7 @@ def _add_line(line, at, step, weight, score):
         score[j] += weight * (line[i] + (place - np.float32(i)) * (line[i + 1] - line[i]))
 
 
-@njit(allocates=False)
+@part
 def _others(field, planes, r, c, tolerance, top):
     """Return the probability, relative to the pixel's own plane, of neighbours' planes that pass outside `tolerance`."""
     rows, cols = planes.time.shape

@@ -8,7 +8,7 @@ import numpy as np
 from ..contract.config import Config
 from ..contract.latency import armed_cycle, close_cycle
 from ..contract.parameters import Sensor
-from ..shared.compiled import njit
+from ..shared.compiled import njit, part
 from .histograms import Events
 
 FILTER_SIGMAS = 4.0  # half width of the matched filter
@@ -121,7 +121,7 @@ def _peaks(histogram, pulse, width, shapes, lives, group, by_evidence, near, apa
     return ticks, confidence
 
 
-@njit
+@part
 def _poisson_cdf(count, mean):
     """Return the probability of at most `count` (an integer as a float)."""
     term = total = math.exp(-mean)

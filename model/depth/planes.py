@@ -121,7 +121,7 @@ def find_surfaces(
         apart = events.window.max() + APART_SIGMAS * sigma_ticks
         narrow = partial(again, 1)
         further = _further(level, lights, step, planes.time, apart, narrow, sigma_ticks, bins, returns - 1, blocks)
-        parts = [np.concatenate(pair, axis=2) for pair in zip(parts, further)]
+        parts = [np.concatenate(pair, axis=2) for pair in zip(parts, further, strict=True)]
     slope = np.where(seen, np.stack([planes.down, planes.right], axis=2), np.nan)
     time_of, sure, error_of = parts
     return time_of, sure, error_of, slope
@@ -150,8 +150,10 @@ def _in_perspective(
     bins = level.shape[2]
     widths = [2**k for k in range(WIDTHS)]
     firsts = [_first(middle, width, bins) for width in widths]
-    wider = [around(width, first).level for width, first in zip(widths[1:], firsts[1:])]
-    return Field.of([level, *wider], [width * first for width, first in zip(widths, firsts)], sigma_ticks, blocks)
+    wider = [around(width, first).level for width, first in zip(widths[1:], firsts[1:], strict=True)]
+    return Field.of(
+        [level, *wider], [width * first for width, first in zip(widths, firsts, strict=True)], sigma_ticks, blocks
+    )
 
 
 def _activity(events: Events, seed: np.ndarray, sigma_ticks: float) -> np.ndarray:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..shared.compiled import njit
+from ..shared.compiled import njit, part
 from .vector_math import fast_exp, fast_log, top_of
 
 Blocks = Callable[[Callable[[int, int], None]], object]  # calls a function for (begin, end) of rows, in any order
@@ -155,7 +155,7 @@ def _round(level, light, bins, chances, first, changed, new_bins, new_chances, c
                 changing[r, c] |= moved or new_bins[r, c, j] != bins[r, c, j]
 
 
-@njit(allocates=False)
+@part
 def _any_near(flags, r, c):
     """Return whether a flag is set at most `NEAR` pixels from (r, c)."""
     for rr in range(max(0, r - NEAR), min(flags.shape[0], r + NEAR + 1)):
@@ -174,7 +174,7 @@ def _score(level, light, bins, chances, score, begin, end):
                 score[r, c] = _support(level, light, bins, chances, True, r, c, bins[r, c, 0], _NEVER)
 
 
-@njit(allocates=False)
+@part
 def _gather(bins, r, c, at):
     """Return the number of a pixel's candidates and write them to `at`: the old ones, and the neighbours' likeliest."""
     rows, cols, _ = bins.shape
@@ -194,7 +194,7 @@ def _gather(bins, r, c, at):
     return number
 
 
-@njit(allocates=False)
+@part
 def _support(level, light, bins, chances, first, r, c, k, least):
     """Return the support for candidate k of pixel (r, c), from its own likelihood and from its neighbours.
 
@@ -227,7 +227,7 @@ def _support(level, light, bins, chances, first, r, c, k, least):
     return total
 
 
-@njit(allocates=False)
+@part
 def _highest(line, k, reach):
     """Return the highest value of a line within `reach` bins of bin k."""
     best = _NEVER

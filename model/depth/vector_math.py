@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 
-from ..shared.compiled import njit
+from ..shared.compiled import part
 
 EXP_MIN = np.float32(-80.0)  # exponentials of less are those of this
 _FRACTION_BITS, _BIAS = np.int32(23), 127  # of a float32
@@ -29,7 +29,7 @@ _LOG_1P = _polynomial(np.log1p, 6)  # error below 2e-6
 _EXP_2 = _polynomial(np.exp2, 4)  # relative error below 5e-6
 
 
-@njit(allocates=False)
+@part
 def fast_log(value: np.float32) -> np.float32:
     """Return the logarithm of a positive, normal float32."""
     c, bits = _LOG_1P, np.float32(value).view(np.int32)
@@ -38,7 +38,7 @@ def fast_log(value: np.float32) -> np.float32:
     return y + _LN_2 * (np.float32(np.int32(bits >> _FRACTION_BITS)) - _BIAS_OF_LOG)
 
 
-@njit(allocates=False)
+@part
 def fast_exp(value: np.float32) -> np.float32:
     """Return the exponential of a float32 that is not above 0."""
     c, power = _EXP_2, max(value, EXP_MIN) * _LOG2_E
@@ -48,7 +48,7 @@ def fast_exp(value: np.float32) -> np.float32:
     return y * np.int32(np.int32(whole + _BIAS - 1) << _FRACTION_BITS).view(np.float32)
 
 
-@njit(allocates=False, fastmath={"nnan", "nsz"})
+@part(fastmath={"nnan", "nsz"})
 def top_of(line: np.ndarray) -> np.float32:
     """Return the highest of some values; the options make it vector code."""
     top = line[0]

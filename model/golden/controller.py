@@ -54,7 +54,7 @@ class Controller:
         self._controlled, self._counters = config.controlled, counters.copy()
         after = [
             self._after(config, stream, int(budget), int(limit))
-            for stream, (budget, limit) in enumerate(zip(self.budget, self.limit))
+            for stream, (budget, limit) in enumerate(zip(self.budget, self.limit, strict=True))
         ]
         self.budget, self.limit = np.array(after, np.int64).T
         return self.budget

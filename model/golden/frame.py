@@ -22,8 +22,8 @@ from ..contract.pixels import pixel_table
 from ..contract.result import ResultBuilder
 from ..shared.threads import Threads
 from .controller import Controller
-from .front_end import Settings, Timeline, front_end, time_order
-from .readout import readout, ready_times
+from .front_end import Rules, Settings, Timeline, front_end, time_order
+from .readout import Stream, readout, ready_times
 from .shape import COUNTER, Shape, shape_of
 
 
@@ -78,7 +78,7 @@ class Golden:
         threshold = self.controller.begin(config)
         plan, numbers = _plan(config, threshold), range(self.frames, self.frames + len(edges))
         with Threads(workers) as threads:
-            played = threads.map(lambda frame: self._play(frame[0], plan, frame[1]), zip(numbers, edges))
+            played = threads.map(lambda frame: self._play(frame[0], plan, frame[1]), zip(numbers, edges, strict=True))
         self.frames += len(edges)
         return [self._traced(config, one) for one in played]
 
@@ -93,20 +93,24 @@ class Golden:
         counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
         counters[:, COUNTER.threshold_used] = plan.threshold
         fate = np.empty(len(edges), np.uint8)
-        fate[order], events, records = front_end(
-            key, bounds, shape, plan.settings, plan.timeline, self._pixel, counters
-        )
+        rules = Rules(shape, plan.settings, plan.timeline, self._pixel)
+        fate[order], events, records = front_end(key, bounds, rules, counters)
         np.minimum(counters, sensor.counter_max, out=counters)
         if not sensor.controller:
             counters[:, COUNTER.lower] = 0
         beats, cycles = [], []
         for stream in range(sensor.streams):
             span = sensor.stream_subgroups(stream)
-            of_stream = readout(
-                span.start, len(span), shape, plan.end, number & 0xFFFF, events, records, counters, plan.next_ready
+            stream_beats, stream_cycles = readout(
+                Stream(span.start, len(span), plan.end, number & 0xFFFF),
+                shape,
+                events,
+                records,
+                counters,
+                plan.next_ready,
             )
-            beats.append(of_stream[0])
-            cycles.append(of_stream[1])
+            beats.append(stream_beats)
+            cycles.append(stream_cycles)
         commit_subgroup = np.repeat(np.arange(sensor.subgroups), np.diff(events.bounds))
         row = events.row[: len(commit_subgroup)]
         stored = row["stored"] != 0
@@ -130,21 +134,31 @@ class _Plan(NamedTuple):
 
 
 def _plan(config: Config, threshold: np.ndarray, ready: np.ndarray | None = None, pulses: int | None = None) -> _Plan:
-    frame, start, phases = config.frame, config.start_cycles(), config.sensor.phases
-    every = frame["gate_every"]
-    steps = np.arange(len(start)) // every % frame["gate_steps"] if every else np.zeros(len(start), np.int64)
-    timeline, window = Timeline(start, frame["gate_step"] * steps), np.where(config.coincidence, config.window, 1)
+    frame = config.frame
+    start = config.start_cycles()
+    phases = config.sensor.phases
+    steps = np.zeros(len(start), np.int64)
+    if frame["gate_every"]:
+        steps = np.arange(len(start)) // frame["gate_every"] % frame["gate_steps"]
+    window = np.where(config.coincidence, config.window, 1)
     settings = Settings(
-        np.where(config.coincidence, threshold, 1),
-        window,
-        close_cycle(np.arange(phases), window[:, None], phases),
-        config.mask,
-        config.gating,
-        config.gate_start,
-        config.gate_len,
+        threshold=np.where(config.coincidence, threshold, 1),
+        window=window,
+        close=close_cycle(np.arange(phases), window[:, None], phases),
+        mask=config.mask,
+        gating=config.gating,
+        gate_start=config.gate_start,
+        gate_len=config.gate_len,
     )
-    end = int(timeline.start[(config.pulses if pulses is None else pulses) - 1]) + config.period
-    return _Plan(shape_of(config), threshold, settings, timeline, end, ready_times(config.tready(ready)))
+    played = config.pulses if pulses is None else pulses
+    return _Plan(
+        shape=shape_of(config),
+        threshold=threshold,
+        settings=settings,
+        timeline=Timeline(start=start, gate_shift=frame["gate_step"] * steps),
+        end=int(start[played - 1]) + config.period,
+        next_ready=ready_times(config.tready(ready)),
+    )
 
 
 def golden_result(

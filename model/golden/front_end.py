@@ -6,7 +6,7 @@ ones. The tree forms windows from the times of the accepted edges (`_open_window
 become events (`_commit`). The minigroups are independent of windows and make their own collections (`_collect_records`).
 """
 
-from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,248 +16,391 @@ from ..contract.latency import armed_cycle
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE
 from ..contract.pixels import Pixels
-from ..shared.compiled import njit
+from ..shared.compiled import njit, part
 from .shape import COUNTER, Shape, row_type
 
-_OPENING, _COUNTED, _DUPLICATE, _MASKED, _GATED, _BLIND = (int(fate) for fate in Fate)
-_Key = namedtuple("_Key", "pulse tick")
-_KEY = _Key(pulse=23, tick=8)  # lowest bit of these fields of a sort key; the lowest field is the pixel
-_TICK_MASK, _PIXEL_MASK = (1 << _KEY.pulse - _KEY.tick) - 1, (1 << _KEY.tick) - 1
+_OPENING = int(Fate.OPENING)
+_COUNTED = int(Fate.COUNTED)
+_DUPLICATE = int(Fate.DUPLICATE)
+_MASKED = int(Fate.MASKED)
+_GATED = int(Fate.GATED)
+_BLIND = int(Fate.BLIND)
+# A sort key has the fields pulse, tick and pixel. These are the lowest bits of the first two.
+_PULSE_LSB = 23
+_TICK_LSB = 8
+_TICK_MASK = (1 << _PULSE_LSB - _TICK_LSB) - 1
+_PIXEL_MASK = (1 << _TICK_LSB) - 1
 _WORD_BITS = (BEAT_BITS - 1).bit_length()  # bits of a pixel's number inside a word of the ID map
 _NEVER = -1  # before all cycles
+_EVENT = row_type(
+    "cycle",  # of the commit
+    "pulse",
+    "stamp",
+    "count",
+    "winner",
+    "stored",  # set by the readout, as are the following
+    "overrun",
+    "free_at",
+)
+_RECORD = row_type("cycle", "pulse")
 
-# By subgroup, as the frame uses them. Threshold and window are 1 if coincidence is off. close: int64[subgroups, phases],
-# cycles from that of a window's first edge, by its phase, to that of the window's last tick.
-Settings = namedtuple("Settings", "threshold window close mask gating gate_start gate_len")
-# By pulse: the first cycle of its period, and the cycles that progressive gating adds to a gate's start.
-Timeline = namedtuple("Timeline", "start gate_shift")
-# Rows by subgroup, then time; bounds: int64[subgroups + 1]. Rows from bounds[-1] on are unused.
-Events = namedtuple("Events", "bounds row hits offsets")
-Records = namedtuple("Records", "bounds row entries")
-_EVENT = row_type("cycle pulse stamp count winner stored overrun free_at")  # the last three belong to the readout
-_RECORD = row_type("cycle pulse")
-# By minigroup: the map of its collection (0: none), its coarse stamp, and the first cycle after it.
-_Collection = namedtuple("_Collection", "hits stamp end")
-
-_armed_cycle = njit(armed_cycle)
+_armed_cycle = part(armed_cycle)
 
 
-def time_order(edges: Edges, pixel: Pixels, shape: Shape):
-    """Return the sort keys (pulse, tick, pixel: see `_KEY`), the edges' order by subgroup and time, and its bounds.
+class Settings(NamedTuple):
+    """Settings of the subgroups, as the frame uses them; by subgroup."""
+
+    threshold: np.ndarray  # 1 if coincidence is off
+    window: np.ndarray  # ticks, 1 if coincidence is off
+    close: np.ndarray  # [subgroups, phases]: cycles from a window's first edge, by its phase, to the window's last tick
+    mask: np.ndarray  # bool[subgroups, pixels]
+    gating: np.ndarray  # bool
+    gate_start: np.ndarray  # cycles
+    gate_len: np.ndarray  # cycles
+
+
+class Timeline(NamedTuple):
+    """Times by pulse, in cycles."""
+
+    start: np.ndarray  # first cycle of its period
+    gate_shift: np.ndarray  # what progressive gating adds to a gate's start
+
+
+class Rules(NamedTuple):
+    """What the front end follows in a frame."""
+
+    shape: Shape
+    settings: Settings
+    timeline: Timeline
+    pixel: Pixels
+
+
+class Events(NamedTuple):
+    """Events by subgroup, then time. Rows from bounds[-1] on are unused."""
+
+    bounds: np.ndarray  # int64[subgroups + 1], rows of each subgroup
+    row: np.ndarray  # _EVENT[n]
+    hits: np.ndarray  # uint64[n, words], ID maps
+    offsets: np.ndarray  # uint8[n, minigroups]
+
+
+class Records(NamedTuple):
+    """Minigroup records by subgroup, then time. Rows from bounds[-1] on are unused."""
+
+    bounds: np.ndarray  # int64[subgroups + 1], rows of each subgroup
+    row: np.ndarray  # _RECORD[n]
+    entries: np.ndarray  # uint64[n, minigroups]
+
+
+class _Made(NamedTuple):
+    """What the front end makes."""
+
+    fate: np.ndarray  # uint8 per edge
+    events: Events
+    records: Records
+    counters: np.ndarray  # int64[subgroups, counters]
+
+
+class _Collection(NamedTuple):
+    """What the minigroups of a subgroup have collected; by minigroup."""
+
+    hits: np.ndarray  # uint64, the map; 0: none
+    stamp: np.ndarray  # int64, coarse
+    end: np.ndarray  # int64, first cycle after the collection
+
+
+class _Workspace(NamedTuple):
+    """Arrays for one subgroup after the other, int64."""
+
+    seen_at: np.ndarray  # [pixels], cycle of each pixel's last edge, as of `_cycle`
+    accepted: np.ndarray  # [edges], indices of the edges that the tree sees
+    windows: np.ndarray  # [edges, 2], indices in `accepted`: a window's first edge, and the first edge after it
+    collected: _Collection
+
+
+class _Own(NamedTuple):
+    """A subgroup and its edges in the order of time."""
+
+    s: int
+    key: np.ndarray  # int64, sort keys
+    fate: np.ndarray  # uint8
+
+
+def time_order(edges: Edges, pixel: Pixels, shape: Shape) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the sort keys (pulse, tick, pixel), the edges' order by subgroup and time, and its bounds.
 
     A stable counting sort by subgroup preserves the order of time, which edges mostly have already. Subgroups for which
     this is not so are sorted.
     """
-    key, order, bounds, in_time = _by_subgroup(
-        edges.pulse, edges.pixel, edges.tick, pixel.subgroup, pixel.inside, shape.subgroups
-    )
-    if not in_time:
+    key = np.empty(len(edges), np.int64)
+    order = np.empty(len(edges), np.int64)
+    bounds = np.zeros(shape.subgroups + 1, np.int64)
+    _count(edges.pixel, pixel, bounds)
+    following = bounds[:-1].copy()
+    last = np.full(shape.subgroups, _NEVER, np.int64)
+    if not _sort(edges.pulse, edges.pixel, edges.tick, pixel, following, last, key, order):
         for s in range(shape.subgroups):
-            part = slice(bounds[s], bounds[s + 1])
-            by_time = np.argsort(key[part], kind="stable")
-            key[part], order[part] = key[part][by_time], order[part][by_time]
+            own = slice(bounds[s], bounds[s + 1])
+            by_time = np.argsort(key[own], kind="stable")
+            key[own] = key[own][by_time]
+            order[own] = order[own][by_time]
     return key, order, bounds
 
 
-@njit
-def _by_subgroup(pulse, pixel, tick, subgroup_of, inside_of, subgroups):
-    bounds = np.zeros(subgroups + 1, np.int64)
+@njit(allocates=False)
+def _count(pixel, table, bounds):
+    """Set `bounds` to where the edges of each subgroup begin and end, if they stand by subgroup. bounds: all 0."""
     for e in range(len(pixel)):
-        bounds[subgroup_of[pixel[e]] + 1] += 1
-    bounds = np.cumsum(bounds)
-    at = bounds[:-1].copy()
-    last = np.full(subgroups, -1, np.int64)
-    key, order = np.empty(len(pixel), np.int64), np.empty(len(pixel), np.int64)
+        bounds[table.subgroup[pixel[e]] + 1] += 1
+    for s in range(1, len(bounds)):
+        bounds[s] += bounds[s - 1]
+
+
+@njit(allocates=False)
+def _sort(pulse, pixel, tick, table, following, last, key, order):
+    """Write keys and order of the edges, by subgroup; return whether the edges of each subgroup ascend in time.
+
+    following: int64[subgroups], row of the next edge; last: the same, key of the last one.
+    """
     in_time = True
     for e in range(len(pixel)):
-        s = subgroup_of[pixel[e]]
-        k = pulse[e] << _KEY.pulse | tick[e] << _KEY.tick | inside_of[pixel[e]]
-        key[at[s]], order[at[s]] = k, e
-        at[s] += 1
-        in_time &= k >= last[s]
-        last[s] = k
-    return key, order, bounds, in_time
+        s = table.subgroup[pixel[e]]
+        own = pulse[e] << _PULSE_LSB | tick[e] << _TICK_LSB | table.inside[pixel[e]]
+        key[following[s]] = own
+        order[following[s]] = e
+        following[s] += 1
+        in_time &= own >= last[s]
+        last[s] = own
+    return in_time
+
+
+def front_end(
+    key: np.ndarray, bounds: np.ndarray, rules: Rules, counters: np.ndarray
+) -> tuple[np.ndarray, Events, Records]:
+    """Return fates in the order of time, events and minigroup records of all subgroups; add to `counters`."""
+    shape = rules.shape
+    made = _Made(
+        fate=np.empty(len(key), np.uint8),
+        events=_room_for_events(len(key), shape),
+        records=_room_for_records(len(key) if shape.minigroup_records else 0, shape),
+        counters=counters,
+    )
+    most = int(np.diff(bounds).max())  # edges of a subgroup
+    work = _Workspace(
+        seen_at=np.empty(shape.pixels, np.int64),
+        accepted=np.empty(most, np.int64),
+        windows=np.empty((most, 2), np.int64),
+        collected=_Collection(
+            hits=np.zeros(shape.minigroups, np.uint64),
+            stamp=np.zeros(shape.minigroups, np.int64),
+            end=np.zeros(shape.minigroups, np.int64),
+        ),
+    )
+    _every_subgroup(key, bounds, rules, work, made)
+    return made.fate, made.events, made.records
+
+
+def _room_for_events(most: int, shape: Shape) -> Events:
+    return Events(
+        bounds=np.zeros(shape.subgroups + 1, np.int64),
+        row=np.empty(most, _EVENT),
+        hits=np.empty((most, shape.hits_words), np.uint64),
+        offsets=np.empty((most, shape.minigroups), np.uint8),
+    )
+
+
+def _room_for_records(most: int, shape: Shape) -> Records:
+    return Records(
+        bounds=np.zeros(shape.subgroups + 1, np.int64),
+        row=np.empty(most, _RECORD),
+        entries=np.empty((most, shape.minigroups), np.uint64),
+    )
 
 
 @njit(allocates=False)
+def _every_subgroup(key, bounds, rules, work, made):
+    """Take the edges of each subgroup through all stages."""
+    for s in range(rules.shape.subgroups):
+        rows = slice(bounds[s], bounds[s + 1])
+        own = _Own(s, key[rows], made.fate[rows])
+        passed = work.accepted[: _accept(own, rules, work)]
+        opened = work.windows[: _open_windows(own, passed, rules, work.windows, made.counters)]
+        _commit(own, passed, opened, rules, made.events, made.counters)
+        if rules.shape.minigroup_records:
+            _collect_records(own, passed, rules, work.collected, made.records)
+
+
+@part
 def _fields(key):
     """Return pulse, tick and pixel inside the subgroup."""
-    return key >> _KEY.pulse, key >> _KEY.tick & _TICK_MASK, key & _PIXEL_MASK
+    return key >> _PULSE_LSB, key >> _TICK_LSB & _TICK_MASK, key & _PIXEL_MASK
 
 
-@njit(allocates=False)
+@part
 def _cycle(key, shape):
     """Return pulse and cycle as one number, which no other cycle of the frame has."""
-    return key >> _KEY.tick + shape.phase_bits
+    return key >> _TICK_LSB + shape.phase_bits
 
 
-@njit
-def front_end(key, bounds, shape, settings, timeline, pixel, counters):
-    """Return fates in the order of time, events and minigroup records of all subgroups; add to `counters`."""
-    n, most = len(key), 0  # edges: in total, and at most in a subgroup
-    for s in range(shape.subgroups):
-        most = max(most, bounds[s + 1] - bounds[s])
-    events, records = _room_for_events(n, shape), _room_for_records(n if shape.minigroup_records else 0, shape)
-    fate, accepted, windows = np.empty(n, np.uint8), np.empty(most, np.int64), np.empty((most, 2), np.int64)
-    seen_at = np.empty(shape.pixels, np.int64)
-    for s in range(shape.subgroups):
-        of = slice(bounds[s], bounds[s + 1])
-        passed = _accept(s, key[of], shape, settings, timeline, seen_at, fate[of], accepted)
-        opened = _open_windows(s, key[of], passed, shape, settings, fate[of], windows, counters)
-        _commit(s, key[of], passed, opened, shape, settings, timeline, pixel, fate[of], events, counters)
-        if shape.minigroup_records:
-            _collect_records(s, key[of], passed, shape, timeline, pixel, records)
-    return fate, events, records
-
-
-@njit
-def _room_for_events(most, shape):
-    return Events(
-        np.zeros(shape.subgroups + 1, np.int64),
-        np.empty(most, _EVENT),
-        np.empty((most, shape.hits_words), np.uint64),
-        np.empty((most, shape.minigroups), np.uint8),
-    )
-
-
-@njit
-def _room_for_records(most, shape):
-    return Records(
-        np.zeros(shape.subgroups + 1, np.int64), np.empty(most, _RECORD), np.empty((most, shape.minigroups), np.uint64)
-    )
-
-
-@njit
-def _accept(s, key, shape, settings, timeline, seen_at, fate, accepted):
-    """Set the fates of subgroup `s`'s edges that go no further; write the indices of the others to `accepted`.
-
-    Returns the written part. seen_at: scratch, the last edge of each pixel as `_cycle`.
-    """
-    seen_at[:] = _NEVER
+@part
+def _accept(own, rules, work):
+    """Set the fates of edges that go no further; write the indices of the others to `work.accepted`, return their number."""
+    shape = rules.shape
+    settings = rules.settings
+    seen_at = work.seen_at
+    for i in range(len(seen_at)):
+        seen_at[i] = _NEVER
     n = 0
-    for e in range(len(key)):
-        at, inside = _cycle(key[e], shape), key[e] & _PIXEL_MASK
+    for e in range(len(own.key)):
+        at = _cycle(own.key[e], shape)
+        inside = own.key[e] & _PIXEL_MASK
         if seen_at[inside] == at:  # a second edge of a pixel in one cycle does not exist
-            fate[e] = _DUPLICATE
-        elif not settings.mask[s, inside]:
-            fate[e] = _MASKED
-        elif settings.gating[s] and not _in_gate(s, key[e], shape, settings, timeline):
-            fate[e] = _GATED
+            own.fate[e] = _DUPLICATE
+        elif not settings.mask[own.s, inside]:
+            own.fate[e] = _MASKED
+        elif settings.gating[own.s] and not _in_gate(own.s, own.key[e], shape, settings, rules.timeline):
+            own.fate[e] = _GATED
         else:
-            accepted[n] = e
+            work.accepted[n] = e
             n += 1
         seen_at[inside] = at
-    return accepted[:n]
+    return n
 
 
-@njit(allocates=False)
+@part
 def _in_gate(s, key, shape, settings, timeline):
     """Return whether an edge is inside the gate of subgroup `s`."""
     pulse, tick, _ = _fields(key)
-    cycle, gate_start = tick >> shape.phase_bits, settings.gate_start[s] + timeline.gate_shift[pulse]
+    cycle = tick >> shape.phase_bits
+    gate_start = settings.gate_start[s] + timeline.gate_shift[pulse]
     return gate_start <= cycle < gate_start + settings.gate_len[s]
 
 
-@njit
-def _open_windows(s, key, accepted, shape, settings, fate, windows, counters):
-    """The tree of subgroup `s`: set the fates of `accepted` edges by their times, and write the windows to `windows`.
-
-    Returns int64[n, 2]: the indices in `accepted` of each window's first edge and of the first edge after the window.
-    """
-    window = settings.window[s]
-    last_pulse, blind_at, armed_from = _NEVER, _NEVER, 0
-    n = k = 0
+@part
+def _open_windows(own, accepted, rules, windows, counters):
+    """The tree: set the fates of `accepted` edges by their times, write the windows to `windows`, return their number."""
+    shape = rules.shape
+    window = rules.settings.window[own.s]
+    close = rules.settings.close[own.s]
+    last_pulse = _NEVER
+    blind_at = _NEVER
+    armed_from = 0
+    n = 0
+    k = 0
     while k < len(accepted):
-        pulse, opening, _ = _fields(key[accepted[k]])
+        pulse, opening, _ = _fields(own.key[accepted[k]])
         if pulse != last_pulse:
-            last_pulse, armed_from = pulse, 0
+            last_pulse = pulse
+            armed_from = 0
         cycle = opening >> shape.phase_bits
         if not armed_from <= cycle < shape.open_cycles:
-            fate[accepted[k]] = _BLIND
-            at = _cycle(key[accepted[k]], shape)
-            counters[s, COUNTER.blind] += at != blind_at  # cycles, not edges
+            own.fate[accepted[k]] = _BLIND
+            at = _cycle(own.key[accepted[k]], shape)
+            counters[own.s, COUNTER.blind] += at != blind_at  # cycles, not edges
             blind_at = at
             k += 1
             continue
-        armed_from = _armed_cycle(cycle + settings.close[s, opening & shape.phases - 1], shape.rearm)
-        fate[accepted[k]], windows[n, 0] = _OPENING, k
+        armed_from = _armed_cycle(cycle + close[opening & shape.phases - 1], shape.rearm)
+        own.fate[accepted[k]] = _OPENING
+        windows[n, 0] = k
         k += 1
         while k < len(accepted):
-            edge_pulse, tick, _ = _fields(key[accepted[k]])
+            edge_pulse, tick, _ = _fields(own.key[accepted[k]])
             if edge_pulse != pulse or tick >= opening + window:
                 break
-            fate[accepted[k]] = _COUNTED
+            own.fate[accepted[k]] = _COUNTED
             k += 1
         windows[n, 1] = k
         n += 1
-    counters[s, COUNTER.opened] += n
-    return windows[:n]
+    counters[own.s, COUNTER.opened] += n
+    return n
 
 
-@njit(allocates=False)
-def _commit(s, key, accepted, windows, shape, settings, timeline, pixel, fate, events, counters):
-    """Count the distinct pixels of subgroup `s`'s windows; windows that meet the threshold become events."""
-    threshold, minigroup, row = settings.threshold[s], pixel.minigroup, events.bounds[s]
-    hits, offsets = events.hits, events.offsets  # of the next row
-    photons = lower = rejected = 0
+@part
+def _commit(own, accepted, windows, rules, events, counters):
+    """Count the distinct pixels of the windows; windows that meet the threshold become events."""
+    shape = rules.shape
+    threshold = rules.settings.threshold[own.s]
+    close = rules.settings.close[own.s]
+    minigroup = rules.pixel.minigroup
+    row = events.bounds[own.s]  # the next one
+    hits = events.hits
+    offsets = events.offsets
+    photons = 0
+    lower = 0
+    rejected = 0
     for k in range(len(windows)):
-        first, stop = windows[k, 0], windows[k, 1]
+        first = windows[k, 0]
+        stop = windows[k, 1]
         if stop - first == 1 < threshold:  # a single photon, as most windows have in sunlight
-            photons, lower, rejected = photons + 1, lower + (threshold == 2), rejected + 1
+            photons += 1
+            lower += threshold == 2
+            rejected += 1
             continue
-        hits[row] = 0
-        offsets[row] = OFFSET_NONE
-        pulse, opening, winner = _fields(key[accepted[first]])
+        _clear(hits[row], offsets[row])
+        pulse, opening, winner = _fields(own.key[accepted[first]])
         cycle = opening >> shape.phase_bits
         cycle_start = cycle << shape.phase_bits
         count = 0
-        for e in accepted[first:stop]:
-            _, tick, inside = _fields(key[e])
-            word, bit = inside >> _WORD_BITS, np.uint64(1) << np.uint64(inside & BEAT_BITS - 1)
+        for n in range(first, stop):
+            e = accepted[n]
+            _, tick, inside = _fields(own.key[e])
+            word = inside >> _WORD_BITS
+            bit = np.uint64(1) << np.uint64(inside & BEAT_BITS - 1)
             if hits[row, word] & bit:
-                fate[e] = _DUPLICATE
+                own.fate[e] = _DUPLICATE
                 continue
             hits[row, word] |= bit
             count += 1
             if offsets[row, minigroup[inside]] == OFFSET_NONE:
                 offsets[row, minigroup[inside]] = (tick - cycle_start) >> shape.offset_tick_bits
-        photons, lower = photons + count, lower + (count >= threshold - 1)
+        photons += count
+        lower += count >= threshold - 1
         if count < threshold:
             rejected += 1
             continue
         event = events.row[row]
-        closes = cycle + settings.close[s, opening - cycle_start]
-        event.cycle = timeline.start[pulse] + closes + latency.COMMIT
-        event.pulse, event.stamp, event.count, event.winner = pulse, opening, count, winner
+        event.cycle = rules.timeline.start[pulse] + cycle + close[opening - cycle_start] + latency.COMMIT
+        event.pulse = pulse
+        event.stamp = opening
+        event.count = count
+        event.winner = winner
         row += 1
-    counters[s, COUNTER.photons] += photons
-    counters[s, COUNTER.lower] += lower
-    counters[s, COUNTER.rejected] += rejected
-    counters[s, COUNTER.committed] += row - events.bounds[s]
-    events.bounds[s + 1] = row
+    counters[own.s, COUNTER.photons] += photons
+    counters[own.s, COUNTER.lower] += lower
+    counters[own.s, COUNTER.rejected] += rejected
+    counters[own.s, COUNTER.committed] += row - events.bounds[own.s]
+    events.bounds[own.s + 1] = row
 
 
-@njit
-def _collect_records(s, key, accepted, shape, timeline, pixel, records):
-    """The minigroups of subgroup `s`: make a record for each period in which any of them latched."""
-    row = records.bounds[s]
-    collected = _Collection(
-        np.zeros(shape.minigroups, np.uint64),
-        np.zeros(shape.minigroups, np.int64),
-        np.zeros(shape.minigroups, np.int64),
-    )
+@part
+def _clear(hits, offsets):
+    """Empty the map and the offsets of an event."""
+    for k in range(len(hits)):
+        hits[k] = 0
+    for k in range(len(offsets)):
+        offsets[k] = OFFSET_NONE
+
+
+@part
+def _collect_records(own, accepted, rules, collected, records):
+    """The minigroups: make a record for each period in which any of them latched."""
+    shape = rules.shape
+    pixel = rules.pixel
+    row = records.bounds[own.s]
     for k in range(len(accepted)):
-        pulse, tick, inside = _fields(key[accepted[k]])
+        pulse, tick, inside = _fields(own.key[accepted[k]])
         _add(collected, pixel.minigroup[inside], np.uint64(1) << np.uint64(pixel.bit[inside]), tick, shape)
-        period_ends = k + 1 == len(accepted) or key[accepted[k + 1]] >> _KEY.pulse != pulse
+        period_ends = k + 1 == len(accepted) or own.key[accepted[k + 1]] >> _PULSE_LSB != pulse
         if period_ends and _latch(collected, records.entries[row], shape):
             record = records.row[row]
-            record.cycle, record.pulse = timeline.start[pulse] + shape.period + latency.RECORD, pulse
+            record.cycle = rules.timeline.start[pulse] + shape.period + latency.RECORD
+            record.pulse = pulse
             row += 1
-    records.bounds[s + 1] = row
+    records.bounds[own.s + 1] = row
 
 
-@njit(allocates=False)
+@part
 def _add(collected, g, bit, tick, shape):
     """Add an edge to the collection of minigroup `g`, or begin a collection with it."""
     cycle = tick >> shape.phase_bits
@@ -268,24 +411,26 @@ def _add(collected, g, bit, tick, shape):
     if not collected.hits[g]:
         if cycle >= shape.open_cycles:
             return
-        collected.stamp[g], collected.end[g] = tick >> shape.quarter_bits, cycle + shape.mg_window
+        collected.stamp[g] = tick >> shape.quarter_bits
+        collected.end[g] = cycle + shape.mg_window
     collected.hits[g] |= bit
 
 
-@njit(allocates=False)
+@part
 def _latch(collected, entries, shape):
     """Empty the collections into a record's entries; return whether any met the threshold."""
     latched = False
     for g in range(shape.minigroups):
         entries[g] = 0
         if _enough(collected.hits[g], shape.mg_threshold):
-            entries[g] = collected.hits[g] << np.uint64(shape.record_stamp_bits) | np.uint64(collected.stamp[g])
+            stamp = np.uint64(collected.stamp[g])
+            entries[g] = collected.hits[g] << np.uint64(shape.record_stamp_bits) | stamp
             latched = True
         collected.hits[g] = 0
     return latched
 
 
-@njit(allocates=False)
+@part
 def _enough(hits, threshold):
     """Return whether a map holds at least `threshold` pixels (an empty one never does)."""
     count = 0

@@ -7,125 +7,182 @@ It proceeds from grant to grant. Everything that has been committed by then ente
 receiver.
 """
 
-from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ..contract import latency
 from ..contract.counters import COUNTER_BITS
 from ..contract.packet import BEAT_BITS, FRAME_END, FRAME_START, KIND_LSB, OFFSETS, RECORD
-from ..shared.compiled import njit
-from .packer import close_group, new_packer, pack_event
-from .shape import ARRAY, COUNTER, NUMBER, row_type
+from ..shared.compiled import njit, part
+from .front_end import Events, Records
+from .packer import Packed, close_group, new_packer, pack_event, room_for_groups
+from .shape import ARRAY, COUNTER, NUMBER, Shape, row_type
 
-_RECORD, _FRAME_START, _FRAME_END = RECORD.code, FRAME_START.code, FRAME_END.code
+_RECORD = RECORD.code
+_FRAME_START = FRAME_START.code
+_FRAME_END = FRAME_END.code
 _OFFSET_BITS = OFFSETS.width
 _ALL = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 _NONE = -1
 _NEVER = np.int64(1) << 62
 
-# Queue of a subgroup. Events: the next to be committed and their end, the next to be read, the oldest whose place may
-# still be occupied, the number of occupied places, and whether one was dropped since the last stored one. Records: the
-# next to be written and their end, the waiting one, and when its place is free. Then the counters.
+# Queue of a subgroup.
 _QUEUE = row_type(
-    "next_event end_event read oldest level lost next_record end_record waiting place_free_at stored dropped mg_stored mg_dropped"
+    "next_event",  # to be committed
+    "end_event",
+    "read",  # event that is read next
+    "oldest",  # event whose place may still be occupied
+    "level",  # occupied places
+    "lost",  # an event was dropped since the last stored one
+    "next_record",  # to be written
+    "end_record",
+    "waiting",  # record in the only place, or _NONE
+    "place_free_at",  # cycle from which on that place is free
+    "stored",  # counters
+    "dropped",
+    "mg_stored",
+    "mg_dropped",
 )
 
-# Arrays of a stream: beats before the packer and the cycles of their transfer, and scratch for `_arbitrate` (wake) and a
-# packet (values). out: of the packer. next_ready: when the receiver takes a beat.
-_Room = namedtuple("_Room", "queues wake beats sent_at values out next_ready")
+
+class Stream(NamedTuple):
+    """A stream in a frame."""
+
+    first: int  # of its subgroups
+    subgroups: int
+    end: int  # of the last period, in cycles
+    frame: int  # number
 
 
-@njit
-def readout(first, n, shape, end, frame, events, records, counters, next_ready):
-    """Return the beats of the stream with subgroups `first`...`first + n - 1`, and the cycles of their transfer.
+class _Room(NamedTuple):
+    """What the readout of a stream keeps and writes to."""
 
-    end: end of the last period. The fill levels of the FIFOs decide which events and records are stored: this sets
-    `events.row.stored` and adds to `counters`.
+    queues: np.ndarray  # _QUEUE[subgroups]
+    wake: np.ndarray  # int64[subgroups], first cycle in which a subgroup may request
+    beats: np.ndarray  # uint64[n], before the packer
+    sent_at: np.ndarray  # int64[n], cycles of their transfer
+    values: np.ndarray  # uint64, of a packet: see `NUMBERS`
+    packed: Packed  # beats behind the packer
+    next_ready: np.ndarray  # of `ready_times`
+
+
+def readout(
+    stream: Stream, shape: Shape, events: Events, records: Records, counters: np.ndarray, next_ready: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the beats of a stream, and the cycles of their transfer.
+
+    The fill levels of the FIFOs decide which events and records are stored: this sets `events.row.stored` and adds to
+    `counters`.
     """
-    queues = _queues(first, n, events.bounds, records.bounds)
+    queues = _queues(stream, events.bounds, records.bounds)
     most = _beats(queues, shape)
-    packers, out = new_packer(most, shape, next_ready)
-    beats, sent_at = np.empty(most, np.uint64), np.empty(most, np.int64)
-    values = np.zeros(ARRAY + shape.longest_word, np.uint64)
-    room = _Room(queues, np.zeros(n, np.int64), beats, sent_at, values, out, next_ready)
-    done = _play(room, packers[0], first, shape, end, frame, events, records, counters)
+    room = _Room(
+        queues=queues,
+        wake=np.zeros(stream.subgroups, np.int64),
+        beats=np.empty(most, np.uint64),
+        sent_at=np.empty(most, np.int64),
+        values=np.zeros(ARRAY + shape.longest_word, np.uint64),
+        packed=room_for_groups(most, shape, next_ready),
+        next_ready=next_ready,
+    )
+    packers = new_packer()
+    done = _play(stream, shape, room, packers, events, records, counters)
     if shape.grouped:
-        beats, sent_at, done = out.beats, out.sent_at, packers[0].beat
-    return beats[:done].copy(), sent_at[:done].copy()
+        done = packers["beat"][0]
+        return room.packed.beats[:done].copy(), room.packed.sent_at[:done].copy()
+    return room.beats[:done].copy(), room.sent_at[:done].copy()
+
+
+def _queues(stream: Stream, event_bounds: np.ndarray, record_bounds: np.ndarray) -> np.ndarray:
+    """_QUEUE[subgroups]: the queues of a stream at the beginning of a frame."""
+    begins = slice(stream.first, stream.first + stream.subgroups)
+    ends = slice(begins.start + 1, begins.stop + 1)
+    queues = np.zeros(stream.subgroups, _QUEUE)
+    for name in ("next_event", "read", "oldest"):
+        queues[name] = event_bounds[begins]
+    queues["end_event"] = event_bounds[ends]
+    queues["next_record"] = record_bounds[begins]
+    queues["end_record"] = record_bounds[ends]
+    queues["waiting"] = _NONE
+    return queues
+
+
+def _beats(queues: np.ndarray, shape: Shape) -> int:
+    """Return the number of beats in a frame without drops."""
+    events = int((queues["end_event"] - queues["next_event"]).sum())
+    records = int((queues["end_record"] - queues["next_record"]).sum())
+    return 2 + len(queues) * shape.counter_beats + events * shape.event_beats + records * shape.record_beats
 
 
 @njit(allocates=False)
-def _play(room, packer, first, shape, end, frame, events, records, counters):
+def _play(stream, shape, room, packers, events, records, counters):
     """Proceed from grant to grant; write the beats to `room`, and return the number of those before the packer."""
-    queues, beats, sent_at, values = room.queues, room.beats, room.sent_at, room.values
+    packer = packers[0]
+    queues = room.queues
+    beats = room.beats
+    sent_at = room.sent_at
+    values = room.values
     n = len(queues)
-    values[NUMBER.pulse], values[NUMBER.count] = frame, shape.grouped
+    values[NUMBER.pulse] = stream.frame
+    values[NUMBER.count] = shape.grouped
     _encode(beats[:1], _FRAME_START, values, shape.frame_parts)
     done = _transfer(room, 0, 1, latency.FRAME_START)
     _pass(packer, room, 0, 1, shape)
-    t, pointer = latency.FRAME_START + 1, 0
+    t = latency.FRAME_START + 1
+    pointer = 0
     while True:
         t = _when_room(shape.longest_word, t, done, sent_at, shape)
         chosen, upcoming = _arbitrate(t, pointer, queues, room.wake, events.row, records.row, shape.fifo_depth)
         if chosen != _NONE:
-            for k in range(len(values)):
-                values[k] = 0
-            values[NUMBER.subgroup] = first + chosen
-            queue, is_event = queues[chosen], queues[chosen].waiting == _NONE
-            event = queue.read
-            length = _form_packet(beats[done:], values, queue, t, shape, events, records)
-            if shape.grouped and is_event:
-                done = _take(sent_at, done, length, t, packer.taken)
-                hits, offsets = events.hits[event], events.offsets[event]
-                pack_event(packer, room.out, events.row[event], first + chosen, hits, offsets, sent_at[done - 1], shape)
-            elif shape.grouped:
-                done = _send(packer, room, done, length, t, shape)
-            else:
-                done = _transfer(room, done, length, t)
-            t, pointer = t + length, (chosen + 1) % n
+            done, length = _grant(chosen, t, done, stream, shape, room, packer, events, records)
+            t += length
+            pointer = (chosen + 1) % n
         elif upcoming < _NEVER:
             t = upcoming
         else:
             break
-    t = max(t, end + latency.FINISH)
+    t = max(t, stream.end + latency.FINISH)
     for k in range(len(values)):
         values[k] = 0
-    values[NUMBER.pulse] = frame
+    values[NUMBER.pulse] = stream.frame
     _encode(beats[done : done + 1], _FRAME_END, values, shape.frame_parts)
     done = _send(packer, room, done, 1, t, shape)
     t += 1
     for s in range(n):  # a wait for room would not show: the buffer keeps the stream busy while it lasts
-        _count(counters[first + s], queues[s], shape.counter_max)
-        _pack(beats[done : done + shape.counter_beats], counters[first + s], COUNTER_BITS)
+        _count(counters[stream.first + s], queues[s], shape.counter_max)
+        _pack(beats[done : done + shape.counter_beats], counters[stream.first + s], COUNTER_BITS)
         done = _send(packer, room, done, shape.counter_beats, t, shape)
         t += shape.counter_beats
     return done
 
 
-@njit
-def _queues(first, n, event_bounds, record_bounds):
-    queues = np.zeros(n, _QUEUE)
-    for s in range(n):
-        queue = queues[s]
-        queue.next_event = queue.read = queue.oldest = event_bounds[first + s]
-        queue.end_event = event_bounds[first + s + 1]
-        queue.next_record, queue.end_record = record_bounds[first + s], record_bounds[first + s + 1]
-        queue.waiting = _NONE
-    return queues
+@part
+def _grant(chosen, t, done, stream, shape, room, packer, events, records):
+    """Form and send the packet of the subgroup that is granted in cycle `t`; return the new `done`, and its length."""
+    beats = room.beats
+    sent_at = room.sent_at
+    values = room.values
+    subgroup = stream.first + chosen
+    for k in range(len(values)):
+        values[k] = 0
+    values[NUMBER.subgroup] = subgroup
+    queue = room.queues[chosen]
+    is_event = queue.waiting == _NONE
+    event = queue.read
+    length = _form_packet(beats[done:], values, queue, t, shape, events, records)
+    if not shape.grouped:
+        return _transfer(room, done, length, t), length
+    if not is_event:
+        return _send(packer, room, done, length, t, shape), length
+    done = _take(sent_at, done, length, t, packer.taken)
+    hits = events.hits[event]
+    offsets = events.offsets[event]
+    pack_event(packer, room.packed, events.row[event], subgroup, hits, offsets, sent_at[done - 1], shape)
+    return done, length
 
 
-@njit
-def _beats(queues, shape):
-    """Return the number of beats in a frame without drops."""
-    beats = 2 + len(queues) * shape.counter_beats
-    for queue in queues:
-        beats += (queue.end_event - queue.next_event) * shape.event_beats
-        beats += (queue.end_record - queue.next_record) * shape.record_beats
-    return beats
-
-
-@njit(allocates=False)
+@part
 def _when_room(length, t, done, sent_at, shape):
     """Return the first cycle from `t` on in which the output buffer has room for `length` more beats after `done`.
 
@@ -135,13 +192,14 @@ def _when_room(length, t, done, sent_at, shape):
     return max(t, sent_at[left - 1] + 1 + shape.grouped) if left > 0 else t
 
 
-@njit(allocates=False)
+@part
 def _arbitrate(t, pointer, queues, wake, events, records, fifo_depth):
     """Return the first subgroup, from `pointer` on and round, that requests in cycle `t`, or else the next possible cycle.
 
     wake: int64[subgroups], the first cycle in which a subgroup may request.
     """
-    upcoming, n = _NEVER, len(queues)
+    upcoming = _NEVER
+    n = len(queues)
     for k in range(pointer, pointer + n):
         chosen = k if k < n else k - n
         if wake[chosen] <= t:
@@ -159,7 +217,7 @@ def _arbitrate(t, pointer, queues, wake, events, records, fifo_depth):
     return _NONE, upcoming
 
 
-@njit(allocates=False)
+@part
 def _admit_events(queue, t, events, fifo_depth):
     """Move events that may be granted by cycle `t` into the FIFO, or drop them if it was full at their commit."""
     while queue.next_event < queue.end_event and events[queue.next_event].cycle + latency.STORE_TO_GRANT <= t:
@@ -169,7 +227,8 @@ def _admit_events(queue, t, events, fifo_depth):
             queue.oldest += 1
         event.stored = queue.level < fifo_depth
         if event.stored:
-            event.free_at, event.overrun = _NEVER, queue.lost
+            event.free_at = _NEVER
+            event.overrun = queue.lost
             queue.level += 1
             queue.stored += 1
         else:
@@ -181,7 +240,7 @@ def _admit_events(queue, t, events, fifo_depth):
         queue.read += 1
 
 
-@njit(allocates=False)
+@part
 def _admit_records(queue, t, records):
     """Move records that may be granted by cycle `t` to the only place, or drop them if it was taken."""
     while queue.next_record < queue.end_record and records[queue.next_record].cycle + latency.STORE_TO_GRANT <= t:
@@ -193,7 +252,7 @@ def _admit_records(queue, t, records):
         queue.next_record += 1
 
 
-@njit(allocates=False)
+@part
 def _form_packet(beats, values, queue, t, shape, events, records):
     """Write the packet that is granted in cycle `t` to `beats`, a record before events; free its place; return its length."""
     if queue.waiting != _NONE:
@@ -201,33 +260,38 @@ def _form_packet(beats, values, queue, t, shape, events, records):
         values[NUMBER.pulse] = records.row[queue.waiting].pulse
         _pack(values[ARRAY:], records.entries[queue.waiting], shape.record_bits)
         _encode(beats[:length], _RECORD, values, shape.record_parts)
-        queue.waiting, queue.place_free_at = _NONE, t + latency.GRANT_TO_READ + length
+        queue.waiting = _NONE
+        queue.place_free_at = t + latency.GRANT_TO_READ + length
         return length
-    event, length, behind_map = events.row[queue.read], shape.event_beats, ARRAY + shape.hits_words
-    values[NUMBER.overrun], values[NUMBER.pulse], values[NUMBER.stamp] = event.overrun, event.pulse, event.stamp
-    values[NUMBER.count], values[NUMBER.winner] = event.count, event.winner
+    event = events.row[queue.read]
+    length = shape.event_beats
+    values[NUMBER.overrun] = event.overrun
+    values[NUMBER.pulse] = event.pulse
+    values[NUMBER.stamp] = event.stamp
+    values[NUMBER.count] = event.count
+    values[NUMBER.winner] = event.winner
     for k in range(shape.hits_words):
         values[ARRAY + k] = events.hits[queue.read, k]
     if shape.event_has_offsets:
-        _pack(values[behind_map:], events.offsets[queue.read], _OFFSET_BITS)
+        _pack(values[ARRAY + shape.hits_words :], events.offsets[queue.read], _OFFSET_BITS)
     _encode(beats[:length], shape.event_code, values, shape.event_parts)
     event.free_at = t + latency.GRANT_TO_READ + length
     queue.read += 1
     return length
 
 
-@njit(allocates=False)
+@part
 def _encode(beats, code, values, parts):
     """Write a packet of this kind to `beats`. parts: which bits of `values` stand where."""
     for k in range(len(beats)):
         beats[k] = 0
     beats[0] = np.uint64(code) << np.uint64(KIND_LSB)
-    for part in parts:
-        bits = values[part.word] >> np.uint64(part.shift) & _ALL >> np.uint64(BEAT_BITS - part.width)
-        beats[part.beat] |= bits << np.uint64(part.lsb)
+    for field in parts:
+        bits = values[field.word] >> np.uint64(field.shift) & _ALL >> np.uint64(BEAT_BITS - field.width)
+        beats[field.beat] |= bits << np.uint64(field.lsb)
 
 
-@njit(allocates=False)
+@part
 def _pack(beats, items, bits):
     """Pack `items` of `bits` each into words, lowest bits first."""
     for k in range(len(beats)):
@@ -237,20 +301,22 @@ def _pack(beats, items, bits):
         beats[k // per_beat] |= np.uint64(items[k]) << np.uint64(k % per_beat * bits)
 
 
-@njit(allocates=False)
+@part
 def _count(counters, queue, most):
-    counters[COUNTER.stored], counters[COUNTER.dropped] = min(queue.stored, most), min(queue.dropped, most)
-    counters[COUNTER.mg_stored], counters[COUNTER.mg_dropped] = min(queue.mg_stored, most), min(queue.mg_dropped, most)
+    counters[COUNTER.stored] = min(queue.stored, most)
+    counters[COUNTER.dropped] = min(queue.dropped, most)
+    counters[COUNTER.mg_stored] = min(queue.mg_stored, most)
+    counters[COUNTER.mg_dropped] = min(queue.mg_dropped, most)
 
 
-@njit(allocates=False)
+@part
 def _send(packer, room, done, length, t, shape):
     """Let the `length` beats after `done`, which are of no event, leave behind the open group; return the new `done`."""
     sent_at = room.sent_at
     before = sent_at[done - 1]
     if shape.grouped:
         arrives = t + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT
-        close_group(packer, room.out, max(arrives, packer.formed + 1))
+        close_group(packer, room.packed, max(arrives, packer.formed + 1))
         sent_at[done - 1] = max(before, packer.beat_from - 1)
     end = _transfer(room, done, length, t)
     sent_at[done - 1] = before
@@ -258,16 +324,18 @@ def _send(packer, room, done, length, t, shape):
     return end
 
 
-@njit(allocates=False)
+@part
 def _pass(packer, room, done, end, shape):
     """Let beats from `done` to `end` through the packer."""
     if shape.grouped:
-        begin, packer.beat = packer.beat, packer.beat + end - done
+        begin = packer.beat
+        packer.beat += end - done
         for k in range(end - done):
-            room.out.beats[begin + k], room.out.sent_at[begin + k] = room.beats[done + k], room.sent_at[done + k]
+            room.packed.beats[begin + k] = room.beats[done + k]
+            room.packed.sent_at[begin + k] = room.sent_at[done + k]
 
 
-@njit(allocates=False)
+@part
 def _take(sent_at, done, length, t, taken):
     """Write to `sent_at` when the packer takes an event's beats, the first one from cycle `taken` on; return the new `done`."""
     sent_at[done] = max(t + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT, sent_at[done - 1] + 1, taken)
@@ -276,7 +344,7 @@ def _take(sent_at, done, length, t, taken):
     return done + length
 
 
-@njit(allocates=False)
+@part
 def _transfer(room, done, length, t):
     """Write down when the `length` beats after `done`, granted in cycle `t`, leave; return the new `done`."""
     sent_at, next_ready = room.sent_at, room.next_ready

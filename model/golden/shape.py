@@ -2,7 +2,7 @@
 """The part of a configuration that the kernels of the golden model need, as plain numbers."""
 
 from collections import namedtuple
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,22 +14,63 @@ from ..contract.packet import BEAT_BITS, FORMATS, FRAME_START, RECORD, Packet, l
 from ..contract.parameters import Sensor, bits_for
 
 _OF_SENSOR = (  # fields that are attributes of `Sensor`
-    "subgroups pixels minigroups phases phase_bits rearm fifo_depth record_bits record_stamp_bits winner_bits offset_bits"
-    " counter_max"
-)
-Shape = namedtuple(
-    "Shape",
-    "subgroups pixels minigroups phases phase_bits quarter_bits offset_tick_bits period open_cycles rearm fifo_depth "
-    "minigroup_records mg_threshold mg_window record_bits record_stamp_bits "
-    "event_code event_parts event_beats event_has_offsets grouped hits_words record_parts record_beats frame_parts "
-    "subgroup_bits winner_bits offset_bits stamp_bits listed_max "
-    "counter_max counter_beats longest_word output_depth",
+    "subgroups",
+    "pixels",
+    "minigroups",
+    "phases",
+    "phase_bits",
+    "rearm",
+    "fifo_depth",
+    "record_bits",
+    "record_stamp_bits",
+    "winner_bits",
+    "offset_bits",
+    "counter_max",
 )
 
 
-def row_type(columns: str) -> np.dtype:
+class Shape(NamedTuple):
+    """A configuration as the kernels need it, in plain numbers. Times are in cycles, sizes in beats."""
+
+    subgroups: int
+    pixels: int  # of a subgroup
+    minigroups: int  # of a subgroup
+    phases: int  # ticks of a cycle
+    phase_bits: int
+    quarter_bits: int  # ticks of a quarter cycle, as a power of two
+    offset_tick_bits: int  # ticks of a step of the offsets, as a power of two
+    period: int
+    open_cycles: int  # of a period, in which a window may open
+    rearm: int  # from the cycle after a window's last one until the tree is armed
+    fifo_depth: int  # events
+    minigroup_records: int  # 1: they are made
+    mg_threshold: int  # pixels
+    mg_window: int
+    record_bits: int  # of a minigroup's entry
+    record_stamp_bits: int  # of the coarse stamp in it
+    event_code: int  # kind of the event packet
+    event_parts: np.ndarray  # _PART[n], where its fields stand
+    event_beats: int
+    event_has_offsets: bool
+    grouped: bool  # events leave in groups
+    hits_words: int  # words of an ID map
+    record_parts: np.ndarray  # as `event_parts`
+    record_beats: int
+    frame_parts: np.ndarray  # of frame start and frame end
+    subgroup_bits: int  # of a subgroup's number in a group
+    winner_bits: int
+    offset_bits: int
+    stamp_bits: int
+    listed_max: int  # most pixels that an event of a group lists
+    counter_max: int
+    counter_beats: int  # of a subgroup's counters
+    longest_word: int  # of the packets
+    output_depth: int  # of a stream's output buffer
+
+
+def row_type(*columns: str) -> np.dtype:
     """Return the type of rows with int64 `columns`, which kernels access by name: `row.column`."""
-    return np.dtype((np.record, [(column, np.int64) for column in columns.split()]))
+    return np.dtype((np.record, [(column, np.int64) for column in columns]))
 
 
 # A table names the fields.
@@ -40,7 +81,13 @@ COUNTER: Any = namedtuple("COUNTER", COUNTER_NAMES)(*range(len(COUNTER_NAMES)))
 NUMBERS = tuple(field.name for field in FRAME_START.fields)
 NUMBER: Any = namedtuple("NUMBER", NUMBERS)(*range(len(NUMBERS)))
 ARRAY = len(NUMBERS)  # where the map or the entries begin
-_PART = row_type("word shift width beat lsb")
+_PART = row_type(
+    "word",  # of `NUMBERS` and the array behind them
+    "shift",  # lowest bit in the word
+    "width",
+    "beat",  # of the packet
+    "lsb",  # lowest bit in the beat
+)
 
 
 def _part_rows(sensor: Sensor, packet: Packet) -> np.ndarray:
@@ -58,9 +105,12 @@ def _words(bits: int) -> int:
 
 
 def shape_of(config: Config) -> Shape:
-    sensor, frame = config.sensor, config.frame
-    lengths, packet, widths = layout(sensor), FORMATS[config.format], group_widths(sensor)
-    of_sensor = {name: getattr(sensor, name) for name in _OF_SENSOR.split()}
+    sensor = config.sensor
+    frame = config.frame
+    lengths = layout(sensor)
+    packet = FORMATS[config.format]
+    widths = group_widths(sensor)
+    of_sensor = {name: getattr(sensor, name) for name in _OF_SENSOR}
     return Shape(
         **of_sensor,
         period=config.period,

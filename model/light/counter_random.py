@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ..shared.compiled import njit
+from ..shared.compiled import part
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 Counter: TypeAlias = int | np.int64 | np.uint64
@@ -19,37 +19,37 @@ _LAST_X = 3.6541528853610088  # Marsaglia, Tsang 2000: beginning of the tail wit
 _SHIFT_PURPOSE = np.uint64(40)
 
 
-@njit(inline="always")
+@part
 def _mix(z: np.uint64) -> np.uint64:
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
 
 
-@njit(inline="always")
+@part
 def key_of(key: np.uint64, index: Counter) -> np.uint64:
     """Return the key of item `index` under `key` (uint64). Numbers of purpose 0 that are drawn with `key` would repeat it."""
     return _mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN)
 
 
-@njit(inline="always")
+@part
 def _bits(key: np.uint64, purpose: int, counter: Counter) -> np.uint64:
     return _mix(key + ((np.uint64(purpose) << _SHIFT_PURPOSE) + np.uint64(counter)) * GOLDEN)
 
 
-@njit(inline="always")
+@part
 def open_unit(bits: np.uint64) -> float:
     """A uniform number in (0, 1), ends excluded, from a hash: its upper 52 bits."""
     return (np.float64(bits >> np.uint64(12)) + 0.5) * 2.0**-52
 
 
-@njit(inline="always")
+@part
 def uniform(key: np.uint64, purpose: int, counter: Counter) -> float:
     """A uniform number in (0, 1)."""
     return open_unit(_bits(key, purpose, counter))
 
 
-@njit(inline="always")
+@part
 def exponential(key: np.uint64, purpose: int, counter: Counter) -> float:
     """An exponential number of mean 1."""
     return -math.log(uniform(key, purpose, counter))
@@ -72,7 +72,7 @@ def _ziggurat() -> tuple[np.ndarray, np.ndarray]:
 _X, _DENSITY = _ziggurat()
 
 
-@njit(inline="always")
+@part
 def normal(key: np.uint64, purpose: int, counter: Counter) -> float:
     """A normal number of variance 1 (ziggurat: 98.8 % of the numbers cost one hash and one product)."""
     bits = _bits(key, purpose, counter)
@@ -83,7 +83,7 @@ def normal(key: np.uint64, purpose: int, counter: Counter) -> float:
     return _rare_normal(key_of(bits, counter), layer, z)
 
 
-@njit
+@part(inlined=False)
 def _rare_normal(key: np.uint64, layer: np.int64, z: float) -> float:
     """The rare branches of `normal`: the tail, the wedge of a layer, or a new attempt."""
     attempt = 0

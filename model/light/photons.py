@@ -22,6 +22,7 @@ caused by crosstalk sends no crosstalk of its own (its probability is squared, a
 import math
 from collections.abc import Iterator
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,20 @@ from ..shared.threads import Threads
 from .light import SIGNAL_MAX, Interferer, Light
 from .spad import Spad, SpadGate
 from .timing import Timing
-from .walk import CARRIERS_MAX, LAW_SIZE, Arrays, Made, Packing, Physics, unpacked, walk
+from .walk import (
+    CARRIERS_MAX,
+    LAW_SIZE,
+    Arrays,
+    Course,
+    Made,
+    Packing,
+    Physics,
+    Received,
+    Scratch,
+    State,
+    unpacked,
+    walk,
+)
 
 CHUNK_EDGES = 1 << 16  # edges generated and sorted at a time: they fit a core's cache
 PULSES_MAX = 1 << 40
@@ -85,28 +99,30 @@ def edge_chunks(
     if chunk_pulses is None:
         chunk_pulses = min(max(1, int(CHUNK_EDGES / (edges_per_pulse.sum() + 1e-9))), CHUNK_EDGES)
     check_integer("chunk_pulses", chunk_pulses, 1, 1 << min(31, 63 - sum(packing)), "of this array and period")
-    blocks = [(light.pixels * i // workers, light.pixels * (i + 1) // workers) for i in range(workers)]
+    borders = [light.pixels * i // workers for i in range(workers + 1)]
     walkers = [
-        _Walker((physics, arrays, block, np.uint64(seed)), packing, photons_per_pulse.max(), edges_per_pulse)
-        for block in blocks
+        _Walker(physics, arrays, np.uint64(seed), block, packing, photons_per_pulse.max(), edges_per_pulse)
+        for block in pairwise(borders)
     ]
     return _chunks(walkers, range(pulse_start, pulse_start + pulses), chunk_pulses)
 
 
 def _chunks(walkers: list["_Walker"], pulses: range, chunk_pulses: int) -> Iterator[Edges]:
     """For each chunk, run both passes over all blocks of pixels, then sort by time."""
-    physics, packing = walkers[0].of[0], walkers[0].packing
+    physics = walkers[0].physics
+    packing = walkers[0].packing
     with Threads(len(walkers)) as threads:
         for first in pulses[::chunk_pulses]:
             span = (first, min(chunk_pulses, pulses.stop - first))
-            received = (np.empty(0, np.int64), np.empty(0))
+            received = Received(np.empty(0, np.int64), np.empty(0))
             if physics.crosstalk > 0:
                 sent = threads.map(partial(_Walker.walk, span=span, received=received, sending=True), walkers)
-                where, time = (np.concatenate([part[i] for part in sent]) for i in range(2))
+                where = np.concatenate([part.where for part in sent])
+                time = np.concatenate([part.time for part in sent])
                 order = np.lexsort((time, where))
-                received = where[order], time[order]
+                received = Received(where[order], time[order])
             made = threads.map(partial(_Walker.walk, span=span, received=received, sending=False), walkers)
-            keys = np.concatenate([part[0] for part in made])
+            keys = np.concatenate([part.where for part in made])
             keys.sort()
             yield Edges(*unpacked(keys, first, packing))
 
@@ -189,40 +205,56 @@ def _bins(light: Light, tick_s: float, period_ticks: int) -> tuple[np.ndarray, n
     first, start, photons = light.arrivals.first, light.arrivals.start_s / tick_s, light.arrivals.photons
     if not light.range_ambiguity:
         photons = np.where(start < period_ticks, photons, 0.0)
-    summed = np.concatenate([np.cumsum(photons[begin:end]) for begin, end in zip(first, first[1:])])
+    summed = np.concatenate([np.cumsum(photons[begin:end]) for begin, end in pairwise(first)])
     return first, start, summed
 
 
 class _Walker:
     """A block of pixels and their state from chunk to chunk, for the sending pass of crosstalk and for the last pass.
 
-    of: what each walk takes: physics, arrays, the block's first pixel and its end, the seed. brightest: photons per pulse of
-    the brightest pixel; edges_per_pulse: of each pixel. Both are upper estimates, for the sizes of buffers.
+    block: first pixel, and the one after the last. brightest: photons per pulse of the brightest pixel; edges_per_pulse:
+    of each pixel. Both are upper estimates, for the sizes of buffers.
     """
 
-    def __init__(self, of: tuple[Any, ...], packing: Packing, brightest: float, edges_per_pulse: np.ndarray):
-        self.of, self.packing = of, packing
-        physics, _, (first, end), _ = of
-        self.edges_per_pulse = edges_per_pulse[first:end].sum()
+    def __init__(
+        self,
+        physics: Physics,
+        arrays: Arrays,
+        seed: np.uint64,
+        block: tuple[int, int],
+        packing: Packing,
+        brightest: float,
+        edges_per_pulse: np.ndarray,
+    ):
+        self.physics = physics
+        self.arrays = arrays
+        self.seed = seed
+        self.first, self.end = block
+        self.packing = packing
+        self.edges_per_pulse = edges_per_pulse[self.first : self.end].sum()
         self.photons_max = int(brightest + 12 * math.sqrt(brightest)) + 64  # doubled if it is ever exceeded
-        fresh = np.zeros(end - first), np.full((end - first, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
-        self.state: dict[bool, tuple[np.ndarray, ...]] = {True: fresh, False: fresh}
+        pixels = self.end - self.first
+        carriers = np.full((pixels, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
+        fresh = State(np.zeros(pixels), carriers)
+        self.state = {True: fresh, False: fresh}  # by pass: is it the sending one?
 
-    def walk(
-        self, span: tuple[int, int], received: tuple[np.ndarray, np.ndarray], sending: bool
-    ) -> tuple[np.ndarray, ...]:
-        """Return packed edges or, with `sending`, the crosstalk's targets and times: int64[n] and float64[n]."""
-        capacity = int(self.edges_per_pulse * span[1] * 1.1) + 1000
+    def walk(self, span: tuple[int, int], received: Received, sending: bool) -> Received:
+        """Return packed edges or, with `sending`, the crosstalk's targets and times: int64[n] and float64[n].
+
+        span: first pulse, and number of pulses.
+        """
+        course = Course(self.physics, self.arrays, self.seed, self.first, self.end, *span, received)
+        capacity = int(self.edges_per_pulse * course.pulses * 1.1) + 1000
         while True:
-            state = tuple(array.copy() for array in self.state[sending])
+            before = self.state[sending]
+            state = State(before.alive_at.copy(), before.carriers.copy())
             made = Made(self.packing, sending, np.empty(capacity, np.int64), np.empty(capacity))
-            scratch = np.empty(LAW_SIZE), np.empty(self.photons_max)
-            physics, arrays, block, seed = self.of
-            n = walk(physics, arrays, block, seed, span, received, state, scratch, made)
+            scratch = Scratch(np.empty(LAW_SIZE), np.empty(self.photons_max))
+            n = walk(course, state, scratch, made)
             if n < 0:
                 self.photons_max *= 2
             elif n > capacity:
                 capacity = n
             else:
                 self.state[sending] = state
-                return made.keys[:n], made.times[:n]
+                return Received(made.keys[:n], made.times[:n])

@@ -5,120 +5,233 @@ The code is compiled; `photons.py` describes it and calls it. Times are in ticks
 """
 
 import math
-from collections import namedtuple
+from typing import NamedTuple
 
 import numpy as np
 
-from ..shared.compiled import njit
+from ..shared.compiled import njit, part
 from .counter_random import exponential, key_of, normal, open_unit, uniform
 
 CARRIERS_MAX = 32  # trapped carriers per pixel that outlive their pulse; further ones are lost
 # Purposes of random numbers.
-GAP, SOURCE, SHAPE, JITTER, TAIL_SHARE, TAIL, TRAP, RELEASE, CROSSTALK, OTHER, OTHER_SHAPE, IN_BIN = range(1, 13)
+GAP = 1
+SOURCE = 2
+SHAPE = 3
+JITTER = 4
+TAIL_SHARE = 5
+TAIL = 6
+TRAP = 7
+RELEASE = 8
+CROSSTALK = 9
+OTHER = 10
+OTHER_SHAPE = 11
+IN_BIN = 12
 POISSON_MEAN_MAX = 64.0  # for a brighter pixel, the count is drawn in parts, each by inversion of its law
 LAW_SIZE = 256
 GAPS_FROM = 24.0  # noise photons per period above which they are drawn in the order of time, by exponential gaps
 INSERTION_MAX = 32  # number of other photons up to which insertion is faster than sorting
+_PIXEL_LSB = 32  # of the number of a pixel and a pulse of the span, by which received photons are sorted
 
 
-# Widths of the lower fields of an edge that is packed into one integer, which sorts by (pulse, tick, pixel).
-Packing = namedtuple("Packing", "pixel_bits tick_bits")
-# Room for what a walk makes: packed edges (keys) or, with `sending`, the crosstalk's targets (keys) and times.
-Made = namedtuple("Made", "packing sending keys times")
-# Scalars of the walk; times in ticks. other_period_ticks: laser period of another LiDAR, 0 without one.
-Physics = namedtuple(
-    "Physics",
-    "period_ticks phases dead paralyzable jitter tail_fraction tail afterpulse afterpulse_time crosstalk rows cols gate_every"
-    " gate_steps frame_pulses other_period_ticks other_sigma bin_width",
-)
-# Arrays of the walk; times in ticks. By pixel: noise in photons per period; gate_start, gate_len, gate_step; other and
-# other_first, the photons of another LiDAR's pulse and the time of the first one. By pixel and target: signal in photons per
-# period, centre, sigma, and laps, the whole periods of the flight. Pixel p has the bins bin_first[p] to bin_first[p + 1];
-# bin_start is the beginning of each, and bin_photons the sum of the photons of the pixel's bins up to it. taps: inner borders
-# of the phases, empty if they are ideal. starts: of the pulses' periods, empty if they are back to back.
-Arrays = namedtuple(
-    "Arrays",
-    "noise signal centre sigma gate_start gate_len gate_step taps laps bin_first bin_start bin_photons other other_first starts",
-)
+class Packing(NamedTuple):
+    """Widths of the lower fields of an edge that is packed into one integer, which sorts by (pulse, tick, pixel)."""
+
+    pixel_bits: int
+    tick_bits: int
 
 
-# A pixel's photons of noise, targets and bins, drawn as one superposed Poisson process; photons per period. noise: 0 for a
-# bright pixel, whose noise is drawn in the order of time. binned: photons of all its bins. mean: of all sources; it is drawn
-# in equal `parts`.
-_Source = namedtuple("_Source", "noise noise_to_ticks bright binned mean parts")
+class Physics(NamedTuple):
+    """Scalars of the walk; times in ticks."""
+
+    period_ticks: float
+    phases: int
+    dead: float  # time from an avalanche until the SPAD is alive again
+    paralyzable: bool  # a photon within the dead time extends it
+    jitter: float  # sigma of an edge
+    tail_fraction: float  # share of the edges that are late by an additional, exponential time
+    tail: float  # mean of that time
+    afterpulse: float  # probability that an avalanche traps a carrier
+    afterpulse_time: float  # mean time to its release
+    crosstalk: float  # probability that an avalanche sends a photon to one given neighbour
+    rows: int
+    cols: int
+    gate_every: int  # pulses per step of progressive gating, 0: none
+    gate_steps: int
+    frame_pulses: int  # after which progressive gating starts again
+    other_period_ticks: float  # laser period of another LiDAR, 0 without one
+    other_sigma: float  # of its pulse
+    bin_width: float  # of signal in bins
+
+
+class Arrays(NamedTuple):
+    """Arrays of the walk, float64 if no other type is given; times in ticks."""
+
+    noise: np.ndarray  # [pixels], photons per period
+    signal: np.ndarray  # [pixels, targets], photons per period
+    centre: np.ndarray  # [pixels, targets], of the pulse in the period
+    sigma: np.ndarray  # [pixels, targets], of the pulse
+    gate_start: np.ndarray  # [pixels]
+    gate_len: np.ndarray  # [pixels]
+    gate_step: np.ndarray  # [pixels], of progressive gating
+    taps: np.ndarray  # inner borders of the TDC's phases, empty if they are ideal
+    laps: np.ndarray  # int64[pixels, targets], whole periods of the flight
+    bin_first: np.ndarray  # int64[pixels + 1]: pixel p has the bins bin_first[p] to bin_first[p + 1]
+    bin_start: np.ndarray  # [bins], beginning of each
+    bin_photons: np.ndarray  # [bins], sum of the photons of the pixel's bins up to it
+    other: np.ndarray  # [pixels], photons of another LiDAR's pulse
+    other_first: np.ndarray  # [pixels], time of the first such pulse
+    starts: np.ndarray  # of the pulses' periods, empty if they are back to back
+
+
+class Received(NamedTuple):
+    """Photons of crosstalk, in the order of pixel, pulse and time."""
+
+    where: np.ndarray  # int64[n], pixel and number of the pulse in the span: see `_PIXEL_LSB`
+    time: np.ndarray  # float64[n], ticks
+
+
+class Course(NamedTuple):
+    """What a walk reads: the light and the detector, and which pixels go through which pulses."""
+
+    physics: Physics
+    arrays: Arrays
+    seed: np.uint64
+    first_pixel: int
+    end_pixel: int
+    first_pulse: int
+    pulses: int
+    received: Received
+
+
+class State(NamedTuple):
+    """State of the walk's pixels between two spans of pulses, in ticks from the start of the next period."""
+
+    alive_at: np.ndarray  # float64[pixels], time from which each is alive
+    carriers: np.ndarray  # float64[pixels, CARRIERS_MAX], releases of trapped carriers, infinite: none
+
+
+class Scratch(NamedTuple):
+    """Workspace of a walk."""
+
+    law: np.ndarray  # float64[LAW_SIZE], of a pixel's number of photons
+    photons: np.ndarray  # float64[n], those of a pixel and pulse, by ascending time
+
+
+class Made(NamedTuple):
+    """Room for what a walk makes: packed edges or, with `sending`, crosstalk."""
+
+    packing: Packing
+    sending: bool
+    keys: np.ndarray  # int64[n], packed edges, or where the crosstalk goes (`Received.where`)
+    times: np.ndarray  # float64[n], of the crosstalk
+
+
+class _Source(NamedTuple):
+    """A pixel's photons of noise, targets and bins, drawn as one superposed Poisson process; photons per period."""
+
+    noise: float  # 0 for a bright pixel, whose noise is drawn in the order of time
+    noise_to_ticks: float
+    bright: bool
+    binned: float  # photons of all its bins
+    mean: float  # of all sources
+    parts: int  # equal parts in which the mean is drawn
+
+
+class _At(NamedTuple):
+    """A pixel and pulse of the walk."""
+
+    key: np.uint64  # of its random numbers
+    pixel: int
+    index: int  # number of the pulse in the span
 
 
 @njit(allocates=False, error_model="numpy")
-def walk(physics, arrays, block, seed, span, received, state, scratch, made):
-    """Walk each pixel of the block through the pulses of the span; return the number of items made, or -1.
+def walk(course, state, scratch, made):
+    """Walk each pixel through the pulses; return the number of items made, or -1.
 
-    state: time from which each pixel is alive, and its carriers. scratch: for the law of a count, and for the photons of
-    a pixel and pulse in ascending time. made: has all items if they fit. -1: there are more photons than the scratch
-    holds.
+    made: has all items if they fit. -1: there are more photons than the scratch holds.
     """
-    first_pulse, pulses = span
-    (ready, carriers), (law, photons) = state, scratch
-    received_where, received_time = received
-    period_ticks, starts = physics.period_ticks, arrays.starts
+    physics = course.physics
+    arrays = course.arrays
+    received = course.received
+    photons = scratch.photons
+    period_ticks = physics.period_ticks
+    starts = arrays.starts
     done = 0
-    for pixel in range(block[0], block[1]):
-        pixel_key, local = key_of(key_of(seed, 0), pixel), pixel - block[0]
+    for pixel in range(course.first_pixel, course.end_pixel):
+        pixel_key = key_of(key_of(course.seed, 0), pixel)
+        local = pixel - course.first_pixel
         source = _source(pixel, period_ticks, arrays)
-        _poisson_law(source.mean / source.parts, law)
-        alive_at = ready[local]
-        trapped = carriers[local]
-        next_received = np.searchsorted(received_where, pixel << 32)
-        for index in range(pulses):
-            pulse = first_pulse + index
-            key, n = key_of(pixel_key, pulse), 0
-            begin = starts[pulse] if starts.size else pulse * period_ticks
-            gap = starts[pulse + 1] - begin - period_ticks if starts.size else 0.0
+        _poisson_law(source.mean / source.parts, scratch.law)
+        alive_at = state.alive_at[local]
+        trapped = state.carriers[local]
+        next_received = _number_up_to(received.where, (pixel << _PIXEL_LSB) - 1)
+        for index in range(course.pulses):
+            pulse = course.first_pulse + index
+            key = key_of(pixel_key, pulse)
+            at = _At(key, pixel, index)
+            begin = pulse * period_ticks
+            gap = 0.0
+            if starts.size:
+                begin = starts[pulse]
+                gap = starts[pulse + 1] - begin - period_ticks
+            n = 0
             if source.bright:
                 n = _draw_noise(key, source.noise_to_ticks, period_ticks, photons)
-            count = _draw_count(key, source.parts, law)
+            count = _draw_count(key, source.parts, scratch.law)
             if n + count >= photons.size:
                 return -1
-            n = _draw_photons(key, count, n, pixel, pulse, source, physics, arrays, photons)
+            n = _draw_photons(at, count, n, pulse, source, physics, arrays, photons)
             if count > INSERTION_MAX:
                 _sort(photons, n)
             if physics.other_period_ticks > 0:
-                n = _draw_others(key, n, begin - arrays.other_first[pixel], arrays.other[pixel], physics, photons)
+                since = begin - arrays.other_first[pixel]
+                n = _draw_others(key, n, since, arrays.other[pixel], physics, photons)
             if physics.afterpulse > 0:
                 n = _release(n, trapped, period_ticks, photons)
-            while next_received < received_where.size and received_where[next_received] == (pixel << 32) + index:
-                n = _insert(photons, n, received_time[next_received])
+            here = (pixel << _PIXEL_LSB) + index
+            while next_received < received.where.size and received.where[next_received] == here:
+                n = _insert(photons, n, received.time[next_received])
                 next_received += 1
-            opens = arrays.gate_start[pixel]
-            if physics.gate_every > 0:
-                opens += arrays.gate_step[pixel] * _gate_step(pulse, physics)
-            gate = opens, opens + arrays.gate_len[pixel]
-            at = key, pixel, index
-            n, alive_at, done = _avalanches(n, at, gate, alive_at, done, physics, arrays.taps, trapped, photons, made)
+            opens = _gate_opens(pixel, pulse, physics, arrays)
+            closes = opens + arrays.gate_len[pixel]
+            n, alive_at, done = _avalanches(
+                n, at, opens, closes, alive_at, done, physics, arrays.taps, trapped, photons, made
+            )
             if n >= photons.size:
                 return -1
             alive_at = max(alive_at - period_ticks - gap, 0.0)
             if gap > 0 and physics.afterpulse > 0:
                 _lose(trapped, gap)
-        ready[local] = alive_at
+        state.alive_at[local] = alive_at
     return done
 
 
-@njit(inline="always")
+@part(error_model="numpy")
 def _source(pixel, period_ticks, arrays):
-    noise, signal = arrays.noise[pixel], arrays.signal[pixel].sum()
-    first_bin, end_bin = arrays.bin_first[pixel], arrays.bin_first[pixel + 1]
-    noise_to_ticks, bright = period_ticks / noise, noise > GAPS_FROM
+    """Return the source of a pixel's photons."""
+    noise = arrays.noise[pixel]
+    signal = 0.0
+    for target in range(arrays.signal.shape[1]):
+        signal += arrays.signal[pixel, target]
+    noise_to_ticks = period_ticks / noise
+    bright = noise > GAPS_FROM
     if bright:
         noise = 0.0
-    binned = arrays.bin_photons[end_bin - 1] if end_bin > first_bin else 0.0
+    binned = 0.0
+    end_bin = arrays.bin_first[pixel + 1]
+    if end_bin > arrays.bin_first[pixel]:
+        binned = arrays.bin_photons[end_bin - 1]
     mean = noise + signal + binned
-    return _Source(noise, noise_to_ticks, bright, binned, mean, int(mean / POISSON_MEAN_MAX) + 1)
+    parts = int(mean / POISSON_MEAN_MAX) + 1
+    return _Source(noise, noise_to_ticks, bright, binned, mean, parts)
 
 
-@njit(inline="always")
+@part(error_model="numpy")
 def _draw_noise(key, noise_to_ticks, period_ticks, photons):
     """Write a bright pixel's noise to `photons` in the order of time, by exponential gaps; return its number."""
-    n, t = 0, exponential(key, GAP, 0) * noise_to_ticks
+    n = 0
+    t = exponential(key, GAP, 0) * noise_to_ticks
     while t < period_ticks and n < photons.size:
         photons[n] = t
         n += 1
@@ -126,27 +239,28 @@ def _draw_noise(key, noise_to_ticks, period_ticks, photons):
     return n
 
 
-@njit(inline="always")
+@part
 def _draw_count(key, parts, law):
     """Return a Poisson number, the sum of `parts` of the same law."""
     count = 0
-    for part in range(parts):
-        u, k = open_unit(key_of(key, part) if part else key), 0
-        while u > law[k]:
-            k += 1
-        count += k
+    for k in range(parts):
+        u = open_unit(key_of(key, k) if k else key)
+        number = 0
+        while u > law[number]:
+            number += 1
+        count += number
     return count
 
 
-@njit(inline="always")
-def _draw_photons(key, count, n, pixel, pulse, source, physics, arrays, photons):
+@part(error_model="numpy")
+def _draw_photons(at, count, n, pulse, source, physics, arrays, photons):
     """Add `count` photons of `source`, with random origins and times, to the ascending photons[:n]; return the new n."""
     for i in range(count):
-        mark = uniform(key, SOURCE, i) * source.mean
+        mark = uniform(at.key, SOURCE, i) * source.mean
         if mark < source.noise:
             t = mark * source.noise_to_ticks
         else:
-            t = _arrival(key, i, mark - source.noise, source.binned, pixel, pulse, physics, arrays)
+            t = _arrival(at, i, mark - source.noise, source.binned, pulse, physics, arrays)
         if t < 0:
             continue
         if count <= INSERTION_MAX:
@@ -157,33 +271,43 @@ def _draw_photons(key, count, n, pixel, pulse, source, physics, arrays, photons)
     return n
 
 
-@njit(inline="always")
-def _arrival(key, i, mark, binned, pixel, pulse, physics, arrays):
+@part(error_model="numpy")
+def _arrival(at, i, mark, binned, pulse, physics, arrays):
     """Return the arrival of photon `i`, of the target or bin to which `mark` belongs; negative: in the gap before the period."""
-    period_ticks, signal, starts = physics.period_ticks, arrays.signal, arrays.starts
-    target, last_target = 0, signal.shape[1] - 1
-    while target < last_target and mark >= signal[pixel, target]:
-        mark -= signal[pixel, target]
+    period_ticks = physics.period_ticks
+    pixel = at.pixel
+    target = 0
+    last_target = arrays.signal.shape[1] - 1
+    while target < last_target and mark >= arrays.signal[pixel, target]:
+        mark -= arrays.signal[pixel, target]
         target += 1
-    begins, lap = arrays.centre[pixel, target], arrays.laps[pixel, target]
-    if binned > 0 and mark >= signal[pixel, target]:
-        mark -= signal[pixel, target]
+    begins = arrays.centre[pixel, target]
+    lap = arrays.laps[pixel, target]
+    if binned > 0 and mark >= arrays.signal[pixel, target]:
+        mark -= arrays.signal[pixel, target]
         target = 0
-        first_bin, last_bin = arrays.bin_first[pixel], arrays.bin_first[pixel + 1] - 1
-        chosen = first_bin + np.searchsorted(arrays.bin_photons[first_bin:last_bin], mark, side="right")
-        begins = arrays.bin_start[chosen] + physics.bin_width * uniform(key, IN_BIN, i)
+        begins = _start_in_bin(at, i, mark, physics, arrays)
         lap = np.int64(begins // period_ticks)
         begins -= lap * period_ticks
-    t = begins + arrays.sigma[pixel, target] * normal(key, SHAPE, i)
-    if starts.size and lap:  # from an earlier pulse, whose distance in time varies
+    t = begins + arrays.sigma[pixel, target] * normal(at.key, SHAPE, i)
+    if arrays.starts.size and lap:  # from an earlier pulse, whose distance in time varies
         emitted = max(pulse - lap, 0)
-        t += (pulse - emitted) * period_ticks - (starts[pulse] - starts[emitted])
+        t += (pulse - emitted) * period_ticks - (arrays.starts[pulse] - arrays.starts[emitted])
         if not 0 <= t < period_ticks:
             return -1.0
     return _modulo(t, period_ticks)
 
 
-@njit(inline="always")
+@part(error_model="numpy")
+def _start_in_bin(at, i, mark, physics, arrays):
+    """Return a random time in the pixel's bin to which `mark` belongs."""
+    first_bin = arrays.bin_first[at.pixel]
+    last_bin = arrays.bin_first[at.pixel + 1] - 1
+    chosen = first_bin + _number_up_to(arrays.bin_photons[first_bin:last_bin], mark)
+    return arrays.bin_start[chosen] + physics.bin_width * uniform(at.key, IN_BIN, i)
+
+
+@part(error_model="numpy")
 def _draw_others(key, n, since, mean, physics, photons):
     """Add `mean` photons per pulse of another LiDAR, whose first pulse came `since` ticks ago; return the new n."""
     drawn = 0
@@ -191,9 +315,9 @@ def _draw_others(key, n, since, mean, physics, photons):
     while t < physics.period_ticks:
         sum_of_gaps = exponential(key, OTHER, drawn)
         while sum_of_gaps < mean:
-            at = t + physics.other_sigma * normal(key, OTHER_SHAPE, drawn)
-            if 0 <= at < physics.period_ticks:
-                n = _insert(photons, n, at)
+            arrives = t + physics.other_sigma * normal(key, OTHER_SHAPE, drawn)
+            if 0 <= arrives < physics.period_ticks:
+                n = _insert(photons, n, arrives)
             drawn += 1
             sum_of_gaps += exponential(key, OTHER, drawn)
         drawn += 1
@@ -201,7 +325,7 @@ def _draw_others(key, n, since, mean, physics, photons):
     return n
 
 
-@njit(inline="always")
+@part
 def _release(n, carriers, period_ticks, photons):
     """Add the photons of carriers that are released in this period; the others wait for the next; return the new n."""
     for slot in range(CARRIERS_MAX):
@@ -212,7 +336,7 @@ def _release(n, carriers, period_ticks, photons):
     return n
 
 
-@njit(inline="always")
+@part
 def _lose(carriers, gap):
     """Drop the carriers that are released in the gap between two periods."""
     for slot in range(CARRIERS_MAX):
@@ -221,21 +345,24 @@ def _lose(carriers, gap):
             carriers[slot] = np.inf
 
 
-@njit(inline="always")
-def _gate_step(pulse, physics):
-    """Return the number of steps that progressive gating has moved."""
-    return pulse % physics.frame_pulses // physics.gate_every % physics.gate_steps
+@part(error_model="numpy")
+def _gate_opens(pixel, pulse, physics, arrays):
+    """Return the time at which a pixel's gate opens in a pulse."""
+    opens = arrays.gate_start[pixel]
+    if physics.gate_every > 0:
+        moved = pulse % physics.frame_pulses // physics.gate_every % physics.gate_steps
+        opens += arrays.gate_step[pixel] * moved
+    return opens
 
 
-@njit(inline="always")
-def _avalanches(n, at, gate, alive_at, done, physics, taps, carriers, photons, made):
+@part
+def _avalanches(n, at, opens, closes, alive_at, done, physics, taps, carriers, photons, made):
     """Turn photons into avalanches by gate and dead time, and these into edges or, with `sending`, into crosstalk.
 
-    at: key, pixel and index of the pulse. Afterpulses join the photons. Returns the new n, the time from which the SPAD
-    is alive, and the number of items made.
+    Afterpulses join the photons. Returns the new n, the time from which the SPAD is alive, and the number of items made.
     """
-    (key, pixel, index), (opens, closes), packing = at, gate, made.packing
-    i, fired = 0, 0
+    i = 0
+    fired = 0
     while i < n:
         t = photons[i]
         i += 1
@@ -246,37 +373,56 @@ def _avalanches(n, at, gate, alive_at, done, physics, taps, carriers, photons, m
             alive_at = t + physics.dead
         if not alive:
             continue
-        if physics.afterpulse > 0 and uniform(key, TRAP, fired) < physics.afterpulse:
-            released = t + physics.afterpulse_time * exponential(key, RELEASE, fired)
+        if physics.afterpulse > 0 and uniform(at.key, TRAP, fired) < physics.afterpulse:
+            released = t + physics.afterpulse_time * exponential(at.key, RELEASE, fired)
             if released < physics.period_ticks:
                 n = _insert(photons, n, released)
             else:
-                carriers[np.argmax(carriers)] = released - physics.period_ticks  # a free slot is infinite
+                carriers[_free_slot(carriers)] = released - physics.period_ticks
         if made.sending:
             done = _send(at, fired, t, done, physics, made)
         else:
-            if done < made.keys.size:
-                tick = _tick(_modulo(_with_jitter(key, fired, t, physics), physics.period_ticks), physics, taps)
-                made.keys[done] = (((index << packing.tick_bits) + tick) << packing.pixel_bits) + pixel
-            done += 1
+            done = _edge(at, fired, t, done, physics, taps, made)
         fired += 1
     return n, alive_at, done
 
 
-@njit(inline="always")
+@part
+def _free_slot(carriers):
+    """Return the slot with the latest release: a free one is infinite."""
+    latest = 0
+    for slot in range(1, len(carriers)):
+        if carriers[slot] > carriers[latest]:
+            latest = slot
+    return latest
+
+
+@part
+def _edge(at, fired, t, done, physics, taps, made):
+    """Write the packed edge of an avalanche; return the number of items made."""
+    if done < made.keys.size:
+        time = _modulo(_with_jitter(at.key, fired, t, physics), physics.period_ticks)
+        tick = _tick(time, physics, taps)
+        packing = made.packing
+        made.keys[done] = (((at.index << packing.tick_bits) + tick) << packing.pixel_bits) + at.pixel
+    return done + 1
+
+
+@part
 def _send(at, fired, t, done, physics, made):
     """Send the crosstalk of an avalanche to the neighbours that it reaches; return the number of items made."""
-    key, pixel, index = at
+    key = at.key
     for side in range(4):
-        neighbour = _neighbour(pixel, side, physics.rows, physics.cols)
+        neighbour = _neighbour(at.pixel, side, physics.rows, physics.cols)
         if neighbour >= 0 and uniform(key, CROSSTALK, 4 * fired + side) < physics.crosstalk:
             if done < made.keys.size:
-                made.keys[done], made.times[done] = (neighbour << 32) + index, t
+                made.keys[done] = (neighbour << _PIXEL_LSB) + at.index
+                made.times[done] = t
             done += 1
     return done
 
 
-@njit(inline="always")
+@part
 def _with_jitter(key, fired, t, physics):
     """Return the time of an avalanche's edge."""
     if physics.jitter > 0:
@@ -286,23 +432,25 @@ def _with_jitter(key, fired, t, physics):
     return t
 
 
-@njit
+@part(inlined=False)
 def _sort(photons, n):
     """Sort photons[:n] (Shell, with Ciura's gaps)."""
     for gap in (701, 301, 132, 57, 23, 10, 4, 1):
         for i in range(gap, n):
-            t, k = photons[i], i
+            t = photons[i]
+            k = i
             while k >= gap and photons[k - gap] > t:
                 photons[k] = photons[k - gap]
                 k -= gap
             photons[k] = t
 
 
-@njit
+@part(inlined=False, error_model="numpy")
 def _poisson_law(mean, law):
     """Fill law[k] with the probability of at most k, until it is 1 in float64."""
     chance = math.exp(-mean)
-    law[0], last = chance, 0
+    law[0] = chance
+    last = 0
     while last < law.size - 1 and (chance > 1e-18 or last < mean):
         last += 1
         chance *= mean / last
@@ -310,7 +458,21 @@ def _poisson_law(mean, law):
     law[last] = 1.0
 
 
-@njit(inline="always")
+@part
+def _number_up_to(ascending, value):
+    """Return how many of some ascending values are at most `value`."""
+    low = 0
+    high = ascending.size
+    while low < high:
+        middle = (low + high) // 2
+        if ascending[middle] <= value:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@part
 def _insert(photons, n, t):
     """Insert `t` into the ascending photons[:n] (dropped if they are full) and return n + 1, or the size if less."""
     if n == photons.size:
@@ -323,35 +485,38 @@ def _insert(photons, n, t):
     return n + 1
 
 
-@njit(inline="always")
+@part(error_model="numpy")
 def _modulo(t, period_ticks):
     """Return `t` moved into [0, period_ticks]; the division is rarely needed."""
     return t if 0.0 <= t < period_ticks else t - period_ticks * np.floor(t / period_ticks)
 
 
-@njit(inline="always")
+@part(error_model="numpy")
 def _tick(t, physics, taps):
     """Return the TDC code of time `t` in ticks; `taps`: the inner borders of the phases, empty = ideal."""
     if taps.size:
-        cycle = np.floor(t / physics.phases)
-        t = cycle * physics.phases + np.searchsorted(taps, t - cycle * physics.phases, side="right")
+        begins = np.floor(t / physics.phases) * physics.phases  # the cycle
+        t = begins + _number_up_to(taps, t - begins)
     return min(np.int64(t), np.int64(physics.period_ticks) - 1)
 
 
-@njit(inline="always")
+@part(error_model="numpy")
 def _neighbour(pixel, side, rows, cols):
     """Return the pixel above, left, right or below; -1 beyond the array."""
-    row, col = pixel // cols + (side == 3) - (side == 0), pixel % cols + (side == 2) - (side == 1)
+    row = pixel // cols + (side == 3) - (side == 0)
+    col = pixel % cols + (side == 2) - (side == 1)
     return row * cols + col if 0 <= row < rows and 0 <= col < cols else -1
 
 
 @njit
 def unpacked(keys, first_pulse, packing):
     """Return (pulse, pixel, tick) of packed edges."""
-    pixel_bits, tick_bits = packing
-    pulse, pixel, tick = np.empty_like(keys), np.empty_like(keys), np.empty_like(keys)
-    for i, key in enumerate(keys):
-        pulse[i] = first_pulse + (key >> (pixel_bits + tick_bits))
-        pixel[i] = key & ((1 << pixel_bits) - 1)
-        tick[i] = key >> pixel_bits & ((1 << tick_bits) - 1)
+    pulse = np.empty(len(keys), np.int64)
+    pixel = np.empty(len(keys), np.int64)
+    tick = np.empty(len(keys), np.int64)
+    for i in range(len(keys)):
+        key = keys[i]
+        pulse[i] = first_pulse + (key >> (packing.pixel_bits + packing.tick_bits))
+        pixel[i] = key & ((1 << packing.pixel_bits) - 1)
+        tick[i] = key >> packing.pixel_bits & ((1 << packing.tick_bits) - 1)
     return pulse, pixel, tick

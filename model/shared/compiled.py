@@ -4,6 +4,10 @@
 Numba only checks the file of the compiled function itself, but a kernel includes functions and constants from other
 files. The kernel's room, the contract and this room hold everything that it may use, so the folder of its compiled code
 is named by their digest.
+
+Kernels consist of `part`s, which are compiled into them and never called from Python. So what takes time for each
+compiled function is left out: a wrapper for calls from Python, a file on disk, and one version for each constant that
+is passed.
 """
 
 from collections.abc import Callable
@@ -12,6 +16,8 @@ from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numba
+from numba.core import types
+from numba.core.registry import CPUDispatcher
 
 from .errors import InputError
 from .folders import build_root
@@ -20,32 +26,83 @@ from .sources import sources_digest
 _NUMBA: Any = numba.config  # it reads its settings at import, so type checkers do not know them
 _SHARED_BY_ALL = ("model.contract", "model.shared")
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
+_Wrapped = Callable[[_Kernel], _Kernel]
+
+
+class _Compiled(CPUDispatcher):
+    """A function that Numba compiles once for all numbers of a type; Numba's own is compiled for each constant."""
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return how a call with these types is compiled."""
+        general = [types.unliteral(one) for one in args]
+        general_by_name = {name: types.unliteral(one) for name, one in kws.items()}
+        return super().get_call_template(general, general_by_name)
+
+
+class _Part(_Compiled):
+    """A function that only compiled functions may call."""
+
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        raise TypeError(f"{self.py_func.__name__} is a part of kernels, and cannot be called from Python")
 
 
 @overload
 def njit(function: _Kernel) -> _Kernel: ...
 @overload
-def njit(*, allocates: bool = True, **options: Any) -> Callable[[_Kernel], _Kernel]: ...
+def njit(*, allocates: bool = True, **options: Any) -> _Wrapped[_Kernel]: ...
 def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, **options: Any) -> Callable[..., Any]:
-    """`numba.njit`, with or without options, with compiled code kept on disk and without the lock of the interpreter.
+    """Compile a kernel with Numba, keep its code on disk, and run it without the lock of the interpreter.
 
-    Code that calls the function from C is not made.
+    Code that calls the function from C is not made. options: as of `numba.njit`.
 
-    allocates=False: the function and the functions it calls make no arrays, and do not count references to their
-    arguments. If functions with many array arguments are called for every photon, that counting costs more than they do.
+    allocates=False: the kernel and its parts make no arrays, and do not count references to their arguments.
     """
     if function is None:
         return partial(njit, allocates=allocates, **options)
-    options |= {"nogil": True, "no_cfunc_wrapper": True} | ({} if allocates else {"_nrt": False, "forceinline": True})
-    folder = None if _NUMBA.DISABLE_JIT else _folder(_room(function.__module__))
+    if _NUMBA.DISABLE_JIT:
+        return function
+    kernel = _dispatcher(_Compiled, function, allocates, options)
+    folder = _folder(_room(function.__module__))
     if folder is None:
-        return numba.njit(**options)(function)
+        return kernel
     others = _NUMBA.CACHE_DIR  # cache folder of other packages
     _NUMBA.CACHE_DIR = str(folder)
     try:
-        return numba.njit(cache=True, **options)(function)
+        kernel.enable_caching()
     finally:
         _NUMBA.CACHE_DIR = others
+    return kernel
+
+
+@overload
+def part(function: _Kernel) -> _Kernel: ...
+@overload
+def part(*, allocates: bool = False, inlined: bool = True, **options: Any) -> _Wrapped[_Kernel]: ...
+def part(
+    function: Callable[..., Any] | None = None, *, allocates: bool = False, inlined: bool = True, **options: Any
+) -> Callable[..., Any]:
+    """Compile a part of kernels: a function that only they and their other parts call.
+
+    allocates=True: the part makes arrays. If not, it counts no references to its arguments: if parts with many array
+    arguments are called for every photon, that counting costs more than they do. inlined=False: it is called instead of
+    being compiled into each place that calls it, as befits what is rare or long. options: as of `numba.njit`.
+    """
+    if function is None:
+        return partial(part, allocates=allocates, inlined=inlined, **options)
+    if _NUMBA.DISABLE_JIT:
+        return function
+    own = {"no_cpython_wrapper": True, "forceinline": inlined and not allocates}
+    return _dispatcher(_Part, function, allocates, options | own)
+
+
+def _dispatcher(
+    kind: Callable[..., Any], function: Callable[..., Any], allocates: bool, options: dict[str, Any]
+) -> Any:
+    """Return a function as Numba sees it."""
+    common = {"nopython": True, "boundscheck": None, "nogil": True, "no_cfunc_wrapper": True}
+    if not allocates:
+        common["_nrt"] = False
+    return kind(py_func=function, targetoptions=common | options)
 
 
 def is_compiled(module: str) -> bool:
