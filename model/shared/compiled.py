@@ -24,6 +24,7 @@ from .folders import build_root
 from .sources import sources_digest
 
 _NUMBA: Any = numba.config  # it reads its settings at import, so type checkers do not know them
+_without_value: Any = types.unliteral  # the type of a constant, without the constant
 _SHARED_BY_ALL = ("model.contract", "model.shared")
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 _Wrapped = Callable[[_Kernel], _Kernel]
@@ -34,15 +35,15 @@ class _Compiled(CPUDispatcher):
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Return how a call with these types is compiled."""
-        general = [types.unliteral(one) for one in args]
-        general_by_name = {name: types.unliteral(one) for name, one in kws.items()}
+        general = [_without_value(one) for one in args]
+        general_by_name = {name: _without_value(one) for name, one in kws.items()}
         return super().get_call_template(general, general_by_name)
 
 
 class _Part(_Compiled):
     """A function that only compiled functions may call."""
 
-    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+    def __call__(self, *args: Any, **kws: Any) -> Any:
         raise TypeError(f"{self.py_func.__name__} is a part of kernels, and cannot be called from Python")
 
 

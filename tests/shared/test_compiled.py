@@ -4,7 +4,10 @@
 import subprocess
 import sys
 
+import numba
 import pytest
+
+from coincid.model.shared.compiled import part
 
 from ..planted import copy_of_sources
 
@@ -52,3 +55,23 @@ def test_without_a_folder_to_write_to_nothing_is_kept(run, tmp_path):
     (tmp_path / "file").touch()
     assert run(COINCID_BUILD=str(tmp_path / "file" / "build")) == f"{OPENED} 0"
     assert not list(tmp_path.rglob("*.nbi"))
+
+
+@part
+def _add(number, more):
+    return number + more
+
+
+@numba.njit
+def _twice(number):
+    return _add(_add(number, 1), 2)
+
+
+def test_a_part_is_compiled_once_for_all_constants():
+    assert _twice(4) == 7
+    assert len(_add.signatures) == 1
+
+
+def test_a_part_cannot_be_called_from_python():
+    with pytest.raises(TypeError, match="^_add is a part of kernels, and cannot be called from Python$"):
+        _add(1, 2)
