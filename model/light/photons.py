@@ -250,7 +250,7 @@ class _Walker:
             state = State(before.alive_at.copy(), before.carriers.copy())
             made = Made(self.packing, sending, np.empty(capacity, np.int64), np.empty(capacity))
             scratch = Scratch(np.empty(LAW_SIZE), np.empty(self.photons_max))
-            n = walk(course, state, scratch, made)
+            n: int = walk(course, state, scratch, made)
             if n < 0:
                 self.photons_max *= 2
             elif n > capacity:
