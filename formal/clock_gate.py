@@ -16,6 +16,7 @@ from amaranth.hdl._mem import MemoryInstance  # Amaranth has no other access to 
 
 from ..hdl import bus
 from ..hdl.dpcu import Dpcu
+from ..hdl.front_end_views import POLYPHASE
 from ..hdl.minigroup import Minigroup
 from ..hdl.settings import SubgroupSettings
 from ..hdl.subgroup import AWAKE_CYCLES, Subgroup
@@ -77,7 +78,11 @@ def subgroup_rests(b: Bench):
     """Behind a closed clock gate no register of a subgroup would change, and no row of a memory, whatever is in them."""
     unit, tree = Subgroup(SMALL), CoincidenceTree(SMALL)
     shown = b.free(tree)
-    unit.view = SimpleNamespace(front_end=lambda sensor: tree, front_end_rests=True)
+    unit.view = SimpleNamespace(
+        front_end=lambda sensor: tree,
+        from_spads=POLYPHASE.from_spads,
+        front_end_rests=True,
+    )
     _rests(b, unit)
     strobes = Cat(unit.timing[name] for name in bus.STROBES).any()
     quiet = b.same("quiet", (unit.command.operation == bus.Operation.IDLE) & ~strobes & ~unit.grant & ~ResetSignal())

@@ -184,6 +184,6 @@ def register_front_starts(b: Bench):
     b.assume(~ResetSignal())
     for voted in unit.voted:
         b.always(voted.agree)
-    b.always(~unit.keep_read.value & ~unit.s_axi.rvalid)
+    b.always(~unit.held_read.value & ~unit.s_axi.rvalid)
     b.cover(unit.start_frame & b.past(unit.flag["busy"]))
     b.cover(unit.s_axi.bvalid & unit.flag["start_busy"])

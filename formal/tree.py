@@ -249,7 +249,9 @@ def _holds(b: Bench, dut: Placed, spec: Specification) -> None:
         hit = b.past(Cat(unit.hits[i] for i in members).any(), 3)
         b.always(leaf.offset == b.past(now["offsets"][g], 6), where=b.past(now["live"], 6) & hit)
     b.always(unit.hits == b.past(now["hits"], 3), where=live)
-    for name, stages in (("stamp", unit.stamps), ("winner", unit.winners)):
+    stamps = (unit.stamp_3, unit.stamp_4, unit.stamp_5)
+    winners = (unit.winner_3, unit.winner_4, unit.winner_5)
+    for name, stages in (("stamp", stamps), ("winner", winners)):
         for cycles, stage in enumerate(stages, 1):
             b.always(stage == b.past(now[name], cycles), where=b.past(now["live"], cycles))
     b.always(unit.elapsed == b.past(now["elapsed"], 5), where=b.past(now["live"], 5))

@@ -6,7 +6,7 @@ closed; `formal/clock_gate.py` proves this. In silicon, a module with a latch an
 has the same name. The paper does not mention clock gates; they are our choice.
 """
 
-from amaranth.hdl import ClockDomain, ClockSignal, DomainRenamer, Elaboratable, Module, ResetSignal, Value
+from amaranth.hdl import ClockDomain, ClockSignal, DomainRenamer, Elaboratable, Module, ResetSignal, Signal, Value
 from amaranth.lib.wiring import In, Out
 
 from .unit import Export, Unit, place
@@ -54,8 +54,9 @@ def stopped(m: Module, platform, gate: ClockGate, enable: Value, domain: str = "
     """
     exported = isinstance(platform, Export)
     domain = domain if exported else "sync"
-    place(m, "clock_gate", gate, platform, domain=domain)
-    m.d.comb += gate.enable.eq(enable | ResetSignal(domain))
+    needed = Signal()
+    m.d.comb += needed.eq(enable | ResetSignal(domain))
+    place(m, "clock_gate", gate, platform, domain=domain, enable=needed)
     if not exported:
         return domain
     gated = ClockDomain(GATED, local=True)

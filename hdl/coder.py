@@ -14,7 +14,7 @@ from amaranth.lib.wiring import In, Out
 from ..model.contract import groups
 from ..model.contract.packet import BEAT_BITS, FORMATS, FRAME_END, KIND_LSB, OFFSETS, RECORD, layout, parts_of
 from ..model.contract.parameters import Sensor, bits_for
-from .logic import any_of, counted, lowest, named, up_to
+from .logic import any_of, counted, lowest, up_to
 from .unit import Unit
 
 GROUPED = tuple(packet for packet in FORMATS.values() if packet.grouped)
@@ -33,9 +33,11 @@ class Ends:
     """The lowest and the highest one of some bits, one-hot; whether there are at least one, two and three; the bits in between."""
 
     def __init__(self, m: Module, bits: Value, name: str):
-        self.bits, self.name = bits, name
+        self.bits = bits
+        self.name = name
         size = len(bits)
-        self.low, self.high = Signal(size, name=f"{name}_low"), Signal(size, name=f"{name}_high")
+        self.low = Signal(size, name=f"{name}_low")
+        self.high = Signal(size, name=f"{name}_high")
         self.between = Signal(size, name=f"{name}_between")
         self.one, self.two, self.more = counted(m, bits, f"{name}_count")
         above = up_to(m, bits, f"{name}_up") << 1  # places above the lowest one
@@ -61,16 +63,23 @@ class Next:
     def __init__(self, width: int, name: str):
         self.width = width
         self.items = Signal(groups.PER_PART * width, name=f"{name}_items")
-        self.one, self.two, self.more = (Signal(name=f"{name}_{flag}") for flag in ("one", "two", "more"))
+        self.one = Signal(name=f"{name}_one")  # at least one item is left
+        self.two = Signal(name=f"{name}_two")
+        self.more = Signal(name=f"{name}_more")  # at least three
 
     def takes(self, ends: Ends, items: Value) -> list[Any]:
         """Return the statements that put the items at both ends of some bits here."""
-        flags = self.one.eq(ends.one), self.two.eq(ends.two), self.more.eq(ends.more)
-        return [self.items.eq(items), *flags]
+        return [
+            self.items.eq(items),
+            self.one.eq(ends.one),
+            self.two.eq(ends.two),
+            self.more.eq(ends.more),
+        ]
 
     def shown(self) -> Value:
         """Return the items, with 0 for a missing one."""
-        low, high = self.items[: self.width], self.items[self.width :]
+        low = self.items[: self.width]
+        high = self.items[self.width :]
         return Cat(low & self.one.replicate(self.width), high & self.two.replicate(self.width))
 
     def bits(self) -> Value:
@@ -127,41 +136,65 @@ class Coder(Unit):
             passed=In(1),
             frame_begin=In(1),
         )
-        widths, beats, of_record = self.widths, layout(sensor).length(LONGEST), layout(sensor).length(RECORD)
-        # The next beat. in_other: it belongs to a minigroup record, which has `record_left` beats left, or to a frame end;
-        # in_event: it belongs to an event; may_begin: it may be the first beat of an event.
-        self.inner("in_other in_event may_begin is_event read")
-        self.inner("record_left", range(of_record))
-        # The event that is taken. index: number of its next beat; full: all its beats are in `words`. winner_mask: its
-        # winner; age_ahead: the age of its pulse in the open group; fits_ahead: the group can hold it.
-        self.words = [Signal(BEAT_BITS, name=f"word_{k}") for k in range(beats)]
-        self.inner("index", range(beats))
-        self.inner("full to_work fits_ahead")
-        self.inner("winner_mask", sensor.pixels)
-        # The event at work. phase: its part that comes next; ends: this is its last part. pixels, offset_pair: the items
-        # that come next; rest, minigroups: those that follow. If the event is `mapped`, rest is its map, which has `parts`
-        # parts left. low_bits: width of stamp and age.
-        self.inner("busy ends mapped same fits")
-        self.inner("phase", Phase)
-        self.inner("numbers", widths.fixed_bits - 1)
-        self.inner("stamp", sensor.stamp_bits)
-        self.inner("winner", sensor.winner_bits)
-        self.inner("age age_ahead", groups.AGE_BITS)
-        self.inner("low_bits", range(sensor.stamp_bits + groups.AGE_BITS + 1))
-        self.pixels = Next(sensor.winner_bits, "pixels")
-        self.inner("rest", sensor.pixels)
-        self.inner("parts", range(map_parts(sensor) + 1))
-        self.inner("offsets", sensor.minigroups * sensor.offset_bits)
-        self.offset_pair = Next(sensor.offset_bits, "offset_pair")
-        self.inner("minigroups", sensor.minigroups)
-        # The group. opening: its head comes next; closing: its end comes next, for example because the event at work is a
-        # misfit. forms: the next part is formed in this cycle, as `next_part` with `next_bits` bits.
-        self.inner("open opening misfit closing forms")
-        self.inner("pulse event_pulse", groups.HEAD.pulse)
-        self.inner("stamp_bits", groups.HEAD.stamp_bits)
-        self.inner("number", groups.HEAD.number)
-        self.inner("next_part", widths.part_bits)
-        self.inner("next_bits", range(widths.part_bits + 1))
+        self._taken_event()
+        self._event_at_work()
+        self._open_group()
+
+    def _taken_event(self):
+        """Registers of the next beat, and of the event that is taken from the beats."""
+        lengths = layout(self.sensor)
+        beats = lengths.length(LONGEST)
+        # The next beat.
+        self.in_other = Signal()  # it belongs to a minigroup record or to a frame end
+        self.record_left = Signal(range(lengths.length(RECORD)))  # beats left of the record
+        self.in_event = Signal()  # it belongs to an event
+        self.may_begin = Signal()  # it may be the first beat of an event
+        self.is_event = Signal()  # it belongs to an event, or begins one
+        self.read = Signal()  # it is taken into `words`
+        # The event that is taken.
+        self.words = [Signal(BEAT_BITS, name=f"words_{k}") for k in range(beats)]
+        self.index = Signal(range(beats))  # number of its next beat
+        self.full = Signal()  # all its beats are in `words`
+        self.to_work = Signal()  # it becomes the event at work
+        self.winner_mask = Signal(self.sensor.pixels)  # its winner, one-hot
+        self.age_ahead = Signal(groups.AGE_BITS)  # the age of its pulse in the open group
+        self.fits_ahead = Signal()  # the group can hold it
+
+    def _event_at_work(self):
+        """Registers of the event whose parts are packed."""
+        sensor = self.sensor
+        self.busy = Signal()  # there is one
+        self.phase = Signal(Phase)  # its part that comes next
+        self.ends = Signal()  # this is its last part
+        self.numbers = Signal(self.widths.fixed_bits - 1)  # how many pixels, overrun, and subgroup
+        self.same = Signal()  # its pulse is that of the event before
+        self.fits = Signal()  # the group can hold it
+        self.age = Signal(groups.AGE_BITS)  # the age of its pulse in the open group
+        self.stamp = Signal(sensor.stamp_bits)
+        self.low_bits = Signal(range(sensor.stamp_bits + groups.AGE_BITS + 1))  # width of both
+        self.winner = Signal(sensor.winner_bits)
+        self.mapped = Signal()  # a map follows the winner, instead of a list of pixels
+        self.pixels = Next(sensor.winner_bits, "pixels")  # pixels that come next
+        self.rest = Signal(sensor.pixels)  # the pixels that follow, or the map
+        self.parts = Signal(range(map_parts(sensor) + 1))  # parts left of the map
+        self.offset_pair = Next(sensor.offset_bits, "offset_pair")  # offsets that come next
+        self.minigroups = Signal(sensor.minigroups)  # minigroups whose offsets follow
+        self.offsets = Signal(sensor.minigroups * sensor.offset_bits)  # all its offsets
+
+    def _open_group(self):
+        """Registers of the group, and of the part that is formed."""
+        part_bits = self.widths.part_bits
+        self.open = Signal()  # there is one
+        self.pulse = Signal(groups.HEAD.pulse)  # its pulse
+        self.event_pulse = Signal(groups.HEAD.pulse)  # the pulse of the event at work
+        self.stamp_bits = Signal(groups.HEAD.stamp_bits)  # width of its stamps
+        self.number = Signal(groups.HEAD.number)
+        self.opening = Signal()  # its head comes next
+        self.closing = Signal()  # its end comes next,
+        self.misfit = Signal()  # because the event at work does not fit
+        self.forms = Signal()  # the next part is formed in this cycle
+        self.next_part = Signal(part_bits)
+        self.next_bits = Signal(range(part_bits + 1))
 
     def elaborate(self, platform):
         m = Module()
@@ -172,9 +205,18 @@ class Coder(Unit):
         self._offsets(m)
         self._form(m)
         with m.If(self.frame_begin):
-            places = self.in_other, self.record_left, self.in_event, self.index
-            cleared = self.full, self.busy, self.open, self.number, self.offer, self.close
-            m.d.sync += [signal.eq(0) for signal in (*places, *cleared)]
+            m.d.sync += [
+                self.in_other.eq(0),
+                self.record_left.eq(0),
+                self.in_event.eq(0),
+                self.index.eq(0),
+                self.full.eq(0),
+                self.busy.eq(0),
+                self.open.eq(0),
+                self.number.eq(0),
+                self.offer.eq(0),
+                self.close.eq(0),
+            ]
         return m
 
     def _take(self, m):
@@ -220,7 +262,8 @@ class Coder(Unit):
 
         Whether the next event fits is computed while it is taken, and so is the place of its winner.
         """
-        first, other = named("first other")
+        first = Signal()  # the first part of the event at work comes next
+        other = Signal()  # a beat of another packet comes next
         pulse = Signal(groups.HEAD.pulse)
         age = Signal(groups.HEAD.pulse + 1)
         m.d.comb += [
@@ -287,10 +330,12 @@ class Coder(Unit):
     def _pixels(self, m):
         """Choose the next two pixels or the next part of the map, for a new event and for the one at work side by side."""
         sensor = self.sensor
-        hits, own = self._taken("map"), self.pixels
+        hits = self._taken("map")
+        own = self.pixels
         others = Signal(sensor.pixels)
         m.d.comb += others.eq(hits & ~self.winner_mask)
-        of_taken, of_rest = Ends(m, others, "others"), Ends(m, self.rest, "rest")
+        of_taken = Ends(m, others, "others")
+        of_rest = Ends(m, self.rest, "rest")
         mapped = self._taken("count") > self.widths.listed_max
         with m.If(self.to_work):
             m.d.sync += own.takes(of_taken, of_taken.places(m, own.width))
@@ -310,9 +355,11 @@ class Coder(Unit):
         """Choose the offsets of the next two minigroups."""
         sensor = self.sensor
         hit = Signal(sensor.minigroups)
-        hits, count = self._taken("map"), range(sensor.minigroups)
+        hits = self._taken("map")
+        count = range(sensor.minigroups)
         m.d.comb += hit.eq(Cat(Cat(hits[i] for i in sensor.members(g)).any() for g in count))
-        of_taken, of_rest = Ends(m, hit, "hit"), Ends(m, self.minigroups, "minigroups")
+        of_taken = Ends(m, hit, "hit")
+        of_rest = Ends(m, self.minigroups, "minigroups")
         taken = [self._taken("offsets").word_select(g, OFFSETS.width)[: sensor.offset_bits] for g in count]
         kept = [self.offsets.word_select(g, sensor.offset_bits) for g in count]
         with m.If(self.to_work):
@@ -324,7 +371,8 @@ class Coder(Unit):
 
     def _form(self, m):
         """Form what comes next: the group's head or end, the event's numbers with the first pixels, pixels, or offsets."""
-        sensor, widths = self.sensor, self.widths
+        sensor = self.sensor
+        widths = self.widths
         cycles = Signal(sensor.coarse_bits)
         m.d.comb += cycles.eq(self.period - 1)
         for bit in range(sensor.coarse_bits):

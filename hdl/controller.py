@@ -56,28 +56,42 @@ class Controller(Unit):
             budget=Out(DATA_BITS),
             limit=Out(DATA_BITS),
         )
-        # The settings take effect at `take`. known: the budget, a cycle later, because vote and sums take one cycle each.
-        # filling: the candidate that is begun, one-hot, and the strobes of those on their way to `steps`.
-        self.inner("take")
-        self.capacity_taken, self.share_taken = (Signal(DATA_BITS, name=name) for name in ("capacity", "share"))
-        self.inner("known bounded candidate", DATA_BITS)
-        self.inner("filling", STEPS + FILLED)
-        self.inner("growth grown", DATA_BITS + 1)  # the lowest bit carries a 1 into the sum
-        # slot: the sum to which the counters of a subgroup, `now` and `then`, are added, one-hot; adding, added: one and two
-        # cycles later, for any sum; of_all: likewise, for the sum of the committed events. `steps` and `sums` rotate, so the
-        # first of each is at work. fits: for each sum, whether the stream can carry it; far_too_much: the stream cannot
-        # carry half of what was committed.
-        self.steps = [Signal(DATA_BITS, name=f"step_{k}") for k in range(STEPS)]
-        self.sums = [Signal(DATA_BITS + 1, name=f"sum_{k}") for k in range(SUMS)]
-        self.inner("beat", range(layout(sensor).counter_beats))
-        self.inner("committed now then part most", COUNTER_BITS)
-        self.inner("controlled adding added far_too_much")
-        self.inner("slot fits", SUMS)
-        self.inner("of_all", 2)
-        # most: the highest count on which the controller acts; top: the same, but at most the limit. fresh: no frame has
-        # been taken since reset.
-        self.inner("fitting top dropped lower_limit higher_limit", DATA_BITS)
-        self.inner("fresh", init=1)
+        # Settings, and candidates for the next budget.
+        self.take = Signal()  # the settings take effect
+        self.capacity_taken = Signal(DATA_BITS)
+        self.share_taken = Signal(DATA_BITS)
+        self.known = Signal(DATA_BITS)  # the budget, a cycle later: vote and sums take a cycle each
+        self.growth = Signal(DATA_BITS + 1)  # its lowest bit carries a 1 into the sum
+        self.grown = Signal(DATA_BITS + 1)  # the budget, grown by this
+        self.bounded = Signal(DATA_BITS)  # the same, at most the capacity
+        self.candidate = Signal(DATA_BITS)  # the same, at least the share
+        # The candidate that is begun, one-hot, and the strobes of those on their way to `steps`.
+        self.filling = Signal(STEPS + FILLED)
+        self.steps = [Signal(DATA_BITS, name=f"steps_{k}") for k in range(STEPS)]  # candidates
+        # Counters of a subgroup, as they pass.
+        self.beat = Signal(range(layout(self.sensor).counter_beats))  # number of the next beat
+        self.committed = Signal(COUNTER_BITS)  # its committed events
+        self.now = Signal(COUNTER_BITS)  # the same, when all its counters are known
+        self.then = Signal(COUNTER_BITS)  # its events at the next lower threshold
+        self.controlled = Signal()  # the controller sets its threshold
+        # Sums of these counters over the subgroups: of the committed events, and of those that each
+        # candidate would let through. `steps` and `sums` rotate, so the first of each is at work.
+        self.sums = [Signal(DATA_BITS + 1, name=f"sums_{k}") for k in range(SUMS)]
+        self.slot = Signal(SUMS)  # the sum to which the counters are added, one-hot
+        self.part = Signal(COUNTER_BITS)  # what is added
+        self.adding = Signal()  # a sum is added to; one cycle behind `slot`
+        self.added = Signal()  # two cycles behind it
+        self.of_all = Signal(2)  # bit k: the same for the committed events, k + 1 cycles behind
+        self.fits = Signal(SUMS)  # for each sum: the stream can carry it
+        self.far_too_much = Signal()  # the stream cannot carry half of what was committed
+        # Results.
+        self.fitting = Signal(DATA_BITS)  # the highest candidate that fits, or the share
+        self.most = Signal(COUNTER_BITS)  # the highest count on which the controller acts
+        self.top = Signal(DATA_BITS)  # the same, but at most the limit
+        self.dropped = Signal(DATA_BITS)  # one step below it
+        self.lower_limit = Signal(DATA_BITS)
+        self.higher_limit = Signal(DATA_BITS)
+        self.fresh = Signal(init=1)  # no frame has been taken since reset
 
     def elaborate(self, platform):
         m = Module()

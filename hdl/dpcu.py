@@ -80,17 +80,23 @@ class Dpcu(Unit):
             counters=Out(COUNTER_BITS * len(COUNTER_NAMES)),
             controlled=Out(1),
         )
-        # count: the counters, by name. awake: an operation may still change threshold or window. coming: strobes on their
-        # way to stage 8. judged: a window was closed one cycle ago.
+        # The counters, by name.
         self.count = {name: Signal(counter_bits(name, sensor), name=name) for name in COUNTER_NAMES}
-        self.inner("threshold", sensor.count_bits, init=1)
-        self.inner("lower_threshold", sensor.count_bits)
-        self.inner("meets_lower awake judged")
-        self.inner("coming", 9)
-        # stays: the controller was in charge in the last frame, too. ceiling: number of the bounds compared so far that are
-        # reached, without the last one, for which `reached` says it. rises, falls, stepped: the step of the threshold.
-        self.inner("stays reached rises falls")
-        self.inner("ceiling stepped", range(THRESHOLD_MAX + 1))
+        self.awake = Signal()  # an operation may still change threshold or window
+        self.coming = Signal(9)  # strobes of periods on their way to stage 8
+        self.judged = Signal()  # a window was closed one cycle ago
+        self.threshold = Signal(sensor.count_bits, init=1)  # in force; 1 if coincidence is off
+        # Threshold controller.
+        self.lower_threshold = Signal(sensor.count_bits)  # one below the threshold
+        self.meets_lower = Signal()  # a closed window meets it
+        self.stays = Signal()  # the controller was in charge in the last frame, too
+        self.rises = Signal()  # the threshold rises by one step,
+        self.falls = Signal()  # or else falls by one
+        self.stepped = Signal(range(THRESHOLD_MAX + 1))  # the threshold after this step
+        # Number of the bounds compared so far that are reached, without the last one, for which
+        # `reached` says it.
+        self.ceiling = Signal(range(THRESHOLD_MAX + 1))
+        self.reached = Signal()
         self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
@@ -130,6 +136,8 @@ class Dpcu(Unit):
             with m.If(self.awake):
                 m.d.sync += self.lower_threshold.eq(self.threshold - 1)
             m.d.sync += self.meets_lower.eq(self.closed & (self.window.count >= self.lower_threshold))
+        else:
+            m.d.comb += self.meets_lower.eq(0)
         with m.If(commits):
             m.d.sync += self.event.eq(self.window)
         m.d.comb += enough.eq(self.window.count >= self.threshold)
@@ -170,14 +178,19 @@ class Dpcu(Unit):
     def _threshold(self, m):
         """Set the frame's threshold: the programmed one, or the controller's; clear the frame's counters."""
         count = self.count
-        threshold = self._controlled(m) if self.sensor.controller else self.settings.threshold
+        if self.sensor.controller:
+            threshold = self._controlled(m)
+        else:
+            threshold = self.settings.threshold
+            m.d.comb += self.controlled.eq(0)
         with m.If(self.operation == bus.Operation.BEGIN):
             m.d.sync += [counter.eq(0) for counter in count.values()]
             m.d.sync += [count["threshold_used"].eq(threshold), self.pulse.eq(~0)]
 
     def _controlled(self, m):
         """Return the threshold of a frame that begins: the programmed one, or one step from the last frame's."""
-        count, settings = self.count, self.settings
+        count = self.count
+        settings = self.settings
         raised = Signal.like(self.ceiling)
         bounded = Signal.like(self.stepped)
         floor = self.data[: len(self.stepped)]

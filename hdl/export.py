@@ -11,7 +11,7 @@ from functools import lru_cache
 
 from amaranth.back import rtlil
 from amaranth.hdl import Fragment
-from amaranth.hdl._ir import PortDirection
+from amaranth.hdl._ir import Design, PortDirection
 from amaranth.lib.wiring import In, Out
 from attrs import frozen
 
@@ -20,7 +20,7 @@ from ..model.shared.licence import SPDX
 from .front_end_views import POLYPHASE
 from .sensor import SensorTop
 from .to_verilog import to_verilog
-from .unit import Export, Unit
+from .unit import Export, Unit, check_drivers
 
 FILE_LIST = "coincid.f"
 DIRECTIONS = {In: PortDirection.Input, Out: PortDirection.Output}
@@ -81,32 +81,57 @@ def instantiated(unit: Unit) -> list[str]:
     return sorted(platform.units)
 
 
+@frozen
+class Elaborated:
+    """A unit with its circuit. placed: the units inside it, by their names there."""
+
+    unit: Unit
+    design: Design
+    placed: dict[str, Unit]
+
+
 def _emitted(units: list[Unit]) -> _Blocks:
-    """Return the files of these units and of all that they instantiate."""
-    pending = {unit.unit_name: unit for unit in units}
+    """Return the files of these units and of all that they instantiate. Raises `ConnectionError`."""
     converted: dict[str, Future[str]] = {}
     cells = {}
     # One block is converted while the next is elaborated.
     with _garbage_left(), ThreadPoolExecutor(os.cpu_count()) as pool:
-        while pending:
-            name, unit = pending.popitem()
-            if name not in converted:
-                platform = Export()
-                converted[name] = pool.submit(to_verilog, _design(unit, platform))
-                if form := unit.for_cells():
-                    cells[f"{name}.v"] = _licensed(form)
-                pending |= platform.units
+        for block in elaborated(units):
+            name = block.unit.unit_name
+            converted[name] = pool.submit(to_verilog, _text(block))
+            if form := block.unit.for_cells():
+                cells[f"{name}.v"] = _licensed(form)
     files = {f"{name}.v": _licensed(_stable(converted[name].result())) for name in sorted(converted)}
     return _Blocks(files, cells)
 
 
-def _design(unit: Unit, platform: Export) -> str:
-    """Return a unit in Yosys's own language."""
+def elaborated(units: list[Unit]) -> Iterator[Elaborated]:
+    """Yield these units and all that they instantiate, each once. Raises `ConnectionError` for a dead wire."""
+    pending = {unit.unit_name: unit for unit in units}
+    done: set[str] = set()
+    while pending:
+        name, unit = pending.popitem()
+        if name not in done:
+            done.add(name)
+            platform = Export()
+            block = _elaborated(unit, platform)
+            check_drivers(unit, block.design, block.placed)
+            yield block
+            pending |= platform.units
+
+
+def _elaborated(unit: Unit, platform: Export) -> Elaborated:
     fragment = Fragment.get(unit, platform)
-    ports = {
-        port: (platform.pads.get(port, value), DIRECTIONS[flow]) for port, (flow, value) in unit.flat_ports().items()
-    }
-    return rtlil.convert_fragment(fragment, ports, unit.unit_name, emit_src=False)[0]
+    ports = {}
+    for port, (flow, value) in unit.flat_ports().items():
+        ports[port] = (platform.pads.get(port, value), DIRECTIONS[flow])
+    design = fragment.prepare(ports=ports, hierarchy=(unit.unit_name,))
+    return Elaborated(unit, design, platform.placed)
+
+
+def _text(block: Elaborated) -> str:
+    """Return a unit in Yosys's own language."""
+    return rtlil.convert_fragment(block.design, name=block.unit.unit_name, emit_src=False)[0]
 
 
 @contextmanager

@@ -43,38 +43,46 @@ class EventFifo(Unit):
             head=Out(bus.event_layout(sensor)),
             take=In(1),
         )
-        # to, row: places of the next event to write and to read; level: number of events; lost: events were dropped since
-        # the last one that was stored.
         depth = sensor.fifo_depth
         self.rows = Memory(depth, bus.event_layout(sensor).size)
-        self.inner("to row", range(depth))
-        self.level = Signal(range(depth + 1))
-        self.lost = Signal()
+        self.to = Signal(range(depth))  # place of the next event to write
+        self.row = Signal(range(depth))  # place of the next event to read
+        self.level = Signal(range(depth + 1))  # number of events
+        self.lost = Signal()  # events were dropped since the last one that was stored
 
     def elaborate(self, platform):
         m = Module()
         depth = self.sensor.fifo_depth
-        rows = place(m, "storage", self.rows, platform)
+        rows = self.rows
         room = Signal()
+        write = Signal()
         event = Signal(bus.event_layout(self.sensor))
+        place(
+            m,
+            "storage",
+            rows,
+            platform,
+            write=write,
+            data=event,
+            **rows.at(to=self.to, row=self.row),
+        )
         m.d.comb += [
             room.eq(self.level != depth),
             event.window.eq(self.event),
-            *([event.offsets.eq(self.offsets)] if self.sensor.offsets else []),
             event.pulse.eq(self.pulse),
             event.overrun.eq(self.lost),
-            rows.write.eq(self.commit & room),
-            rows.data.eq(event),
+            write.eq(self.commit & room),
             self.head.eq(rows.value),
         ]
+        if self.sensor.offsets:
+            m.d.comb += event.offsets.eq(self.offsets)
         if depth > 1:
-            m.d.comb += [rows.to.eq(self.to), rows.row.eq(self.row)]
-            with m.If(rows.write):
+            with m.If(write):
                 m.d.sync += self.to.eq(Mux(self.to == depth - 1, 0, self.to + 1))
             with m.If(self.take):
                 m.d.sync += self.row.eq(Mux(self.row == depth - 1, 0, self.row + 1))
-        with m.If(rows.write | self.take):
-            m.d.sync += self.level.eq(self.level + rows.write - self.take)
+        with m.If(write | self.take):
+            m.d.sync += self.level.eq(self.level + write - self.take)
         m.d.sync += [self.stored.eq(self.commit & room), self.dropped.eq(self.commit & ~room)]
         with m.If(self.frame_begin):
             m.d.sync += [self.lost.eq(0), self.level.eq(0), self.to.eq(0), self.row.eq(0)]
@@ -118,14 +126,15 @@ class RecordBuffer(Unit):
         waiting = self.waiting
         comes = Signal()
         layout = bus.record_layout(self.sensor)
-        place_of_one = place(m, "row", Memory(1, layout.size), platform)
+        row = Memory(1, layout.size)
+        write = Signal()
         record = Signal(layout)
+        place(m, "row", row, platform, write=write, data=record)
         m.d.comb += [
             comes.eq(self.due & self.latched.any()),
             record.pulse.eq(self.pulse),
-            place_of_one.write.eq(comes & ~waiting),
-            place_of_one.data.eq(record),
-            self.record.eq(place_of_one.value),
+            write.eq(comes & ~waiting),
+            self.record.eq(row.value),
         ]
         for g in range(self.sensor.minigroups):
             entry = self.entries[g].as_value()

@@ -8,11 +8,13 @@ generated: cells (behaviour) and macros (black boxes).
 from pathlib import Path
 from typing import ClassVar, TypeAlias
 
+from amaranth.hdl import Value
 from attrs import evolve, field, frozen
 
 from ..model.contract.parameters import Sensor
 from ..model.shared.quantities import check_choice
 from . import tdc
+from .gating import Gating
 from .silicon import tdc as async_tdc
 from .silicon.circuit import CELLS, MACROS, Circuit
 from .silicon.front_end import AsyncFrontEnd
@@ -46,6 +48,13 @@ class Polyphase:
     def front_end(self, sensor: Sensor):
         return CoincidenceTree(sensor)
 
+    def from_spads(self, words: Value, gating: Gating) -> dict[str, Value]:
+        """Return drivers of the front end's inputs that depend on the view."""
+        return dict(
+            words=words,
+            accept=gating.accept,
+        )
+
 
 @frozen
 class Asynchronous:
@@ -74,6 +83,13 @@ class Asynchronous:
 
     def front_end(self, sensor: Sensor):
         return AsyncFrontEnd(sensor, self.circuit)
+
+    def from_spads(self, words: Value, gating: Gating) -> dict[str, Value]:
+        """Return drivers of the front end's inputs that depend on the view."""
+        return dict(
+            spad=words,
+            gate=gating.spad_gate,
+        )
 
 
 View: TypeAlias = Polyphase | Asynchronous

@@ -37,10 +37,10 @@ class Gating(Unit):
             spad_gate=Out(1),
             accept=Out(1),
         )
-        self.inner("start")
-        self.inner("running", 2)
-        self.inner("until_now", sensor.coarse_bits + 2)  # cycles until the gate opens,
-        self.inner("left_now", GATE_BITS)  # and then until it closes
+        self.start = Signal()  # the cycle is the first of a period
+        self.running = Signal(2)  # a frame is running, one and two cycles ago
+        self.until_now = Signal(sensor.coarse_bits + 2)  # cycles until the gate opens,
+        self.left_now = Signal(GATE_BITS)  # and then until it closes
 
     def elaborate(self, platform):
         m = Module()

@@ -2,18 +2,12 @@
 """Combinational helpers, mostly of logarithmic depth. Each names its intermediate values, so nothing is emitted twice."""
 
 from collections.abc import Callable
-from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
 from amaranth.utils import exact_log2
 
 LOW_BITS = 4  # of a counter: the other bits, and their clock, rest in 15 of 16 counts
 SUM_PART = 11  # bits through which a carry of `carry_select` ripples
-
-
-def named(names: str, shape: Any = 1, **options: Any) -> list[Signal]:
-    """Return signals of one shape with these names. Amaranth finds a name itself only where one signal is assigned alone."""
-    return [Signal(shape, name=name, **options) for name in names.split()]
 
 
 def tree(m: Module, items: list[Value], combine: Callable[[Value, Value], Value], name: str) -> Value:
@@ -49,11 +43,13 @@ def popcount(m: Module, bits: Value, name: str) -> Value:
 
 def up_to(m: Module, bits: Value, name: str) -> Signal:
     """Return a signal whose bit k says whether any of bits 0...k is one."""
-    step, value = 1, bits
+    step = 1
+    value = bits
     while step < len(bits):
         wider = Signal(len(bits), name=f"{name}_{step}")
         m.d.comb += wider.eq(value | (value << step))
-        value, step = wider, 2 * step
+        value = wider
+        step *= 2
     return value
 
 
@@ -63,7 +59,8 @@ def counted(m: Module, bits: Value, name: str) -> list[Value]:
     Bit i of a step's words covers the 2 ** k bits from i on. Whole words cost simulators little. Only the gates of bit 0 of
     the last words remain after synthesis.
     """
-    found, step = [bits, Const(0, len(bits)), Const(0, len(bits))], 1
+    found = [bits, Const(0, len(bits)), Const(0, len(bits))]
+    step = 1
     while step < len(bits):
         one, two, three = found
         next_one, next_two, next_three = (word >> step for word in found)
@@ -86,12 +83,14 @@ def lowest(m: Module, bits: Value, name: str) -> Value:
     found: Value = bits
     numbers: list[Value] = []
     for k in range(exact_log2(len(bits))):
-        step, size = 1 << k, len(bits)
+        step = 1 << k
+        size = len(bits)
         numbers = [(found & number) | (~found & (number >> step)) for number in numbers] + [~found]
         signals = [Signal(size, name=f"{name}_{step}_{b}") for b in range(k + 1)]
         here = Signal(size, name=f"{name}_{step}")
         m.d.comb += [*(signal.eq(number) for signal, number in zip(signals, numbers)), here.eq(found | (found >> step))]
-        found, numbers = here, signals
+        found = here
+        numbers = signals
     return Cat(number[0] for number in numbers)
 
 
@@ -101,7 +100,8 @@ def first_one(m: Module, bits: Value, name: str) -> tuple[Value, Value]:
     part = bits
     while len(part) > 1:
         half = len(part) // 2
-        in_low, rest = Signal(name=f"{name}_low_{half}"), Signal(half, name=f"{name}_of_{half}")
+        in_low = Signal(name=f"{name}_low_{half}")
+        rest = Signal(half, name=f"{name}_of_{half}")
         m.d.comb += [in_low.eq(part[:half].any()), rest.eq(Mux(in_low, part[:half], part[half:]))]
         index.insert(0, ~in_low)
         part = rest
@@ -110,12 +110,15 @@ def first_one(m: Module, bits: Value, name: str) -> tuple[Value, Value]:
 
 def carry_select(m: Module, a: Value, b: Value, name: str) -> Value:
     """Return a + b with a carry out. Parts of `SUM_PART` bits are added for both carries; then the real carry selects."""
-    parts, carry = [], Value.cast(0)
+    parts = []
+    carry = Value.cast(0)
     for begin in range(0, max(len(a), len(b)), SUM_PART):
-        x, y = a[begin : begin + SUM_PART], b[begin : begin + SUM_PART]
+        x = a[begin : begin + SUM_PART]
+        y = b[begin : begin + SUM_PART]
         part = Signal(max(len(x), len(y)) + 1, name=f"{name}_{begin}")
         if begin:
-            without, with_one = Signal.like(part, name_suffix="_0"), Signal.like(part, name_suffix="_1")
+            without = Signal.like(part, name_suffix="_0")
+            with_one = Signal.like(part, name_suffix="_1")
             m.d.comb += [
                 without.eq(x + y),
                 with_one.eq((Cat(1, x) + Cat(1, y))[1:]),
@@ -144,7 +147,8 @@ def saturating_add(m: Module, counter: Signal, amount: Value) -> None:
 
 def count_up(m: Module, counter: Signal, strobe: Value) -> None:
     """Add `strobe` to `counter` at the clock, and saturate. The low and the high bits have separate enables."""
-    low, high = counter[:LOW_BITS], counter[LOW_BITS:]
+    low = counter[:LOW_BITS]
+    high = counter[LOW_BITS:]
     counts = Signal(name=f"{counter.name}_counts")
     m.d.comb += counts.eq(strobe & ~counter.all())
     with m.If(counts):

@@ -5,6 +5,8 @@ In simulation and on FPGAs it is a memory (LUT RAM on an FPGA). In silicon, a bl
 same name, and less than half the area of flip-flops. The paper names only registers; the latches are our choice.
 """
 
+from typing import Any
+
 from amaranth.hdl import Module
 from amaranth.lib import memory
 from amaranth.lib.wiring import In, Out
@@ -29,8 +31,17 @@ class Memory(Unit):
     def __init__(self, depth: int, width: int):
         self.depth, self.width = depth, width
         self.unit_name = f"coincid_memory_{depth}x{width}"
-        at = {name: In(bits_for(depth - 1)) for name in ("to", "row") if depth > 1}
-        super().__init__(write=In(1), data=In(width), value=Out(width), **at)
+        bits = bits_for(depth - 1)
+        super().__init__(
+            write=In(1),
+            data=In(width),
+            value=Out(width),
+            **self.at(to=In(bits), row=In(bits)),
+        )
+
+    def at(self, **places: Any) -> dict[str, Any]:
+        """Return what belongs to the ports `to` and `row`; nothing if there is one row."""
+        return places if self.depth > 1 else {}
 
     def elaborate(self, platform):
         m = Module()

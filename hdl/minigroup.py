@@ -8,7 +8,7 @@ stamp in quarters of a cycle, and the step of the coarse offsets.
 
 from typing import Any
 
-from amaranth.hdl import Cat, Module, Mux, Signal, Value
+from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract.parameters import Sensor
@@ -42,11 +42,27 @@ class Recorder(Unit):
             latched=Out(1),
             entry=Out(bus.entry_layout(sensor)),
         )
-        # The record collection. left: its cycles after the present one; seen: its map; started: it began one cycle ago.
-        self.inner("left", 2)
-        self.inner("seen", sensor.minigroup_pixels, reset_less=True)
+        # The record collection.
+        self.left = Signal(2)  # its cycles after the present one
+        self.seen = Signal(sensor.minigroup_pixels, reset_less=True)  # its map
+        self.started = Signal(reset_less=True)  # it began one cycle ago
         self.stamp = Memory(1, sensor.record_stamp_bits)
-        self.inner("started", reset_less=True)
+
+    def _stamps(self, m, platform, active, begins, step_4) -> list[Value]:
+        """Form offsets and records, or, in a sensor without them, zeros. Arguments: as below."""
+        moves = []
+        if self.sensor.offsets:
+            moves.append(self._offset(m, begins, step_4))
+        else:
+            m.d.comb += self.offset.eq(0)
+        if self.sensor.records:
+            moves.append(self._record(m, platform, active, step_4))
+        else:
+            m.d.comb += [
+                self.latched.eq(0),
+                self.entry.eq(Const({}, self.entry.shape())),
+            ]
+        return moves
 
     def _offset(self, m, begins, step_4) -> Value:
         """Stages 5 to 8: form the offset of a window's first edge. A strobe and a step travel along, because they have fewer bits.
@@ -72,8 +88,18 @@ class Recorder(Unit):
         active: pixels with an edge in the cycle; step_4: step of the first of these edges, one cycle later.
         """
         pixels = len(active)
-        left, seen = self.left, self.seen
-        stamp = place(m, "stamp", self.stamp, platform)
+        left = self.left
+        seen = self.seen
+        # The stamp is written one cycle later, when it is known. It is never written while an entry
+        # is taken, because its memory may consist of latches.
+        place(
+            m,
+            "stamp",
+            self.stamp,
+            platform,
+            write=self.started,
+            data=Cat(step_4[-2:], self.coarse),  # quarter of the cycle
+        )
         starts = Signal()
         runs = Signal()
         seen_next = Signal(pixels)
@@ -92,12 +118,8 @@ class Recorder(Unit):
             left_next.eq(Mux(starts, self.frame.mg_window, left) - runs),
             ends.eq(runs & (left_next == 0)),
             enough.eq(popcount(m, seen_next, "seen_count") >= self.frame.mg_threshold),
-            # The stamp is written one cycle later, when it is known. It is never written while an entry is taken, because
-            # its memory may consist of latches.
-            stamp.write.eq(self.started),
-            stamp.data.eq(Cat(step_4[-2:], self.coarse)),  # quarter of the cycle
             self.entry.map.eq(seen),
-            self.entry.stamp.eq(stamp.value),
+            self.entry.stamp.eq(self.stamp.value),
         ]
         moves = runs | self.started | (self.wrap & self.latched)
         with m.If(moves):
@@ -140,7 +162,8 @@ class Minigroup(Recorder):
     unit_name = "coincid_minigroup"
 
     def __init__(self, sensor: Sensor):
-        pixels, phases = sensor.minigroup_pixels, sensor.phases
+        pixels = sensor.minigroup_pixels
+        phases = sensor.phases
         super().__init__(
             sensor,
             words=In(pixels * phases),
@@ -153,23 +176,36 @@ class Minigroup(Recorder):
             first=In(sensor.phase_bits),
             at_first=Out(pixels),
         )
-        # Numbers are those of stages. active: pixels with an edge (stage 3). awake_1, awake_3: stages up to this one, from
-        # the one before it, may change.
-        self.inner("valid_1 valid_2 active hit_3 hit_4", pixels, reset_less=True)
-        self.phases_1, self.phases_2 = (
-            [Signal(sensor.phase_bits, name=f"phase_{n}_{i}", reset_less=True) for i in range(pixels)] for n in (1, 2)
-        )
-        self.inner("step step_4", sensor.step_bits, reset_less=True)
-        self.inner("awake_1 awake_3")
+        # Numbers are those of stages.
+        self.valid_1 = Signal(pixels, reset_less=True)  # pixels with an edge
+        self.valid_2 = Signal(pixels, reset_less=True)  # pixels with an edge that is accepted
+        self.active = Signal(pixels, reset_less=True)  # the same at stage 3
+        self.hit_3 = Signal(pixels, reset_less=True)  # pixels with an edge that the window counts
+        self.hit_4 = Signal(pixels, reset_less=True)
+        # Phase of each pixel's first edge; the last phase if it has none.
+        self.phases_1 = self._phases("phases_1")
+        self.phases_2 = self._phases("phases_2")
+        self.step = Signal(sensor.step_bits, reset_less=True)  # step of the first edge (stage 3)
+        self.step_4 = Signal(sensor.step_bits, reset_less=True)
+        self.awake_1 = Signal()  # stage 1 may change
+        self.awake_3 = Signal()  # stages 2 and 3 may change
         self.clock_gate = ClockGate(small=True)
+
+    def _phases(self, name: str) -> list[Signal]:
+        """Return a register for a phase of each pixel."""
+        bits = self.sensor.phase_bits
+        pixels = range(self.sensor.minigroup_pixels)
+        return [Signal(bits, name=f"{name}_{i}", reset_less=True) for i in pixels]
 
     def elaborate(self, platform):
         m = Module()
         self._edges(m)
         self._hits(m)
-        awake = [self.awake_1, self.awake_3, *self._map(m)]
-        if self.sensor.records:
-            awake.append(self._record(m, platform, self.active, self.step_4))
+        awake = [
+            self.awake_1,
+            self.awake_3,
+            *self._map(m, platform),
+        ]
         return behind(m, platform, self.clock_gate, Cat(awake).any())
 
     def _edges(self, m):
@@ -178,11 +214,13 @@ class Minigroup(Recorder):
         The words themselves are not registered: at 32 phases, that register would be the largest part of the sensor.
         """
         sensor = self.sensor
-        pixels, phases = sensor.minigroup_pixels, sensor.phases
+        pixels = sensor.minigroup_pixels
+        phases = sensor.phases
         valid_0 = Signal(pixels)
         roots = [Signal(phases, name=f"root_{i}") for i in range(pixels)]
         for i, root in enumerate(roots):
-            word, on = self.words.word_select(i, phases), self.mask[i]
+            word = self.words.word_select(i, phases)
+            on = self.mask[i]
             valid, phase = first_one(m, word, f"first_{i}")
             m.d.comb += [root.eq(word & on.replicate(phases)), valid_0[i].eq(valid & on)]
             with m.If(self.awake_1):
@@ -221,8 +259,8 @@ class Minigroup(Recorder):
                 self.step.eq(least(m, steps, "first_step")),
             ]
 
-    def _map(self, m) -> list[Value]:
-        """Stages 4 and 5: collect the hits in the map.
+    def _map(self, m, platform) -> list[Value]:
+        """Stages 4 and 5: collect the hits in the map, and what a window and a record get of them.
 
         In a cycle, the window counts the earlier edges and not the later ones. So the first edge is a counted one.
         """
@@ -237,4 +275,7 @@ class Minigroup(Recorder):
             ]
         m.d.comb += self.hits.eq(hits)
         begins = self.hit_4.any() & (self.opening | ~hits.any())
-        return [moves, self._offset(m, begins, self.step_4)] if self.sensor.offsets else [moves]
+        return [
+            moves,
+            *self._stamps(m, platform, self.active, begins, self.step_4),
+        ]

@@ -14,7 +14,6 @@ from ..model.contract.groups import CHECK_BITS, CHECK_LSB, CHECK_POLYNOMIAL, PAY
 from ..model.contract.packet import BEAT_BITS, GROUP_KIND, KIND_BITS
 from ..model.contract.parameters import Sensor, bits_for
 from .axi import STREAM
-from .logic import named
 from .unit import Unit
 
 
@@ -61,16 +60,20 @@ class Packer(Unit):
             frame_begin=In(1),
             m_axis=Out(STREAM),
         )
-        # packed: bits that wait, lowest first: a beat's payload if one is `ready`, and `offset` bits behind it; crowded: these
-        # are another payload; room: they leave room for the check. begins: no beat of the group has left. check: of the
-        # beats that have left. final: the beat that is offered ends the group. packs: the part is packed.
         longest = PAYLOAD_BITS - 1 + group_widths(sensor).part_bits  # bits that wait at most
-        self.inner("packed kept", longest)
-        self.inner("offset", range(longest - PAYLOAD_BITS + 1 if longest > 2 * PAYLOAD_BITS else PAYLOAD_BITS))
-        self.inner("total", range(longest + 1))
-        self.inner("ready crowded final packs")
-        self.inner("room begins", init=1)
-        self.inner("check", CHECK_BITS, init=-1)
+        behind = longest - PAYLOAD_BITS + 1 if longest > 2 * PAYLOAD_BITS else PAYLOAD_BITS
+        # Bits that wait, lowest first: a beat's payload if one is `ready`, and `offset` bits behind it.
+        self.packed = Signal(longest)
+        self.offset = Signal(range(behind))
+        self.ready = Signal()
+        self.crowded = Signal()  # the bits behind it are another payload
+        self.room = Signal(init=1)  # they leave room for the check
+        self.kept = Signal(longest)  # bits that wait after this cycle, without the part
+        self.total = Signal(range(longest + 1))  # `offset` with the part
+        self.packs = Signal()  # the part is packed
+        self.begins = Signal(init=1)  # no beat of the group has left
+        self.final = Signal()  # the beat that is offered ends the group
+        self.check = Signal(CHECK_BITS, init=-1)  # of the beats that have left
 
     def elaborate(self, platform):
         m = Module()
@@ -80,9 +83,12 @@ class Packer(Unit):
 
     def _pack(self, m):
         """Put a part behind the bits that wait. Registers know its place, so `tready` only selects."""
-        waits, placed = Signal(name="waits"), Signal.like(self.packed, name="placed")
-        nothing, packable = ~self.offer & ~self.close, self.offer & ~self.crowded
-        free_if_ready, free_if_not = nothing | packable | self.final, nothing | (packable & ~self.ready)
+        waits = Signal()  # a full beat waits for the receiver
+        placed = Signal.like(self.packed)  # the part at its place
+        nothing = ~self.offer & ~self.close
+        packable = self.offer & ~self.crowded
+        free_if_ready = nothing | packable | self.final
+        free_if_not = nothing | (packable & ~self.ready)
         m.d.comb += [
             waits.eq((self.ready | self.close) & ~self.m_axis.tready),
             self.packs.eq(self.offer & ~waits & ~self.crowded),
@@ -117,7 +123,8 @@ class Packer(Unit):
     def _form_beat(self, m):
         """Offer a beat of the group, with its marks and, in the last one, the check; or let another beat pass."""
         axis = self.m_axis
-        forms, sent = named("forms sent")
+        forms = Signal()  # a beat of the group is offered
+        sent = Signal()  # it leaves
         beat = Signal(BEAT_BITS)
         check = Signal(CHECK_BITS)
         kind = Const(GROUP_KIND, KIND_BITS)

@@ -107,11 +107,14 @@ class Packetizer(Unit):
             beat=Out(BEAT_BITS),
             beat_controlled=Out(1),
         )
-        # sent, index: kind and number of the beat that is sent. sending: the packet goes on; at_last: its last beat is next.
-        self.inner("sending at_last active")
-        self.inner("send_before", bus.Send)
-        self.inner("index index_before", range(layout(sensor).longest + 1))
-        self.sent = Signal(bus.Send, name="send")
+        beats = range(layout(sensor).longest + 1)
+        self.active = Signal()  # a beat is sent
+        self.sending = Signal()  # the packet goes on
+        self.at_last = Signal()  # its last beat is next
+        self.sent = Signal(bus.Send)  # kind of the packet of the beat that is sent
+        self.send_before = Signal(bus.Send)
+        self.index = Signal(beats)  # number of this beat in the packet
+        self.index_before = Signal(beats)
 
     def elaborate(self, platform):
         m = Module()

@@ -16,7 +16,7 @@ from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .axi import STREAM
 from .coder import Coder, is_event_head
-from .logic import any_of, named, up_to
+from .logic import any_of, up_to
 from .packer import Packer
 from .packetizer import formed, numbers, of_format
 from .unit import Unit, place
@@ -50,7 +50,8 @@ class Readout(Unit):
         self.sensor = sensor
         self.subgroups = subgroups
         self.parts = layout(sensor)
-        self.rooms = self.parts.longest_word, self.parts.counter_beats  # beats of the longest word, and of counters
+        # Beats of the longest word, and of counters.
+        self.rooms = (self.parts.longest_word, self.parts.counter_beats)
         self.depth = latency.output_depth(self.parts.longest)  # depth of the output buffer, in beats
         self.unit_name = f"coincid_readout_{subgroups}"
         super().__init__(
@@ -70,43 +71,77 @@ class Readout(Unit):
             counted=Out(bus.COUNTED),
             m_axis=Out(STREAM),
         )
-        n, longest, rooms = subgroups, self.parts.longest, self.rooms
+        self._input_registers()
+        self._waiting_events()
+        self._free_space()
+        self._own_packets()
         self.buffer = fifo.SyncFIFOBuffered(width=BEAT_BITS + 2, depth=self.depth + 1)
         self.buffer._MustUse__silence = True  # as in `Unit`
-        self.coder, self.packer = Coder(sensor), Packer(sensor)
-        # Inputs, registered. Outside a frame (`in_frame`), they are ignored.
-        self.inner("in_frame grouped with_offsets")
-        self.stored_in, self.record_stored_in = (Signal(n, name=name) for name in ("stored", "record_stored"))
-        self.frame_begin_in, self.finish_in, self.valid_in = named("frame_begin finish valid")
-        self.beat_in, self.beat_controlled_in = Signal(BEAT_BITS, name="beat"), Signal(name="beat_controlled")
-        # Beats of an event in the frame's format. event_exceeds: if there is more space than this, an event leaves room for
-        # a word, or for counters.
-        self.inner("event_length", range(longest + 1))
-        self.inner("event_last", range(longest))
-        self.event_exceeds = [Signal(range(2 * longest), init=beats - 1, name=f"event_and_{beats}") for beats in rooms]
-        # planes: bits of the number of events that wait in each subgroup; some_events: this number is not 0. at_or_after:
-        # all subgroups from the pointer on; from_chosen: the chosen one and all above it.
-        self.inner("take_event take_record records waiting some_events chosen from_chosen", n)
-        self.inner("at_or_after", n, init=-1)
-        self.inner("chosen_record")
-        self.planes = [Signal(n, name=f"events_{b}") for b in range(bits_for(sensor.fifo_depth))]
-        # room: for a word, and for counters. left: beats still to be granted; space: free places. taken: a beat has left the
-        # buffer one cycle ago; gone: its place is free.
-        self.room = [Signal(init=1, name=f"room_for_{beats}") for beats in rooms]
-        self.room_next = [Signal(name=f"room_next_for_{beats}") for beats in rooms]
-        self.inner("left left_next", range(longest))
-        self.inner("space", range(self.depth + 1), init=self.depth)
-        self.space_next = Signal.like(self.space)
-        self.inner("taken free free_for_counters gone booked")
-        self.inner("calm", range(CALM_CYCLES + 1))
-        # own: kinds of the readout's own packets on their way to the output; own_kind: of the one that is granted. tail:
-        # the subgroup whose counters are next, one-hot. owes: the frame's last beat has not left; filling: it was lost and
-        # is sent again. to_end: beats after the header of the frame end.
-        self.inner("own_kind", KIND_BITS)
-        self.inner("tail", n)
-        self.inner("owes filling")
+        self.coder = Coder(sensor)
+        self.packer = Packer(sensor)
+
+    def _input_registers(self):
+        """Registers of the inputs, which are ignored outside a frame, and of the frame's format."""
+        longest = self.parts.longest
+        self.in_frame = Signal()
+        self.stored_in = Signal(self.subgroups)
+        self.record_stored_in = Signal(self.subgroups)
+        self.frame_begin_in = Signal()
+        self.finish_in = Signal()
+        self.valid_in = Signal()
+        self.beat_in = Signal(BEAT_BITS)
+        self.beat_controlled_in = Signal()
+        self.grouped = Signal()  # the format packs events into groups
+        self.with_offsets = Signal()  # the format has offsets
+        self.event_length = Signal(range(longest + 1))  # beats of an event
+        self.event_last = Signal(range(longest))  # the same - 1
+        # If there is more space than this, an event leaves room for a word, or for counters.
+        self.event_exceeds = [
+            Signal(range(2 * longest), init=beats - 1, name=f"event_exceeds_{beats}")
+            for beats in self.rooms
+        ]
+
+    def _waiting_events(self):
+        """Signals of the arbiter; each has one bit per subgroup."""
+        n = self.subgroups
+        # Bits of the number of events that wait in each subgroup, the lowest bit first.
+        self.planes = [Signal(n, name=f"planes_{b}") for b in range(bits_for(self.sensor.fifo_depth))]
+        self.some_events = Signal(n)  # this number is not 0
+        self.records = Signal(n)  # a record waits
+        self.waiting = Signal(n)  # an event or a record waits
+        self.at_or_after = Signal(n, init=-1)  # all subgroups from the pointer on
+        self.from_chosen = Signal(n)  # the chosen subgroup and all above it
+        self.chosen = Signal(n)  # the subgroup that is granted next, one-hot
+        self.chosen_record = Signal()  # it has a record, which goes first
+        self.take_event = Signal(n)  # an event is granted
+        self.take_record = Signal(n)  # a record is granted
+
+    def _free_space(self):
+        """Signals that say whether a packet may begin."""
+        # There is room for a word, and for counters.
+        self.room = [Signal(init=1, name=f"room_{beats}") for beats in self.rooms]
+        self.room_next = [Signal(name=f"room_next_{beats}") for beats in self.rooms]
+        self.left = Signal(range(self.parts.longest))  # beats still to be granted
+        self.left_next = Signal(range(self.parts.longest))
+        self.space = Signal(range(self.depth + 1), init=self.depth)  # free places in the buffer
+        self.space_next = Signal(range(self.depth + 1), init=self.depth)
+        self.taken = Signal()  # a beat has left the buffer one cycle ago
+        self.gone = Signal()  # its place is free
+        self.free = Signal()  # a word may begin
+        self.free_for_counters = Signal()  # counters may begin
+        self.booked = Signal()  # a packet begins
+        self.calm = Signal(range(CALM_CYCLES + 1))  # cycles without grants and beats
+
+    def _own_packets(self):
+        """Signals of the readout's own packets, and of the frame's end."""
+        self.own_kind = Signal(KIND_BITS)  # kind of the packet of its own that is granted; 0: none
+        # The same for those on their way to the output.
         self.own = [Signal(KIND_BITS, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
-        self.inner("to_end", range(self.parts.counter_beats * n + 1))
+        self.tail = Signal(self.subgroups)  # the subgroup whose counters are next, one-hot
+        self.owes = Signal()  # the frame's last beat has not left
+        self.filling = Signal()  # it was lost and is sent again
+        # Beats after the header of the frame end.
+        self.to_end = Signal(range(self.parts.counter_beats * self.subgroups + 1))
 
     def elaborate(self, platform):
         m = Module()
@@ -151,7 +186,8 @@ class Readout(Unit):
         with m.If(self.frame_begin_in):
             m.d.sync += [plane.eq(0) for plane in (*self.planes, self.records)]
         m.d.comb += [self.waiting.eq(self.some_events | self.records), ahead.eq(self.waiting & self.at_or_after)]
-        from_ahead, from_all = up_to(m, ahead, "from_ahead"), up_to(m, self.waiting, "from_all")
+        from_ahead = up_to(m, ahead, "from_ahead")
+        from_all = up_to(m, self.waiting, "from_all")
         m.d.comb += [
             self.from_chosen.eq(Mux(from_ahead[-1], from_ahead, from_all)),
             self.chosen.eq(self.from_chosen & ~(self.from_chosen << 1)),
@@ -160,13 +196,18 @@ class Readout(Unit):
 
     def _credits(self, m, up, down):
         """Count the events of each subgroup, in bit planes. Further registers know which counters are not 0."""
-        planes, some = self.planes, self.some_events
-        carries, borrows = named("carries borrows", self.subgroups)
+        planes = self.planes
+        some = self.some_events
+        carries = Signal(self.subgroups)
+        borrows = Signal(self.subgroups)
         m.d.comb += [carries.eq(up & ~down), borrows.eq(down & ~up)]
-        ones = zeros = ~Const(0, self.subgroups)  # whether all lower planes are; known before the grant
+        # Whether all lower planes are ones, or zeros; known before the grant.
+        ones = ~Const(0, self.subgroups)
+        zeros = ~Const(0, self.subgroups)
         for plane in planes:
             m.d.sync += plane.eq(plane ^ (carries & ones) ^ (borrows & zeros))
-            ones, zeros = ones & plane, zeros & ~plane
+            ones = ones & plane
+            zeros = zeros & ~plane
         several = any_of(m, planes[1:], "several_of") if len(planes) > 1 else 0
         m.d.sync += some.eq(up | (some & (~down | several)))
 
@@ -295,7 +336,8 @@ class Readout(Unit):
     def _output(self, m):
         """Buffer the stream. Beats come back in the order of the grants; the readout's own beats take the same time."""
         counter_beats = self.parts.counter_beats
-        own, to_end = self.own, self.to_end
+        own = self.own
+        to_end = self.to_end
         m.d.sync += [later.eq(now) for now, later in zip([self.own_kind, *own], own)]
         starts = own[-1] == FRAME_START.code
         fields = numbers(m, self.sensor, [FRAME_START], own[-1], pulse=self.number, count=starts & self.grouped)
@@ -324,21 +366,39 @@ class Readout(Unit):
 
     def _port(self, m, platform):
         """Let the buffer's beats leave as they are, or the events among them in groups."""
-        coder, packer = self.coder, self.packer
-        beat, last, head = (self.buffer.r_data[part] for part in (slice(BEAT_BITS), BEAT_BITS, BEAT_BITS + 1))
-        nets = {
-            "grouped": self.grouped,
-            "with_offsets": self.with_offsets,
-            "period": self.plan.period,
-            "valid": self.buffer.r_rdy,
-            "beat": beat,
-            "last": last,
-            "head": head,
-            "passed": self.m_axis.tready,
-            "frame_begin": self.frame_begin_in,
-        }
-        nets |= coder.outputs() | packer.outputs()
-        place(m, "coder", coder, platform, **coder.fed(nets))
-        place(m, "packer", packer, platform, **packer.fed(nets))
+        coder = self.coder
+        packer = self.packer
+        beat = self.buffer.r_data[:BEAT_BITS]
+        last = self.buffer.r_data[BEAT_BITS]
+        place(
+            m,
+            "coder",
+            coder,
+            platform,
+            grouped=self.grouped,
+            with_offsets=self.with_offsets,
+            period=self.plan.period,
+            valid=self.buffer.r_rdy,
+            beat=beat,
+            last=last,
+            head=self.buffer.r_data[BEAT_BITS + 1],
+            free=packer.free,
+            passed=self.m_axis.tready,
+            frame_begin=self.frame_begin_in,
+        )
+        place(
+            m,
+            "packer",
+            packer,
+            platform,
+            offer=coder.offer,
+            part=coder.part,
+            bits=coder.bits,
+            close=coder.close,
+            passes=coder.passes,
+            beat=beat,
+            last=last,
+            frame_begin=self.frame_begin_in,
+        )
         wiring.connect(m, wiring.flipped(self.m_axis), packer.m_axis)
         m.d.comb += self.buffer.r_en.eq(coder.take)

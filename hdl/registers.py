@@ -28,7 +28,12 @@ CONTROL, STATUS = BY_NAME["control"], BY_NAME["status"]
 
 def _controller_ports(sensor: Sensor) -> dict[str, Any]:
     per_stream = data.ArrayLayout(DATA_BITS, sensor.streams)
-    return {"capacity": Out(DATA_BITS), "share": Out(per_stream), "budget": In(per_stream), "limit": In(per_stream)}
+    return {
+        "capacity": Out(DATA_BITS),
+        "share": Out(per_stream),
+        "budget": In(per_stream),
+        "limit": In(per_stream),
+    }
 
 
 class Registers(Unit):
@@ -70,19 +75,30 @@ class Registers(Unit):
             resting=In(1),
             **(_controller_ports(sensor) if sensor.controller else {}),
         )
-        # An access. whole: all bytes of the word are to be written; parity: of the value at the port; same_address,
-        # same_value: address and value are those that the master gave. wait: cycles so far. named: the word at the address.
-        self.inner("write_address read_address address", registers.ADDRESS_BITS)
-        self.inner("value found", DATA_BITS)
-        self.data_in = Signal(DATA_BITS, name="data")
-        self.inner("parity whole held_write same_address same_value in_subgroup mapped writable legal")
-        self.inner("wait", range(max(READ_CYCLES, CHECK_CYCLES) + 1))
+        # An access.
+        self.write_address = Signal(registers.ADDRESS_BITS)  # the address that the master gave
+        self.read_address = Signal(registers.ADDRESS_BITS)
+        self.address = Signal(registers.ADDRESS_BITS)  # the address of the access at work
+        self.same_address = Signal()  # it is the one that the master gave
+        self.held_write = Signal()  # address and value of a write are there
+        self.value = Signal(DATA_BITS)  # the value to write
+        self.parity = Signal()  # its parity at the port
+        self.same_value = Signal()  # it has this parity
+        self.whole = Signal()  # all bytes of the word are to be written
+        self.wait = Signal(range(max(READ_CYCLES, CHECK_CYCLES) + 1))  # cycles so far
+        # The word at the address.
+        self.in_subgroup = Signal()  # it is in a subgroup's block
+        self.mapped = Signal()
+        self.writable = Signal()
+        self.legal = Signal()  # the value is in its range
+        self.found = Signal(DATA_BITS)  # its value if it is a global register
+        self.data_in = Signal(DATA_BITS)  # its value if it is in a subgroup's block
         self.named = {
             (register.name, index): Signal(name=f"named_{register.name}_{index}")
             for table in (registers.GLOBAL, registers.SUBGROUP)
             for _, register, index in registers.words(table, sensor)
         }
-        # The programmed settings of the global block, by name and index. flag: of the status.
+        # The programmed settings of the global block, by name and index.
         self.setting = {
             (register.name, index): Signal(
                 bits_for(register.high(sensor)), init=register.reset(sensor), name=f"{register.name}_{index}"
@@ -94,11 +110,12 @@ class Registers(Unit):
             key: Signal(init=setting.init.bit_count() & 1, name=f"parity_of_{setting.name}")
             for key, setting in self.setting.items()
         }
-        self.flag = {bits.name: Signal(name=f"status_{bits.name}") for bits in STATUS.bits}
-        # A frame. sent: words sent for the subgroups' thresholds.
-        self.inner("sent", range(2 * sensor.streams + AUTO_BOUNDS))
-        self.inner("rested", range(RESTING_CYCLES + 1))
-        self.inner("plan_parity")
+        # Flags of the status.
+        self.flag = {bits.name: Signal(name=f"flag_{bits.name}") for bits in STATUS.bits}
+        # A frame.
+        self.sent = Signal(range(2 * sensor.streams + AUTO_BOUNDS))  # words sent for thresholds
+        self.rested = Signal(range(RESTING_CYCLES + 1))  # cycles without a frame while busy
+        self.plan_parity = Signal()  # parity of `plan`
 
     def elaborate(self, platform):
         m = Module()
@@ -114,14 +131,16 @@ class Registers(Unit):
     def _write_channel(self, m):
         """Hold address and data of a write until the write is answered."""
         axi = self.s_axi
-        self.voted = [
-            Voted(m, name) for name in ("held_address", "held_data", "held_read", "answered_write", "answered_read")
-        ]
-        held_address, held_data, self.keep_read, self.answer_write, self.answer_read = self.voted
+        held_address = Voted(m, "held_address")
+        held_data = Voted(m, "held_data")
+        self.held_read = Voted(m, "held_read")
+        self.answered_write = Voted(m, "answered_write")
+        self.answered_read = Voted(m, "answered_read")
+        self.voted = [held_address, held_data, self.held_read, self.answered_write, self.answered_read]
         m.d.comb += [
             axi.awready.eq(~held_address.value),
             axi.wready.eq(~held_data.value),
-            axi.bvalid.eq(self.answer_write.value),
+            axi.bvalid.eq(self.answered_write.value),
             self.held_write.eq(held_address.value & held_data.value),
         ]
         with m.If(axi.awvalid & axi.awready):
@@ -131,17 +150,17 @@ class Registers(Unit):
             m.d.comb += held_data.next.eq(1)
             m.d.sync += [self.value.eq(axi.wdata), self.whole.eq(axi.wstrb.all()), self.parity.eq(axi.wdata.xor())]
         with m.If(axi.bvalid & axi.bready):
-            m.d.comb += [self.answer_write.next.eq(0), held_address.next.eq(0), held_data.next.eq(0)]
+            m.d.comb += [self.answered_write.next.eq(0), held_address.next.eq(0), held_data.next.eq(0)]
 
     def _read_channel(self, m):
         """Hold the address of a read until the read is answered."""
         axi = self.s_axi
-        m.d.comb += [axi.arready.eq(~self.keep_read.value), axi.rvalid.eq(self.answer_read.value)]
+        m.d.comb += [axi.arready.eq(~self.held_read.value), axi.rvalid.eq(self.answered_read.value)]
         with m.If(axi.arvalid & axi.arready):
-            m.d.comb += self.keep_read.next.eq(1)
+            m.d.comb += self.held_read.next.eq(1)
             m.d.sync += self.read_address.eq(axi.araddr)
         with m.If(axi.rvalid & axi.rready):
-            m.d.comb += [self.answer_read.next.eq(0), self.keep_read.next.eq(0)]
+            m.d.comb += [self.answered_read.next.eq(0), self.held_read.next.eq(0)]
 
     def _global_settings(self, m):
         """Drive the outputs that show programmed settings at once, without a frame."""
@@ -251,13 +270,13 @@ class Registers(Unit):
                 with m.If(self.held_write & ~axi.bvalid):
                     m.d.sync += self.address.eq(self.write_address)
                     m.next = "decode"
-                with m.Elif(self.keep_read.value & ~axi.rvalid):
+                with m.Elif(self.held_read.value & ~axi.rvalid):
                     m.d.sync += self.address.eq(self.read_address)
                     m.next = "read"
             with m.State("read"):
                 m.d.sync += self._name_word()
                 with m.If(self.wait == READ_CYCLES):
-                    with m.If(self.keep_read.value):
+                    with m.If(self.held_read.value):
                         self._answer_read(m)
                     m.next = "idle"
             with m.State("decode"):
@@ -302,7 +321,7 @@ class Registers(Unit):
             m.d.sync += [self.flag["busy"].eq(0), self.flag["done"].eq(1)]
 
     def _respond(self, m, response):
-        m.d.comb += self.answer_write.next.eq(1)
+        m.d.comb += self.answered_write.next.eq(1)
         m.d.sync += self.s_axi.bresp.eq(response)
 
     def _name_word(self):
@@ -312,7 +331,7 @@ class Registers(Unit):
 
     def _answer_read(self, m):
         axi = self.s_axi
-        m.d.comb += self.answer_read.next.eq(1)
+        m.d.comb += self.answered_read.next.eq(1)
         m.d.sync += [
             axi.rresp.eq(Mux(self.mapped, OKAY, SLVERR)),
             axi.rdata.eq(Mux(self.mapped, Mux(self.in_subgroup, self.data_in, self.found), 0)),
@@ -350,7 +369,7 @@ class Registers(Unit):
         with m.If(self.named["control", 0]):
             m.d.sync += self.abort_frame.eq(value[CONTROL.bit("abort")])
             with m.If(value[CONTROL.bit("start")]):
-                m.d.comb += self.answer_write.next.eq(0)
+                m.d.comb += self.answered_write.next.eq(0)
                 m.next = "check"
 
     def _start_or_refuse(self, m):

@@ -9,6 +9,7 @@ from amaranth.hdl import Cat, Const, Module, ValueLike
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out, Signature
 
+from ..model.contract.packet import BEAT_BITS
 from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.registers import DATA_BITS
 from . import bus
@@ -20,17 +21,12 @@ from .logic import any_of
 from .readout import Readout
 from .registers import Registers
 from .sequencer import Sequencer
-from .subgroup import own_ports, shared_ports
+from .subgroup import OwnPorts, shared_ports
 from .subgroup_pair import SensorModule
 from .unit import Export, Unit, place
 
 FPGA_TOP = "coincid_fpga"
 CORE = "coincid_core"
-LISTED = ("stored", "record_stored")  # reach a readout with one bit per subgroup
-COMBINED = ("valid", "beat", "beat_controlled")  # reach a readout as the OR of its subgroups'
-GRANTED = ("grant", "send")  # from a readout to its subgroups
-ANSWERED = ("data", "gate_late", "settings_upset")  # reach the registers as the OR of all subgroups'
-
 Put = Callable[..., Any]  # puts a unit into a design as `place` does: put(name, unit, **inputs)
 
 
@@ -43,18 +39,37 @@ def outer_ports(sensor: Sensor) -> dict[str, Any]:
 def inner_ports(sensor: Sensor) -> dict[str, Any]:
     """Ports of the core towards the modules.
 
-    `shared_ports`, as outputs; data, gate_late, settings_upset : in, OR of all subgroups'; per stream k, of its
-    subgroups: `LISTED`_of_k, `COMBINED`_of_k : in; `GRANTED`_of_k : out.
+    `shared_ports`, as outputs; data, gate_late, settings_upset : in, OR of all subgroups'; and for
+    every stream k, of its subgroups:
+    stored_of_k, record_stored_of_k : in, one bit per subgroup
+    valid_of_k, beat_of_k, beat_controlled_of_k : in, OR of the subgroups'
+    grant_of_k : out, one bit per subgroup; send_of_k : out
     """
     ports = {name: Out(member.shape) for name, member in shared_ports(sensor).items()}
     ports |= {"data": In(DATA_BITS), "gate_late": In(1), "settings_upset": In(1)}
-    own = own_ports(sensor)
     for k in range(sensor.streams):
-        n = len(sensor.stream_subgroups(k))
-        ports |= {f"{name}_of_{k}": In(n) for name in LISTED}
-        ports |= {f"{name}_of_{k}": In(own[name].shape) for name in COMBINED}
-        ports |= {f"grant_of_{k}": Out(n), f"send_of_{k}": Out(bus.Send)}
+        subgroups = len(sensor.stream_subgroups(k))
+        ports |= {
+            f"stored_of_{k}": In(subgroups),
+            f"record_stored_of_{k}": In(subgroups),
+            f"valid_of_{k}": In(1),
+            f"beat_of_{k}": In(BEAT_BITS),
+            f"beat_controlled_of_{k}": In(1),
+            f"grant_of_{k}": Out(subgroups),
+            f"send_of_{k}": Out(bus.Send),
+        }
     return ports
+
+
+class StreamPorts:
+    """Those of the `inner_ports` that belong to stream k, without the suffix _of_k."""
+
+    def __init__(self, inner: Any, k: int):
+        self._inner = inner
+        self._suffix = f"_of_{k}"
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name + self._suffix)
 
 
 class Core(Unit):
@@ -121,64 +136,133 @@ def has_fpga_top(sensor: Sensor) -> bool:
 
 
 def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Sequencer:
-    """Put the blocks of the core into `m`, between `outer_ports` and `inner_ports`, and return the sequencer."""
-    registers, sequencer = Registers(sensor), Sequencer(sensor)
+    """Put the blocks of the core into `m`, between `outer_ports` and `inner_ports`. Return the sequencer."""
+    registers = Registers(sensor)
+    sequencer = Sequencer(sensor)
     readouts = [Readout(sensor, len(sensor.stream_subgroups(k))) for k in range(sensor.streams)]
     controllers = [Controller(sensor) for _ in readouts] if sensor.controller else []
-    nets: dict[str, Any] = registers.outputs() | sequencer.outputs()
-    nets |= {name: getattr(inner, name) for name in ANSWERED}
+    thresholds: dict[str, ValueLike] = {}
     if controllers:
-        nets |= {name: Cat(getattr(one, name) for one in controllers) for name in ("budget", "limit")}
-    nets["delivered"] = Cat(readout.delivered for readout in readouts).all()
-    put("registers", registers, **registers.fed(nets))
-    put("sequencer", sequencer, **sequencer.fed(nets))
+        thresholds = dict(
+            budget=Cat(controller.budget for controller in controllers),
+            limit=Cat(controller.limit for controller in controllers),
+        )
+    put(
+        "registers",
+        registers,
+        data=inner.data,
+        gate_late=inner.gate_late,
+        settings_upset=inner.settings_upset,
+        done=sequencer.done,
+        resting=sequencer.resting,
+        **thresholds,
+    )
+    put(
+        "sequencer",
+        sequencer,
+        plan=registers.plan,
+        start_frame=registers.start_frame,
+        abort_frame=registers.abort_frame,
+        delivered=Cat(readout.delivered for readout in readouts).all(),
+    )
     wiring.connect(m, wiring.flipped(outer.s_axi), registers.s_axi)
-    m.d.comb += outer.laser.eq(sequencer.laser)
-    m.d.comb += [getattr(inner, name).eq(nets[name]) for name in shared_ports(sensor)]
+    m.d.comb += [
+        outer.laser.eq(sequencer.laser),
+        inner.command.eq(registers.command),
+        inner.period.eq(registers.period),
+        inner.frame.eq(registers.frame),
+        inner.timing.eq(sequencer.timing),
+    ]
     for k, controller in enumerate(controllers):
-        of_stream = {"share": registers.share[k], "counted": readouts[k].counted}
-        put(f"controller_{k}", controller, **controller.fed(nets | of_stream))
+        put(
+            f"controller_{k}",
+            controller,
+            command=registers.command,
+            capacity=registers.capacity,
+            share=registers.share[k],
+            counted=readouts[k].counted,
+            done=sequencer.done,
+        )
     for k, readout in enumerate(readouts):
-        nets |= {name: getattr(inner, f"{name}_of_{k}") for name in (*LISTED, *COMBINED)}
-        put(f"readout_{k}", readout, **readout.fed(nets))
+        stream = StreamPorts(inner, k)
+        put(
+            f"readout_{k}",
+            readout,
+            stored=stream.stored,
+            record_stored=stream.record_stored,
+            valid=stream.valid,
+            beat=stream.beat,
+            beat_controlled=stream.beat_controlled,
+            frame=registers.frame,
+            plan=registers.plan,
+            number=sequencer.number,
+            frame_begin=sequencer.frame_begin,
+            finish=sequencer.finish,
+        )
         wiring.connect(m, wiring.flipped(getattr(outer, sensor.stream_name(k))), readout.m_axis)
-        m.d.comb += [getattr(inner, f"{name}_of_{k}").eq(getattr(readout, name)) for name in GRANTED]
+        m.d.comb += [
+            stream.grant.eq(readout.grant),
+            stream.send.eq(readout.send),
+        ]
     return sequencer
 
 
 def wire_sensor(
     m: Module, put: Put, sensor: Sensor, outer: Any, words: list[ValueLike], view=POLYPHASE
 ) -> tuple[Sequencer, Cat]:
-    """Put the blocks of the sensor into `m`, behind `outer_ports`, and return the sequencer and the subgroups' gates.
+    """Put the blocks of the sensor into `m`, behind `outer_ports`.
 
-    words: the SPADs of every subgroup, in the view's form.
+    words: the SPADs of every subgroup, in the view's form. Return the sequencer and the subgroups' gates.
     """
     inner: Any = Signature(inner_ports(sensor)).create(path=())
     sequencer = wire_core(m, put, sensor, outer, inner)
-    subgroups = range(sensor.subgroups)
-    own: list[dict[str, Any]] = []  # the ports of each subgroup
-    for k in subgroups[::2]:
-        lines = subgroups[k : k + 2]
+    subgroups: list[OwnPorts] = []
+    for k in range(0, sensor.subgroups, 2):
+        lines = range(k, min(k + 2, sensor.subgroups))
         module = SensorModule(sensor, len(lines), view)
-        inputs = {name: getattr(inner, name) for name in shared_ports(sensor)}
-        for j, s in enumerate(lines):
-            stream = sensor.stream_of(s)
-            inputs[f"words_{j}"] = words[s]
-            inputs[f"grant_{j}"] = getattr(inner, f"grant_of_{stream}")[sensor.stream_subgroups(stream).index(s)]
-            inputs[f"send_{j}"] = getattr(inner, f"send_of_{stream}")
-            own.append({name: getattr(module, f"{name}_{j}") for name in own_ports(sensor)})
-        put(f"module_{k // 2}", module, number=Const(k // 2, module.number.shape()), **inputs)
+        put(
+            f"module_{k // 2}",
+            module,
+            number=Const(k // 2, module.number.shape()),
+            command=inner.command,
+            period=inner.period,
+            frame=inner.frame,
+            timing=inner.timing,
+            **_of_line(sensor, inner, words, 0, lines[0]),
+            **(_of_line(sensor, inner, words, 1, lines[1]) if len(lines) > 1 else {}),
+        )
+        subgroups += [OwnPorts(module, f"_{line}") for line in range(len(lines))]
 
-    def combine(port, name, members):
-        m.d.comb += getattr(inner, port).eq(any_of(m, [own[s][name] for s in members], f"{port}_from"))
+    def combined(name, values):
+        return any_of(m, list(values), f"{name}_from")
 
-    combine("data", "data", subgroups)
-    combine("gate_late", "gate_late", subgroups)
-    combine("settings_upset", "upset", subgroups)
+    m.d.comb += [
+        inner.data.eq(combined("data", (one.data for one in subgroups))),
+        inner.gate_late.eq(combined("gate_late", (one.gate_late for one in subgroups))),
+        inner.settings_upset.eq(combined("settings_upset", (one.upset for one in subgroups))),
+    ]
     for k in range(sensor.streams):
-        members = sensor.stream_subgroups(k)
-        for name in COMBINED:
-            combine(f"{name}_of_{k}", name, members)
-        for name in LISTED:
-            m.d.comb += getattr(inner, f"{name}_of_{k}").eq(Cat(own[s][name] for s in members))
-    return sequencer, Cat(ports["spad_gate"] for ports in own)
+        stream = StreamPorts(inner, k)
+        members = [subgroups[s] for s in sensor.stream_subgroups(k)]
+        controlled = (one.beat_controlled for one in members)
+        m.d.comb += [
+            stream.stored.eq(Cat(one.stored for one in members)),
+            stream.record_stored.eq(Cat(one.record_stored for one in members)),
+            stream.valid.eq(combined(f"valid_of_{k}", (one.valid for one in members))),
+            stream.beat.eq(combined(f"beat_of_{k}", (one.beat for one in members))),
+            stream.beat_controlled.eq(combined(f"beat_controlled_of_{k}", controlled)),
+        ]
+    return sequencer, Cat(one.spad_gate for one in subgroups)
+
+
+def _of_line(
+    sensor: Sensor, inner: Any, words: list[ValueLike], line: int, subgroup: int
+) -> dict[str, ValueLike]:
+    """Return the drivers of a module's inputs for one of its lines, which belongs to `subgroup`."""
+    number = sensor.stream_of(subgroup)
+    stream = StreamPorts(inner, number)
+    return {
+        f"words_{line}": words[subgroup],
+        f"grant_{line}": stream.grant[sensor.stream_subgroups(number).index(subgroup)],
+        f"send_{line}": stream.send,
+    }

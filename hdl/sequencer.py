@@ -58,23 +58,33 @@ class Sequencer(Unit):
             done=Out(1),
             resting=Out(1),
         )
-        # waiting: between two periods; left: cycles of this wait. start: the strobe, delayed for the registers behind it.
-        # active: from the beginning of a frame until it is done.
-        self.inner("running waiting ends first wrap aborted active")
-        self.inner("cycle", sensor.coarse_bits + 1)
-        self.inner("pulse", bus.PULSE_BITS + 1)
-        self.inner("start", 2)
+        self.start = Signal(2)  # the strobe, delayed for the registers behind it
         self.restart = self.start[-1]
-        self.inner("lfsr", LFSR_BITS)
-        self.inner("mask left", DITHER_BITS_MAX)
-        # Progressive gating. step, last_step: registers, because `pulses` and `steps` change only at the end of a period.
-        self.inner("shift", sensor.coarse_bits + 1)
-        self.inner("pulses steps", GATE_BITS)
-        self.inner("step last_step")
-        # draining: the frame is ending; drained: for so many cycles. delivered_for: bit k: for more than k cycles.
-        self.inner("draining")
-        self.inner("drained", range(TO_FINISH + 1))
-        self.delivered_for = Signal(SETTLED, name="delivered")
+        self.active = Signal()  # from the beginning of a frame until it is done
+        # Periods.
+        self.running = Signal()  # from the first period to the end of the last one
+        self.first = Signal()  # the frame has begun one cycle ago
+        self.cycle = Signal(sensor.coarse_bits + 1)  # number of the cycle in its period
+        self.pulse = Signal(bus.PULSE_BITS + 1)  # number of the period in the frame
+        self.ends = Signal()  # the cycle is the last of a period
+        self.wrap = Signal()  # the cycle before was the last of a period
+        self.aborted = Signal()  # this period is the last one
+        # Dither.
+        self.waiting = Signal()  # between two periods
+        self.left = Signal(DITHER_BITS_MAX)  # cycles of this wait
+        self.mask = Signal(DITHER_BITS_MAX)  # the bits of `lfsr` that give it
+        self.lfsr = Signal(LFSR_BITS)
+        # Progressive gating. `step` and `last_step` are registers, because `pulses` and `steps` change
+        # only at the end of a period.
+        self.shift = Signal(sensor.coarse_bits + 1)  # shift of the gate, in cycles
+        self.pulses = Signal(GATE_BITS)  # periods since the last step
+        self.steps = Signal(GATE_BITS)  # steps since the shift was 0
+        self.step = Signal()  # the shift changes at the end of the period
+        self.last_step = Signal()  # and becomes 0
+        # The end of a frame.
+        self.draining = Signal()  # the frame is ending
+        self.drained = Signal(range(TO_FINISH + 1))  # for so many cycles
+        self.delivered_for = Signal(SETTLED)  # bit k: delivered for more than k cycles
 
     def elaborate(self, platform):
         m = Module()
@@ -124,7 +134,8 @@ class Sequencer(Unit):
 
     def _shift(self, m):
         """Progressive gating: compute the gate's shift in this period, saturated at a shift with which no gate opens."""
-        settings, coarse_bits = self.plan, self.sensor.coarse_bits
+        settings = self.plan
+        coarse_bits = self.sensor.coarse_bits
         beyond = 1 << coarse_bits
         more = Signal(GATE_BITS + 1)
         m.d.comb += more.eq(self.shift + settings.gate_step)

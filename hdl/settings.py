@@ -50,17 +50,18 @@ class SubgroupSettings(Unit):
             gate_late=Out(1),
             upset=Out(1),
         )
-        # programmed: the settings. named: one bit per word, so that no decoder is in the path of a read; shown: number of a
-        # word -> value that a read returns; upsets: one bit per programmed word whose parity is wrong.
-        self.inner("programmed", bus.settings_layout(sensor), init=_reset(sensor))
-        self.inner("named", sum(1 for _ in registers.words(registers.SUBGROUP, sensor)))
+        self.programmed = Signal(bus.settings_layout(sensor), init=_reset(sensor))  # the settings
+        # One bit per word, so that no decoder is in the path of a read.
+        self.named = Signal(sum(1 for _ in registers.words(registers.SUBGROUP, sensor)))
+        self.shown: dict[int, Any] = {}  # number of a word -> value that a read returns
+        self.upsets: list[Value] = []  # one bit per programmed word: its parity is wrong
         self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
         m = Module()
-        programmed, named = self.programmed, self.named
-        shown: dict[int, Any] = {}
-        self.shown, self.upsets = shown, []
+        programmed = self.programmed
+        named = self.named
+        shown = self.shown
         selected = Signal()
         m.d.comb += selected.eq(self.command.subgroup == self.subgroup)
         m.d.sync += [self.gate_late.eq(programmed.gating & (programmed.gate_start >= self.period))]

@@ -3,7 +3,7 @@
 
 from typing import Any
 
-from amaranth.hdl import Cat, Module, Mux, ResetSignal, Signal
+from amaranth.hdl import Cat, Const, Module, Mux, ResetSignal, Signal, ValueLike
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out
 
@@ -32,6 +32,17 @@ def shared_ports(sensor: Sensor) -> dict[str, Any]:
         "frame": In(bus.frame_layout(sensor)),
         "timing": In(bus.time_layout(sensor)),
     }
+
+
+class OwnPorts:
+    """`own_ports` of one subgroup, as ports of a unit with several: each attribute has the suffix."""
+
+    def __init__(self, unit: Unit, suffix: str = ""):
+        self._unit = unit
+        self._suffix = suffix
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._unit, name + self._suffix)
 
 
 def own_ports(sensor: Sensor, view: View = POLYPHASE) -> dict[str, Any]:
@@ -83,63 +94,151 @@ class Subgroup(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        sensor, reset = self.sensor, agreed_reset(m)
-        gated = self._clock(m, platform, reset)
-        settings, gating, tree, dpcu = (
-            SubgroupSettings(sensor),
-            Gating(sensor),
-            self.view.front_end(sensor),
-            Dpcu(sensor),
-        )
-        events, packets = EventFifo(sensor), Packetizer(sensor)
+        self._reset = agreed_reset(m)
+        self._gated = self._clock(m, platform, self._reset)
+        self._register_inputs(m)
+        self._place_blocks(m, platform)
+        return m
 
-        # Inputs go straight into registers, except the subgroup's number, which never changes. These need no reset, because
-        # the registers that drive them have one. Most of them change only when something comes.
-        taken = {
-            name: Signal.like(getattr(self, name), reset_less=True)
-            for name in ("command", "timing", "frame", "period", "grant", "send")
-        }
-        command, timing, frame, period, grant, send = taken.values()
+    def _register_inputs(self, m):
+        """Put inputs straight into registers, except the subgroup's number, which never changes.
+
+        These need no reset, because the registers that drive them have one. Most of them change only
+        when something comes.
+        """
+        self.command_taken = Signal.like(self.command, reset_less=True)
+        self.timing_taken = Signal.like(self.timing, reset_less=True)
+        self.frame_taken = Signal.like(self.frame, reset_less=True)
+        self.period_taken = Signal.like(self.period, reset_less=True)
+        self.grant_taken = Signal.like(self.grant, reset_less=True)
+        self.send_taken = Signal.like(self.send, reset_less=True)
         idle = bus.Operation.IDLE
-        with m.If((self.command.operation != idle) | (command.operation != idle)):
-            m.d[gated] += [command.eq(self.command), frame.eq(self.frame), period.eq(self.period)]
-        now, next_now = (Cat(port[name] for name in bus.STROBES) for port in (timing, self.timing))
-        with m.If(Cat(now != next_now, grant, self.grant).any()):
-            m.d[gated] += [now.eq(next_now), grant.eq(self.grant)]
+        with m.If((self.command.operation != idle) | (self.command_taken.operation != idle)):
+            m.d[self._gated] += [
+                self.command_taken.eq(self.command),
+                self.frame_taken.eq(self.frame),
+                self.period_taken.eq(self.period),
+            ]
+        strobes = Cat(self.timing[name] for name in bus.STROBES)
+        strobes_taken = Cat(self.timing_taken[name] for name in bus.STROBES)
+        with m.If(Cat(strobes_taken != strobes, self.grant_taken, self.grant).any()):
+            m.d[self._gated] += [
+                strobes_taken.eq(strobes),
+                self.grant_taken.eq(self.grant),
+            ]
         with m.If(self.timing.start):
-            m.d[gated] += timing.shift.eq(self.timing.shift)
+            m.d[self._gated] += self.timing_taken.shift.eq(self.timing.shift)
         with m.If(self.grant):
-            m.d[gated] += send.eq(self.send)
+            m.d[self._gated] += self.send_taken.eq(self.send)
 
-        # A block's input is driven by the net of the same name: mostly another block's output, or an input of the subgroup.
-        nets: dict[str, Any] = taken | {"subgroup": self.subgroup, "start": timing.start}
-        nets |= {"operation": command.operation, "in_stream": self.subgroup >= command.subgroup}
-        nets["frame_begin"] = command.operation == bus.Operation.BEGIN
-        for unit in (settings, gating, tree, dpcu, events, packets):
-            nets |= unit.outputs()
-        nets |= {"words": self.words, "spad": self.words, "gate": gating.spad_gate, "mask": settings.settings.mask}
+    def _place_blocks(self, m, platform):
+        """Place the blocks and connect them, as in Fig. 3 of the paper."""
+        sensor = self.sensor
+        operation = self.command_taken.operation
+        settings = SubgroupSettings(sensor)
+        gating = Gating(sensor)
+        tree = self.view.front_end(sensor)
+        dpcu = Dpcu(sensor)
+        fifo = EventFifo(sensor)
+        packetizer = Packetizer(sensor)
+        # Without minigroup records, nothing is stored or dropped, and no record is sent.
+        record: ValueLike = Const({}, bus.record_layout(sensor))  # all fields 0
+        record_stored: ValueLike = Const(0)
+        record_dropped: ValueLike = Const(0)
+        frame_begin = operation == bus.Operation.BEGIN
 
-        def put(name, unit, domain=gated, **others):
-            place(m, name, unit, platform, reset, domain, **unit.fed(nets | others))
+        def put(name, unit, domain=self._gated, **inputs):
+            place(m, name, unit, platform, self._reset, domain, **inputs)
 
         if sensor.records:
             records = RecordBuffer(sensor)
-            put("record_buffer", records, due=tree.record_due, take=packets.take_record)
-            nets |= {"record": records.record, "mg_stored": records.stored, "mg_dropped": records.dropped}
-            m.d.comb += self.record_stored.eq(records.stored)
-        put("settings", settings)
-        put("gating", gating)
-        put("tree", tree, gated if self.view.front_end_rests else "sync")
-        put("dpcu", dpcu, data=command.data)
-        put("fifo", events, take=packets.take_event)
-        put("packetizer", packets)
+            put(
+                "record_buffer",
+                records,
+                due=tree.record_due,
+                latched=tree.latched,
+                entries=tree.entries,
+                pulse=dpcu.pulse,
+                take=packetizer.take_record,
+                frame_begin=frame_begin,
+            )
+            record = records.record
+            record_stored = records.stored
+            record_dropped = records.dropped
+        put(
+            "settings",
+            settings,
+            command=self.command_taken,
+            subgroup=self.subgroup,
+            period=self.period_taken,
+            counters=dpcu.counters,
+        )
+        put(
+            "gating",
+            gating,
+            timing=self.timing_taken,
+            settings=settings.settings,
+        )
+        put(
+            "tree",
+            tree,
+            domain=self._gated if self.view.front_end_rests else "sync",
+            mask=settings.settings.mask,
+            window_ticks=dpcu.window_ticks,
+            frame=self.frame_taken,
+            timing=self.timing_taken,
+            **self.view.from_spads(self.words, gating),
+        )
+        put(
+            "dpcu",
+            dpcu,
+            settings=settings.settings,
+            operation=operation,
+            data=self.command_taken.data,
+            in_stream=self.subgroup >= self.command_taken.subgroup,
+            start=self.timing_taken.start,
+            closed=tree.closed,
+            window=tree.window,
+            blind=tree.blind,
+            stored=fifo.stored,
+            dropped=fifo.dropped,
+            mg_stored=record_stored,
+            mg_dropped=record_dropped,
+        )
+        put(
+            "fifo",
+            fifo,
+            commit=dpcu.commit,
+            event=dpcu.event,
+            offsets=tree.offsets,
+            pulse=dpcu.pulse,
+            frame_begin=frame_begin,
+            take=packetizer.take_event,
+        )
+        put(
+            "packetizer",
+            packetizer,
+            grant=self.grant_taken,
+            send=self.send_taken,
+            frame=self.frame_taken,
+            subgroup=self.subgroup,
+            head=fifo.head,
+            record=record,
+            counters=dpcu.counters,
+            controlled=dpcu.controlled,
+        )
         wiring.connect(m, wiring.flipped(self.line), tree.line)
         m.d.comb += [
-            getattr(self, name).eq(nets[name])
-            for name, member in own_ports(sensor).items()
-            if member.flow is Out and name in nets
+            self.spad_gate.eq(gating.spad_gate),
+            self.valid.eq(packetizer.valid),
+            self.beat.eq(packetizer.beat),
+            self.beat_controlled.eq(packetizer.beat_controlled),
+            self.stored.eq(fifo.stored),
+            self.record_stored.eq(record_stored),
+            self.data.eq(settings.data),
+            self.gate_late.eq(settings.gate_late),
+            self.upset.eq(settings.upset),
         ]
-        return m
 
     def _clock(self, m, platform, reset):
         """Return the domain whose clock stops `AWAKE_CYCLES` after the last command, strobe, grant or reset."""

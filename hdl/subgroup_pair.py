@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Module: subgroups 2k and 2k + 1 and the always-on TDC that they share (paper, Fig. 3: generic block of the sensor)."""
 
-from typing import Any
-
 from amaranth.hdl import Cat, Module, Signal, ValueLike
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In
@@ -10,7 +8,7 @@ from amaranth.lib.wiring import In
 from ..model.contract.parameters import Sensor
 from . import bus
 from .front_end_views import POLYPHASE
-from .subgroup import Subgroup, own_ports, shared_ports
+from .subgroup import OwnPorts, Subgroup, own_ports, shared_ports
 from .unit import Unit, place
 from .voted import agreed_reset
 
@@ -35,11 +33,9 @@ class SensorModule(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        own = [
-            {name: getattr(self, f"{name}_{k}") for name in own_ports(self.sensor, self.view)}
-            for k in range(self.lines)
-        ]
-        _put_lines(m, platform, self, [Cat(k, self.number) for k in range(self.lines)], own)
+        numbers = [Cat(k, self.number) for k in range(self.lines)]
+        own = [OwnPorts(self, f"_{k}") for k in range(self.lines)]
+        _put_lines(m, platform, self, numbers, own)
         return m
 
 
@@ -58,23 +54,43 @@ class Slice(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        own = {name: getattr(self, name) for name in own_ports(self.sensor, self.view)}
-        _put_lines(m, platform, self, [self.number], [own])
+        _put_lines(m, platform, self, [self.number], [OwnPorts(self)])
         return m
 
 
-def _put_lines(m: Module, platform, unit: Unit, numbers: list[ValueLike], own: list[dict[str, Any]]) -> None:
-    """Put a TDC and its subgroups into `m`. numbers: of the subgroups; own: for each, the unit's ports by name."""
-    sensor, view = unit.sensor, unit.view
+def _put_lines(m: Module, platform, unit: Unit, numbers: list[ValueLike], own: list[OwnPorts]) -> None:
+    """Put a TDC and its subgroups into `m`. numbers: of the subgroups; own: the unit's ports of each."""
+    sensor = unit.sensor
+    view = unit.view
     start = Signal(reset_less=True)
     m.d.sync += start.eq(unit.timing.start)
-    tdc = place(m, "tdc", view.tdc(sensor, len(numbers)), platform, agreed_reset(m))
-    m.d.comb += tdc.start.eq(start)
-    for k, (number, ports) in enumerate(zip(numbers, own)):
-        subgroup = place(m, f"subgroup_{k}", Subgroup(sensor, view), platform)
-        m.d.comb += subgroup.subgroup.eq(number)
-        m.d.comb += [getattr(subgroup, name).eq(getattr(unit, name)) for name in shared_ports(sensor)]
-        for name, member in own_ports(sensor, view).items():
-            inner, outer = getattr(subgroup, name), ports[name]
-            m.d.comb += inner.eq(outer) if member.flow is In else outer.eq(inner)
+    tdc = view.tdc(sensor, len(numbers))
+    place(m, "tdc", tdc, platform, agreed_reset(m), start=start)
+    for k, (number, ports) in enumerate(zip(numbers, own, strict=True)):
+        subgroup = Subgroup(sensor, view)
+        place(
+            m,
+            f"subgroup_{k}",
+            subgroup,
+            platform,
+            subgroup=number,
+            command=unit.command,
+            period=unit.period,
+            frame=unit.frame,
+            timing=unit.timing,
+            words=ports.words,
+            grant=ports.grant,
+            send=ports.send,
+        )
         wiring.connect(m, subgroup.line, getattr(tdc, f"line_{k}"))
+        m.d.comb += [
+            ports.spad_gate.eq(subgroup.spad_gate),
+            ports.valid.eq(subgroup.valid),
+            ports.beat.eq(subgroup.beat),
+            ports.beat_controlled.eq(subgroup.beat_controlled),
+            ports.stored.eq(subgroup.stored),
+            ports.record_stored.eq(subgroup.record_stored),
+            ports.data.eq(subgroup.data),
+            ports.gate_late.eq(subgroup.gate_late),
+            ports.upset.eq(subgroup.upset),
+        ]

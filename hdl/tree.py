@@ -15,7 +15,7 @@ from amaranth.lib.wiring import In, Out, Signature
 from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .clock_gate import ClockGate, stopped
-from .logic import any_of, lowest, named, popcount, total
+from .logic import any_of, lowest, popcount, total
 from .minigroup import Minigroup, Recorder
 from .tdc import line_signature
 from .unit import Unit, place
@@ -43,33 +43,33 @@ class FrontEnd(Unit):
             latched=Out(sensor.minigroups),
             entries=Out(bus.record_layout(sensor)["entries"].shape),
         )
-        # elapsed: cycles since the window opened, saturated. hits: its map, collected by the leaves. closed_5: it has closed
-        # (stage 5). half, counts: a window whose pixels have been counted in parts (stage 6).
-        self.inner("elapsed", sensor.elapsed_bits)
-        self.inner("hits", sensor.pixels)
-        self.closed_5 = Signal(name="closed")
-        self.inner("closed_6")
-        self.inner("half", bus.window_layout(sensor), reset_less=True)
+        self.elapsed = Signal(sensor.elapsed_bits)  # cycles since the window opened, saturated
+        self.hits = Signal(sensor.pixels)  # map of the window, collected by the leaves
+        self.closed_5 = Signal()  # the window has closed (stage 5)
+        self.closed_6 = Signal()
+        # A window whose pixels have been counted in parts (stage 6).
+        self.half = Signal(bus.window_layout(sensor), reset_less=True)
         part = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
         self.parts = [self.hits[k : k + part] for k in range(0, sensor.pixels, part)]
-        self.counts = [Signal(range(len(part) + 1), name=f"count_{k}") for k, part in enumerate(self.parts)]
+        self.counts = [
+            Signal(range(len(part) + 1), name=f"counts_{k}") for k, part in enumerate(self.parts)
+        ]
 
-    def _leaf(self, m, platform, g: int, leaf: Recorder, by_pixel: dict[str, Value], **shared) -> list[int]:
-        """Connect minigroup `g`, and return its pixels. by_pixel: its inputs that have a part for every pixel of the subgroup."""
+    def _leaf(self, m, g: int, leaf: Recorder) -> None:
+        """Collect what minigroup `g` gives."""
         sensor = self.sensor
-        members = sensor.members(g)
-        own = {
-            name: Cat(value.word_select(i, len(value) // sensor.pixels) for i in members)
-            for name, value in by_pixel.items()
-        }
-        place(m, f"minigroup_{g}", leaf, platform, elapsed=self.elapsed, frame=self.frame, **own, **shared)
         m.d.comb += [
-            *([self.offsets[g].eq(leaf.offset)] if sensor.offsets else []),
+            self.offsets[g].eq(leaf.offset if sensor.offsets else 0),
             self.latched[g].eq(leaf.latched),
             self.entries[g].eq(leaf.entry),
-            *(self.hits[i].eq(hit) for i, hit in zip(members, leaf.hits)),
         ]
-        return members
+        for i, hit in zip(sensor.members(g), leaf.hits, strict=True):
+            m.d.comb += self.hits[i].eq(hit)
+
+    def _of_minigroup(self, g: int, bits: Value) -> Value:
+        """Return the part of minigroup `g` in a value that has a part for every pixel."""
+        width = len(bits) // self.sensor.pixels
+        return Cat(bits.word_select(i, width) for i in self.sensor.members(g))
 
     def _elapse(self, m, opened):
         """Stage 7: count the cycles since the window opened, for the leaves' offsets. opened: stage 6."""
@@ -79,7 +79,8 @@ class FrontEnd(Unit):
 
     def _closed(self, m, stamp, winner, clock="sync"):
         """Stages 6 and 7: count a closed window in two steps of equal depth. clock: domain of the strobes."""
-        half, counts = self.half, self.counts
+        half = self.half
+        counts = self.counts
         m.d[clock] += [self.closed_6.eq(self.closed_5), self.closed.eq(self.closed_6)]
         with m.If(self.closed_5):
             m.d.sync += [half.stamp.eq(stamp), half.hits.eq(self.hits), half.winner.eq(winner)]
@@ -116,27 +117,58 @@ class CoincidenceTree(FrontEnd):
     unit_name = "coincid_tree"
 
     def __init__(self, sensor: Sensor):
-        words, mask = In(sensor.pixels * sensor.phases), In(sensor.pixels)
-        super().__init__(sensor, line_signature(sensor), words=words, mask=mask, accept=In(1))
-        # Numbers are those of stages; `may_open` and `wrap` have a bit for each stage. left: ticks of the window from the
-        # start of the cycle; end: the same for a window that may just open; whole, part: the window covers the whole cycle,
-        # or the phases before its end. found_blind: a minigroup has an edge outside of a window. strobes: everything that
-        # moves on in every cycle, until it is out; a gate of its own drives its clock domain, `clock`.
+        super().__init__(
+            sensor,
+            line_signature(sensor),
+            words=In(sensor.pixels * sensor.phases),
+            mask=In(sensor.pixels),
+            accept=In(1),
+        )
         self.leaves = [Minigroup(sensor) for _ in range(sensor.minigroups)]
-        self.inner("may_open wrap", 5)
-        self.inner("coarse_4", sensor.coarse_bits)
-        self.inner("left end", range(sensor.window_max + sensor.phases))
-        self.inner("rearm", range(sensor.rearm + 1))
-        self.window_open = Signal()
-        self.inner("opening closing whole part found_blind")
-        self.blind_4 = Signal(name="blind")
-        self.inner("at_first", sensor.pixels)
-        self.openings = [Signal(name=f"opening_{n}") for n in (3, 4, 5, 6)]
-        self.closings = [Signal(name=f"closing_{n}") for n in (3, 4)] + [self.closed_5]
-        self.opening_4 = self.openings[1]
-        self.strobes = [*self.openings, *self.closings, self.closed_6, self.blind_4, self.wrap]
-        self.stamps = [Signal(sensor.stamp_bits, name=f"stamp_{n}") for n in (3, 4, 5)]
-        self.winners = [Signal(sensor.winner_bits, name=f"winner_{n}") for n in (3, 4, 5)]
+        # Numbers are those of stages.
+        self.may_open = Signal(5)  # bit n: a window may open in the cycle at stage n - 1
+        self.wrap = Signal(5)  # bit n: the cycle at stage n - 1 follows a period's last one
+        self.coarse_4 = Signal(sensor.coarse_bits)  # number of the cycle in its period, for records
+        # The window, at stage 2.
+        ticks = range(sensor.window_max + sensor.phases)
+        self.window_open = Signal()  # it opened in an earlier cycle and goes on
+        self.left = Signal(ticks)  # its ticks from the start of the cycle
+        self.end = Signal(ticks)  # the same, also for a window that may just open
+        self.rearm = Signal(range(sensor.rearm + 1))  # cycles until the next one may open
+        self.opening = Signal()  # it opens in this cycle
+        self.closing = Signal()  # it closes in this cycle
+        self.whole = Signal()  # it covers the whole cycle
+        self.part = Signal()  # it covers the phases before its end
+        self.at_first = Signal(sensor.pixels)  # pixels with an edge at the cycle's first phase
+        self.found_blind = Signal()  # a minigroup has an edge outside of a window (stage 3)
+        self.blind_4 = Signal()
+        # Strobes and numbers of the window on their way to stage 7.
+        self.opening_3 = Signal()
+        self.opening_4 = Signal()
+        self.opening_5 = Signal()
+        self.opening_6 = Signal()
+        self.closing_3 = Signal()
+        self.closing_4 = Signal()
+        self.stamp_3 = Signal(sensor.stamp_bits)  # time of the opening edge
+        self.stamp_4 = Signal(sensor.stamp_bits)
+        self.stamp_5 = Signal(sensor.stamp_bits)
+        self.winner_3 = Signal(sensor.winner_bits)  # pixel of the opening edge
+        self.winner_4 = Signal(sensor.winner_bits)
+        self.winner_5 = Signal(sensor.winner_bits)
+        # Everything that moves on in every cycle, until it is out; a gate of its own drives its clock
+        # domain, `clock`.
+        self.strobes = [
+            self.opening_3,
+            self.opening_4,
+            self.opening_5,
+            self.opening_6,
+            self.closing_3,
+            self.closing_4,
+            self.closed_5,
+            self.closed_6,
+            self.blind_4,
+            self.wrap,
+        ]
         self.clock_gate = ClockGate(small=True)
 
     def elaborate(self, platform):
@@ -160,7 +192,7 @@ class CoincidenceTree(FrontEnd):
         self._window(m)
         self._opened(m)
         self._leaves(m, platform)
-        self._closed(m, self.stamps[-1], self.winners[-1], self.clock)
+        self._closed(m, self.stamp_5, self.winner_5, self.clock)
         return m
 
     def _strobes(self, m):
@@ -177,7 +209,8 @@ class CoincidenceTree(FrontEnd):
     def _window(self, m):
         """Stage 2: the window, and the part of the cycle that it covers. Only (open, left, rearm) loop within one cycle."""
         phases = self.sensor.phases
-        live, to_border = named("live to_border")
+        live = Signal()  # a window is open in the cycle
+        to_border = Signal()  # it would reach the cycle's end
         m.d.comb += [
             self.opening.eq(~self.window_open & (self.rearm == 0) & self.may_open[-2] & self.line.any),
             live.eq(self.opening | self.window_open),
@@ -198,35 +231,56 @@ class CoincidenceTree(FrontEnd):
         """Stages 3 to 5: stamp and winner of the opening edge."""
         sensor = self.sensor
         m.d[self.clock] += [
-            Cat(self.openings).eq(Cat(self.opening, self.openings[:-1])),
-            Cat(self.closings).eq(Cat(self.closing, self.closings[:-1])),
+            self.opening_3.eq(self.opening),
+            self.opening_4.eq(self.opening_3),
+            self.opening_5.eq(self.opening_4),
+            self.opening_6.eq(self.opening_5),
+            self.closing_3.eq(self.closing),
+            self.closing_4.eq(self.closing_3),
+            self.closed_5.eq(self.closing_4),
         ]
-        self._elapse(m, self.openings[-1])
+        self._elapse(m, self.opening_6)
         one_of = Cat(self.at_first, C(0, (1 << sensor.winner_bits) - sensor.pixels))
         with m.If(self.opening):
             m.d.sync += [
-                self.stamps[0].eq(Cat(self.line.phase, self.line.coarse)),
-                self.winners[0].eq(lowest(m, one_of, "winner")),
+                self.stamp_3.eq(Cat(self.line.phase, self.line.coarse)),
+                self.winner_3.eq(lowest(m, one_of, "winner")),
             ]
-        for n, strobe in enumerate(self.openings[:2]):
-            with m.If(strobe):
-                m.d.sync += [delayed[n + 1].eq(delayed[n]) for delayed in (self.stamps, self.winners)]
+        with m.If(self.opening_3):
+            m.d.sync += [
+                self.stamp_4.eq(self.stamp_3),
+                self.winner_4.eq(self.winner_3),
+            ]
+        with m.If(self.opening_4):
+            m.d.sync += [
+                self.stamp_5.eq(self.stamp_4),
+                self.winner_5.eq(self.winner_4),
+            ]
 
     def _leaves(self, m, platform):
-        """Connect the minigroups."""
-        shared = {
-            "accept": self.accept,
-            "whole": self.whole,
-            "part": self.part,
-            "end": self.end[: self.sensor.phase_bits],
-            "first": self.line.phase,
-            "opening": self.opening_4,
-            "may_open": self.may_open[-1],
-            "wrap": self.wrap[-1],
-            "coarse": self.coarse_4,
-        }
+        """Place the minigroups."""
         for g, leaf in enumerate(self.leaves):
-            members = self._leaf(m, platform, g, leaf, {"words": self.words, "mask": self.mask}, **shared)
-            m.d.comb += [self.at_first[i].eq(here) for i, here in zip(members, leaf.at_first)]
+            place(
+                m,
+                f"minigroup_{g}",
+                leaf,
+                platform,
+                words=self._of_minigroup(g, self.words),
+                mask=self._of_minigroup(g, self.mask),
+                accept=self.accept,
+                whole=self.whole,
+                part=self.part,
+                end=self.end[: self.sensor.phase_bits],
+                first=self.line.phase,
+                opening=self.opening_4,
+                elapsed=self.elapsed,
+                frame=self.frame,
+                may_open=self.may_open[-1],
+                wrap=self.wrap[-1],
+                coarse=self.coarse_4,
+            )
+            self._leaf(m, g, leaf)
+            for i, here in zip(self.sensor.members(g), leaf.at_first, strict=True):
+                m.d.comb += self.at_first[i].eq(here)
         m.d.comb += self.found_blind.eq(any_of(m, [leaf.blind for leaf in self.leaves], "blind_or"))
         m.d[self.clock] += [self.blind_4.eq(self.found_blind), self.blind.eq(self.blind_4)]

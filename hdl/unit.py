@@ -6,6 +6,7 @@ from typing import Any
 from amaranth.hdl import (
     ClockSignal,
     DomainRenamer,
+    Fragment,
     Instance,
     IOPort,
     IOValue,
@@ -16,6 +17,9 @@ from amaranth.hdl import (
     Value,
     ValueLike,
 )
+from amaranth.hdl._ast import SignalSet
+from amaranth.hdl._ir import Design, PortDirection
+from amaranth.hdl._mem import MemoryInstance
 from amaranth.lib import wiring
 from attrs import field, frozen
 
@@ -45,11 +49,6 @@ class Unit(wiring.Component):
         for name, (_, signal) in self.flat_ports().items():
             signal.name = name
 
-    def inner(self, names: str, shape: Any = 1, **options: Any) -> None:
-        """Make inner signals or registers of one shape, which become attributes with these names."""
-        for name in names.split():
-            setattr(self, name, Signal(shape, name=name, **options))
-
     def for_cells(self) -> str | None:
         """Return the block's other Verilog for standard cells, or None."""
         return None
@@ -65,11 +64,6 @@ class Unit(wiring.Component):
         """Return the outputs by name."""
         return {name: signal for name, (flow, signal) in self.flat_ports().items() if flow is wiring.Out}
 
-    def fed(self, nets: dict[str, Any]) -> dict[str, Any]:
-        """Return those of the nets that have the name of an input."""
-        inputs = {name for name, (flow, _) in self.flat_ports().items() if flow is wiring.In}
-        return {name: net for name, net in nets.items() if name in inputs}
-
     def ports(self) -> list[Port]:
         """Return the ports in the Verilog, without clock and reset."""
         return [Port(name, len(value), flow is wiring.In) for name, (flow, value) in self.flat_ports().items()]
@@ -77,13 +71,15 @@ class Unit(wiring.Component):
 
 @frozen
 class Export:
-    """Elaboration platform that turns units into instances and collects them in `units`, to be emitted separately.
+    """Elaboration platform that turns units into instances and collects them, to be emitted separately.
 
-    pads: inputs of the emitted unit that go straight to an instance. Amaranth numbers the bits of all other inputs
-    together, with 16 bits, which is too little for the SPADs of a large sensor.
+    units: by their name in the Verilog. placed: by their name inside the unit that is elaborated.
+    pads: inputs of the emitted unit that go straight to an instance. Amaranth numbers the bits of
+    all other inputs together, with 16 bits, which is too little for the SPADs of a large sensor.
     """
 
     units: dict[str, Unit] = field(factory=dict)
+    placed: dict[str, Unit] = field(factory=dict)
     pads: dict[str, IOPort] = field(factory=dict)
 
     def pad(self, name: str, width: int) -> IOPort:
@@ -92,29 +88,109 @@ class Export:
 
 
 def place(
-    m: Module, name: str, unit: Unit, platform, reset=None, domain: str = "sync", **inputs: ValueLike | IOPort
+    m: Module,
+    name: str,
+    unit: Unit,
+    platform,
+    reset=None,
+    domain: str = "sync",
+    **inputs: ValueLike | IOPort,
 ) -> Unit:
     """Put `unit` into `m`, as a submodule or, under an `Export` platform, as an instance.
 
-    reset: instead of the domain's; domain: of the unit's clock. inputs: drivers of the unit's inputs of these names, in full
-    width; the caller connects the other ports.
+    reset: instead of the domain's; domain: of the unit's clock. inputs: a driver, in full width, for
+    every input. The caller connects interfaces with `wiring.connect` and reads outputs as attributes
+    of the unit. Raises `ConnectionError` for an input that does not exist or has no driver.
     """
     ports = unit.flat_ports()
-    given = {port: value if isinstance(value, IOValue) else Value.cast(value) for port, value in inputs.items()}
-    for port, value in given.items():
-        flow, signal = ports[port]
-        assert flow is wiring.In, f"{unit.unit_name}: {port} is an output"
-        assert len(value) == len(signal), f"{unit.unit_name}: {port} has {len(signal)} bits, not {len(value)}"
-    if not isinstance(platform, Export):
-        inner = unit if reset is None else ResetInserter(reset)(unit)
-        m.submodules[name] = inner if domain == "sync" else DomainRenamer(domain)(inner)
-        m.d.comb += [ports[port][1].eq(value) for port, value in given.items()]
+    given = {port: _driver(value) for port, value in inputs.items()}
+    _check_inputs(name, unit, given)
+    if isinstance(platform, Export):
+        platform.units.setdefault(unit.unit_name, unit)
+        platform.placed[name] = unit
+        m.submodules[name] = _instance(unit, given, reset, domain)
         return unit
-    platform.units.setdefault(unit.unit_name, unit)
-    connected = {
-        f"{'i' if flow is wiring.In else 'o'}_{port}": given.get(port, signal) for port, (flow, signal) in ports.items()
-    }
-    if unit.clocked:
-        connected |= {"i_clk": ClockSignal(domain), "i_rst": ResetSignal(domain) if reset is None else reset}
-    m.submodules[name] = Instance(unit.unit_name, **connected)
+    inner = unit if reset is None else ResetInserter(reset)(unit)
+    m.submodules[name] = inner if domain == "sync" else DomainRenamer(domain)(inner)
+    m.d.comb += [ports[port][1].eq(value) for port, value in given.items()]
     return unit
+
+
+def _driver(value: ValueLike | IOPort) -> Value | IOValue:
+    return value if isinstance(value, IOValue) else Value.cast(value)
+
+
+def _check_inputs(name: str, unit: Unit, given: dict[str, Value | IOValue]) -> None:
+    """Check that exactly the unit's inputs are given, in full width. Interfaces are not given."""
+    block = f"{name} ({unit.unit_name})"
+    ports = unit.flat_ports()
+    for port, value in given.items():
+        if port not in ports or ports[port][0] is not wiring.In:
+            raise wiring.ConnectionError(f"{block} has no input `{port}`")
+        width = len(ports[port][1])
+        if len(value) != width:
+            raise wiring.ConnectionError(f"{block}: `{port}` has {width} bits, not {len(value)}")
+    for port, member in unit.signature.members.items():
+        if member.is_port and member.flow is wiring.In and port not in given:
+            raise wiring.ConnectionError(f"{block}: nothing drives the input `{port}`")
+
+
+def _instance(unit: Unit, given: dict[str, Value | IOValue], reset, domain: str) -> Instance:
+    """Return an instance of a unit."""
+    connected: dict[str, Any] = {}
+    for port, (flow, signal) in unit.flat_ports().items():
+        if flow is wiring.In:
+            connected[f"i_{port}"] = given.get(port, signal)
+        else:
+            connected[f"o_{port}"] = signal
+    if unit.clocked:
+        connected["i_clk"] = ClockSignal(domain)
+        connected["i_rst"] = ResetSignal(domain) if reset is None else reset
+    return Instance(unit.unit_name, **connected)
+
+
+def check_drivers(unit: Unit, design: Design, placed: dict[str, Unit]) -> None:
+    """Check that something drives all that an elaborated unit and the units inside it read, and its outputs.
+
+    Amaranth would make what nothing drives a constant, without a word. Raises `ConnectionError`.
+    """
+    driven = SignalSet()
+    read = SignalSet()
+    _add_signals(design.fragment, driven, read)
+    for _, value, direction in design.ports:
+        if direction is PortDirection.Input and isinstance(value, Signal):
+            driven.add(value)
+    for port, (flow, signal) in unit.flat_ports().items():
+        if flow is wiring.Out and len(signal) and signal not in driven:
+            raise wiring.ConnectionError(f"{unit.unit_name}: nothing drives the output `{port}`")
+    for name, inner in placed.items():
+        for port, (flow, signal) in inner.flat_ports().items():
+            is_plain = port in inner.signature.members
+            if flow is wiring.In and not is_plain and signal not in driven:
+                block = f"{name} ({inner.unit_name}) in {unit.unit_name}"
+                raise wiring.ConnectionError(f"{block}: nothing drives the input `{port}`")
+    for signal in read:
+        if len(signal) and signal not in driven:
+            raise wiring.ConnectionError(f"{unit.unit_name}: nothing drives `{signal.name}`")
+
+
+def _add_signals(fragment: Fragment, driven: SignalSet, read: SignalSet) -> None:
+    """Add the signals that a fragment drives and reads, with everything inside it."""
+    for statements in fragment.statements.values():
+        driven.update(statements._lhs_signals())
+        read.update(statements._rhs_signals())
+    if isinstance(fragment, Instance):
+        for value, kind in fragment.ports.values():
+            if kind == "o":
+                driven.update(value._lhs_signals())
+            elif isinstance(value, Value):
+                read.update(value._rhs_signals())
+    if isinstance(fragment, MemoryInstance):
+        for port in fragment._read_ports:
+            driven.update(port._data._lhs_signals())
+            read.update(port._addr._rhs_signals())
+        for port in fragment._write_ports:
+            for value in (port._addr, port._data, port._en):
+                read.update(value._rhs_signals())
+    for inner, _, _ in fragment.subfragments:
+        _add_signals(inner, driven, read)

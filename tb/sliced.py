@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..hdl.minigroup import Minigroup
-from ..hdl.sensor import COMBINED, CORE, GRANTED, LISTED
+from ..hdl.sensor import CORE
 from ..hdl.subgroup import shared_ports
 from ..hdl.subgroup_pair import Slice
 from ..host.driver import Driver
@@ -44,6 +44,8 @@ from .slice_proof import prove_module
 from .verilated import objects_in, run_time, verilated_unit
 
 SOURCE = Path(__file__).with_name("sliced.cpp")
+# Of the core's ports for a stream, without their suffix, in the order of the arguments of `visit`.
+STREAM_NETS = "stored", "record_stored", "valid", "beat", "beat_controlled", "grant", "send"
 CHUNK_CYCLES = 20_000  # between two checks of progress and Ctrl-C
 RESET_CYCLES = 4
 CORE_OPTIMISE = "-O1"  # the core is a sixth of the time of a frame; with -O2 it takes half as long again to compile
@@ -70,7 +72,7 @@ def wiring_header(sensor: Sensor) -> str:
     visits = []
     for stream in range(sensor.streams):
         axis = [f"core.{sensor.stream_name(stream)}_{wire}" for wire in ("tdata", "tvalid", "tready", "tlast")]
-        nets = [f"core.{net}_of_{stream}" for net in (*LISTED, *COMBINED, *GRANTED)]
+        nets = [f"core.{net}_of_{stream}" for net in STREAM_NETS]
         visits.append(f"    visit({stream}, {', '.join(axis + nets)});")
     return "\n".join(
         [

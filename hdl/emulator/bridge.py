@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serial bridge: access to the emulator's address space over two pins; protocol in `model/contract/serial_link.py`."""
 
-from amaranth.hdl import Cat, Module, Mux
+from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.fifo import SyncFIFOBuffered
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
@@ -37,37 +37,75 @@ class SerialBridge(Unit):
     def __init__(self, emulator: Emulator):
         self.emulator = emulator
         super().__init__(rx=In(1), tx=Out(1, init=1), access=Out(ACCESS), errors=Out(DATA_BITS))
-        # The request. length: its bytes; at: place of the byte that is fetched from it; waited: cycles of the fetch.
-        self.inner("head", 8 * link.HEAD_BYTES, reset_less=True)
-        self.sequence, self.operation, self.count = (self.head[8 * k : 8 * k + 8] for k in range(3))
-        self.inner("length", link.BODY_BYTES_MAX.bit_length())
-        self.inner("at", range(link.BODY_BYTES_MAX + 1))
-        self.inner("waited", range(FETCH_CYCLES + 1))
-        self.inner("byte", 8)
-        self.inner("short is_hello is_read is_write is_last repeated follows")
-        # Progress. words: of the request that are done; byte_of: likewise, bytes of the word on its way; is_last: this word
-        # is the last one.
-        self.inner("words", 8)
-        self.inner("byte_of", range(link.WORD_BYTES))
-        self.inner("word", DATA_BITS, reset_less=True)
-        self.inner("address", ADDRESS_BITS, reset_less=True)
-        self.inner("status", Answer)
-        # The last request, which the host may repeat. fresh: no read or write since reset; greeted: a host has said hello.
-        self.inner("last last_done", 8)
-        self.inner("last_status", Answer)
-        self.inner("last_wrote greeted")
-        self.inner("fresh", init=1)
+        # The request.
+        self.head = Signal(8 * link.HEAD_BYTES, reset_less=True)
+        self.sequence = self.head[:8]
+        self.operation = self.head[8:16]
+        self.count = self.head[16:24]
+        self.length = Signal(link.BODY_BYTES_MAX.bit_length())  # its bytes
+        self.at = Signal(range(link.BODY_BYTES_MAX + 1))  # place of the byte that is fetched from it
+        self.waited = Signal(range(FETCH_CYCLES + 1))  # cycles of the fetch
+        self.byte = Signal(8)  # the byte that was fetched
+        self.hold = Signal()  # ignore what arrives
+        # What it is.
+        self.short = Signal()
+        self.is_hello = Signal()
+        self.is_read = Signal()
+        self.is_write = Signal()
+        self.repeated = Signal()  # its number is that of the last one
+        self.follows = Signal()  # its number is the next one
+        # Progress.
+        self.words = Signal(8)  # words of the request that are done
+        self.is_last = Signal()  # this word is the last one
+        self.byte_of = Signal(range(link.WORD_BYTES))  # bytes done of the word on its way
+        self.word = Signal(DATA_BITS, reset_less=True)
+        self.address = Signal(ADDRESS_BITS, reset_less=True)
+        self.status = Signal(Answer)
+        # The last request, which the host may repeat.
+        self.last = Signal(8)  # its number
+        self.last_done = Signal(8)  # words that were done
+        self.last_status = Signal(Answer)
+        self.last_wrote = Signal()
+        self.greeted = Signal()  # a host has said hello
+        self.fresh = Signal(init=1)  # no read or write since reset
 
     def elaborate(self, platform):
         m = Module()
         clocks = self.emulator.clocks_per_bit
-        receiver, deframer, framer = Receiver(clocks), Deframer(), Framer()
+        receiver = Receiver(clocks)
+        deframer = Deframer()
+        framer = Framer()
         m.submodules.answer = answer = SyncFIFOBuffered(width=len(framer.byte) + 1, depth=ANSWER_DEPTH)
         place(m, "receiver", receiver, platform, rx=self.rx)
-        place(m, "deframer", deframer, platform, **deframer.fed(receiver.outputs()))
-        sent = {"valid": framer.out_valid, "byte": framer.out_byte}
-        transmitter = place(m, "transmitter", Transmitter(clocks), platform, **sent)
-        place(m, "framer", framer, platform, valid=answer.r_rdy, out_ready=transmitter.ready)
+        place(
+            m,
+            "deframer",
+            deframer,
+            platform,
+            valid=receiver.valid,
+            byte=receiver.byte,
+            broken=receiver.broken,
+            hold=self.hold,
+        )
+        transmitter = Transmitter(clocks)
+        place(
+            m,
+            "transmitter",
+            transmitter,
+            platform,
+            valid=framer.out_valid,
+            byte=framer.out_byte,
+        )
+        place(
+            m,
+            "framer",
+            framer,
+            platform,
+            valid=answer.r_rdy,
+            byte=answer.r_data[:8],
+            last=answer.r_data[8],
+            out_ready=transmitter.ready,
+        )
         m.submodules.request = memory = Memory(shape=8, depth=1 << (link.BODY_BYTES_MAX - 1).bit_length(), init=[])
         put = memory.write_port()
         get = memory.read_port()
@@ -77,7 +115,6 @@ class SerialBridge(Unit):
             put.data.eq(deframer.data),
             get.en.eq(1),
             self.tx.eq(transmitter.tx),
-            Cat(framer.byte, framer.last).eq(answer.r_data),
             answer.r_en.eq(framer.ready),
         ]
         with m.If(deframer.wrong):
@@ -113,7 +150,7 @@ class SerialBridge(Unit):
         access = self.access
         self._weigh(m)
         m.d.comb += [access.address.eq(self.address), access.data.eq(self.word), access.write.eq(self.is_write)]
-        m.d.comb += deframer.hold.eq(1)
+        m.d.comb += self.hold.eq(1)
         m.d.sync += access.valid.eq(0)
         with m.FSM():
             self._receive(m, deframer)
@@ -127,7 +164,7 @@ class SerialBridge(Unit):
     def _receive(self, m, deframer):
         """States that wait for a request and read its head out of the memory."""
         with m.State("listen"):
-            m.d.comb += deframer.hold.eq(deframer.right)
+            m.d.comb += self.hold.eq(deframer.right)
             m.d.sync += [self.at.eq(0), self.waited.eq(0)]
             with m.If(deframer.right):
                 m.d.sync += self.length.eq(deframer.length)

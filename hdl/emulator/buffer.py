@@ -12,7 +12,6 @@ from ...model.contract.emulator import Emulator
 from ...model.contract.packet import BEAT_BITS
 from ...model.contract.registers import DATA_BITS
 from ..axi import STREAM
-from ..logic import named
 from ..unit import Unit
 
 
@@ -31,18 +30,23 @@ class StreamSlice(Unit):
 
     def __init__(self):
         super().__init__(s_axis=In(STREAM), m_axis=Out(STREAM))
-        self.inner("valid kept")  # whether there is a beat at the output, and one in the second register
-        self.inner("spare", BEAT_BITS, reset_less=True)
+        self.valid = Signal()  # there is a beat at the output
+        self.kept = Signal()  # there is a beat in the second register
+        self.spare = Signal(BEAT_BITS, reset_less=True)  # the second register
 
     def elaborate(self, platform):
         m = Module()
-        valid, spare, kept = self.valid, self.spare, self.kept
+        valid = self.valid
+        spare = self.spare
+        kept = self.kept
         data = Signal(BEAT_BITS, reset_less=True)
-        comes, waits = named("comes waits")
+        comes = Signal()
+        waits = Signal()
         m.d.comb += [
             self.s_axis.tready.eq(~kept),
             self.m_axis.tdata.eq(data),
             self.m_axis.tvalid.eq(valid),
+            self.m_axis.tlast.eq(0),
             comes.eq(self.s_axis.tvalid & ~kept),
             waits.eq(valid & ~self.m_axis.tready),
         ]
@@ -51,7 +55,11 @@ class StreamSlice(Unit):
         with m.If(waits):
             m.d.sync += kept.eq(kept | comes)
         with m.Else():
-            m.d.sync += [valid.eq(kept | comes), kept.eq(0), data.eq(Mux(kept, spare, self.s_axis.tdata))]
+            m.d.sync += [
+                valid.eq(kept | comes),
+                kept.eq(0),
+                data.eq(Mux(kept, spare, self.s_axis.tdata)),
+            ]
         return m
 
 
@@ -95,7 +103,8 @@ class FrameBuffer(Unit):
         behind = self.behind
         high = Signal(3)
         row = Signal(range(self.depth), reset_less=True)
-        stored, beat = (Signal(BEAT_BITS, name=name, reset_less=True) for name in ("stored", "beat"))
+        stored = Signal(BEAT_BITS, reset_less=True)
+        beat = Signal(BEAT_BITS, reset_less=True)
         place = Signal.like(behind, reset_less=True)
         room = Signal(init=1)  # a register beside the level, so that the sensor does not wait for a comparison
         taken = Signal()

@@ -66,40 +66,69 @@ class EmulatorControl(Unit):
             common=Out(COMMON),
             link_errors=In(DATA_BITS),
         )
-        # setting: the emulator's own settings. region, named: what the address names; is_echo, is_background: it is that of
-        # an echo, or of the background. own, sources: the word that is read there. legal: of a write; mapped: of a read.
         sensor = emulator.sensor
+        # The emulator's own settings.
         self.setting = {
             r.name: Signal(r.high(sensor).bit_length(), init=r.reset(sensor), name=r.name)
             for r in chip.OWN
             if r.access is Access.SETTING
         }
-        self.region = {name: Signal(name=f"in_{name}") for name in REGIONS}
+        # What the address names.
+        self.region = {name: Signal(name=f"region_{name}") for name in REGIONS}
         self.named = {r.name: Signal(name=f"named_{r.name}") for r in chip.OWN}
-        self.inner("own sources", DATA_BITS, reset_less=True)
-        self.inner("is_echo is_background aligned legal mapped reseed")
+        self.is_echo = Signal()  # the echo of a pixel
+        self.is_background = Signal()  # the background of a source
+        self.aligned = Signal()
+        self.legal = Signal()  # a write of this value is possible
+        self.mapped = Signal()  # a read is possible
+        # The word that is read there.
+        self.own = Signal(DATA_BITS, reset_less=True)  # of the emulator's own registers
+        self.sources = Signal(DATA_BITS, reset_less=True)  # of the sources
+        # Strobes to the blocks.
+        self.reseed = Signal()  # a seed was written
+        self.begin = Signal()  # to the seeder
+        self.take = Signal()  # to the frame buffer
 
     def elaborate(self, platform):
         m = Module()
-        buffer = place(m, "buffer", FrameBuffer(self.emulator), platform)
-        seeder = place(m, "seeder", Seeder(self.emulator), platform)
-        between = place(m, "slice", StreamSlice(), platform)
+        buffer = FrameBuffer(self.emulator)
+        seeder = Seeder(self.emulator)
+        between = StreamSlice()
+        place(
+            m,
+            "buffer",
+            buffer,
+            platform,
+            take=self.take,
+            amount=self.access.data[: len(buffer.amount)],
+            address=self.access.address[2 : chip.REGION_BITS][: len(buffer.address)],
+        )
+        place(
+            m,
+            "seeder",
+            seeder,
+            platform,
+            seed=self.setting["seed"],
+            number=self.number,
+            begin=self.begin,
+        )
+        place(m, "slice", between, platform)
         connect(m, flipped(self.s_axis), between.s_axis)
         connect(m, between.m_axis, buffer.s_axis)
-        m.d.comb += [seeder.number.eq(self.number), self.seed.eq(seeder.out)]
-        self._settings(m, seeder)
+        m.d.comb += self.seed.eq(seeder.out)
+        self._settings(m)
         self._decode(m)
         self._own(m, buffer, seeder)
-        self._sources(m, buffer)
+        self._sources(m)
         self._checks(m, buffer)
         self._accesses(m, buffer, seeder)
         return m
 
-    def _settings(self, m, seeder):
+    def _settings(self, m):
         """Let the emulator's own settings take effect."""
         late = Signal()  # the frame number changes with `frame_done`
         m.d.sync += late.eq(self.frame_done)
-        m.d.comb += [seeder.seed.eq(self.setting["seed"]), seeder.begin.eq(self.reseed | late)]
+        m.d.comb += self.begin.eq(self.reseed | late)
         m.d.sync += [
             self.common.spread.eq((1 << self.setting["spread"]) - 1),
             self.common.dead.eq(self.setting["dead_cycles"] - 1),
@@ -114,7 +143,8 @@ class EmulatorControl(Unit):
         for r in chip.OWN:
             m.d.sync += self.named[r.name].eq(inside == r.offset)
         block = inside[:BLOCK_BITS]
-        self.subgroup, self.pixel = inside[BLOCK_BITS:], (block - chip.ECHO_OFFSET)[2:]
+        self.subgroup = inside[BLOCK_BITS:]
+        self.pixel = (block - chip.ECHO_OFFSET)[2:]
         exists = self.subgroup < sensor.subgroups
         m.d.sync += [
             self.is_echo.eq(exists & (block >= chip.ECHO_OFFSET) & (block < chip.ECHO_OFFSET + 4 * sensor.pixels)),
@@ -138,7 +168,7 @@ class EmulatorControl(Unit):
         words = [Mux(self.named[r.name], content.get(r.name, Const(0, DATA_BITS)), 0) for r in chip.OWN]
         m.d.sync += self.own.eq(reduce(or_, words))
 
-    def _sources(self, m, buffer):
+    def _sources(self, m):
         """Keep a copy of the sources' settings, which cannot be read back themselves, and register the word that is read."""
         access, sensor = self.access, self.emulator.sensor
         places = 1 << (sensor.pixels - 1).bit_length()
@@ -155,7 +185,6 @@ class EmulatorControl(Unit):
             (self.background_write, background_read, self.subgroup),
         ):
             m.d.comb += [write.addr.eq(at), write.data.eq(access.data), read.addr.eq(at), read.en.eq(1)]
-        m.d.comb += [buffer.address.eq(access.address[2 : chip.REGION_BITS]), buffer.amount.eq(access.data)]
         m.d.sync += self.sources.eq(Mux(self.is_echo, echo_read.data, background_read.data))
 
     def _checks(self, m, buffer):
@@ -190,7 +219,7 @@ class EmulatorControl(Unit):
         access, axi = self.access, self.m_axi
         wait = Signal(range(LOCAL_CYCLES + 1))
         m.d.comb += [axi.bready.eq(1), axi.rready.eq(1), axi.wstrb.eq(0b1111), axi.awprot.eq(0), axi.arprot.eq(0)]
-        m.d.sync += [access.done.eq(0), self.reseed.eq(0), self.write.valid.eq(0), buffer.take.eq(0)]
+        m.d.sync += [access.done.eq(0), self.reseed.eq(0), self.write.valid.eq(0), self.take.eq(0)]
         m.d.sync += [
             self.write.subgroup.eq(self.subgroup),
             self.write.echo.eq(self.is_echo),
@@ -206,7 +235,7 @@ class EmulatorControl(Unit):
                 m.d.sync += wait.eq(0)
                 with m.If(access.valid & ~access.done):
                     with m.If(access.address[chip.REGION_BITS :] == chip.SENSOR_BASE >> chip.REGION_BITS):
-                        with m.If(~seeder.busy & ~seeder.begin):
+                        with m.If(~seeder.busy & ~self.begin):
                             m.d.sync += [
                                 axi.awaddr.eq(access.address),
                                 axi.araddr.eq(access.address),
@@ -238,11 +267,11 @@ class EmulatorControl(Unit):
                         ),
                     ]
                     with m.If(access.write & self.legal):
-                        self._write(m, buffer)
+                        self._write(m)
             with m.State("lost"):  # the one code that is not a state: after an upset, the bus must not hang
                 m.next = "idle"
 
-    def _write(self, m, buffer):
+    def _write(self, m):
         access = self.access
         with m.If(self.region["source"]):
             m.d.sync += self.write.valid.eq(1)
@@ -251,4 +280,4 @@ class EmulatorControl(Unit):
             for name, setting in self.setting.items():
                 with m.If(self.named[name]):
                     m.d.sync += setting.eq(access.data)
-            m.d.sync += [self.reseed.eq(self.named["seed"]), buffer.take.eq(self.named["buffer_take"])]
+            m.d.sync += [self.reseed.eq(self.named["seed"]), self.take.eq(self.named["buffer_take"])]

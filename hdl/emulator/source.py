@@ -14,7 +14,6 @@ from ...model.contract import emulator as chip
 from ...model.contract.emulator import Emulator
 from ...model.contract.parameters import Sensor, bits_for
 from .. import bus
-from ..logic import named
 from ..unit import Unit
 
 SUBGROUP_BITS = 8  # width of a subgroup's number in the emulator
@@ -70,10 +69,14 @@ class Seeder(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        subgroups, blocks = self.emulator.sensor.subgroups, self.emulator.lanes * chip.STATE_BITS
-        left, right, key = (Signal(HALF, name=name, reset_less=True) for name in ("left", "right", "key"))
+        subgroups = self.emulator.sensor.subgroups
+        blocks = self.emulator.lanes * chip.STATE_BITS
+        left = Signal(HALF, reset_less=True)
+        right = Signal(HALF, reset_less=True)
+        key = Signal(HALF, reset_less=True)
         turn = Signal(range(chip.ROUNDS + 1))  # 0: load
-        block, subgroup = Signal(range(blocks + 1), name="block"), Signal(SUBGROUP_BITS, name="subgroup")
+        block = Signal(range(blocks + 1))
+        subgroup = Signal(SUBGROUP_BITS)
         rotated = Signal(HALF)
         mixed = Signal(HALF)
         lane_step = Signal(range(chip.STATE_BITS))
@@ -157,8 +160,11 @@ class PhotonSource(Unit):
     def elaborate(self, platform):
         m = Module()
         sensor = self.emulator.sensor
-        running, cycle = Signal(name="running"), Signal(sensor.coarse_bits, name="cycle")
-        is_first, is_second, is_later = named("is_first is_second is_later")
+        running = Signal()
+        cycle = Signal(sensor.coarse_bits)  # number of the cycle in its period
+        is_first = Signal()  # the cycle is the first of a period,
+        is_second = Signal()  # the second,
+        is_later = Signal()  # or a later one
         m.d.sync += [
             running.eq(self.timing.running),
             is_first.eq(self.timing.running & self.timing.start),
@@ -169,7 +175,8 @@ class PhotonSource(Unit):
         assert chip.ECHO_FROM == 2  # `is_later` begins in this cycle
         background = Signal(chip.RATE_BITS, reset_less=True)
         # Inputs and data go into registers that need no reset, because those that drive or use them have one.
-        mine, seeded = Signal(reset_less=True, name="mine"), Signal(SEED_BUS, reset_less=True, name="seeded")
+        mine = Signal(reset_less=True)  # a setting of this source is written
+        seeded = Signal(SEED_BUS, reset_less=True)
         seeds = [self._lane(m, lane, seeded) for lane in range(self.emulator.lanes)]
         written = Signal(write_bus(sensor), reset_less=True)
         value = Signal.like(written.data, reset_less=True)
@@ -196,7 +203,8 @@ class PhotonSource(Unit):
 
     def _lane(self, m, lane, seeded):
         """Return the registers of a lane."""
-        seeds, step = Signal(name=f"seeds_{lane}"), LaneState(lane)
+        seeds = Signal(name=f"seeds_{lane}")
+        step = LaneState(lane)
         m.d.comb += seeds.eq(seeded.valid & (seeded.lane == lane))
         m.d.sync += [
             step.enable.eq(self.timing.running | seeds),
@@ -225,18 +233,22 @@ class PhotonSource(Unit):
     def _draw(self, m, i, state, echo, background, common, running, is_first, is_second, is_later, cycle):
         """Decide, with registers, whether the pixel sees a photon in the cycle, and give the phase of the first one."""
         sensor = self.emulator.sensor
-        phase_bits, stamp_bits = sensor.phase_bits, sensor.stamp_bits
+        phase_bits = sensor.phase_bits
+        stamp_bits = sensor.stamp_bits
         hit = Signal(name=f"hit_{i}", reset_less=True)
         arrival = Signal(stamp_bits + 1, name=f"arrival_{i}", reset_less=True)
-        level, tick = echo[: chip.LEVEL_BITS], echo[chip.LEVEL_BITS :]
+        level = echo[: chip.LEVEL_BITS]
+        tick = echo[chip.LEVEL_BITS :]
         with m.If(is_first):
             m.d.sync += hit.eq(state[chip.LEVEL_LSB : chip.LEVEL_LSB + chip.LEVEL_BITS] < level)
         with m.If(is_second):
             m.d.sync += arrival.eq(tick + (state[chip.LEVEL_LSB : chip.LEVEL_LSB + chip.SPREAD_MAX] & common.spread))
         by_light = Signal(name=f"by_light_{i}")
         by_echo = Signal(name=f"by_echo_{i}")
-        light_phase, echo_phase = state[chip.PHASE_LSB : chip.PHASE_LSB + phase_bits], arrival[:phase_bits]
-        fires, phase = Signal(name=f"fires_{i}"), Signal(phase_bits, name=f"phase_{i}", reset_less=True)
+        light_phase = state[chip.PHASE_LSB : chip.PHASE_LSB + phase_bits]
+        echo_phase = arrival[:phase_bits]
+        fires = Signal(name=f"fires_{i}")
+        phase = Signal(phase_bits, name=f"phase_{i}", reset_less=True)
         m.d.comb += [
             by_light.eq(state[chip.RATE_LSB : chip.RATE_LSB + chip.RATE_BITS] < background),
             by_echo.eq(hit & is_later & (arrival[phase_bits:] == cycle)),

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulator's top: sensor, one photon source per subgroup, frame buffer, and a serial line or AXI4-Lite slave."""
 
+from typing import Any
+
 from amaranth.hdl import Const, Module, Mux, ResetSignal, Signal
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out, Signature
@@ -9,7 +11,6 @@ from ...model.contract.emulator import ADDRESS_BITS, Emulator
 from ...model.contract.registers import DATA_BITS
 from ..axi import LITE, OKAY, SLVERR
 from ..export import units_files
-from ..logic import named
 from ..sensor import outer_ports, wire_sensor
 from ..unit import Unit, place
 from .bridge import SerialBridge
@@ -46,8 +47,12 @@ class BusAccess(Unit):
     def elaborate(self, platform):
         m = Module()
         axi, access = self.s_axi, self.access
-        held_address, held_data, held_read, whole = named("held_address held_data held_read whole")
-        to_write, to_read = named("to_write to_read", ADDRESS_BITS)
+        held_address = Signal()  # the address of a write is there
+        held_data = Signal()  # the value to write is there
+        held_read = Signal()  # the address of a read is there
+        whole = Signal()  # all bytes of the word are to be written
+        to_write = Signal(ADDRESS_BITS)
+        to_read = Signal(ADDRESS_BITS)
         m.d.comb += [axi.awready.eq(~held_address), axi.wready.eq(~held_data), axi.arready.eq(~held_read)]
         with m.If(axi.awvalid & axi.awready):
             m.d.sync += [held_address.eq(1), to_write.eq(axi.awaddr)]
@@ -60,7 +65,8 @@ class BusAccess(Unit):
         with m.If(axi.rvalid & axi.rready):
             m.d.sync += [axi.rvalid.eq(0), held_read.eq(0)]
         wrote = Signal()
-        can_write, can_read = named("can_write can_read")
+        can_write = Signal()
+        can_read = Signal()
         m.d.comb += [can_write.eq(held_address & held_data & ~axi.bvalid), can_read.eq(held_read & ~axi.rvalid)]
         with m.FSM():
             with m.State("idle"):
@@ -135,15 +141,29 @@ class EmulatorTop(Unit):
             held = place(m, f"reset_{name}", LocalReset(), platform).held
             return place(m, name, unit, platform, held, **inputs)
 
-        sensor, outer = self.emulator.sensor, Signature(outer_ports(self.emulator.sensor)).create(path=())
+        sensor = self.emulator.sensor
+        outer: Any = Signature(outer_ports(sensor)).create(path=())
         sources = [PhotonSource(self.emulator) for _ in range(sensor.subgroups)]
         sequencer, _ = wire_sensor(m, put, sensor, outer, [source.words for source in sources])
         link, errors = self._link(m, put)
         control = EmulatorControl(self.emulator)
-        put("control", control, number=sequencer.number, frame_done=sequencer.done, link_errors=errors)
-        light = {"timing": sequencer.timing, "seed": control.seed, "write": control.write, "common": control.common}
+        put(
+            "control",
+            control,
+            number=sequencer.number,
+            frame_done=sequencer.done,
+            link_errors=errors,
+        )
         for s, source in enumerate(sources):
-            put(f"source_{s}", source, subgroup=Const(s, source.subgroup.shape()), **light)
+            put(
+                f"source_{s}",
+                source,
+                subgroup=Const(s, source.subgroup.shape()),
+                timing=sequencer.timing,
+                seed=control.seed,
+                write=control.write,
+                common=control.common,
+            )
         wiring.connect(m, link.access, control.access)
         wiring.connect(m, control.m_axi, outer.s_axi)
         wiring.connect(m, getattr(outer, sensor.stream_name(0)), control.s_axis)

@@ -121,10 +121,17 @@ class Deframer(Unit):
             wrong=Out(1),
         )
         self.crc = CRC32_ISO_HDLC(8).create()
-        # The byte that came, and what it is; then the frame so far.
-        self.byte_in, self.broken_in = Signal(8, name="byte"), Signal(name="broken")
-        self.inner("came is_flag is_escape listening escaped bad")
-        self.inner("count", bits)
+        # The byte that came, and what it is.
+        self.came = Signal()
+        self.byte_in = Signal(8)
+        self.broken_in = Signal()
+        self.is_flag = Signal()
+        self.is_escape = Signal()
+        # The frame so far.
+        self.listening = Signal()  # a flag has begun it
+        self.escaped = Signal()  # the last byte was an escape
+        self.bad = Signal()  # it is too long, or a byte was broken
+        self.count = Signal(bits)  # bytes of its body
 
     def elaborate(self, platform):
         m = Module()
@@ -180,9 +187,10 @@ class Framer(Unit):
         super().__init__(
             valid=In(1), byte=In(8), last=In(1), ready=Out(1), out_valid=Out(1), out_byte=Out(8), out_ready=In(1)
         )
-        # escaped: the escape of `next_byte` has been sent; weighed: `special` is that of `next_byte`.
-        self.next_byte = Signal(8, name="byte")
-        self.inner("escaped weighed special")
+        self.next_byte = Signal(8)
+        self.escaped = Signal()  # its escape has been sent
+        self.special = Signal()  # it needs an escape
+        self.weighed = Signal()  # `special` is that of `next_byte`
 
     def elaborate(self, platform):
         m = Module()

@@ -16,7 +16,6 @@ from ...model.contract.emulator import Emulator
 from ...model.shared.errors import InputError
 from ...model.shared.licence import SPDX
 from ..export import units_files
-from ..logic import named
 from ..unit import Unit
 from .top import EMULATOR_LIST, SERIAL_TOP, emulator_files
 
@@ -82,9 +81,12 @@ class Lights(Unit):
         m = Module()
         line = Signal(init=1)
         m.submodules.synchronizer = FFSynchronizer(self.rx, line, init=1)
-        count, turn = Signal(self.HOLD_BITS, name="count"), Signal(name="turn")
+        count = Signal(self.HOLD_BITS)
+        turn = Signal()
         blocks = Signal(self.BLINK_BITS - self.HOLD_BITS)
-        now, seen, shown = named("now seen shown", 3)
+        now = Signal(3)
+        seen = Signal(3)
+        shown = Signal(3)
         m.d.sync += [
             Cat(count, turn).eq(count + 1),
             blocks.eq(blocks + turn),

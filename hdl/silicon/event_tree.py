@@ -59,7 +59,8 @@ class EventTree(Unit):
         m = Module()
         sensor = self.sensor
         mark = Cat(*self.phases[:: sensor.offset_ticks], self.half)
-        leaves, marks = [], []
+        leaves = []
+        marks = []
         for g in range(sensor.minigroups):
             leaf = or_tree(m, f"minigroup_{g}", [self.hits[i] for i in sensor.members(g)])
             later = delayed(m, f"event_{g}", leaf, lag_fs(sensor) - HIT_FS - LEVEL_FS * levels(sensor.minigroup_pixels))

@@ -5,11 +5,11 @@ It replaces `CoincidenceTree` and has the same outputs in the same cycles. The p
 shows no circuit; flops, banks and synchronisers are our choice, explained in docs/async.md.
 """
 
-from amaranth.hdl import Cat, ClockDomain, ClockSignal, Const, Instance, Module, Mux, ResetSignal, Signal
+from amaranth.hdl import Cat, ClockDomain, ClockSignal, Const, Instance, Module, Mux, ResetSignal, Signal, Value
 from amaranth.lib.wiring import In
 
 from ...model.contract.parameters import QUARTERS, Sensor
-from ..logic import any_of, named
+from ..logic import any_of
 from ..tree import FrontEnd
 from ..unit import place
 from .circuit import HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, johnson_number, lag_fs, sample
@@ -38,17 +38,27 @@ class AsyncFrontEnd(FrontEnd):
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
         self.circuit = circuit
-        spad, mask = In(sensor.pixels), In(sensor.pixels)
-        super().__init__(sensor, line_signature(sensor), spad=spad, mask=mask, gate=In(1))
+        super().__init__(
+            sensor,
+            line_signature(sensor),
+            spad=In(sensor.pixels),
+            mask=In(sensor.pixels),
+            gate=In(1),
+        )
         self.control = AsyncControl(sensor, circuit)
-        # Formed at the clock; numbers are those of stages. inside: a window was open in the cycle (stage 3).
-        self.inner("window_open inside opening_4 closing_4")
-        self.inner("winner", sensor.winner_bits)
+        # Formed at the clock; numbers are those of stages.
+        self.window_open = Signal()  # a window goes on (stage 3)
+        self.inside = Signal()  # a window was open in the cycle (stage 3)
+        self.opening_4 = Signal()
+        self.closing_4 = Signal()
+        self.winner = Signal(sensor.winner_bits)
 
     def elaborate(self, platform):
         m = Module()
         # Timing strobes come two cycles ahead of the SPADs.
-        may_open, wrap, running = Signal(5, name="may_open"), Signal(5, name="wrap"), Signal(2, name="running")
+        may_open = Signal(5)
+        wrap = Signal(5)
+        running = Signal(2)
         m.d.sync += [
             may_open.eq((may_open << 1) | self.timing.may_open),
             wrap.eq((wrap << 1) | self.timing.wrap),
@@ -56,9 +66,8 @@ class AsyncFrontEnd(FrontEnd):
         ]
         reset = Signal()
         m.d.comb += reset.eq(ResetSignal())
-        place(m, "control", self.control, platform, may_open=may_open[0])
         hits, trees = self._hits(m, platform, running[1], reset)
-        pictures = self._windows(m, hits, trees, reset)
+        pictures = self._windows(m, platform, may_open[0], hits, trees, reset)
         self._collect(m, platform, self._facts(m, hits, trees, pictures), may_open[-1], wrap[-1])
         return m
 
@@ -67,33 +76,59 @@ class AsyncFrontEnd(FrontEnd):
 
         Return the flops and the trees of both.
         """
-        sensor, line, parity = self.sensor, self.line, self.control.parity
+        sensor = self.sensor
+        line = self.line
+        parity = self.control.parity
         skews = self.circuit.pixel_skew_fs or (0,) * sensor.pixels
-        lines = [delayed(m, f"spad_{i}", self.spad[i], skew) if skew else self.spad[i] for i, skew in enumerate(skews)]
-        from_line = {name: getattr(line, name) for name in ("phases", "gray_a", "gray_b", "half")}
-        banks, trees = [], []
+        lines = []
+        for i, skew in enumerate(skews):
+            spad = self.spad[i]
+            lines.append(delayed(m, f"spad_{i}", spad, skew) if skew else spad)
+        banks = []
+        trees = []
         for q in range(2):
-            listens, clear = Signal(name=f"listens_{q}"), Signal(name=f"clear_{q}")
-            m.d.comb += [listens.eq((parity == q) & running & self.gate), clear.eq((line.wipe & (parity != q)) | reset)]
-            flops = [
-                hit_flop(m, f"hit_{q}_{i}", spad, listens & self.mask[i], clear, HIT_FS) for i, spad in enumerate(lines)
+            listens = Signal(name=f"listens_{q}")
+            clear = Signal(name=f"clear_{q}")
+            m.d.comb += [
+                listens.eq((parity == q) & running & self.gate),
+                clear.eq((line.wipe & (parity != q)) | reset),
             ]
+            flops = []
+            for i, spad in enumerate(lines):
+                armed = listens & self.mask[i]
+                flops.append(hit_flop(m, f"hit_{q}_{i}", spad, armed, clear, HIT_FS))
+            tree = EventTree(sensor)
+            place(
+                m,
+                f"tree_{q}",
+                tree,
+                platform,
+                hits=Cat(flops),
+                phases=line.phases,
+                gray_a=line.gray_a,
+                gray_b=line.gray_b,
+                half=line.half,
+            )
             banks.append(Cat(flops))
-            trees.append(place(m, f"tree_{q}", EventTree(sensor), platform, hits=Cat(flops), **from_line))
+            trees.append(tree)
         return banks, trees
 
-    def _windows(self, m, hits, trees, reset):
+    def _windows(self, m, platform, may_open, hits, trees, reset):
         """Window banks: the first root opens the window, counted phases end it, and its end samples the hits.
 
         The hits are delayed by as much as the end itself. Return the samples of each bank.
         """
-        sensor, line, control = self.sensor, self.line, self.control
-        parity, banks = control.parity, control.banks
+        sensor = self.sensor
+        line = self.line
+        control = self.control
+        parity = control.parity
+        banks = control.banks
         late = lag_fs(sensor) + self.circuit.clock_fs // QUARTERS - HIT_FS
         parity_late = sample(m, "parity_late", line.mark, parity)
         later = (Cat(delayed(m, f"shown_{q}_{i}", hit, late) for i, hit in enumerate(hits[q])) for q in (1, 0))
         shown = Mux(parity_late, *later)
         pictures = []
+        from_banks: dict[str, Value] = {}  # to the control
         for b in range(banks):
             armed = Signal(2, name=f"armed_{b}")
             clear = Signal(name=f"clear_window_{b}")
@@ -107,7 +142,8 @@ class AsyncFrontEnd(FrontEnd):
                     & ((control.current == b).replicate(2) | Cat(~parity & ~line.shut, parity & ~line.shut))
                 )
             opened = Cat(hit_flop(m, f"opened_{b}_{q}", trees[q].root, armed[q], clear) for q in range(2))
-            start, ended = Signal(name=f"start_{b}"), Signal(name=f"ended_{b}")
+            start = Signal(name=f"start_{b}")
+            ended = Signal(name=f"ended_{b}")
             m.d.comb += start.eq(opened.any())
             m.submodules[f"window_{b}"] = Instance(
                 "coincid_window",
@@ -122,11 +158,12 @@ class AsyncFrontEnd(FrontEnd):
                 o_ended=ended,
             )
             pictures.append(sample(m, f"picture_{b}", ended, shown))
-            m.d.comb += [
-                getattr(control, f"opened_{b}").eq(opened),
-                getattr(control, f"ended_{b}").eq(ended),
-                getattr(control, f"parity_{b}").eq(sample(m, f"ended_parity_{b}", ended, parity_late)),
-            ]
+            from_banks |= {
+                f"opened_{b}": opened,
+                f"ended_{b}": ended,
+                f"parity_{b}": sample(m, f"ended_parity_{b}", ended, parity_late),
+            }
+        place(m, "control", control, platform, may_open=may_open, **from_banks)
         return pictures
 
     def _facts(self, m, hits, trees, pictures):
@@ -134,7 +171,8 @@ class AsyncFrontEnd(FrontEnd):
 
         They are cleared later. Stages 2 and 3 are the synchroniser.
         """
-        sensor, control = self.sensor, self.control
+        sensor = self.sensor
+        control = self.control
         before = Signal()
         m.d.comb += before.eq(~control.parity)
 
@@ -143,9 +181,12 @@ class AsyncFrontEnd(FrontEnd):
 
         m.domains.read = read = ClockDomain("read", clk_edge="neg", reset_less=True, local=True)
         m.d.comb += read.clk.eq(ClockSignal())
-        active = Signal(sensor.pixels, reset_less=True, name="active_f")
-        first = Signal(sensor.pixels - 1, reset_less=True, name="first_f")
-        m.d.read += [active.eq(of_before(hits)), first.eq(of_before([tree.later_first for tree in trees]))]
+        active = Signal(sensor.pixels, reset_less=True)
+        first = Signal(sensor.pixels - 1, reset_less=True)
+        m.d.read += [
+            active.eq(of_before(hits)),
+            first.eq(of_before([tree.later_first for tree in trees])),
+        ]
         facts = {
             "active": active,
             "first": first,
@@ -158,14 +199,19 @@ class AsyncFrontEnd(FrontEnd):
         }
         stage_3 = {}
         for name, value in facts.items():
-            flag = name in ("opening", "closing")
-            stage_2, stage_3[name] = (Signal(len(value), name=f"{name}_{n}", reset_less=not flag) for n in (2, 3))
-            m.d.sync += [stage_2.eq(value), stage_3[name].eq(stage_2)]
+            is_strobe = name in ("opening", "closing")
+            stage_2 = Signal(len(value), name=f"{name}_2", reset_less=not is_strobe)
+            stage_3[name] = Signal(len(value), name=f"{name}_3", reset_less=not is_strobe)
+            m.d.sync += [
+                stage_2.eq(value),
+                stage_3[name].eq(stage_2),
+            ]
         return stage_3
 
     def _collect(self, m, platform, at, may_open, wrap):
         """Form windows and records, at the clock, from the facts about a cycle (`at`, stage 3)."""
-        sensor, line = self.sensor, self.line
+        sensor = self.sensor
+        line = self.line
         hit = Signal(sensor.pixels)
         m.d.comb += [
             self.inside.eq(at["opening"] | self.window_open),
@@ -174,7 +220,8 @@ class AsyncFrontEnd(FrontEnd):
         m.d.sync += self.window_open.eq(self.inside & ~at["closing"])
 
         # Stages 4 and 5: the winner, the stamp, and the leaves' part of the map.
-        opening_5, opening_6 = named("opening_5 opening_6")
+        opening_5 = Signal()
+        opening_6 = Signal()
         winner_4 = Signal(sensor.winner_bits)
         m.d.sync += [
             self.opening_4.eq(at["opening"]),
@@ -194,19 +241,24 @@ class AsyncFrontEnd(FrontEnd):
         m.d.sync += coarse_4.eq(line.cycle)
         leaves = [AsyncMinigroup(sensor) for _ in range(sensor.minigroups)]
         for g, leaf in enumerate(leaves):
-            self._leaf(
+            place(
                 m,
-                platform,
-                g,
+                f"minigroup_{g}",
                 leaf,
-                {"active": at["active"], "hit": hit, "winner": is_winner},
+                platform,
+                active=self._of_minigroup(g, at["active"]),
+                hit=self._of_minigroup(g, hit),
+                winner=self._of_minigroup(g, is_winner),
                 mark=at["marks"].word_select(g, mark_bits(sensor)),
                 parity=at["parity"],
                 opening=self.opening_4,
+                elapsed=self.elapsed,
+                frame=self.frame,
                 may_open=may_open,
                 wrap=wrap,
                 coarse=coarse_4,
             )
+            self._leaf(m, g, leaf)
         m.d.sync += self.blind.eq(any_of(m, [leaf.blind for leaf in leaves], "blind_or"))
         m.d.comb += self.record_due.eq(wrap)
         self._closed(m, stamp, self.winner)
@@ -229,11 +281,20 @@ class AsyncFrontEnd(FrontEnd):
         transition. In this case the copy that changes half a cycle later is used, because it is stable there. The hit
         flops have already decided on which side of the boundary the event lies.
         """
-        sensor, line = self.sensor, self.line
-        taps, bits = sensor.phases // 2, sensor.coarse_bits
-        phases, gray_a, gray_b = at["code"][:taps], at["code"][taps : taps + bits], at["code"][taps + bits :]
-        phase_4, phase = named("phase_4 phase", sensor.phase_bits)
-        coarse_a, coarse_b, coarse, base_4, base = named("coarse_a coarse_b coarse base_4 base", bits)
+        sensor = self.sensor
+        line = self.line
+        taps = sensor.phases // 2
+        bits = sensor.coarse_bits
+        phases = at["code"][:taps]
+        gray_a = at["code"][taps : taps + bits]
+        gray_b = at["code"][taps + bits :]
+        phase_4 = Signal(sensor.phase_bits)
+        phase = Signal(sensor.phase_bits)
+        coarse_a = Signal(bits)  # the count from the cycle's start on,
+        coarse_b = Signal(bits)  # and from half a cycle later on
+        coarse = Signal(bits)
+        base_4 = Signal(bits)
+        base = Signal(bits)
         parity_4 = Signal()
         m.d.sync += [
             base_4.eq(line.base),
@@ -246,7 +307,11 @@ class AsyncFrontEnd(FrontEnd):
         lags = Signal()  # the copy still shows the previous cycle
         m.d.comb += lags.eq(coarse_b[0] != parity_4)
         with m.If(opening_4):
-            m.d.sync += [phase.eq(phase_4), coarse.eq(coarse_a), base.eq(base_4)]
+            m.d.sync += [
+                phase.eq(phase_4),
+                coarse.eq(coarse_a),
+                base.eq(base_4),
+            ]
             with m.If((quarter == 0) | (quarter == QUARTERS - 1)):
                 m.d.sync += coarse.eq(coarse_b + lags)
             with m.If((quarter == 0) & ~lags):

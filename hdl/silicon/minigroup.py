@@ -5,7 +5,6 @@ from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In
 
 from ...model.contract.parameters import QUARTERS, Sensor
-from ..logic import named
 from ..minigroup import Recorder
 from .circuit import johnson_number
 from .event_tree import mark_bits
@@ -29,8 +28,14 @@ class AsyncMinigroup(Recorder):
 
     def __init__(self, sensor: Sensor):
         pixels = sensor.minigroup_pixels
-        own = {"active": In(pixels), "mark": In(mark_bits(sensor)), "parity": In(1), "hit": In(pixels)}
-        super().__init__(sensor, **own, winner=In(pixels))
+        super().__init__(
+            sensor,
+            active=In(pixels),
+            mark=In(mark_bits(sensor)),
+            parity=In(1),
+            hit=In(pixels),
+            winner=In(pixels),
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -38,22 +43,25 @@ class AsyncMinigroup(Recorder):
         step = Signal(self.sensor.step_bits)
         m.d.comb += step.eq(self._sampled_step(m))
 
-        hit, active = named("hit active", pixels, reset_less=True)
-        step_4 = Signal.like(step, reset_less=True, name="step_4")
-        m.d.sync += [hit.eq(self.hit), active.eq(self.active), step_4.eq(step)]
-        m.d.comb += self.blind.eq((active & ~hit).any())
+        hit_4 = Signal(pixels, reset_less=True)
+        active_4 = Signal(pixels, reset_less=True)
+        step_4 = Signal.like(step, reset_less=True)
+        m.d.sync += [
+            hit_4.eq(self.hit),
+            active_4.eq(self.active),
+            step_4.eq(step),
+        ]
+        m.d.comb += self.blind.eq((active_4 & ~hit_4).any())
 
         hits = Signal(pixels, reset_less=True)
         with m.If(self.opening):
             # The winner opened the window, so it is always in the map, even if its hit flop missed.
-            m.d.sync += hits.eq(hit | self.winner)
+            m.d.sync += hits.eq(hit_4 | self.winner)
         with m.Else():
-            m.d.sync += hits.eq(hits | hit)
+            m.d.sync += hits.eq(hits | hit_4)
         m.d.comb += self.hits.eq(hits)
-        if self.sensor.offsets:
-            self._offset(m, hit.any() & (self.opening | ~hits.any()), step_4)
-        if self.sensor.records:
-            self._record(m, platform, self.active, step_4)
+        begins = hit_4.any() & (self.opening | ~hits.any())
+        self._stamps(m, platform, self.active, begins, step_4)
         return m
 
     def _sampled_step(self, m):
@@ -66,6 +74,6 @@ class AsyncMinigroup(Recorder):
         step = Signal(self.sensor.step_bits)
         m.d.comb += step.eq(johnson_number(m, Cat(taps), "taps"))
         quarter = step[-2:]
-        first, last = (quarter == 0), (quarter == QUARTERS - 1)
-        before, after = first & (half == self.parity), last & (half != self.parity)
+        before = (quarter == 0) & (half == self.parity)
+        after = (quarter == QUARTERS - 1) & (half != self.parity)
         return Mux(before, self.sensor.offset_phases - 1, Mux(after, 0, step))

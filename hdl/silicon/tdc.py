@@ -10,7 +10,6 @@ from amaranth.hdl import ClockSignal, Const, Instance, Module, Signal
 from amaranth.lib.wiring import In, Out, Signature
 
 from ...model.contract.parameters import Sensor
-from ..logic import named
 from ..tdc import START_TO_PHASE
 from ..unit import Unit
 from .circuit import ERROR_BITS, Circuit, lag_fs, sample
@@ -62,9 +61,12 @@ class AsyncTdc(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        sensor, bits = self.sensor, self.sensor.coarse_bits
+        sensor = self.sensor
+        bits = sensor.coarse_bits
         phases = Signal(sensor.phases // 2)
-        mark, shut, wipe = named("mark shut wipe")
+        mark = Signal()
+        shut = Signal()
+        wipe = Signal()
         errors = self.circuit.mismatch_fs or (0,) * sensor.phases
         m.submodules.generator = Instance(
             "coincid_phases",
@@ -80,10 +82,14 @@ class AsyncTdc(Unit):
             o_shut=shut,
             o_wipe=wipe,
         )
-        count, gray = named("count gray", bits)
+        count = Signal(bits)
+        gray = Signal(bits)  # the same in Gray code
         following = Signal(bits)
         m.d.comb += following.eq(count + 1)
-        m.d.sync += [count.eq(following), gray.eq(following ^ (following >> 1))]
+        m.d.sync += [
+            count.eq(following),
+            gray.eq(following ^ (following >> 1)),
+        ]
         gray_a = sample(m, "gray_a", phases[0], gray)
         gray_b = sample(m, "gray_b", ~phases[0], gray)
         half = sample(m, "half", ~phases[0], count[0])
@@ -91,10 +97,18 @@ class AsyncTdc(Unit):
         # The same count for the cycle of stage 3, and its value in cycle 0 of the period.
         coming = Signal(START_TO_PHASE)
         stage_3 = Signal(bits, init=-STAGE % (1 << bits))
-        base, cycle = named("base cycle", bits)
-        m.d.sync += [coming.eq((coming << 1) | self.start), stage_3.eq(stage_3 + 1), cycle.eq(cycle + 1)]
+        base = Signal(bits)
+        cycle = Signal(bits)
+        m.d.sync += [
+            coming.eq((coming << 1) | self.start),
+            stage_3.eq(stage_3 + 1),
+            cycle.eq(cycle + 1),
+        ]
         with m.If(coming[-1]):
-            m.d.sync += [cycle.eq(0), base.eq(stage_3 + 1)]
+            m.d.sync += [
+                cycle.eq(0),
+                base.eq(stage_3 + 1),
+            ]
         for k in range(self.lines):
             line = getattr(self, f"line_{k}")
             m.d.comb += [

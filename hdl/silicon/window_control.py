@@ -11,7 +11,6 @@ from amaranth.hdl import ClockDomain, ClockSignal, Module, Mux, ResetSignal, Sig
 from amaranth.lib.wiring import In, Out
 
 from ...model.contract.parameters import Sensor
-from ..logic import named
 from ..unit import Unit
 from .circuit import Circuit
 
@@ -40,7 +39,13 @@ class AsyncControl(Unit):
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
         self.sensor, self.banks = sensor, circuit.banks_of(sensor)
-        per_bank = {"opened": In(2), "ended": In(1), "parity": In(1), "armed": Out(2), "clearing": Out(1)}
+        per_bank = {
+            "opened": In(2),
+            "ended": In(1),
+            "parity": In(1),
+            "armed": Out(2),
+            "clearing": Out(1),
+        }
         super().__init__(
             parity=Out(1),
             may_open=In(1),
@@ -50,10 +55,12 @@ class AsyncControl(Unit):
             bank=Out(1),
             **{f"{name}_{b}": member for b in range(self.banks) for name, member in per_bank.items()},
         )
-        # The window in force, in mid-cycle. hold: cycles until the banks are armed again.
-        self.inner("window_open read")
-        self.opens, self.closes = named("opening closing")
-        self.inner("hold", range(sensor.rearm + 1))
+        # The window in force, in mid-cycle.
+        self.opens = Signal()  # it opened in the cycle before
+        self.closes = Signal()  # it closed in the cycle before
+        self.window_open = Signal()  # it goes on
+        self.read = Signal()  # with one bank: it has closed, and the bank is not cleared yet
+        self.hold = Signal(range(sensor.rearm + 1))  # cycles until the banks are armed again
 
     def of_current(self, name):
         """Return the port `name` of the bank whose window is in force."""
@@ -62,7 +69,8 @@ class AsyncControl(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        rearm, two = self.sensor.rearm, self.banks == 2
+        rearm = self.sensor.rearm
+        two = self.banks == 2
         m.domains.fall = fall = ClockDomain("fall", clk_edge="neg", local=True)
         m.d.comb += [fall.clk.eq(ClockSignal()), fall.rst.eq(ResetSignal())]
         m.d.sync += self.parity.eq(~self.parity)
@@ -86,10 +94,18 @@ class AsyncControl(Unit):
         if two:
             with m.If(self.closes):
                 m.d.fall += self.current.eq(~self.current)
-            m.d.comb += [self.clearing_0.eq(self.current), self.clearing_1.eq(~self.current)]
+            m.d.comb += [
+                self.clearing_0.eq(self.current),
+                self.clearing_1.eq(~self.current),
+                self.read.eq(0),  # nothing waits for a clear
+            ]
         else:
-            first, second = named("first second")  # the synchroniser in front of the clear
-            m.d.sync += [first.eq(self.closing), second.eq(first)]
+            first = Signal()  # the synchroniser in front of the clear
+            second = Signal()
+            m.d.sync += [
+                first.eq(self.closing),
+                second.eq(first),
+            ]
             m.d.fall += self.read.eq((self.read | self.closes) & ~second)
             m.d.comb += self.clearing_0.eq(second)
 
