@@ -17,6 +17,7 @@ from scipy import special
 from ..contract.config import Config
 from ..shared.constants import SIGMA_PER_FWHM
 from ..shared.quantities import Numbers, check_real
+from . import portable
 
 SYSTEM_FWHM_S = 500e-12  # laser pulse and jitter combined (paper IV)
 
@@ -35,7 +36,7 @@ def lead_sigmas(photons: Numbers) -> np.ndarray:
 
 def photons_of(count: Numbers, pixels: Numbers) -> np.ndarray:
     """Return the mean number of photons that fire `count` of `pixels` pixels (float64); it is finite if all fired."""
-    return -pixels * np.log1p(-np.minimum(count, pixels) / (pixels + 1))
+    return -pixels * portable.log1p(-np.minimum(count, pixels) / (pixels + 1))
 
 
 def arrival_ticks(

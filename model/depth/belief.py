@@ -17,6 +17,7 @@ from ..contract.config import Config
 from ..shared.compiled import njit
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.threads import Threads
+from . import portable
 from .histograms import Events, by_subgroup, is_hit, pixel_image
 
 BELIEVED_MIN = 0.5  # confidence
@@ -179,10 +180,12 @@ def _features(
     up_m, down_m, left_m, right_m = np.abs(_around(depth_m, [(-high, 0), (high, 0), (0, -wide), (0, wide)]) - depth_m)
     sides_m = np.stack([np.fmin(up_m, down_m), np.fmin(left_m, right_m)])  # across an edge only one side is far
     slope_m = np.where(sides_m < SLOPE_MAX_M, sides_m, 0).max(axis=0)
-    hits, off, slope = np.log1p(near), np.log(NOISE_M + np.fmin(off_m, OFF_MAX_M)), np.log(NOISE_M + slope_m)
+    hits = portable.log1p(near)
+    off = portable.log(NOISE_M + np.fmin(off_m, OFF_MAX_M))
+    slope = portable.log(NOISE_M + slope_m)
     means = (
         hits[known].mean(),
-        np.log(MIXED_MIN + (share[known] > OTHER_SHARE).mean()),
+        portable.log(MIXED_MIN + (share[known] > OTHER_SHARE).mean()),
         off[known].mean(),
         slope[known].mean(),
     )
@@ -212,7 +215,7 @@ def _evidence(seen: np.ndarray, expected: np.ndarray) -> np.ndarray:
     """float64: Poisson log likelihood ratio of more than `expected` hits, 0 if there are no more."""
     expected = np.maximum(expected, 1e-3)
     more = np.maximum(seen, expected)
-    return more * np.log(more / expected) - more + expected
+    return more * portable.log(more / expected) - more + expected
 
 
 def _folded(near: np.ndarray, time: np.ndarray, alone: np.ndarray, pulses: int) -> np.ndarray:
@@ -226,7 +229,7 @@ def _folded(near: np.ndarray, time: np.ndarray, alone: np.ndarray, pulses: int) 
         return known
     fired = np.where(alone[:, None], near.sum(axis=1, keepdims=True), near) / pulses
     fired = np.clip(fired, 0.5 / pulses, 1 - 0.5 / pulses)
-    pile_up = -np.log1p(-fired) / fired
+    pile_up = -portable.log1p(-fired) / fired
     light, most = (hits / pulses * pile_up * np.nan_to_num(time) ** 2 for hits in (near, near + 2 * np.sqrt(near) + 2))
     return known & (near < np.quantile(near[known], BRIGHT)) & (most * FOLDED < np.quantile(light[known], BRIGHT))
 

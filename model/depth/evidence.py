@@ -24,6 +24,7 @@ from scipy import special
 
 from ..contract.parameters import OFFSET_NONE
 from ..shared.compiled import njit, part
+from . import portable
 from .clusters import NEVER
 from .histograms import is_hit
 from .vector_math import fast_log
@@ -346,7 +347,7 @@ def fired_table(
     times.
     """
     distance = np.arange(-2 * reach, 2 * reach + 1) / 2
-    fired = -np.expm1(-special.ndtr(distance / sigma_ticks)[:, None] * np.array(lights)).astype(np.float32)
+    fired = -portable.expm1(-special.ndtr(distance / sigma_ticks)[:, None] * np.array(lights)).astype(np.float32)
     margin = span + 2 * reach // step + 2
     half_ticks = 2 * np.arange(step)[:, None] + step * (2 * (margin - np.arange(2 * margin + span)) - 1)
     return margin, fired[np.clip(half_ticks, 0, 4 * reach)].ravel()

@@ -4,6 +4,7 @@
 import numpy as np
 
 from ..shared.compiled import njit, part
+from . import portable
 from .vector_math import fast_exp, fast_log, top_of
 
 LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
@@ -38,7 +39,7 @@ def learned_prior(chance: np.ndarray) -> np.ndarray:
     for _ in range(LEARNING_ROUNDS if len(chance) else 0):
         share = share * _gain(chance, share) / len(chance)
     share += LIGHT_FLOOR
-    return np.log(share / share.sum()).astype(np.float32)
+    return portable.log(share / share.sum()).astype(np.float32)
 
 
 @njit

@@ -19,6 +19,7 @@ import numpy as np
 
 from ..shared.compiled import njit, part
 from ..shared.quantities import Numbers
+from . import portable
 from .seeds import Blocks
 from .vector_math import fast_exp, fast_log, top_of
 
@@ -49,7 +50,7 @@ def _taps(cols: int) -> tuple[np.ndarray, np.ndarray]:
     """Return neighbours by reach, _TAP[reaches, n], those of the highest weight first; and the numbers that count."""
     steps = np.arange(-HALF, HALF + 1)
     down, right = (part.ravel() for part in np.meshgrid(steps, steps, indexing="ij"))
-    weight = np.exp(-0.5 * (down**2 + right**2) / np.array(REACHES)[:, None] ** 2).astype(np.float32)
+    weight = portable.exp(-0.5 * (down**2 + right**2) / np.array(REACHES)[:, None] ** 2).astype(np.float32)
     weight[:, (down == 0) & (right == 0)] = 0
     order = np.argsort(-weight, axis=1, kind="stable")
     taps = np.empty(weight.shape, _TAP)
@@ -189,12 +190,12 @@ def fit_planes(field: Field, blocks: Blocks) -> Planes:
     return planes
 
 
-def doublings(down: Numbers, right: Numbers, sigma_ticks: float) -> np.ndarray:
-    """Return how often the pulse from a plane is twice as wide as the laser's, a logarithm; slopes may be arrays."""
-    return 0.5 * np.log2(1 + (down**2 + right**2) * (BOX / sigma_ticks) ** 2)
+def widened(down: Numbers, right: Numbers, sigma_ticks: float) -> np.ndarray:
+    """Return the variance of the pulse from a plane over that of the laser's; slopes may be arrays."""
+    return 1 + (down**2 + right**2) * (BOX / sigma_ticks) ** 2
 
 
-_doublings = part(doublings)
+_widened = part(widened)
 
 
 @njit
@@ -232,7 +233,7 @@ def _width(field, down, right):
     """Return the width of the pulse from a plane as a fractional index."""
     if len(field.scale) == 1:
         return 0.0
-    return min(len(field.scale) - 1.0, _doublings(down, right, field.sigma_ticks))
+    return min(len(field.scale) - 1.0, 0.5 * np.log2(_widened(down, right, field.sigma_ticks)))
 
 
 @part

@@ -2,13 +2,16 @@
 """Peaks of pixel histograms: the paper's estimator (IV), and filtered ones, which are our own choice."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from ..contract.config import Config
 from ..contract.latency import armed_cycle, close_cycle
 from ..contract.parameters import Sensor
 from ..shared.compiled import njit, part
+from . import portable
 from .histograms import Events
 
 FILTER_SIGMAS = 4.0  # half width of the matched filter
@@ -38,38 +41,76 @@ def pixel_peaks(
     apart = round(APART_SIGMAS * sigma_ticks)
     sigma_ticks = math.hypot(sigma_ticks, math.sqrt((step_ticks**2 - 1) / 12))  # an even spread over a step, in bins
     half = 0 if single else int(FILTER_SIGMAS * sigma_ticks + 0.5)
-    pulse = np.exp(-0.5 * (np.arange(-half, half + 1) / sigma_ticks) ** 2)
+    pulse = portable.exp(-0.5 * (np.arange(-half, half + 1) / sigma_ticks) ** 2)
     width = pulse.sum()
     if live is None:
         live = shape = np.ones((1, bins))
     else:
         live = np.atleast_2d(live)
-        shape = np.stack([np.convolve(one / one.mean(), pulse / width, mode="same") for one in live])
-    return _peaks(
-        histogram,
-        pulse,  # a hit in its middle counts exactly 1; a little more would count as two
-        width,
-        shape,
-        live,
-        np.zeros(len(histogram), np.int64) if group is None else group,
-        method == "background",
-        0 if single else round(NEAR_SIGMAS * sigma_ticks),
-        apart,
-        returns,
+        relative = live / live.mean(axis=1, keepdims=True)
+        shape = ndimage.correlate1d(relative, pulse / width, mode="constant")  # NumPy's depends on the processor
+    law = _Law(
+        pulse=pulse,
+        width=width,
+        shapes=shape,
+        lives=live,
+        group=np.zeros(len(histogram), np.int64) if group is None else group,
+        by_evidence=method == "background",
+        near=0 if single else round(NEAR_SIGMAS * sigma_ticks),
+        apart=apart,
     )
+    work = _Workspace(np.zeros(bins), np.zeros(bins), np.zeros(bins), np.empty(bins, np.int64))
+    ticks = np.full((len(histogram), returns), np.nan)
+    confidence = np.zeros((len(histogram), returns))
+    _peaks(histogram, law, work, ticks, confidence)
+    return ticks, confidence
 
 
-@njit
-def _peaks(histogram, pulse, width, shapes, lives, group, by_evidence, near, apart, returns):
-    """Find every pixel's peaks. Only bins within a pulse of a hit are searched; no other bin is above the background."""
+class _Law(NamedTuple):
+    """How peaks are found."""
+
+    pulse: np.ndarray  # float64[n]: a hit in its middle counts exactly 1; a little more would count as two
+    width: float  # bins of even light that count as much as the pulse
+    shapes: np.ndarray  # float64[groups, bins], background relative to its mean
+    lives: np.ndarray  # float64[groups, bins], share of the periods in which hits could come
+    group: np.ndarray  # int64[pixels], row of each pixel in these
+    by_evidence: bool  # peaks are those of the evidence against background, not of the filtered hits
+    near: int  # bins from a peak to those that determine its centre
+    apart: int  # bins between the returns of a pixel
+
+
+class _Workspace(NamedTuple):
+    """Arrays for one pixel after the other, float64[bins], 0 between pixels."""
+
+    seen: np.ndarray  # filtered hits
+    score: np.ndarray
+    evidence: np.ndarray  # log likelihood ratio to background alone
+    reached: np.ndarray  # int64[bins], bins within a pulse of a hit
+
+
+@njit(allocates=False)
+def _peaks(histogram, law, work, ticks, confidence):
+    """Find every pixel's peaks: float64[pixels, returns].
+
+    Only bins within a pulse of a hit are searched; no other bin is above the background.
+    """
     pixels, bins = histogram.shape
+    pulse = law.pulse
+    width = law.width
+    near = law.near
+    apart = law.apart
+    returns = ticks.shape[1]
     half = len(pulse) // 2
-    ticks, confidence = np.full((pixels, returns), np.nan), np.zeros((pixels, returns))
-    seen, score, evidence = np.zeros(bins), np.zeros(bins), np.zeros(bins)
-    reached = np.empty(bins, np.int64)
+    seen = work.seen
+    score = work.score
+    evidence = work.evidence
+    reached = work.reached
     for i in range(pixels):
-        total, number, until = 0, 0, 0
-        shape, live = shapes[group[i]], lives[group[i]]
+        total = 0
+        number = 0
+        until = 0
+        shape = law.shapes[law.group[i]]
+        live = law.lives[law.group[i]]
         for k in range(bins):
             hits = histogram[i, k]
             if hits:
@@ -92,7 +133,7 @@ def _peaks(histogram, pulse, width, shapes, lives, group, by_evidence, near, apa
             expected = per_bin * shape[j]
             # Poisson log likelihood ratio to background alone
             evidence[j] = seen[j] * math.log(seen[j] / expected) - seen[j] + expected if seen[j] > expected else 0.0
-            score[j] = evidence[j] if by_evidence else seen[j]
+            score[j] = evidence[j] if law.by_evidence else seen[j]
             top = max(top, evidence[j])
         anywhere = (bins - number) * math.exp(-top)
         for n in range(number):
@@ -108,7 +149,8 @@ def _peaks(histogram, pulse, width, shapes, lives, group, by_evidence, near, apa
             accident = 1 - below ** (bins / width)
             if r and accident > ACCIDENT_MAX:
                 break
-            weight = mean = 0.0
+            weight = 0.0
+            mean = 0.0
             for j in range(max(0, at - near), min(bins, at + near + 1)):
                 weight += histogram[i, j] / live[j]
                 mean += histogram[i, j] / live[j] * (j + 0.5)
@@ -117,8 +159,9 @@ def _peaks(histogram, pulse, width, shapes, lives, group, by_evidence, near, apa
             for j in range(max(0, at - apart), min(bins, at + apart + 1)):
                 score[j] = 0
         for n in range(number):
-            seen[reached[n]] = score[reached[n]] = evidence[reached[n]] = 0
-    return ticks, confidence
+            seen[reached[n]] = 0
+            score[reached[n]] = 0
+            evidence[reached[n]] = 0
 
 
 @part

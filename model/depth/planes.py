@@ -19,19 +19,22 @@ import numpy as np
 
 from ..contract.config import Config
 from ..shared.threads import Threads
+from . import portable
 from .histograms import Events, by_subgroup, hits_away
 from .likelihood import Grid, Guess, Levels, log_likelihood
-from .patchmatch import Field, doublings, fit_planes, level_on, posterior
+from .patchmatch import Field, fit_planes, level_on, posterior, widened
+from .portable import geometric_steps
 from .seeds import LEAST, Blocks, find_seeds, seed_scores
 from .unheard import unheard
 
 COARSE_SIGMAS = 1.4  # step of the first grid
-COARSE_LIGHTS = np.geomspace(0.02, 40, 7).astype(np.float32)  # photons per pulse
-LIGHTS = np.geomspace(0.015, 60, 12).astype(np.float32)
+COARSE_LIGHTS = geometric_steps(0.02, 40, 7).astype(np.float32)  # photons per pulse
+LIGHTS = geometric_steps(0.015, 60, 12).astype(np.float32)
 COARSE_HITS, HITS = 2.0, 1.5  # of the faintest light in all pulses, at most
 BINS_SIGMAS = 16.0  # width of the bins around a seed
 WIDTHS = 4  # of pulses: the laser's, and those of slanted surfaces, each twice as wide as the one before
-SLANTED, SLANTED_SHARE = 0.25, 0.05  # pulses so much wider, and the share of such pixels, make these widths worth a try
+SLANTED = 0.25  # doublings of the pulse's width,
+SLANTED_SHARE = 0.05  # and share of the pixels with more of them, that make these widths worth a try
 SPREAD_GAIN = 0.1  # mean log likelihood of a pixel by which slopes that spread the pulse must be likelier
 HOT = 2.0  # background relative to the mean from which on a pixel's own value is used
 ACTIVITY_HITS = 10.0  # weight of the prior, in hits
@@ -66,7 +69,7 @@ def find_surfaces(
 
     step = max(1, round(COARSE_SIGMAS * sigma_ticks))
     coarse_lights, fine_lights = down_to(COARSE_LIGHTS, COARSE_HITS / pulses), down_to(LIGHTS, HITS / pulses)
-    coarse = Grid(step, coarse_lights, np.full(len(coarse_lights), -np.log(len(coarse_lights)), np.float32))
+    coarse = Grid(step, coarse_lights, np.full(len(coarse_lights), -math.log(len(coarse_lights)), np.float32))
     never = unheard(events, config, pulses, sigma_ticks, threads.map)
     everywhere = np.zeros((sensor.subgroups, sensor.pixels), np.int64)
     level, lights, _ = log_likelihood(
@@ -100,7 +103,7 @@ def find_surfaces(
     again = partial(around, prior=levels.prior)
     field = Field.of([levels.level], [first], sigma_ticks, blocks)
     planes = fit_planes(field, blocks)
-    slanted = doublings(planes.down, planes.right, sigma_ticks) > SLANTED
+    slanted = widened(planes.down, planes.right, sigma_ticks) > 4**SLANTED
     if slanted.mean() > SLANTED_SHARE:
         wide = _in_perspective(levels.level, middle, again, sigma_ticks, blocks)
         in_space = fit_planes(wide, blocks)
@@ -131,7 +134,7 @@ def down_to(lights: np.ndarray, faintest: float) -> np.ndarray:
     """Return geometric steps of lights, float32, continued downwards until one is at most `faintest`."""
     ratio = lights[1] / lights[0]
     more = max(0, math.ceil(math.log(lights[0] / faintest) / math.log(ratio)))
-    return np.concatenate([lights[0] * ratio ** np.arange(-more, 0.0), lights]).astype(np.float32)
+    return np.concatenate([[float(lights[0]) * float(ratio) ** k for k in range(-more, 0)], lights]).astype(np.float32)
 
 
 def _first(middle: np.ndarray, width: int, bins: int) -> np.ndarray:
@@ -194,5 +197,5 @@ def _further(
         planes = fit_planes(field, blocks)
         found[:, :, k] = taken = np.where(there, np.clip(planes.time, 0, times * step), np.nan)
         error[:, :, k] = np.where(there, posterior(field, planes, 0.0, blocks)[1], np.nan)
-        confidence[:, :, k] = np.where(there, 1 - np.minimum(1, times * np.exp(-score)), 0.0)
+        confidence[:, :, k] = np.where(there, 1 - np.minimum(1, times * portable.exp(-score)), 0.0)
     return found, confidence, error

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..shared.compiled import njit, part
+from . import portable
 from .vector_math import fast_exp, fast_log, top_of
 
 Blocks = Callable[[Callable[[int, int], None]], object]  # calls a function for (begin, end) of rows, in any order
@@ -35,7 +36,7 @@ ROUNDS = 5
 STILL = 0.01  # a pixel whose probabilities changed by less has not changed
 _NEVER = np.float32(-1e9)
 _REACH = np.arange(-NEAR, NEAR + 1)
-_WEIGHT = np.exp(-0.5 * (_REACH[:, None] ** 2 + _REACH**2) / WIDTH**2).astype(np.float32)
+_WEIGHT = portable.exp(-0.5 * (_REACH[:, None] ** 2 + _REACH**2) / WIDTH**2).astype(np.float32)
 _SUPPORT_MAX = np.float32((_WEIGHT.sum() - 1) * max(MOST, math.log1p(AGREE * ALIKE.max())))  # from all neighbours
 _HOPELESS = np.float32(math.log(PROBABLE))  # log likelihood ratio to the best candidate
 

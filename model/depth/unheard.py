@@ -17,7 +17,8 @@ import numpy as np
 from scipy import special
 
 from ..contract.config import Config
-from ..shared.compiled import njit
+from ..shared.compiled import njit, part
+from . import portable
 from .clusters import armed_ticks, gate_moved
 from .evidence import RARE, REACH_SIGMAS
 from .histograms import Events
@@ -56,7 +57,9 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
     none, all_seen = np.zeros(ticks, np.float32), np.ones(ticks, np.float32)
     reach = math.ceil(REACH_SIGMAS * sigma_ticks)
     taps = np.arange(-(reach // every), reach // every + 1) * every
-    pulse = np.exp(-0.5 * taps**2 / (sigma_ticks**2 - (every**2 - 1) / 12))  # a point is a mean over its ticks already
+    pulse = portable.exp(
+        -0.5 * taps**2 / (sigma_ticks**2 - (every**2 - 1) / 12)
+    )  # a point is a mean over its ticks already
     shape = (pulse / pulse.sum()).astype(np.float32)
 
     def of_subgroup(s: int) -> None:
@@ -71,21 +74,25 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
         dropped *= committed / max(1.0, dropped[stamp].sum())  # windows per stored window
         rejected = (events.opened[s] - committed) / pulses / ticks  # windows per tick
         threshold = int(events.threshold[s])
-        _leave_no_trace(
-            _share_between(stamp, stamp + window, dropped, pulses),
-            np.minimum(1, _share_between(np.maximum(0, stamp - reach), armed, dropped, pulses)) if dropping else none,
-            _share_between(stamp, armed, dropped, pulses) if dropping else none,
-            found.astype(np.float32) if dropping else none,
-            np.tile(np.minimum(BLIND_MAX, rejected * after_rejected).astype(np.float32), config.period),
-            np.repeat(_gate_share(config, s), sensor.phases).astype(np.float32) if config.gating[s] else all_seen,
-            np.float32(_event_share(threshold, events.photon_rate[s] * window)),
-            _shares(threshold),
-            shape,
-            every,
-            1 + dropping,
-            missed[:, s],
-            blind[:, s],
+        deaf = np.minimum(BLIND_MAX, rejected * after_rejected).astype(np.float32)
+        nearby = busy = room = none
+        if dropping:
+            nearby = np.minimum(1, _share_between(np.maximum(0, stamp - reach), armed, dropped, pulses))
+            busy = _share_between(stamp, armed, dropped, pulses)
+            room = found.astype(np.float32)
+        seen = all_seen
+        if config.gating[s]:
+            seen = np.repeat(_gate_share(config, s), sensor.phases).astype(np.float32)
+        of_ticks = _Ticks(
+            covered=_share_between(stamp, stamp + window, dropped, pulses),
+            nearby=nearby,
+            busy=busy,
+            room=room,
+            deaf=np.tile(deaf, config.period),
+            seen=seen,
         )
+        least = np.float32(_event_share(threshold, events.photon_rate[s] * window))
+        _leave_no_trace(of_ticks, least, _shares(threshold), shape, every, 1 + dropping, missed[:, s], blind[:, s])
         if not dropping:
             missed[1, s], blind[1, s] = missed[0, s], blind[0, s]
 
@@ -98,7 +105,8 @@ def _gate_share(config: Config, s: int) -> np.ndarray:
     starts = config.gate_start[s] + gate_moved(config, np.arange(config.pulses))
     start, pulses = np.unique(starts, return_counts=True)
     cycle = np.arange(config.period)[:, None]
-    return ((cycle >= start) & (cycle < start + config.gate_len[s])) @ (pulses / pulses.sum())
+    is_open = (cycle >= start) & (cycle < start + config.gate_len[s])
+    return is_open @ pulses / pulses.sum()
 
 
 def _while_dropping(
@@ -177,27 +185,34 @@ def _share_between(begin: np.ndarray, end: np.ndarray, weight: np.ndarray, pulse
     return (np.cumsum(begun - ended) / pulses * weight).astype(np.float32)
 
 
+class _Ticks(NamedTuple):
+    """What is known of the ticks of a subgroup's period, float32[ticks], each per pulse."""
+
+    covered: np.ndarray  # windows over a tick
+    nearby: np.ndarray  # the same for windows with their surroundings; this and the two following only while dropping
+    busy: np.ndarray  # windows from their stamp until the tree is armed
+    room: np.ndarray  # share with room in the FIFO
+    deaf: np.ndarray  # chance that the tree is blind after a rejected window
+    seen: np.ndarray  # share of the pulses whose gate is open
+
+
 class _Shares(NamedTuple):
-    """What follows from the share of the windows that become events, float32, at even steps of the share's logarithm.
+    """What follows from the share of the windows that become events, at even steps of the share's logarithm."""
 
-    met: share of those that would become events with one more pixel. dark: probability that no photon came. low: lowest
-    logarithm. per: steps per unit of it.
-    """
-
-    met: np.ndarray
-    dark: np.ndarray
-    low: np.float32
-    per: np.float32
+    met: np.ndarray  # float32[SHARES], share of those that would become events with one more pixel
+    dark: np.ndarray  # float32[SHARES], probability that no photon came
+    low: np.float32  # lowest logarithm
+    per: np.float32  # steps per unit of it
 
 
 @cache
 def _shares(threshold: int) -> _Shares:
     """Tabulate the shares for a threshold in pixels."""
     low = math.log(_event_share(threshold, 0))
-    photons = special.gammaincinv(threshold, np.exp(np.linspace(low, 0, SHARES)))
+    photons = special.gammaincinv(threshold, portable.exp(np.linspace(low, 0, SHARES)))
     met = special.gammainc(threshold - 1, photons) if threshold > 1 else np.ones(SHARES)
     per = np.float32((SHARES - 1) / -low)
-    return _Shares(met.astype(np.float32), np.exp(-photons).astype(np.float32), np.float32(low), per)
+    return _Shares(met.astype(np.float32), portable.exp(-photons).astype(np.float32), np.float32(low), per)
 
 
 def _event_share(threshold: int, photons: float) -> float:
@@ -206,17 +221,25 @@ def _event_share(threshold: int, photons: float) -> float:
 
 
 @njit(error_model="numpy")
-def _leave_no_trace(covered, nearby, busy, found, deaf, seen, least, shares, pulse, every, kinds, missed, blind):
+def _leave_no_trace(of_ticks, least, shares, pulse, every, kinds, missed, blind):
     """Compute missed and blind, float32[2, points], of `Unheard` for one subgroup.
 
-    It is the mean over the arrival times of a surface's photons. The following are float32[ticks], each per pulse. covered:
-    windows over a tick. nearby, busy: the same for windows with their surroundings, and until the tree is armed; found: share
-    with room in the FIFO (these three only while dropping). deaf: chance that the tree is blind after a rejected window. seen:
-    share of the pulses whose gate is open. least: share of the windows that become events by background alone. pulse:
-    float32[n], shape of the pulse in steps of `every` ticks. kinds: 2 if windows are dropped, else 1.
+    It is the mean over the arrival times of a surface's photons. least: share of the windows that become events by
+    background alone. pulse: float32[n], shape of the pulse in steps of `every` ticks. kinds: 2 if windows are dropped,
+    else 1.
     """
-    ticks, points, reach, one = len(covered), missed.shape[1], len(pulse) // 2, np.float32(1)
-    share, place, met, dark, lost, unarmed = np.empty((6, ticks), np.float32)
+    covered = of_ticks.covered
+    deaf = of_ticks.deaf
+    ticks = len(covered)
+    points = missed.shape[1]
+    reach = len(pulse) // 2
+    one = np.float32(1)
+    share = np.empty(ticks, np.float32)
+    place = np.empty(ticks, np.float32)
+    met = np.empty(ticks, np.float32)
+    dark = np.empty(ticks, np.float32)
+    lost = np.empty(ticks, np.float32)
+    unarmed = np.empty(ticks, np.float32)
     line = np.empty(points + 2 * reach, np.float32)
     for kind in range(kinds):
         for t in range(ticks):
@@ -228,22 +251,33 @@ def _leave_no_trace(covered, nearby, busy, found, deaf, seen, least, shares, pul
             met[t] = shares.met[k] + part * (shares.met[k + 1] - shares.met[k])
             dark[t] = shares.dark[k] + part * (shares.dark[k + 1] - shares.dark[k])
         for t in range(ticks):
-            awake = (one - deaf[t]) * (found[t] if kind else one)
-            noticed = min(one, max(share[t], nearby[t]) if kind else share[t])
+            awake = (one - deaf[t]) * (of_ticks.room[t] if kind else one)
+            noticed = min(one, max(share[t], of_ticks.nearby[t]) if kind else share[t])
             silent = max(one - awake * noticed, np.float32(RARE))
-            lost[t] = one - seen[t] * (one - min(one, (one - awake * met[t]) / silent))
-            off = min(np.float32(BLIND_MAX), deaf[t] + busy[t]) if kind else deaf[t]
+            lost[t] = one - of_ticks.seen[t] * (one - min(one, (one - awake * met[t]) / silent))
+            off = min(np.float32(BLIND_MAX), deaf[t] + of_ticks.busy[t]) if kind else deaf[t]
             unarmed[t] = off / (off + (one - off) * dark[t])
-        for of_ticks, out in ((lost, missed[kind]), (unarmed, blind[kind])):
-            for j in range(points):
-                begin, end, total = j * every, min(ticks, (j + 1) * every), np.float32(0)
-                for t in range(begin, end):
-                    total += of_ticks[t]
-                line[reach + j] = total / np.float32(end - begin)
-            for i in range(reach):
-                line[i], line[reach + points + i] = line[reach], line[reach + points - 1]
-            for j in range(points):
-                out[j] = 0
-            for i in range(len(pulse)):
-                for j in range(points):
-                    out[j] += pulse[i] * line[i + j]
+        _mean_over_pulse(lost, pulse, every, line, missed[kind])
+        _mean_over_pulse(unarmed, pulse, every, line, blind[kind])
+
+
+@part(error_model="numpy")
+def _mean_over_pulse(values, pulse, every, line, means):
+    """Compute the mean of values by tick, over each point's ticks and the pulse. line: workspace."""
+    points = len(means)
+    reach = len(pulse) // 2
+    for j in range(points):
+        begin = j * every
+        end = min(len(values), (j + 1) * every)
+        total = np.float32(0)
+        for t in range(begin, end):
+            total += values[t]
+        line[reach + j] = total / np.float32(end - begin)
+    for i in range(reach):
+        line[i] = line[reach]
+        line[reach + points + i] = line[reach + points - 1]
+    for j in range(points):
+        means[j] = 0
+    for i in range(len(pulse)):
+        for j in range(points):
+            means[j] += pulse[i] * line[i + j]
