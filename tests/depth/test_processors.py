@@ -18,7 +18,8 @@ SENSOR = {"rows": 16, "cols": 16}
 def depth_digest() -> str:
     """Return the digest of what every estimator says about one frame, with gates."""
     gates = {"gating": True, "gate_start": 4, "gate_len": 40}
-    run = Run(Setup.of("five-objects", klux=50, sensor=SENSOR, frame={"gate_every": 10}, subgroup=gates))
+    moving = {"gate_every": 10, "gate_step": 5, "gate_steps": 4}
+    run = Run(Setup.of("five-objects", klux=50, sensor=SENSOR, frame=moving, subgroup=gates))
     digest = hashlib.sha256()
     for method in METHODS:
         depth = run.depth(method, returns=2)
