@@ -44,7 +44,7 @@ for name, run in runs.items():
     wrong_share = np.mean(~(np.abs(depth_m - truth_m) < 0.0345))
     print(f"{name}: {wrong_share:.1%} of the pixels are wrong, {run.result['dropped'][last].sum()} events were dropped")
     pictures[name] = depth_m
-for axis, (title, picture_m) in zip(axes[1:], pictures.items()):
+for axis, (title, picture_m) in zip(axes[1:], pictures.items(), strict=True):
     image = axis.imshow(picture_m, cmap="viridis_r", vmin=truth_m.min(), vmax=truth_m.max())
     axis.set_title(title)
 figure.colorbar(image, ax=axes[1:], shrink=0.8)

@@ -26,7 +26,7 @@ cases = {
     "gate from 6 to 12 m": gated,
     "progressive gate of 3 m: every 10 pulses it moves on by 1.5 m": moving,
 }
-for axis, (title, config) in zip(axes, cases.items()):
+for axis, (title, config) in zip(axes, cases.items(), strict=True):
     run = coincid.simulate(config, "two-returns:3,9", klux=50)
     events = run.events()
     subgroup = events["subgroup"] == 5

@@ -58,7 +58,7 @@ assert (tests, failures) == (1, 0), (folder / "sim.log").read_text(encoding="utf
 # The record of the bench: photons arrive in cycles 5 and 6, and the event leaves the sensor after its window has closed.
 
 told = json.loads(seen.read_text(encoding="utf-8"))
-cycles, valid, photons = zip(*told["rows"])
+cycles, valid, photons = zip(*told["rows"], strict=True)
 figure, axis = plt.subplots(figsize=(9, 2.6), layout="constrained")
 axis.bar(cycles, photons, width=0.9, color="#c8501e", label="photons driven in this cycle")
 axis.step(cycles, [-1.5 + one for one in valid], where="mid", color="#277f8e", label="m_axis_tvalid")

@@ -64,7 +64,7 @@ def _along_the_edge() -> str:
         f"{name}[{k}]" if msb else name for msb, name in ports for k in range(int(msb or 0) + 1) if name != "clk_in"
     ]
     along = (site for site, _ in sorted(sites.items(), key=clockwise))
-    return "".join(f'LOCATE COMP "{bit}" SITE "{site}";\n' for bit, site in zip(bits, along))
+    return "".join(f'LOCATE COMP "{bit}" SITE "{site}";\n' for bit, site in zip(bits, along, strict=False))
 
 
 def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -> Board:

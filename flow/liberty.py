@@ -72,7 +72,7 @@ def read_cells(path: Path, names: Collection[str]) -> dict[str, Cell]:
     text = path.read_text(encoding="utf-8")
     starts = [(found[1], found.start()) for found in re.finditer(r"^\s*cell \((\w+)\) \{", text, re.MULTILINE)]
     ends = [*(at for _, at in starts[1:]), len(text)]
-    cells = {name: _cell(_parsed(text[at:end])) for (name, at), end in zip(starts, ends) if name in names}
+    cells = {name: _cell(_parsed(text[at:end])) for (name, at), end in zip(starts, ends, strict=True) if name in names}
     if missing := sorted(set(names) - set(cells)):
         raise ValueError(f"{path.name}: no cell {missing[0]}")
     return cells

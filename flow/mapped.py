@@ -122,7 +122,7 @@ def least_slacks_ns(report: str) -> dict[str, float]:
     """Return kind of end -> least slack from the report of `LONGEST_PATHS`, for all kinds that have a path."""
     _, *parts = re.split(r"^(FLOPS|LATCHES|OPENING|ENABLES)$", report, flags=re.MULTILINE)
     slacks = {}
-    for kind, part in zip(parts[::2], parts[1::2]):
+    for kind, part in zip(parts[::2], parts[1::2], strict=True):
         found = [float(n) for n in re.findall(r"(-?[\d.]+) +slack", part)]
         lent = re.findall(r"^(?:max|actual) time borrow +(-?[\d.]+)", part, re.MULTILINE)
         if kind == "LATCHES" and len(lent) == 2:

@@ -159,7 +159,7 @@ def _accesses(config: Config, trace: Trace) -> Accesses:
     counters = [
         (registers.address(name, s), value, f"{name} of subgroup {s}")
         for s in _played(sensor)
-        for name, value in zip(COUNTER_NAMES, trace.counters[s].tolist())
+        for name, value in zip(COUNTER_NAMES, trace.counters[s].tolist(), strict=True)
     ]
     return {"constant": constants, "setting": settings, "counter": counters}
 

@@ -206,7 +206,7 @@ def report(name: str, config: Config) -> str:
     total = ["**sensor**", "", round(gates.total(lambda b: b.total - b.flops)), round(gates.total(lambda b: b.flops))]
     total.append(max(block.levels or 0 for block in gates.blocks.values()))
     used = ([block.instances * n for n in _mapped(block, fpga)] for block in mapped.blocks.values())
-    total += [sum(column) for column in zip(*used)]
+    total += [sum(column) for column in zip(*used, strict=True)]
     lines = [
         f"## {name}: {sensor.rows} x {sensor.cols}, {sensor.phases} phases, {config.clock_mhz:g} MHz",
         "",

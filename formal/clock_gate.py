@@ -78,11 +78,7 @@ def subgroup_rests(b: Bench):
     """Behind a closed clock gate no register of a subgroup would change, and no row of a memory, whatever is in them."""
     unit, tree = Subgroup(SMALL), CoincidenceTree(SMALL)
     shown = b.free(tree)
-    unit.view = SimpleNamespace(
-        front_end=lambda sensor: tree,
-        from_spads=POLYPHASE.from_spads,
-        front_end_rests=True,
-    )
+    unit.view = SimpleNamespace(front_end=lambda sensor: tree, from_spads=POLYPHASE.from_spads, front_end_rests=True)
     _rests(b, unit)
     strobes = Cat(unit.timing[name] for name in bus.STROBES).any()
     quiet = b.same("quiet", (unit.command.operation == bus.Operation.IDLE) & ~strobes & ~unit.grant & ~ResetSignal())

@@ -69,12 +69,7 @@ class Next:
 
     def takes(self, ends: Ends, items: Value) -> list[Any]:
         """Return the statements that put the items at both ends of some bits here."""
-        return [
-            self.items.eq(items),
-            self.one.eq(ends.one),
-            self.two.eq(ends.two),
-            self.more.eq(ends.more),
-        ]
+        return [self.items.eq(items), self.one.eq(ends.one), self.two.eq(ends.two), self.more.eq(ends.more)]
 
     def shown(self) -> Value:
         """Return the items, with 0 for a missing one."""

@@ -57,15 +57,7 @@ class EventFifo(Unit):
         room = Signal()
         write = Signal()
         event = Signal(bus.event_layout(self.sensor))
-        place(
-            m,
-            "storage",
-            rows,
-            platform,
-            write=write,
-            data=event,
-            **rows.at(to=self.to, row=self.row),
-        )
+        place(m, "storage", rows, platform, write=write, data=event, **rows.at(to=self.to, row=self.row))
         m.d.comb += [
             room.eq(self.level != depth),
             event.window.eq(self.event),

@@ -50,10 +50,7 @@ class Polyphase:
 
     def from_spads(self, words: Value, gating: Gating) -> dict[str, Value]:
         """Return drivers of the front end's inputs that depend on the view."""
-        return dict(
-            words=words,
-            accept=gating.accept,
-        )
+        return dict(words=words, accept=gating.accept)
 
 
 @frozen
@@ -86,10 +83,7 @@ class Asynchronous:
 
     def from_spads(self, words: Value, gating: Gating) -> dict[str, Value]:
         """Return drivers of the front end's inputs that depend on the view."""
-        return dict(
-            spad=words,
-            gate=gating.spad_gate,
-        )
+        return dict(spad=words, gate=gating.spad_gate)
 
 
 View: TypeAlias = Polyphase | Asynchronous

@@ -32,12 +32,7 @@ class Memory(Unit):
         self.depth, self.width = depth, width
         self.unit_name = f"coincid_memory_{depth}x{width}"
         bits = bits_for(depth - 1)
-        super().__init__(
-            write=In(1),
-            data=In(width),
-            value=Out(width),
-            **self.at(to=In(bits), row=In(bits)),
-        )
+        super().__init__(write=In(1), data=In(width), value=Out(width), **self.at(to=In(bits), row=In(bits)))
 
     def at(self, **places: Any) -> dict[str, Any]:
         """Return what belongs to the ports `to` and `row`; nothing if there is one row."""

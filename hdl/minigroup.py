@@ -58,10 +58,7 @@ class Recorder(Unit):
         if self.sensor.records:
             moves.append(self._record(m, platform, active, step_4))
         else:
-            m.d.comb += [
-                self.latched.eq(0),
-                self.entry.eq(Const({}, self.entry.shape())),
-            ]
+            m.d.comb += [self.latched.eq(0), self.entry.eq(Const({}, self.entry.shape()))]
         return moves
 
     def _offset(self, m, begins, step_4) -> Value:
@@ -201,11 +198,7 @@ class Minigroup(Recorder):
         m = Module()
         self._edges(m)
         self._hits(m)
-        awake = [
-            self.awake_1,
-            self.awake_3,
-            *self._map(m, platform),
-        ]
+        awake = [self.awake_1, self.awake_3, *self._map(m, platform)]
         return behind(m, platform, self.clock_gate, Cat(awake).any())
 
     def _edges(self, m):
@@ -275,7 +268,4 @@ class Minigroup(Recorder):
             ]
         m.d.comb += self.hits.eq(hits)
         begins = self.hit_4.any() & (self.opening | ~hits.any())
-        return [
-            moves,
-            *self._stamps(m, platform, self.active, begins, self.step_4),
-        ]
+        return [moves, *self._stamps(m, platform, self.active, begins, self.step_4)]

@@ -97,8 +97,7 @@ class Readout(Unit):
         self.event_last = Signal(range(longest))  # the same - 1
         # If there is more space than this, an event leaves room for a word, or for counters.
         self.event_exceeds = [
-            Signal(range(2 * longest), init=beats - 1, name=f"event_exceeds_{beats}")
-            for beats in self.rooms
+            Signal(range(2 * longest), init=beats - 1, name=f"event_exceeds_{beats}") for beats in self.rooms
         ]
 
     def _waiting_events(self):

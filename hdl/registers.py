@@ -28,12 +28,7 @@ CONTROL, STATUS = BY_NAME["control"], BY_NAME["status"]
 
 def _controller_ports(sensor: Sensor) -> dict[str, Any]:
     per_stream = data.ArrayLayout(DATA_BITS, sensor.streams)
-    return {
-        "capacity": Out(DATA_BITS),
-        "share": Out(per_stream),
-        "budget": In(per_stream),
-        "limit": In(per_stream),
-    }
+    return {"capacity": Out(DATA_BITS), "share": Out(per_stream), "budget": In(per_stream), "limit": In(per_stream)}
 
 
 class Registers(Unit):

@@ -200,10 +200,7 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
             finish=sequencer.finish,
         )
         wiring.connect(m, wiring.flipped(getattr(outer, sensor.stream_name(k))), readout.m_axis)
-        m.d.comb += [
-            stream.grant.eq(readout.grant),
-            stream.send.eq(readout.send),
-        ]
+        m.d.comb += [stream.grant.eq(readout.grant), stream.send.eq(readout.send)]
     return sequencer
 
 
@@ -255,9 +252,7 @@ def wire_sensor(
     return sequencer, Cat(one.spad_gate for one in subgroups)
 
 
-def _of_line(
-    sensor: Sensor, inner: Any, words: list[ValueLike], line: int, subgroup: int
-) -> dict[str, ValueLike]:
+def _of_line(sensor: Sensor, inner: Any, words: list[ValueLike], line: int, subgroup: int) -> dict[str, ValueLike]:
     """Return the drivers of a module's inputs for one of its lines, which belongs to `subgroup`."""
     number = sensor.stream_of(subgroup)
     stream = StreamPorts(inner, number)

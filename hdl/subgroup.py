@@ -122,10 +122,7 @@ class Subgroup(Unit):
         strobes = Cat(self.timing[name] for name in bus.STROBES)
         strobes_taken = Cat(self.timing_taken[name] for name in bus.STROBES)
         with m.If(Cat(strobes_taken != strobes, self.grant_taken, self.grant).any()):
-            m.d[self._gated] += [
-                strobes_taken.eq(strobes),
-                self.grant_taken.eq(self.grant),
-            ]
+            m.d[self._gated] += [strobes_taken.eq(strobes), self.grant_taken.eq(self.grant)]
         with m.If(self.timing.start):
             m.d[self._gated] += self.timing_taken.shift.eq(self.timing.shift)
         with m.If(self.grant):
@@ -173,12 +170,7 @@ class Subgroup(Unit):
             period=self.period_taken,
             counters=dpcu.counters,
         )
-        put(
-            "gating",
-            gating,
-            timing=self.timing_taken,
-            settings=settings.settings,
-        )
+        put("gating", gating, timing=self.timing_taken, settings=settings.settings)
         put(
             "tree",
             tree,

@@ -51,9 +51,7 @@ class FrontEnd(Unit):
         self.half = Signal(bus.window_layout(sensor), reset_less=True)
         part = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
         self.parts = [self.hits[k : k + part] for k in range(0, sensor.pixels, part)]
-        self.counts = [
-            Signal(range(len(part) + 1), name=f"counts_{k}") for k, part in enumerate(self.parts)
-        ]
+        self.counts = [Signal(range(len(part) + 1), name=f"counts_{k}") for k, part in enumerate(self.parts)]
 
     def _leaf(self, m, g: int, leaf: Recorder) -> None:
         """Collect what minigroup `g` gives."""
@@ -247,15 +245,9 @@ class CoincidenceTree(FrontEnd):
                 self.winner_3.eq(lowest(m, one_of, "winner")),
             ]
         with m.If(self.opening_3):
-            m.d.sync += [
-                self.stamp_4.eq(self.stamp_3),
-                self.winner_4.eq(self.winner_3),
-            ]
+            m.d.sync += [self.stamp_4.eq(self.stamp_3), self.winner_4.eq(self.winner_3)]
         with m.If(self.opening_4):
-            m.d.sync += [
-                self.stamp_5.eq(self.stamp_4),
-                self.winner_5.eq(self.winner_4),
-            ]
+            m.d.sync += [self.stamp_5.eq(self.stamp_4), self.winner_5.eq(self.winner_4)]
 
     def _leaves(self, m, platform):
         """Place the minigroups."""

@@ -88,13 +88,7 @@ class Export:
 
 
 def place(
-    m: Module,
-    name: str,
-    unit: Unit,
-    platform,
-    reset=None,
-    domain: str = "sync",
-    **inputs: ValueLike | IOPort,
+    m: Module, name: str, unit: Unit, platform, reset=None, domain: str = "sync", **inputs: ValueLike | IOPort
 ) -> Unit:
     """Put `unit` into `m`, as a submodule or, under an `Export` platform, as an instance.
 

@@ -140,7 +140,7 @@ class Emission:
                 layout.ones += [words[flop.output] for flop in unit.block.flops if flop.init]
                 outer: dict[int, int] = {}
                 for port, nets in unit.block.inputs.items():
-                    outer |= dict(zip(nets, instance.nets[port]))
+                    outer |= dict(zip(nets, instance.nets[port], strict=True))
                 for inner, net in outer.items():
                     if net == ONE:
                         layout.ones.append(words[inner])
@@ -149,7 +149,7 @@ class Emission:
                     elif net > ONE and place.get(net) != words[inner]:
                         unit.moves.append((words[inner], net))
                 for port, nets in unit.block.outputs.items():
-                    for inner, net in zip(nets, instance.nets.get(port, ())):
+                    for inner, net in zip(nets, instance.nets.get(port, ()), strict=False):
                         place[net] = words[inner] if inner > ONE else place[inner]
                 for number, fields in unit.flags:
                     for inner in fields:
@@ -371,7 +371,7 @@ class _Writer:
 
     def _lit(self, node: Lit, value: Value, values: dict[int, str]) -> Iterator[str]:
         found: dict[int, str] = {}
-        for net, dark in zip(node.outputs, node.dark):
+        for net, dark in zip(node.outputs, node.dark, strict=True):
             self._locals += 1
             found[net] = f"t{self._locals}"
             yield f"W {found[net]} = {'ONES' if dark else 'ZEROS'};"

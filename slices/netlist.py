@@ -173,7 +173,7 @@ def _inits(module: Mapping[str, Any]) -> dict[int, int]:
     """Return net -> initial value."""
     found = {}
     for of in module["netnames"].values():
-        for net, bit in zip(of["bits"], reversed(of["attributes"].get("init", ""))):
+        for net, bit in zip(of["bits"], reversed(of["attributes"].get("init", "")), strict=False):
             if bit in "01":
                 found[net] = int(bit)
     return found

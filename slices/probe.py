@@ -32,9 +32,9 @@ class Probe:
         for instance in emission.top.instances:
             unit = emission.blocks[instance.unit]
             for port, outer in instance.nets.items():
-                for inner, net in zip(unit.inputs.get(port, ()), outer):
+                for inner, net in zip(unit.inputs.get(port, ()), outer, strict=False):
                     self._links[instance.name, inner] = TOP, net
-                for inner, net in zip(unit.outputs.get(port, ()), outer):
+                for inner, net in zip(unit.outputs.get(port, ()), outer, strict=False):
                     self._links[TOP, net] = instance.name, inner
         self.signals: dict[str, tuple[str, tuple[int, ...]]] = {}
         for scope, block in self._blocks.items():
@@ -92,7 +92,7 @@ class Probe:
                 known[instance, net] = _table(node, inputs, samples.shape[1])
             elif node:
                 rows = self._read(samples, node, inputs)
-                known |= {(instance, output): row for output, row in zip(node.outputs, rows)}
+                known |= {(instance, output): row for output, row in zip(node.outputs, rows, strict=True)}
             else:
                 known[instance, net] = self._kept(samples, instance, net)
 

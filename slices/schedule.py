@@ -504,7 +504,7 @@ def _of_units(block: Block, units: Mapping[str, Block]) -> tuple[dict[int, str],
         unit = units[instance.unit]
         flops = {flop.output for flop in unit.flops}
         for port, nets in unit.outputs.items():
-            for net, inner in zip(instance.nets.get(port, ()), nets):
+            for net, inner in zip(instance.nets.get(port, ()), nets, strict=False):
                 (registered if inner in flops else computed)[net] = instance.unit
     return computed, registered
 

@@ -65,4 +65,6 @@ def _changes(bits: np.ndarray, cycles: int) -> list[tuple[int, int]]:
     each = np.unpackbits(np.ascontiguousarray(bits).view(np.uint8), axis=1, bitorder="little", count=cycles)
     at = np.flatnonzero(np.concatenate([[True], (each[:, 1:] != each[:, :-1]).any(axis=0)]))
     packed = np.packbits(each[:, at], axis=0, bitorder="little")
-    return [(int(cycle), int.from_bytes(column.tobytes(), "little")) for cycle, column in zip(at, packed.T)]
+    return [
+        (int(cycle), int.from_bytes(column.tobytes(), "little")) for cycle, column in zip(at, packed.T, strict=True)
+    ]

@@ -196,7 +196,7 @@ class LineBench(SensorBench):
             if int(self.dut.timing.value) & start:
                 break
         now = self.cycle_fs // 2 - LEAD * self.cycle_fs  # time of this falling edge; cycle 0 of the frame begins at 0
-        for at, subgroup, word in zip(*levels):
+        for at, subgroup, word in zip(*levels, strict=True):
             if at > now:
                 await Timer(at - now, "fs")
                 now = at

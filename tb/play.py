@@ -57,7 +57,7 @@ def play(
     """
     if engine == "sliced":
         (records,) = play_side_by_side([frames], progress)
-        for number, (job, record) in enumerate(zip(frames, records)):
+        for number, (job, record) in enumerate(zip(frames, records, strict=True)):
             if job.expected is not None:
                 record.checked = check(job.config.sensor, job.expected, record, number)
         return records, None

@@ -114,7 +114,10 @@ def replay_together(jobs: Sequence[tuple[Config, Edges]], threads: int = 1) -> l
         [FrameJob(config, edges.frame(number, config.pulses)[0]) for number in range(config.frames)]
         for config, edges in jobs
     ]
-    return [_result(config, records) for (config, _), records in zip(jobs, play_side_by_side(chains, threads=threads))]
+    return [
+        _result(config, records)
+        for (config, _), records in zip(jobs, play_side_by_side(chains, threads=threads), strict=True)
+    ]
 
 
 def _result(config: Config, records: list[Recorded]) -> dict[str, np.ndarray]:

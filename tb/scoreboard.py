@@ -46,12 +46,15 @@ def check(sensor: Sensor, expected: Trace, record: Recorded, frame: int = 0) -> 
     ):
         return sum(map(len, expected.beats)) + len(expected.commit_cycle)
     board = Scoreboard(sensor, expected, frame)
-    shown = [(cycle, 0, s, 0, 0) for s, cycle in zip(record.commit_subgroup.tolist(), record.commit_cycle.tolist())]
+    shown = [
+        (cycle, 0, s, 0, 0)
+        for s, cycle in zip(record.commit_subgroup.tolist(), record.commit_cycle.tolist(), strict=True)
+    ]
     for k in streams:
         ends = len(record.beats[k]) - 1
         shown += [
             (cycle, 1, k, data, i == ends)
-            for i, (cycle, data) in enumerate(zip(record.beat_cycle[k].tolist(), record.beats[k].tolist()))
+            for i, (cycle, data) in enumerate(zip(record.beat_cycle[k].tolist(), record.beats[k].tolist(), strict=True))
         ]
     for cycle, is_beat, which, data, last in sorted(shown):
         if is_beat:

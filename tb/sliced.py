@@ -377,7 +377,7 @@ def play_side_by_side(
         engine = Engine(sensor, each)
         try:
             sensors = [SlicedSensor(sensor, engine, k) for k in range(len(batches[number]))]
-            for one, chain in zip(sensors, batches[number]):
+            for one, chain in zip(sensors, batches[number], strict=True):
                 programmed = registers.reset_values(sensor)
                 for job in chain:
                     one.post(programmed, job)

@@ -18,7 +18,7 @@ def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]
     cycle, subgroup, bit = port_bits(config, edges)
     order = np.lexsort((subgroup, cycle))
     words: dict[int, dict[int, int]] = {}
-    for c, s, b in zip(cycle[order].tolist(), subgroup[order].tolist(), bit[order].tolist()):
+    for c, s, b in zip(cycle[order].tolist(), subgroup[order].tolist(), bit[order].tolist(), strict=True):
         at = words.setdefault(c, {})
         at[s] = at.get(s, 0) | 1 << b
     return {c: list(at.items()) for c, at in words.items()}
@@ -78,7 +78,7 @@ def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], lis
     """Return the levels: (time in fs from the frame's start, subgroup, word on its lines from then on), by time."""
     levels = [0] * config.sensor.subgroups
     at: list[tuple[int, int, int]] = []
-    for t, s, line in zip(*(column.tolist() for column in line_toggles(config, edges))):
+    for t, s, line in zip(*(column.tolist() for column in line_toggles(config, edges)), strict=True):
         levels[s] ^= 1 << line
         if at and at[-1][:2] == (t, s):
             at.pop()

@@ -46,7 +46,7 @@ def differs(jobs: Path) -> bool:
 def _equal(shown, expected) -> bool:
     parts = [(shown.commit_subgroup, expected.commit_subgroup), (shown.commit_cycle, expected.commit_cycle)]
     parts += [(shown.fate, expected.fate), (shown.counters, expected.counters)]
-    parts += [*zip(shown.beats, expected.beats), *zip(shown.beat_cycle, expected.beat_cycle)]
+    parts += [*zip(shown.beats, expected.beats, strict=True), *zip(shown.beat_cycle, expected.beat_cycle, strict=True)]
     return all(np.array_equal(a, b) for a, b in parts)
 
 

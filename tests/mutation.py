@@ -351,7 +351,7 @@ def judged_by_lanes(mutants: list[Mutant], jobs: list[FrameJob], whole: bool, se
     sources = _blocks(mutants[0].folder.parent)
     inputs = [f"mutant_{k}" for k in range(len(mutants))]
     before = [f"add -global_input {name} 1" for name in inputs]
-    before += [f"mutate -ctrl {name} 1 1 {mutant.what}" for name, mutant in zip(inputs, mutants)]
+    before += [f"mutate -ctrl {name} 1 1 {mutant.what}" for name, mutant in zip(inputs, mutants, strict=True)]
     design = Design(f"{sensor_key(sensor)}-mutants", sources, TOP, before=[*before, "memory_map"])
     emission = design.emission()
     read = {net for of in (*emission.top.tables, *emission.top.flops) for net in of.inputs}
@@ -362,14 +362,15 @@ def judged_by_lanes(mutants: list[Mutant], jobs: list[FrameJob], whole: bool, se
             lanes.recipe(**recipe)
         rows, differs = lanes.together([emission.layout.inputs[name][0] for name in inputs], watched(emission))
         assert len(rows) == len(parts), "the RTL without mutation hangs"
-        for job, row in zip(jobs, rows):
+        for job, row in zip(jobs, rows, strict=True):
             shown = lanes.shown(row["shown"])
             assert row["outcome"] == 0
             for kind in ((shown.beats, job.expected.beats), (shown.cycles, job.expected.beat_cycle)):
                 assert all(map(np.array_equal, *kind)), "the RTL without mutation differs from the golden model"
     gone = {name for name in inputs if emission.top.inputs[name][0] not in read}
     return [
-        parts[k][0] if k >= 0 else "equal: removed by Yosys" * (name in gone) for name, k in zip(inputs, differs[1:])
+        parts[k][0] if k >= 0 else "equal: removed by Yosys" * (name in gone)
+        for name, k in zip(inputs, differs[1:], strict=True)
     ]
 
 
@@ -403,9 +404,11 @@ def proven(mutants: list[Mutant], blocks: list[str]) -> list[bool]:
     equal = set()
     for _ in range(PROOFS if len(blocks) == 1 else PROOFS_IN_PART):
         verdicts = _unequal([mutants[k] for k in aside], list(aside.values()), blocks) if aside else []
-        equal |= {k for k, verdict in zip(aside, verdicts) if verdict == set()}
+        equal |= {k for k, verdict in zip(aside, verdicts, strict=True) if verdict == set()}
         aside = {
-            k: known | verdict for (k, known), verdict in zip(aside.items(), verdicts) if verdict and verdict - known
+            k: known | verdict
+            for (k, known), verdict in zip(aside.items(), verdicts, strict=True)
+            if verdict and verdict - known
         }
     return [k in equal for k in range(len(mutants))]
 
@@ -443,7 +446,7 @@ def _unequal(mutants: list[Mutant], aside: list[set[str]], blocks: list[str]) ->
     unequal = [set(re.findall(r"Unproven .*: (\S+)_gold", proof)) for proof in proofs]
     return [
         names if names.isdisjoint(outputs) and bool(names) != ("successfully proven" in proof) else None
-        for names, proof in zip(unequal, proofs)
+        for names, proof in zip(unequal, proofs, strict=True)
     ]
 
 
@@ -459,8 +462,8 @@ def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell)
             left = [mutant for mutant in mutants if mutant not in by]
             batches = [left[k : k + LANES[-1] - 1] for k in range(0, len(left), LANES[-1] - 1)]
             plays = [(batch, jobs, whole, session_seed) for batch in batches for session_seed in seeds]
-            for (batch, *_), found in zip(plays, pool.map(lambda play: judged_by_lanes(*play), plays)):
-                by.update((mutant, one) for mutant, one in zip(batch, found) if one)
+            for (batch, *_), found in zip(plays, pool.map(lambda play: judged_by_lanes(*play), plays), strict=True):
+                by.update((mutant, one) for mutant, one in zip(batch, found, strict=True) if one)
 
         play(False, (FIRST_SEED,))  # most show soon
         clock.lap("frames")
@@ -479,8 +482,8 @@ def mutate_rtl(total: int, folder: Path, jobs: list[FrameJob], seed_: int, tell)
                 for of in [list(group)]
                 for k in range(0, len(of), PROOFS_TOGETHER)
             ]
-            for (of, _), found in zip(proofs, pool.map(lambda job: proven(*job), proofs)):
-                by.update((mutant, "equal: proven by Yosys") for mutant, yes in zip(of, found) if yes)
+            for (of, _), found in zip(proofs, pool.map(lambda job: proven(*job), proofs), strict=True):
+                by.update((mutant, "equal: proven by Yosys") for mutant, yes in zip(of, found, strict=True) if yes)
             left = [mutant for mutant in left if mutant not in by]
         clock.lap("proofs")
         play(True, LAST_SEEDS)

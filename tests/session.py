@@ -307,7 +307,7 @@ def _tie(some: list[list[int]], sources: list[list[int]], cycle: int, rng: rando
     """Return upsets that make one of some registers equal to one of others, except in some low bits."""
     one, other = rng.choice(some), rng.choice(sources)
     size = rng.randrange(min(len(one), len(other)) + 1)
-    upsets = [(word, cycle, source) for word, source in zip(one, other)]
+    upsets = [(word, cycle, source) for word, source in zip(one, other, strict=True)]
     upsets += [(word, cycle, FLIPS) for word in one[: max(size - 1, 0)] if rng.random() < 0.5]
     return upsets + [(word, cycle, FLIPS) for word in one[max(size - 1, 0) : size]]
 
@@ -369,7 +369,7 @@ def _wide(emission: Emission, short: Sequence[FrameJob], reads: list[Access], rn
     counting = [of for name, of in wide.items() if ".dpcu." in name or name.startswith(("controller", "readout"))]
     controller = [of for name, of in wide.items() if "controller" in name]
     voted = [name.removesuffix(COPIES[0]) for name in every if name.endswith(COPIES[0])]
-    copies = [list(zip(*(every[name + copy] for copy in COPIES[:3]))) for name in voted]
+    copies = [list(zip(*(every[name + copy] for copy in COPIES[:3]), strict=True)) for name in voted]
     led = [job for job in short if job.config.controlled.any()]
     for k in range(WIDE):
         job = rng.choice(led if k % 4 else short)

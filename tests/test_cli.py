@@ -51,7 +51,7 @@ REPLAY = "replay --config config.toml --edges edges.npz --out out/result.npz"
 
 def some_edges(n=200):
     rng = np.random.default_rng(5)
-    return {name: rng.integers(0, high, n) for name, high in zip(NAMES, (PULSES, PIXELS, PERIOD_TICKS))}
+    return {name: rng.integers(0, high, n) for name, high in zip(NAMES, (PULSES, PIXELS, PERIOD_TICKS), strict=True)}
 
 
 @pytest.fixture
@@ -305,5 +305,9 @@ def test_lint_finds_what_is_waived_and_nothing_else(monkeypatch, view, own):
     patterns = [re.escape(waiver).replace(r"\*", ".*") for waiver in waivers]
     shown = [f'-rule {rule} -file "{file}" -match "{message}"' for rule, file, message in warnings]
     assert [one for one in shown if not any(re.fullmatch(pattern, one) for pattern in patterns)] == []
-    needed = {waiver for waiver, pattern in zip(waivers, patterns) if any(re.fullmatch(pattern, one) for one in shown)}
+    needed = {
+        waiver
+        for waiver, pattern in zip(waivers, patterns, strict=True)
+        if any(re.fullmatch(pattern, one) for one in shown)
+    }
     assert {waiver for waiver in waivers if waiver in own} <= needed

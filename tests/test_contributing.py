@@ -91,7 +91,7 @@ def extended(tmp_path_factory):
     folder, page = tmp_path_factory.mktemp("extended"), (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     environment = copy_of_sources(folder) | {"NUMBA_DISABLE_JIT": "1"}
     examples = map(textwrap.dedent, re.findall(r"^ *```python\n(.*?)^ *```", page, re.DOTALL | re.MULTILINE))
-    for example, (file, before) in zip(examples, PLACES.items()):
+    for example, (file, before) in zip(examples, PLACES.items(), strict=True):
         text = (folder / file).read_text(encoding="utf-8")
         assert text.count(before) == 1
         (folder / file).write_text(text.replace(before, textwrap.indent(example, "    ") + before), encoding="utf-8")

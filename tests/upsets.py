@@ -192,7 +192,7 @@ class Campaign:
         self.ready = [(np.random.default_rng(k).random(200) < 0.7).astype(np.uint8) for k in range(2)]
         self.ready.append(np.zeros(0, np.uint8))
         self._lanes = Lanes(self.sensor, design(self.sensor))
-        for edges, ready in zip(self.edges, self.ready):
+        for edges, ready in zip(self.edges, self.ready, strict=True):
             self._lanes.recipe(config, edges, ready)
         rows = self._lanes.warm_up()
         assert not rows["outcome"].any()
@@ -201,8 +201,10 @@ class Campaign:
         # Most trials show the same frames.
         self._difference = cache(lambda shown, frame: self.difference(self._lanes.shown(shown), self.expected[frame]))
         golden = Golden(self.sensor)
-        for edges, ready, shown in zip(self.edges, self.ready, self.expected):  # the sensor itself is right
-            for one, other in zip(shown.beats, golden.frame(config, edges, ready).beats):
+        for edges, ready, shown in zip(
+            self.edges, self.ready, self.expected, strict=True
+        ):  # the sensor itself is right
+            for one, other in zip(shown.beats, golden.frame(config, edges, ready).beats, strict=True):
                 assert np.array_equal(one, other)
 
     def __enter__(self) -> "Campaign":
@@ -222,7 +224,7 @@ class Campaign:
         report = Report(len(trials))
         rows = self._lanes.run([(flop.word, cycle) for flop, cycle in trials])
         ends = np.searchsorted(rows["trial"], np.arange(1, len(trials)))
-        for (flop, cycle), of in zip(trials, np.split(rows, ends)):
+        for (flop, cycle), of in zip(trials, np.split(rows, ends), strict=True):
             if why := self._judge(of, report):
                 misled = flop.register.startswith(FRONT) and of["write"][-1] and why not in WAITS
                 (report.misled if misled else report.failures).append(Failure(flop, cycle, why))
@@ -231,7 +233,7 @@ class Campaign:
     def _judge(self, rows: np.ndarray, report: Report) -> str:
         """Count what a trial shows, and return why the sensor did not recover, or ''."""
         why = ""
-        for row, after in zip(rows, [*rows[1:], None]):
+        for row, after in zip(rows, [*rows[1:], None], strict=True):
             frame, outcome = row["frame"], OUTCOMES[row["outcome"]]
             if frame == AFTER:
                 return why or "a setting reads otherwise" * (outcome != "fine")
@@ -261,14 +263,14 @@ class Campaign:
             led = evolve(self.config, threshold=threshold, auto=np.zeros_like(self.config.auto))
             trace = Golden(self.sensor).frame(led, self.edges[2], self.ready[2])
             wanted, wanted_cycles = trace.beats, trace.beat_cycle
-        for stream, (one, other) in enumerate(zip(shown.beats, wanted)):
+        for stream, (one, other) in enumerate(zip(shown.beats, wanted, strict=True)):
             one, other = without_number(one), without_number(other)
             if len(one) != len(other):
                 return f"{len(one)} beats on stream {stream}, not {len(other)}"
             if (one != other).any():
                 k = int(np.flatnonzero(one != other)[0])
                 return f"beat {k} of stream {stream} is {one[k]:#x}, not {other[k]:#x}"
-        for stream, (cycles, others) in enumerate(zip(shown.cycles, wanted_cycles)):
+        for stream, (cycles, others) in enumerate(zip(shown.cycles, wanted_cycles, strict=True)):
             if (cycles != others).any():
                 return f"cycles of stream {stream}"
         return ""

@@ -306,4 +306,4 @@ def _code(text: str, tree: ast.AST) -> str:
     for number, line in enumerate(lines):
         if number not in inside_text and (not line.strip() or line.lstrip().startswith("#")):
             kept[number] = False
-    return "\n".join(line for line, keep in zip(lines, kept) if keep)
+    return "\n".join(line for line, keep in zip(lines, kept, strict=True) if keep)

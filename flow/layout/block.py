@@ -102,7 +102,7 @@ def snap(cell) -> None:
                 limit = (limit - width) // SITE * SITE
                 latest.append(limit)
             at = 0
-            for (x, name, width, instance), limit in zip(row, reversed(latest)):
+            for (x, name, width, instance), limit in zip(row, reversed(latest), strict=False):
                 new = min(max((x + SITE // 2) // SITE * SITE, at), limit)
                 if new < at:
                     raise ValueError(f"{name}: no room in its row")

@@ -47,7 +47,9 @@ def write_page(out: Path | None = None, tell: Callable[[str], None] = print) -> 
         routed = Image.open(folder / f"{unit.unit_name}.png").convert("RGB").quantize(COLOURS)
         with whole_file(images / PICTURE.format(unit.unit_name.removeprefix(PREFIX))) as file:
             routed.save(file, format="png", optimize=True)
-    tables = dict(zip(("rows", "rules", "slacks", "played"), (_rows(*pair) for pair in zip(*columns))))
+    tables = dict(
+        zip(("rows", "rules", "slacks", "played"), (_rows(*pair) for pair in zip(*columns, strict=True)), strict=True)
+    )
     text = PAGE.read_text(encoding="utf-8").format(
         gds=FINAL, clock=1000 / clock_mhz, factor=TOO_SLOW, input=INPUT_NS, **tables
     )

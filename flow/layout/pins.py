@@ -82,7 +82,10 @@ def _cell_strips(pins: dict[str, db.Region]) -> dict[str, Strip]:
     places = {pin: _places(metal) for pin, metal in pins.items()}
     choices = itertools.islice(itertools.product(*places.values()), COMBINATIONS_MAX)
     best = min(choices, key=_cost)
-    return {pin: _strip(place, [other for other in best if other is not place]) for pin, place in zip(places, best)}
+    return {
+        pin: _strip(place, [other for other in best if other is not place])
+        for pin, place in zip(places, best, strict=True)
+    }
 
 
 def _places(metal: db.Region) -> list[Place]:

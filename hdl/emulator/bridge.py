@@ -88,14 +88,7 @@ class SerialBridge(Unit):
             hold=self.hold,
         )
         transmitter = Transmitter(clocks)
-        place(
-            m,
-            "transmitter",
-            transmitter,
-            platform,
-            valid=framer.out_valid,
-            byte=framer.out_byte,
-        )
+        place(m, "transmitter", transmitter, platform, valid=framer.out_valid, byte=framer.out_byte)
         place(
             m,
             "framer",

@@ -55,11 +55,7 @@ class StreamSlice(Unit):
         with m.If(waits):
             m.d.sync += kept.eq(kept | comes)
         with m.Else():
-            m.d.sync += [
-                valid.eq(kept | comes),
-                kept.eq(0),
-                data.eq(Mux(kept, spare, self.s_axis.tdata)),
-            ]
+            m.d.sync += [valid.eq(kept | comes), kept.eq(0), data.eq(Mux(kept, spare, self.s_axis.tdata))]
         return m
 
 

@@ -103,15 +103,7 @@ class EmulatorControl(Unit):
             amount=self.access.data[: len(buffer.amount)],
             address=self.access.address[2 : chip.REGION_BITS][: len(buffer.address)],
         )
-        place(
-            m,
-            "seeder",
-            seeder,
-            platform,
-            seed=self.setting["seed"],
-            number=self.number,
-            begin=self.begin,
-        )
+        place(m, "seeder", seeder, platform, seed=self.setting["seed"], number=self.number, begin=self.begin)
         place(m, "slice", between, platform)
         connect(m, flipped(self.s_axis), between.s_axis)
         connect(m, between.m_axis, buffer.s_axis)

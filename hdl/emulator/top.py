@@ -147,13 +147,7 @@ class EmulatorTop(Unit):
         sequencer, _ = wire_sensor(m, put, sensor, outer, [source.words for source in sources])
         link, errors = self._link(m, put)
         control = EmulatorControl(self.emulator)
-        put(
-            "control",
-            control,
-            number=sequencer.number,
-            frame_done=sequencer.done,
-            link_errors=errors,
-        )
+        put("control", control, number=sequencer.number, frame_done=sequencer.done, link_errors=errors)
         for s, source in enumerate(sources):
             put(
                 f"source_{s}",

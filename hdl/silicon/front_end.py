@@ -38,13 +38,7 @@ class AsyncFrontEnd(FrontEnd):
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
         self.circuit = circuit
-        super().__init__(
-            sensor,
-            line_signature(sensor),
-            spad=In(sensor.pixels),
-            mask=In(sensor.pixels),
-            gate=In(1),
-        )
+        super().__init__(sensor, line_signature(sensor), spad=In(sensor.pixels), mask=In(sensor.pixels), gate=In(1))
         self.control = AsyncControl(sensor, circuit)
         # Formed at the clock; numbers are those of stages.
         self.window_open = Signal()  # a window goes on (stage 3)
@@ -89,10 +83,7 @@ class AsyncFrontEnd(FrontEnd):
         for q in range(2):
             listens = Signal(name=f"listens_{q}")
             clear = Signal(name=f"clear_{q}")
-            m.d.comb += [
-                listens.eq((parity == q) & running & self.gate),
-                clear.eq((line.wipe & (parity != q)) | reset),
-            ]
+            m.d.comb += [listens.eq((parity == q) & running & self.gate), clear.eq((line.wipe & (parity != q)) | reset)]
             flops = []
             for i, spad in enumerate(lines):
                 armed = listens & self.mask[i]
@@ -183,10 +174,7 @@ class AsyncFrontEnd(FrontEnd):
         m.d.comb += read.clk.eq(ClockSignal())
         active = Signal(sensor.pixels, reset_less=True)
         first = Signal(sensor.pixels - 1, reset_less=True)
-        m.d.read += [
-            active.eq(of_before(hits)),
-            first.eq(of_before([tree.later_first for tree in trees])),
-        ]
+        m.d.read += [active.eq(of_before(hits)), first.eq(of_before([tree.later_first for tree in trees]))]
         facts = {
             "active": active,
             "first": first,
@@ -202,10 +190,7 @@ class AsyncFrontEnd(FrontEnd):
             is_strobe = name in ("opening", "closing")
             stage_2 = Signal(len(value), name=f"{name}_2", reset_less=not is_strobe)
             stage_3[name] = Signal(len(value), name=f"{name}_3", reset_less=not is_strobe)
-            m.d.sync += [
-                stage_2.eq(value),
-                stage_3[name].eq(stage_2),
-            ]
+            m.d.sync += [stage_2.eq(value), stage_3[name].eq(stage_2)]
         return stage_3
 
     def _collect(self, m, platform, at, may_open, wrap):
@@ -307,11 +292,7 @@ class AsyncFrontEnd(FrontEnd):
         lags = Signal()  # the copy still shows the previous cycle
         m.d.comb += lags.eq(coarse_b[0] != parity_4)
         with m.If(opening_4):
-            m.d.sync += [
-                phase.eq(phase_4),
-                coarse.eq(coarse_a),
-                base.eq(base_4),
-            ]
+            m.d.sync += [phase.eq(phase_4), coarse.eq(coarse_a), base.eq(base_4)]
             with m.If((quarter == 0) | (quarter == QUARTERS - 1)):
                 m.d.sync += coarse.eq(coarse_b + lags)
             with m.If((quarter == 0) & ~lags):

@@ -29,12 +29,7 @@ class AsyncMinigroup(Recorder):
     def __init__(self, sensor: Sensor):
         pixels = sensor.minigroup_pixels
         super().__init__(
-            sensor,
-            active=In(pixels),
-            mark=In(mark_bits(sensor)),
-            parity=In(1),
-            hit=In(pixels),
-            winner=In(pixels),
+            sensor, active=In(pixels), mark=In(mark_bits(sensor)), parity=In(1), hit=In(pixels), winner=In(pixels)
         )
 
     def elaborate(self, platform):
@@ -46,11 +41,7 @@ class AsyncMinigroup(Recorder):
         hit_4 = Signal(pixels, reset_less=True)
         active_4 = Signal(pixels, reset_less=True)
         step_4 = Signal.like(step, reset_less=True)
-        m.d.sync += [
-            hit_4.eq(self.hit),
-            active_4.eq(self.active),
-            step_4.eq(step),
-        ]
+        m.d.sync += [hit_4.eq(self.hit), active_4.eq(self.active), step_4.eq(step)]
         m.d.comb += self.blind.eq((active_4 & ~hit_4).any())
 
         hits = Signal(pixels, reset_less=True)

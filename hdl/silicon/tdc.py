@@ -86,10 +86,7 @@ class AsyncTdc(Unit):
         gray = Signal(bits)  # the same in Gray code
         following = Signal(bits)
         m.d.comb += following.eq(count + 1)
-        m.d.sync += [
-            count.eq(following),
-            gray.eq(following ^ (following >> 1)),
-        ]
+        m.d.sync += [count.eq(following), gray.eq(following ^ (following >> 1))]
         gray_a = sample(m, "gray_a", phases[0], gray)
         gray_b = sample(m, "gray_b", ~phases[0], gray)
         half = sample(m, "half", ~phases[0], count[0])
@@ -99,16 +96,9 @@ class AsyncTdc(Unit):
         stage_3 = Signal(bits, init=-STAGE % (1 << bits))
         base = Signal(bits)
         cycle = Signal(bits)
-        m.d.sync += [
-            coming.eq((coming << 1) | self.start),
-            stage_3.eq(stage_3 + 1),
-            cycle.eq(cycle + 1),
-        ]
+        m.d.sync += [coming.eq((coming << 1) | self.start), stage_3.eq(stage_3 + 1), cycle.eq(cycle + 1)]
         with m.If(coming[-1]):
-            m.d.sync += [
-                cycle.eq(0),
-                base.eq(stage_3 + 1),
-            ]
+            m.d.sync += [cycle.eq(0), base.eq(stage_3 + 1)]
         for k in range(self.lines):
             line = getattr(self, f"line_{k}")
             m.d.comb += [

@@ -39,13 +39,7 @@ class AsyncControl(Unit):
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
         self.sensor, self.banks = sensor, circuit.banks_of(sensor)
-        per_bank = {
-            "opened": In(2),
-            "ended": In(1),
-            "parity": In(1),
-            "armed": Out(2),
-            "clearing": Out(1),
-        }
+        per_bank = {"opened": In(2), "ended": In(1), "parity": In(1), "armed": Out(2), "clearing": Out(1)}
         super().__init__(
             parity=Out(1),
             may_open=In(1),
@@ -102,10 +96,7 @@ class AsyncControl(Unit):
         else:
             first = Signal()  # the synchroniser in front of the clear
             second = Signal()
-            m.d.sync += [
-                first.eq(self.closing),
-                second.eq(first),
-            ]
+            m.d.sync += [first.eq(self.closing), second.eq(first)]
             m.d.fall += self.read.eq((self.read | self.closes) & ~second)
             m.d.comb += self.clearing_0.eq(second)
 

@@ -98,8 +98,8 @@ def parse_channels(text: str) -> dict[int, int]:
         names, read = _csv(text)
         if not {"channel", "pixel"} <= set(names):
             raise InputError(f"{text}: has the columns {', '.join(names)}; must have channel, pixel")
-        columns = zip(("channel", "pixel"), read(("channel", "pixel")))
-        pairs = list(zip(*(_integers(text, name, column).tolist() for name, column in columns)))
+        columns = zip(("channel", "pixel"), read(("channel", "pixel")), strict=True)
+        pairs = list(zip(*(_integers(text, name, column).tolist() for name, column in columns), strict=True))
         if not pairs:
             raise InputError(f"{text}: names no channel")
     else:
@@ -108,7 +108,7 @@ def parse_channels(text: str) -> dict[int, int]:
                 f"channels = {text!r}: must be CHANNEL:PIXEL,CHANNEL:PIXEL,... or a CSV file with the columns channel, pixel"
             )
         pairs = [(int(channel), int(pixel)) for channel, pixel in (pair.split(":") for pair in text.split(","))]
-    for which, values in zip(("channel", "pixel"), zip(*pairs)):
+    for which, values in zip(("channel", "pixel"), zip(*pairs, strict=True), strict=True):
         twice = [value for value in values if values.count(value) > 1]
         if twice:
             raise InputError(f"channels: {which} {twice[0]} comes twice")
@@ -124,7 +124,7 @@ def _of_syncs(
     whole = [
         values if name == "time" else _integers(path, name, values) for name, values in zip(names, columns, strict=True)
     ]
-    for name, values in zip(names, whole):
+    for name, values in zip(names, whole, strict=True):
         _not_negative(path, name, values)
     sync, channel, time = whole
     return Recording(sync=sync, channel=channel, time_ps=time, kind=kind, in_ticks=names == NAMES)

@@ -325,7 +325,7 @@ def render(scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg
             ambient.append(seen.mean(axis=1))
             table, beyond = _histogram(lidar, world, rows, cols, first, n, bins)
             lost += beyond
-            for where, part in zip((counts, index, strength), sparse(table)):
+            for where, part in zip((counts, index, strength), sparse(table), strict=True):
                 where.append(part)
     return Transient(
         first=np.r_[0, np.cumsum(np.concatenate(counts))],

@@ -7,6 +7,7 @@ The unit is that of equation (1): a Lambertian surface of reflectivity r that fi
 
 import math
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,7 @@ class Transient:
         """
         near = round(SURFACE_GAP_M / (BIN_S * SPEED_OF_LIGHT_M_S / 2) / 2)
         depth_m = np.full(self.surface_m.size, np.nan)
-        for pixel, (begin, end) in enumerate(zip(self.first, self.first[1:])):
+        for pixel, (begin, end) in enumerate(pairwise(self.first)):
             if end > begin:
                 index, strength = self.index[begin:end], self.strength_per_m2[begin:end]
                 here = np.abs(index - index[strength.argmax()]) <= near

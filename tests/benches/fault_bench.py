@@ -214,7 +214,9 @@ async def pulse_numbers_in_full_width(dut):
         beats = await received(bench, lambda cycle, words=words: dict(words.get(cycle, ())), leap)
         shown = decode_frame(np.array(beats, np.uint64), of.sensor, 2)
         column = list(HEADER).index("pulse")
-        for one, other in zip(*((frame.events[:, column], frame.records[:, 1]) for frame in (shown, usual))):
+        for one, other in zip(
+            *((frame.events[:, column], frame.records[:, 1]) for frame in (shown, usual)), strict=True
+        ):
             assert len(one) == len(other) >= 2 * of.pulses
-            assert all(a in (b, b + jump) for a, b in zip(one.tolist(), other.tolist()))
+            assert all(a in (b, b + jump) for a, b in zip(one.tolist(), other.tolist(), strict=True))
             assert one[-1] == of.pulses - 1 + jump

@@ -203,7 +203,9 @@ def plain_run(config: Config, edges) -> tuple[list[list[PlainSubgroup]], list[in
     """Return every frame's subgroups, and the fates."""
     fate = [None] * len(edges)
     grouped = defaultdict(list)
-    for number, (pulse, pixel, tick) in enumerate(zip(edges.pulse.tolist(), edges.pixel.tolist(), edges.tick.tolist())):
+    for number, (pulse, pixel, tick) in enumerate(
+        zip(edges.pulse.tolist(), edges.pixel.tolist(), edges.tick.tolist(), strict=True)
+    ):
         subgroup, i, g, j = where(config, pixel)
         grouped[pulse, subgroup].append((tick, i, g, j, number))
     frames, controller = [], PlainController(config)

@@ -73,7 +73,7 @@ def plain_events(beats, sensor, with_check=True):
 def rows(frame, with_offsets):
     """Return the events of a decoded frame as `plain_events` does."""
     found = []
-    for columns, hits, offsets in zip(frame.events[:, 1:].tolist(), frame.hits, frame.offsets.tolist()):
+    for columns, hits, offsets in zip(frame.events[:, 1:].tolist(), frame.hits, frame.offsets.tolist(), strict=True):
         pixels = frozenset(64 * w + i for w, word in enumerate(map(int, hits)) for i in range(64) if word >> i & 1)
         offsets = {g: offset for g, offset in enumerate(offsets) if offset != 255} if with_offsets else {}
         found.append((*columns, pixels, frozenset(offsets.items())))
@@ -125,7 +125,7 @@ def test_nothing_is_lost_in_groups(form):
         order = [np.lexsort(frame.events.T[1:]) for frame in (first, second)]
         assert not plain.counters[:, 4].any() and len(second.events) == len(first.events) > 20
         for name in ("events", "hits", "offsets"):
-            a, b = (getattr(frame, name)[each] for frame, each in zip((first, second), order))
+            a, b = (getattr(frame, name)[each] for frame, each in zip((first, second), order, strict=True))
             assert np.array_equal(a[:, 1:] if name == "events" else a, b[:, 1:] if name == "events" else b)
         assert len(grouped.beats[0]) < 0.75 * len(plain.beats[0])
 
@@ -165,7 +165,7 @@ def test_damage_costs_one_group_and_is_told(data, damage, form):
 
 
 def _bounds(ends):
-    return zip([1] + [end + 1 for end in ends], [end + 1 for end in ends])
+    return zip([1] + [end + 1 for end in ends], [end + 1 for end in ends], strict=True)
 
 
 _FRAMES = {}

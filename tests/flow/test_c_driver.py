@@ -114,7 +114,7 @@ def event(library, info, packet):
 
 def events_of_frame(frame):
     """Return the same of a frame that Python has decoded."""
-    return list(zip(frame.events[:, 1:].tolist(), frame.hits.tolist(), frame.offsets.tolist()))
+    return list(zip(frame.events[:, 1:].tolist(), frame.hits.tolist(), frame.offsets.tolist(), strict=True))
 
 
 def test_the_driver_drives_and_decodes(library):
@@ -150,7 +150,9 @@ def test_the_driver_drives_and_decodes(library):
             counters = [library.coincid_counter(where, s, k) for s in range(2) for k in range(len(COUNTER_NAMES))]
     assert events == events_of_frame(frame) and len(events) > 20 and len(frame.records) > 5
     assert records == [
-        (*of, *entry) for of, entries in zip(frame.records.tolist(), frame.entries.tolist()) for entry in entries
+        (*of, *entry)
+        for of, entries in zip(frame.records.tolist(), frame.entries.tolist(), strict=True)
+        for entry in entries
     ]
     assert counters == frame.counters.ravel().tolist()
 

@@ -93,7 +93,7 @@ def test_the_instance_compiles(tmp_path):
 
 def test_the_diagrams_show_what_the_page_says():
     trace = timing_diagrams.traced("id")
-    rows = [dict(zip(trace, values)) for values in zip(*trace.values())]
+    rows = [dict(zip(trace, values, strict=True)) for values in zip(*trace.values(), strict=True)]
     frame = timing_diagrams.frame_of(trace)
     taken = [
         (cycle - frame, row["m_axis_tdata"])

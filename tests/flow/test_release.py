@@ -117,7 +117,9 @@ def test_captured_streams_decode_to_their_rows(releases, preset):
             frame = decode_frame(beats, of, len(of.stream_subgroups(stream))).check()
             mine = np.isin(result["subgroup"], of.stream_subgroups(stream))
             assert np.array_equal(frame.events[:, COLUMN["stamp"]], result["stamp"][mine])
-            assert [int(line.split(",")[2]) for line, own in zip(events, mine) if own] == list(result["stamp"][mine])
+            assert [int(line.split(",")[2]) for line, own in zip(events, mine, strict=True) if own] == list(
+                result["stamp"][mine]
+            )
 
 
 @pytest.fixture(scope="module")

@@ -185,7 +185,7 @@ def test_abort_is_a_shorter_frame():
     of_four = edges.take(early)
     aborted = Golden(config.sensor).frame(config, of_four, pulses=4)
     whole = Golden(config.sensor).frame(config.with_frame(pulses=4), of_four)
-    assert all(np.array_equal(a, b) for a, b in zip(aborted.beats, whole.beats))
+    assert all(np.array_equal(a, b) for a, b in zip(aborted.beats, whole.beats, strict=True))
 
 
 @pytest.mark.parametrize("phases", [4, 8, 16, 32, 64])

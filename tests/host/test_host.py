@@ -144,7 +144,7 @@ def test_frames_cut_anywhere():
             assembler.add(part)
         assert len(assembler.frames) == 3
     result = ResultBuilder(of)
-    for trace, *beats in zip(traces, *(assembler.frames for assembler in assemblers)):
+    for trace, *beats in zip(traces, *(assembler.frames for assembler in assemblers), strict=True):
         assert all(map(np.array_equal, beats, trace.beats))
         result.add(beats)
     arrays = result.arrays()

@@ -83,7 +83,7 @@ class Client:
                 continue
             run = min(level, places - first, 127)
             words = self.read(0x300000 + 8 * first, 2 * run)
-            beats += [low | high << 32 for low, high in zip(words[::2], words[1::2])]
+            beats += [low | high << 32 for low, high in zip(words[::2], words[1::2], strict=True)]
             self.write(0x100020, run)
         assert self.read(0x44) == (2,)  # done
         self.write(0x44, 2)

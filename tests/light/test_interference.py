@@ -51,8 +51,8 @@ def test_pulses_of_the_other_come_when_they_must(period_s, bits):
     came_s = 33.0123e-9 + k * period_s
     pulse = np.searchsorted(start_s, came_s, side="right") - 1
     tick = np.floor((came_s - start_s[pulse]) / timing.tick_s).astype(int)
-    wanted = {(int(p), int(t)) for p, t in zip(pulse, tick) if 0 <= p < 400 and t < timing.period_ticks}
-    found = set(zip(edges.pulse.tolist(), edges.tick.tolist()))
+    wanted = {(int(p), int(t)) for p, t in zip(pulse, tick, strict=True) if 0 <= p < 400 and t < timing.period_ticks}
+    found = set(zip(edges.pulse.tolist(), edges.tick.tolist(), strict=True))
     assert found == wanted and len(wanted) > 100
 
 
@@ -133,7 +133,9 @@ def test_dither_spreads_what_is_out_of_range():
     edges = edges_of(far, timing)
     waits = waits_of(400, 4)
     expected = {(k + 1, int(320 - 32 * waits[k])) for k in range(399) if waits[k] <= 10} | {(0, 320)}
-    assert {(int(p), int(t)) for p, t in zip(edges.pulse, edges.tick)} == {one for one in expected if one[1] >= 0}
+    assert {(int(p), int(t)) for p, t in zip(edges.pulse, edges.tick, strict=True)} == {
+        one for one in expected if one[1] >= 0
+    }
 
 
 def test_neither_chunks_nor_workers_change_the_edges():

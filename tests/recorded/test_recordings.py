@@ -33,7 +33,7 @@ def edges_of(path, *, config=CONFIG, timing=TIMING, sync_channel=None, **options
 
 
 def edges(*rows):
-    return Edges(*(np.array(column, np.int64) for column in zip(*rows)))
+    return Edges(*(np.array(column, np.int64) for column in zip(*rows, strict=True)))
 
 
 def ptu(path, records, *, mode=2, kind=GENERIC_T2, clock_s=1e-12, bin_s=1e-12, **more):

@@ -297,7 +297,7 @@ def test_users_camera(tracer, tmp_path, target, ball_at):
         '<transform name="to_world"><translate x="1" y="1" z="5"/></transform></shape>'
     )
     straight = rendered(tracer, scene_file(tmp_path / "a.xml", ball))
-    assert set(zip(*np.nonzero(np.isfinite(straight.surface_m)))) <= {
+    assert set(zip(*np.nonzero(np.isfinite(straight.surface_m)), strict=True)) <= {
         (row, col) for row in range(4) for col in range(4)
     }
     camera = (

@@ -70,7 +70,7 @@ def assert_within_a_tick(settings, edges, golden, found):
     inside = pixel_table(settings.sensor).inside
     for e in range(len(golden["pulse"])):
         of_period = edges.pulse == golden["pulse"][e]
-        last_to_first = sorted(zip(edges.tick[of_period], edges.pixel[of_period]), reverse=True)
+        last_to_first = sorted(zip(edges.tick[of_period], edges.pixel[of_period], strict=True), reverse=True)
         first = {int(inside[pixel]): tick for tick, pixel in last_to_first}
         end = golden["stamp"][e] + settings.window[0]
         for pixel, tick in first.items():

@@ -31,6 +31,6 @@ def test_tables_keep_their_function(tmp_path, inputs):
     )
     tables = {table.outputs[0] - 100: table for table in read_netlist(tmp_path / "netlist.json")["top"].tables}
     for bits, free in product(functions, product((0, 1), repeat=3)):
-        values = dict(zip((0, 1, 2, 3, 4), (0, 1, *free)))
+        values = dict(zip((0, 1, 2, 3, 4), (0, 1, *free), strict=True))
         row = sum(values[int(net)] << i for i, net in enumerate(inputs))
         assert value(tables[bits], values) == bits >> row & 1

@@ -70,7 +70,7 @@ def play(ops: list[Op], words: dict[int, int], lit: set[int]) -> None:
             inner = named(op, op.node.inputs)
             for table in op.node.tables:
                 inner[table.outputs[0]] = value(table, inner)
-            for net, dark in zip(op.node.outputs, op.node.dark):
+            for net, dark in zip(op.node.outputs, op.node.dark, strict=True):
                 words[net] = inner[net] if op.node.flag in lit else dark
         elif isinstance(op, Evaluate) and isinstance(op.node, Table):
             words[op.node.outputs[0]] = value(op.node, named(op, op.node.inputs))

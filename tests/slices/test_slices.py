@@ -74,7 +74,9 @@ class Rows:
             first = [max(0, (row & -row).bit_length() - 1) for row in of_rows]
             before = [shared, *(value & 7 for value in values)]
             out = sum((values[k] ^ first[k] + before[k]) << 5 * k for k in range(4))
-            values = [value + f + shared & 31 if row else value for value, f, row in zip(values, first, of_rows)]
+            values = [
+                value + f + shared & 31 if row else value for value, f, row in zip(values, first, of_rows, strict=True)
+            ]
         return seen
 
 

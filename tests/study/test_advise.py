@@ -84,7 +84,7 @@ def test_what_is_wasted(document, words):
 def test_prices_are_those_of_the_pages():
     cost = read_csv(DOCS / "images" / "cost.csv").set_index(["parameter", "value"])["area_um2_per_pixel"]
     for parameter, name in (("subgroup", "pixels"), ("minigroup", "minigroup_pixels"), ("phases", "phases")):
-        assert cost[parameter].to_dict() == dict(zip(*UM2_PER_PIXEL[name]))
+        assert cost[parameter].to_dict() == dict(zip(*UM2_PER_PIXEL[name], strict=True))
     chosen = read_csv(DOCS / "images" / "cost_choices.csv").set_index("choice")["um2_per_pixel"]
     for name, choice in (
         ("offsets", "no coarse offsets"),

@@ -65,6 +65,7 @@ def test_far(monkeypatch, written):
         zip(
             four_modes.SCHEDULES.values(),
             ("5 nJ, threshold 2, 0.8 cm RMS", "more than 500 nJ", "2.5 nJ, coincidence off, 1.0 cm RMS"),
+            strict=True,
         )
     )
     given(monkeypatch, modes_page, (), [Comparison("least laser pulse, 10%, 1000 pulses", "-", ours)])

@@ -89,7 +89,7 @@ def section(function: Callable[..., Any], **constants: Any) -> Callable[[Path], 
 def surface(folder: Path) -> Any:
     setup = surfaces.setup(surfaces.analytic_scenes()["roof"], "id").but(seed=2)
     dropped, *shares = surfaces.look(Run(setup))
-    return dropped, dict(zip(surfaces.METHODS, (shares[:2], shares[2:])))
+    return dropped, dict(zip(surfaces.METHODS, (shares[:2], shares[2:]), strict=True))
 
 
 DARK = {"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}

@@ -28,7 +28,7 @@ OF_PIXELS = [*((0, 0, tick) for tick in (70, 10, 50, 30)), *((1, 0, tick) for ti
 
 
 def photons(edges=EXAMPLE, pulses=2, sensor=SENSOR):
-    columns = (np.array(column, np.int64) for column in zip(*edges))
+    columns = (np.array(column, np.int64) for column in zip(*edges, strict=True))
     return other_schemes.macro_pixels(Edges(*columns), sensor, pulses)
 
 
@@ -36,7 +36,7 @@ def told(words, of):
     """[(subgroup, pulse, stamp, pixels inside)]"""
     return [
         (int(of.subgroup[a]), int(of.pulse[a] % of.pulses), int(stamp), of.inside[a:b].tolist())
-        for a, b, stamp in zip(*words)
+        for a, b, stamp in zip(*words, strict=True)
     ]
 
 
@@ -124,7 +124,7 @@ def test_windows_are_the_golden_models(seed, window, threshold):
     arrays = golden_result(config, edges)
     of = other_schemes.macro_pixels(edges, config.sensor, 3)
     words = other_schemes.windows(of, window, PHASES)
-    distinct = np.array([len(set(of.inside[a:b])) for a, b, _ in zip(*words)])
+    distinct = np.array([len(set(of.inside[a:b])) for a, b, _ in zip(*words, strict=True)])
     words, distinct = words.chosen(distinct >= threshold), distinct[distinct >= threshold]
     found = np.stack([of.subgroup[words.start], of.pulse[words.start] % 3, words.stamp, distinct])
     golden = np.stack([arrays[name] for name in ("subgroup", "pulse", "stamp", "count")])

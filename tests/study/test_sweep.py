@@ -98,7 +98,7 @@ def test_a_row_a_point_in_the_order_of_the_axes(tmp_path, quick):
     assert metadata["axes"] == [{"klux": [5, 50]}, {"subgroup.threshold": [1, 2, 3]}]
     assert metadata["base"]["sensor"] == {"rows": 8, "cols": 8}
     assert {"coincid", "code", "numpy"} <= metadata["versions"]["golden"].keys()
-    for row, settings in zip(found.to_pylist(), map(json.loads, found["settings"].to_pylist())):
+    for row, settings in zip(found.to_pylist(), map(json.loads, found["settings"].to_pylist()), strict=True):
         assert settings.keys() == {*SETTINGS, "configuration"} and settings["klux"] == row["klux"]
         assert settings["configuration"]["subgroup"]["threshold"] == row["subgroup.threshold"]
     with Image.open(tmp_path / "s.png") as picture:

@@ -67,7 +67,7 @@ class BadLine:
     def spoilt(self, data: bytes) -> bytes:
         lose, double, damage = self.rates
         out = bytearray()
-        for byte, chance in zip(data, self.rng.random(len(data))):
+        for byte, chance in zip(data, self.rng.random(len(data)), strict=True):
             self.faults += chance < lose + double + damage
             if chance < lose:
                 continue

@@ -20,7 +20,17 @@ SENSOR, ODD = random_cases.SENSORS["default"], random_cases.SENSORS["odd"]
 CYCLE_PS = 2000  # of the simulators' clock
 # Signals that may differ: what the host asks for and when, a count that never rests, a choice among nothing, and a word of
 # which nobody sets the count.
-FREE = {"command", "command_taken", "data", "index", "index_before", "at_last", "winner_5_0", "tree.half", "tree.half.count"}
+FREE = {
+    "command",
+    "command_taken",
+    "data",
+    "index",
+    "index_before",
+    "at_last",
+    "winner_5_0",
+    "tree.half",
+    "tree.half.count",
+}
 
 
 def job(golden: Golden, config, seed: int, kind: str = "always") -> FrameJob:
