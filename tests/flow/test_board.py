@@ -34,6 +34,7 @@ def config(**frame):
     )
 
 
+@pytest.mark.long
 def test_the_netlist_boots_and_sends_frames():
     """The FPGA's cells behind the board's pins, from their initial values; no reset, and later one by the button."""
     settings = SourceSettings(

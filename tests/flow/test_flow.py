@@ -65,6 +65,7 @@ def test_blocks_of_a_small_sensor():
     assert fpga.total(lambda block: block.flops) < flops  # memories are RAM there
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("target", [GATES, pytest.param(CELLS, marks=pytest.mark.needs("cells"))])
 def test_netlist_behaves(target):
     checked, cycles = gate_level(SMALL, target, frames=4)

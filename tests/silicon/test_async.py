@@ -106,6 +106,7 @@ def test_nominal_circuits_keep_the_ticks_of_dense_edges():
     assert {line.split("[")[0] for line in differences(replay("golden", settings, edges), found)} <= {"winner"}
 
 
+@pytest.mark.long
 def test_verilator_agrees():
     # Delays take long to compile.
     settings = configured(TINIEST, {"period": 40, "pulses": 3}, {"window": 12, "threshold": 1})

@@ -146,7 +146,7 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
     assert (out / "sim.log").exists()
 
 
-@pytest.mark.parametrize("simulator", SIMULATORS)
+@pytest.mark.parametrize("simulator", ["icarus", pytest.param("verilator", marks=pytest.mark.long)])
 def test_views_name_signals_of_the_waveform(tmp_path, simulator):
     *_, told = run(tmp_path, SMALL | {"sensor": SMALLEST}, engine=simulator, waves=True)
     fst = tmp_path / f"{TOP}.fst"

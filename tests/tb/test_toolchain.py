@@ -152,6 +152,7 @@ def test_failed_build_is_no_build(tmp_path, error):
     assert not list(tmp_path.glob("*.part*"))
 
 
+@pytest.mark.long
 def test_engine_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, empty_build_root):
     """Three processes build the same engine at once, after one that was killed in the middle; every compiler runs once."""
     calls = tmp_path / "calls"
