@@ -21,7 +21,6 @@ from coincid.study import progress
 from coincid.study import simulate as job
 from coincid.study.simulate import DEPTH, EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simulate
 from coincid.tb import wave_views
-from coincid.tb.engines import SIMULATORS
 
 from ..command import command
 
