@@ -33,7 +33,7 @@ for axis, (title, config) in zip(axes, cases.items(), strict=True):
     distance_m = events["stamp"][subgroup] * config.tick_s * 299_792_458 / 2
     axis.plot(distance_m, events["pulse"][subgroup], ".", color="#277f8e", markersize=4)
     if config.gating.any():
-        step = config.frame["gate_every"] and np.arange(200) // config.frame["gate_every"] * config.frame["gate_step"]
+        step = config.frame.gate_every and np.arange(200) // config.frame.gate_every * config.frame.gate_step
         start = (config.gate_start[5] + step) * CYCLE_M * np.ones(200)
         axis.fill_betweenx(range(200), start, start + config.gate_len[5] * CYCLE_M, color="#f2c879", alpha=0.4)
     axis.set(title=title, ylabel="laser pulse", xlim=(0, 32))

@@ -68,7 +68,7 @@ class Tried:
 
     @property
     def link_gbps(self) -> float:
-        return float(self.config.frame["link_gbps"] or BEAT_BITS * self.config.clock_mhz / 1e3)
+        return float(self.config.frame.link_gbps or BEAT_BITS * self.config.clock_mhz / 1e3)
 
     @property
     def overloaded(self) -> bool:
@@ -180,10 +180,9 @@ def write_advice(out: Path, advice: Advice, heading: str) -> list[Path]:
     files = [out / name for name in (TABLE, PICTURE, SETTINGS)]
     write_csv(files[0], [HEADS, *(one.row() for one in advice.tried)])
     _draw(files[1], advice, heading)
-    config = evolve(
-        advice.best.config,
-        frame=advice.best.config.frame | {"frames": SETTLING + 1 if advice.best.config.auto.any() else 1},
-    )
+    best = advice.best.config
+    frames = SETTLING + 1 if best.auto.any() else 1
+    config = evolve(best, frame=evolve(best.frame, frames=frames))
     written = config.written()
     with whole_file(files[2], "w") as file:
         file.write(toml_text({table: {k: v for k, v in of.items() if k != "mask"} for table, of in written.items()}))

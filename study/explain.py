@@ -53,11 +53,11 @@ def warnings(config: Config) -> list[str]:
     sent_gbps = float(stream_gbps(config.clock_mhz))
     coarse_bits = int(config.period - 1).bit_length()
     longest, pixels_on = int(config.window.max()), config.mask.sum(axis=1)
-    records = frame["minigroup_records"]
+    records = frame.minigroup_records
     found = {
         f"streams = {sensor.streams} does not divide {sensor.subgroups} subgroups: some streams carry one subgroup more than others.":
             sensor.subgroups % sensor.streams != 0,
-        f"link_gbps = {frame['link_gbps']:g} is more than a stream sends, {sent_gbps:g} Gbit/s.": frame["link_gbps"] > sent_gbps,
+        f"link_gbps = {frame.link_gbps:g} is more than a stream sends, {sent_gbps:g} Gbit/s.": frame.link_gbps > sent_gbps,
         f"Counters fill {counters / link_beats:.0%} of the link: with more pulses per frame, this share falls.":
             counters > FILLED_BY_COUNTERS * link_beats,
         f"window_max = {sensor.window_max} ticks is built, but the longest window has {longest}.": sensor.window_max > 2 * longest,
@@ -72,7 +72,7 @@ def warnings(config: Config) -> list[str]:
             bool(np.any(config.coincidence & (config.threshold > pixels_on))),
         "A gate is set, but gating is off.":
             not config.gating.any() and not config.given.isdisjoint(("subgroup.gate_start", "subgroup.gate_len", "frame.gate_every")),
-        "The gate moves by 0 cycles: gate_step is 0.": frame["gate_every"] > 0 and frame["gate_step"] == 0,
+        "The gate moves by 0 cycles: gate_step is 0.": frame.gate_every > 0 and frame.gate_step == 0,
         "The gate ends after the laser period.":
             bool(np.any(config.gating & (config.gate_start + config.gate_len > config.period) & (config.gate_start > 0))),
         f"format = '{config.format}' sends no map of pixels: there is no depth per pixel.": config.format not in WITH_MAP,
@@ -80,7 +80,7 @@ def warnings(config: Config) -> list[str]:
             config.format in ("id", "full"),
         "mg_threshold and mg_window have no effect: minigroup_records is off.":
             not records and not config.given.isdisjoint(("frame.mg_threshold", "frame.mg_window")),
-        "dither_seed has no effect: dither_bits is 0.": "frame.dither_seed" in config.given and not frame["dither_bits"],
+        "dither_seed has no effect: dither_bits is 0.": "frame.dither_seed" in config.given and not frame.dither_bits,
         "capacity is 0: the controller raises every threshold to the highest.": bool(config.controlled.any()) and config.capacity == 0,
     }  # fmt: skip
     return [sentence for sentence, holds in found.items() if holds]

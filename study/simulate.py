@@ -24,7 +24,7 @@ from rich.table import Table
 from ..lab.measures import Number
 from ..lab.outcomes import Frame, Run
 from ..lab.setup import SETTLING, Setup, fixed_thresholds
-from ..model.contract.config import Config, sensor_table
+from ..model.contract.config import Config, frame_table, sensor_table
 from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import subgroup_image
 from ..model.contract.result import ResultBuilder, write_result
@@ -88,7 +88,7 @@ class Played:
 
 def with_link(config: Config, link_gbps: float | None = None) -> Config:
     """Return a configuration with a link. link_gbps: its rate; None: that of the configuration if it has one, else `LINK_GBPS`."""
-    if link_gbps is not None or not config.frame["link_gbps"]:
+    if link_gbps is not None or not config.frame.link_gbps:
         config = config.with_frame(link_gbps=LINK_GBPS if link_gbps is None else link_gbps)
     return config if "frame.format" in config.given else config.with_frame(format=LINK_FORMAT)
 
@@ -297,7 +297,7 @@ def settings_of(config: Config) -> dict[str, Any]:
     derived = {"auto_bounds": config.auto_bounds.tolist(), "capacity": config.capacity}
     return {
         "sensor": sensor_table(config.sensor),
-        "frame": config.frame | (derived if config.sensor.controller else {}),
+        "frame": frame_table(config.frame) | (derived if config.sensor.controller else {}),
         "subgroup": {name: v[0] if len(set(v)) == 1 else v for name, v in subgroup.items()},
     }
 

@@ -85,7 +85,7 @@ def read_spec(path: FilePath) -> Spec:
         scenes = cache(load_scene)
         points = [_point(document, axes, at, scenes) for at in np.ndindex(*(_length(axis) for axis in axes))]
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise error.within(path) from None
     return Spec(base, axes, points)
 
 
@@ -169,7 +169,7 @@ def _configuration(given: str) -> dict[str, Any]:
     try:
         return read_toml(PRESETS.get(given, given))
     except InputError as error:
-        raise InputError(f"config = {given!r}: {error}") from None
+        raise error.within(f"config = {given!r}") from None
 
 
 def _point(
@@ -200,7 +200,7 @@ def _point(
         )
         setup.photons.check()
     except InputError as error:
-        raise InputError(f"point {name}: {error}") from None
+        raise error.within(f"point {name}") from None
     settings["configuration"] = settings_of(config)
     values = values | {key: settings[key] for key in values if key in SETTINGS}
     return Point(name=name, values=values, at=at, settings=settings, setup=setup)

@@ -98,7 +98,7 @@ def situations(config: Config, edges, trace: Trace, ready: str, counts: collecti
         counts["edge a tick after a window's end"] += tick == end and fate not in (Fate.MASKED, Fate.GATED)
         counts["two edges at the opening tick"] += fate == Fate.COUNTED and tick == opened
         counts["blind in the guard's first cycle"] += fate == Fate.BLIND and at == config.period - sensor.guard
-        if config.gating[s] and not config.frame["gate_every"] and fate != Fate.MASKED:
+        if config.gating[s] and not config.frame.gate_every and fate != Fate.MASKED:
             start, length = int(config.gate_start[s]), int(config.gate_len[s])
             counts["edge in the gate's first cycle"] += at == start and length > 0
             counts["edge in the cycle before the gate"] += at == start - 1

@@ -243,7 +243,7 @@ def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
         other = rng.integers(0, n, n)
         window = config.window[table.subgroup[pixel[other]]]
         armed = sensor.phases * (sensor.rearm + 1) - tick[other] % sensor.phases
-        collected = config.frame["mg_window"] * sensor.phases
+        collected = config.frame.mg_window * sensor.phases
         steps = np.stack(np.broadcast_arrays(0, 1, window - 1, window, window + 1, sensor.phases, armed, collected))
         tick = np.where(near, tick[other] + steps[rng.integers(0, len(steps), n), np.arange(n)], tick)
         pulse = np.where(near, pulse[other], pulse)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from attrs import asdict, evolve, field, frozen
 
-from ..shared.errors import InputError, check_integer, out_of_range
+from ..shared.errors import InputError, check_integer, out_of_range, wrong_value
 from ..shared.files import FilePath
 from . import registers
 from .dither import start_cycles
@@ -26,7 +26,7 @@ from .packet import FORMATS, RECORD, WITH_MAP, built_formats, layout
 from .parameters import MASK_BITS, PARTS, SENSOR, Sensor
 from .preset_files import PRESETS
 from .registers import MODE
-from .settings import FRAME, SUBGROUP, SWITCHES, SubgroupSettings, frame_defaults
+from .settings import FRAME, SUBGROUP, SWITCHES, FrameSettings, SubgroupSettings, frame_defaults
 from .table import Kind, Setting
 
 TABLES = {"sensor": SENSOR, "frame": FRAME, "subgroup": SUBGROUP}
@@ -38,13 +38,13 @@ PER_FRAME = tuple(name for name, setting in FRAME.items() if setting.derived)
 class Config(SubgroupSettings):
     """A checked configuration: the sensor as built, the frame, and the settings of every subgroup.
 
-    `load_config` and `parse_config` make it; `with_sensor`, `with_frame` and `with_settings` make changed copies. frame:
-    the table [frame] of the file; every key has a value. given: the keys that were written, such as
-    `subgroup.threshold`; all others have their defaults. Raises `InputError` if settings make no sense together.
+    `load_config` and `parse_config` make it; `with_sensor`, `with_frame` and `with_settings` make changed copies. given:
+    the keys that were written, such as `subgroup.threshold`; all others have their defaults. Raises `InputError` if
+    settings make no sense together.
     """
 
     sensor: Sensor
-    frame: dict[str, Any]
+    frame: FrameSettings
     given: frozenset[str] = field(default=frozenset(), eq=False)  # it changes no result
 
     def __attrs_post_init__(self) -> None:
@@ -54,21 +54,24 @@ class Config(SubgroupSettings):
                 "frame.period", period, guard + 1, self.sensor.period_max, f"above the guard of {guard} cycles"
             )
         if self.format not in (built := built_formats(self.sensor)):
-            raise InputError(
-                f"frame.format = {self.format!r}: must be one of {', '.join(built)}, because the sensor is built without"
-                " coarse offsets (sensor.offsets = 0)"
+            legal = (
+                f"one of {', '.join(built)}, because the sensor is built without coarse offsets (sensor.offsets = 0)"
             )
+            raise wrong_value("frame.format", self.format, legal)
         for name, setting in (FRAME | SUBGROUP).items():
-            value = self.frame[name] if name in self.frame else getattr(self, name)
+            value = getattr(self.frame if name in FRAME else self, name)
             if not setting.built(self.sensor) and np.any(value != setting.default):
                 legal = {None: "left out", False: "false"}.get(setting.default, setting.default)
                 raise InputError(
                     f"{setting.key}: must be {legal}, because the sensor is built without {PARTS[setting.needs]}"
-                    f" (sensor.{setting.needs} = 0)"
+                    f" (sensor.{setting.needs} = 0)",
+                    field=setting.key,
                 )
-        check_link(self.frame["link_gbps"], self.clock_mhz)
+        check_link(self.frame.link_gbps, self.clock_mhz)
         if np.any(np.diff(self.auto_bounds) < 0):
-            raise InputError(f"frame.auto_bounds = {self.auto_bounds.tolist()}: must not descend")
+            raise InputError(
+                f"frame.auto_bounds = {self.auto_bounds.tolist()}: must not descend", field="frame.auto_bounds"
+            )
         late = np.flatnonzero(self.gating & (self.gate_start >= period))
         if len(late):
             where = f"subgroup {late[0]}: gating is on and the period has {period} cycles"
@@ -77,17 +80,17 @@ class Config(SubgroupSettings):
     @property
     def frames(self) -> int:
         """Number of frames."""
-        return self.frame["frames"]
+        return self.frame.frames
 
     @property
     def clock_mhz(self) -> float:
         """System clock in MHz."""
-        return self.frame["clock_mhz"]
+        return self.frame.clock_mhz
 
     @property
     def link_share(self) -> Fraction:
         """Share of the cycles in which a stream's link takes a beat."""
-        return link_share(self.frame["link_gbps"], self.clock_mhz)
+        return link_share(self.frame.link_gbps, self.clock_mhz)
 
     @property
     def tick_s(self) -> float:
@@ -97,28 +100,28 @@ class Config(SubgroupSettings):
     @property
     def period(self) -> int:
         """Laser period in cycles."""
-        return self.frame["period"]
+        return self.frame.period
 
     @property
     def pulses(self) -> int:
         """Laser periods per frame."""
-        return self.frame["pulses"]
+        return self.frame.pulses
 
     @property
     def format(self) -> str:
         """Name of the event format."""
-        return self.frame["format"]
+        return self.frame.format
 
     def check_map(self) -> None:
         """Raise `InputError` if the events of the format have no map, which depth needs."""
         if self.format not in WITH_MAP:
             legal = " or ".join(WITH_MAP)
-            raise InputError(f"frame.format = {self.format!r}: must be {legal}, because depth needs the ID map")
+            raise wrong_value("frame.format", self.format, f"{legal}, because depth needs the ID map")
 
     @property
     def auto_bounds(self) -> np.ndarray:
         """int64[6]: the controller's bounds, ascending; by default, those for noise in the longest window."""
-        bounds = self.frame["auto_bounds"] or noise_bounds(
+        bounds = self.frame.auto_bounds or noise_bounds(
             phases=self.sensor.phases,
             window_ticks=int(self.window.max()),
             rearm_cycles=self.sensor.rearm,
@@ -130,7 +133,7 @@ class Config(SubgroupSettings):
     @property
     def capacity(self) -> int:
         """Events that a stream carries in a frame; by default, as many as its link takes."""
-        given: int | None = self.frame["capacity"]
+        given: int | None = self.frame.capacity
         return self.capacity_of(int(self.pulses * self.period * self.link_share)) if given is None else given
 
     def capacity_of(self, beats: int) -> int:
@@ -139,7 +142,7 @@ class Config(SubgroupSettings):
         With minigroup records, every subgroup may send one record per pulse before its events.
         """
         parts, packet = layout(self.sensor), FORMATS[self.format]
-        if self.frame["minigroup_records"]:
+        if self.frame.minigroup_records:
             subgroups = max(len(self.sensor.stream_subgroups(stream)) for stream in range(self.sensor.streams))
             beats -= self.pulses * subgroups * parts.length(RECORD)
         if packet.grouped:
@@ -159,7 +162,7 @@ class Config(SubgroupSettings):
 
     def start_cycles(self) -> np.ndarray:
         """int64[pulses + 1]: cycle at which each period of a frame begins, starting at 0; the last element ends the frame."""
-        starts = start_cycles(self.pulses, self.period, self.frame["dither_bits"], self.frame["dither_seed"])
+        starts = start_cycles(self.pulses, self.period, self.frame.dither_bits, self.frame.dither_seed)
         starts[-1] = starts[-2] + self.period
         return starts
 
@@ -192,7 +195,8 @@ class Config(SubgroupSettings):
 
         Raises `InputError` with the key and its range.
         """
-        frame, given = self.frame | _frame(settings, self.sensor), self.given | _keys("frame", settings)
+        frame = evolve(self.frame, **_frame(settings, self.sensor))
+        given = self.given | _keys("frame", settings)
         followers: dict[str, Any] = {
             name: _column(setting, setting.default_of(self.sensor, frame), self.sensor)
             for name, setting in SUBGROUP.items()
@@ -223,7 +227,7 @@ class Config(SubgroupSettings):
             if setting.key not in self.given:
                 continue
             of = {"sensor": self.sensor, "frame": self.frame}.get(setting.table, self)
-            value = of[name] if isinstance(of, dict) else getattr(of, name)
+            value = getattr(of, name)
             if setting.table == "subgroup":
                 value = value.tolist() if self._differs(name) else value[0].tolist()
             document[setting.table][name] = list(value) if isinstance(value, tuple) else value
@@ -241,7 +245,10 @@ class Config(SubgroupSettings):
             if not many:
                 columns[name] = _column(setting, value, self.sensor)
             elif len(value) != self.sensor.subgroups:
-                raise InputError(f"{setting.key}: has {len(value)} values, must have one or {self.sensor.subgroups}")
+                raise InputError(
+                    f"{setting.key}: has {len(value)} values, must have one or {self.sensor.subgroups}",
+                    field=setting.key,
+                )
             else:
                 values = [setting.checked(f"{setting.key}[{s}]", one, self.sensor) for s, one in enumerate(value)]
                 columns[name] = np.array(values)
@@ -249,19 +256,20 @@ class Config(SubgroupSettings):
 
     def with_pulses(self, pulses: int) -> "Config":
         """Return a copy with another number of pulses per frame; settings in events per frame change in proportion."""
-        events = {name: self.frame[name] for name in PER_FRAME if self.frame[name] is not None}
-        scaled = {
-            name: np.minimum(np.multiply(value, pulses) // self.pulses, FRAME[name].limits(self.sensor)[1])
-            for name, value in events.items()
-        }
+        scaled: dict[str, Any] = {}
+        for name in PER_FRAME:
+            events = getattr(self.frame, name)
+            if events is not None:
+                most = FRAME[name].limits(self.sensor)[1]
+                scaled[name] = np.minimum(np.multiply(events, pulses) // self.pulses, most)
         return self.with_frame(pulses=pulses, **scaled)
 
     def register_writes(self) -> list[tuple[int, int]]:
         """Return (address, value) of every setting, as a driver writes them before a frame."""
         writes = []
         derived = {"auto_bounds": self.auto_bounds, "capacity": self.capacity}
-        for name, value in (self.frame | derived).items():
-            setting = FRAME[name]
+        for name, setting in FRAME.items():
+            value: Any = derived[name] if name in derived else getattr(self.frame, name)
             if setting.offset is not None and setting.words(self.sensor):
                 words = np.atleast_1d(setting.choices.index(value) if setting.choices else value)
                 writes += [(registers.address(name, index=i), int(word)) for i, word in enumerate(words)]
@@ -303,7 +311,7 @@ def load_config(path: FilePath | None = None, changes: Mapping[str, Any] | None 
             document = read_toml(PRESETS.get(str(path), path))
             parse_config(document)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise error.within(path) from None
     for name, value in (changes or {}).items():
         table = SETTINGS[name].table
         document[table] = document.get(table, {}) | {name: value}
@@ -311,13 +319,15 @@ def load_config(path: FilePath | None = None, changes: Mapping[str, Any] | None 
 
 
 def _blaming(keys: Collection[str], make: Callable[[], Config]) -> Config:
-    """Return what `make` returns. An error about another key begins with those of the change that led to it."""
+    """Return what `make` returns. An error in another field begins with the keys of the change that led to it."""
     try:
         return make()
     except InputError as error:
-        if not keys or any(str(error).startswith(key) for key in keys):
+        if not keys or error.field in keys:
             raise
-        raise InputError(f"{', '.join(keys)}: does not go with the other settings ({error})") from None
+        changed = ", ".join(keys)
+        message = f"{changed}: does not go with the other settings ({error})"
+        raise InputError(message, field=changed) from None
 
 
 def changes_of_text(given: Collection[str]) -> dict[str, Any]:
@@ -366,12 +376,13 @@ def parse_config(document: dict[str, Any]) -> Config:
     tables = {"sensor": dict, "frame": dict, "subgroup": dict, "override": list}
     for name, value in document.items():
         if name not in tables:
-            raise InputError(f"[{name}]: unknown table, must be one of {', '.join(tables)}")
+            raise InputError(f"[{name}]: unknown table, must be one of {', '.join(tables)}", field=f"[{name}]")
         if not isinstance(value, tables[name]):
-            raise InputError(f"{name}: must be written as {'[[override]]' if name == 'override' else f'[{name}]'}")
+            form = "[[override]]" if name == "override" else f"[{name}]"
+            raise InputError(f"{name}: must be written as {form}", field=name)
     written = {table: _known(table, document.get(table, {}), settings) for table, settings in TABLES.items()}
     sensor = Sensor(**written["sensor"])
-    frame = frame_defaults(sensor) | _frame(written["frame"], sensor)
+    frame = evolve(frame_defaults(sensor), **_frame(written["frame"], sensor))
     columns = {
         name: _column(setting, written["subgroup"].get(name, setting.default_of(sensor, frame)), sensor)
         for name, setting in SUBGROUP.items()
@@ -380,13 +391,12 @@ def parse_config(document: dict[str, Any]) -> Config:
     for number, override in enumerate(document.get("override", [])):
         where = f"override[{number}]"
         if not isinstance(override, dict):
-            raise InputError(f"{where}: must be a table")
+            raise InputError(f"{where}: must be a table", field=where)
         values = _known(where, override, ("subgroups", *SUBGROUP))
         chosen = values.pop("subgroups", None)
         if not isinstance(chosen, list):
-            raise InputError(
-                f"{where}.subgroups = {chosen!r}: must be a list of integers from 0 to {sensor.subgroups - 1}"
-            )
+            last = sensor.subgroups - 1
+            raise wrong_value(f"{where}.subgroups", chosen, f"a list of integers from 0 to {last}", low=0, high=last)
         for s in chosen:
             check_integer(f"{where}.subgroups", s, 0, sensor.subgroups - 1)
         for name, value in values.items():
@@ -398,7 +408,8 @@ def parse_config(document: dict[str, Any]) -> Config:
 def _known(section: str, given: dict[str, Any], legal: Collection[str]) -> dict[str, Any]:
     for name in given:
         if name not in legal:
-            raise InputError(f"{section}.{name}: unknown key, must be one of {', '.join(legal)}")
+            key = f"{section}.{name}"
+            raise InputError(f"{key}: unknown key, must be one of {', '.join(legal)}", field=key)
     return dict(given)
 
 
@@ -419,4 +430,13 @@ def _column(setting: Setting, value: Any, sensor: Sensor) -> np.ndarray:
 
 def sensor_table(sensor: Sensor) -> dict[str, Any]:
     """Return the sensor's part of a configuration file."""
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(sensor).items()}
+    return _table(sensor)
+
+
+def frame_table(frame: FrameSettings) -> dict[str, Any]:
+    """Return the frame's part of a configuration file, including keys whose value is None."""
+    return _table(frame)
+
+
+def _table(settings: Sensor | FrameSettings) -> dict[str, Any]:
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(settings).items()}

@@ -76,28 +76,33 @@ def checked_edges(
     for name in NAMES:
         array = arrays[name]
         if array.ndim != 1:
-            raise InputError(f"{source}{name}: has {array.ndim} dimensions, must have 1")
+            raise InputError(f"{source}{name}: has {array.ndim} dimensions, must have 1", field=name)
         if array.dtype.kind not in "iu" and len(array):
-            raise InputError(f"{source}{name}: holds {array.dtype}, must hold integers")
+            raise InputError(f"{source}{name}: holds {array.dtype}, must hold integers", field=name)
     lengths = {name: len(arrays[name]) for name in NAMES}
     if len(set(lengths.values())) > 1:
         raise InputError(f"{source}lengths differ: " + ", ".join(f"{name} {n}" for name, n in lengths.items()))
-    for name, bound in zip(NAMES, (pulses, pixels, period_ticks)):
+    for name, bound in zip(NAMES, (pulses, pixels, period_ticks), strict=True):
         bad = np.flatnonzero((arrays[name] < 0) | (arrays[name] >= bound))
         if len(bad):
             raise InputError(
-                f"{source}{name}[{bad[0]}] = {arrays[name][bad[0]]}: must be an integer from 0 to {bound - 1}"
+                f"{source}{name}[{bad[0]}] = {arrays[name][bad[0]]}: must be an integer from 0 to {bound - 1}",
+                field=name,
+                low=0,
+                high=bound - 1,
             )
     offset = arrays.get("offset_ps")
     if offset is not None:
         if offset.shape != arrays["tick"].shape or offset.dtype.kind not in "iuf":
             raise InputError(
-                f"{source}offset_ps: holds {offset.dtype}{list(offset.shape)}, must hold {lengths['tick']} numbers"
+                f"{source}offset_ps: holds {offset.dtype}{list(offset.shape)}, must hold {lengths['tick']} numbers",
+                field="offset_ps",
             )
         bad = np.flatnonzero(~((offset >= 0) & np.isfinite(offset)))
         if len(bad):
             raise InputError(
-                f"{source}offset_ps[{bad[0]}] = {offset[bad[0]]}: must be a number from 0 to a tick's length"
+                f"{source}offset_ps[{bad[0]}] = {offset[bad[0]]}: must be a number from 0 to a tick's length",
+                field="offset_ps",
             )
         offset = offset.astype(float)
     pulse, pixel, tick = (np.ascontiguousarray(arrays[name], dtype=np.int64) for name in NAMES)

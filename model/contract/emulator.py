@@ -8,7 +8,7 @@ beats of the frame buffer from `BUFFER_BASE` on.
 
 from attrs import frozen
 
-from ..shared.errors import InputError, check_integer
+from ..shared.errors import InputError, check_integer, wrong_value
 from .config import Config
 from .parameters import Sensor
 from .registers import CONSTANT, COUNTER, PULSE, SETTING, Register
@@ -61,13 +61,12 @@ class Emulator:
 
     def __attrs_post_init__(self) -> None:
         if self.sensor.streams != 1:
-            raise InputError(f"sensor.streams = {self.sensor.streams}: must be 1 in an emulator")
+            raise wrong_value("sensor.streams", self.sensor.streams, "1 in an emulator")
         check_integer("subgroups", self.sensor.subgroups, 1, 1 << 8)
         check_integer("buffer_beats", self.buffer_beats, 64, BUFFER_BEATS_MAX)
         if self.buffer_beats & (self.buffer_beats - 1):
-            raise InputError(
-                f"buffer_beats = {self.buffer_beats}: must be a power of two from 64 to {BUFFER_BEATS_MAX}"
-            )
+            legal = f"a power of two from 64 to {BUFFER_BEATS_MAX}"
+            raise wrong_value("buffer_beats", self.buffer_beats, legal, low=64, high=BUFFER_BEATS_MAX)
         check_integer("clocks_per_bit", self.clocks_per_bit, 4, 1 << 16)
 
     @classmethod
@@ -75,9 +74,8 @@ class Emulator:
         """Return the emulator of a configuration's sensor, with a line of `BAUD`. Raises `InputError` if its clock cannot make that."""
         clocks = config.clock_mhz * 1e6 / BAUD
         if clocks < 4 or abs(clocks / round(clocks) - 1) > BAUD_TOLERANCE:
-            raise InputError(
-                f"frame.clock_mhz = {config.clock_mhz:g}: does not make {BAUD} baud to {BAUD_TOLERANCE:.0%}"
-            )
+            message = f"frame.clock_mhz = {config.clock_mhz:g}: does not make {BAUD} baud to {BAUD_TOLERANCE:.0%}"
+            raise InputError(message, field="frame.clock_mhz")
         return cls(sensor=config.sensor, buffer_beats=buffer_beats, clocks_per_bit=round(clocks))
 
     @property

@@ -5,7 +5,7 @@ from typing import Any
 
 from attrs import Factory, field, frozen
 
-from ..shared.errors import InputError
+from ..shared.errors import InputError, out_of_range, wrong_value
 from .counters import COUNTER_BITS, COUNTER_BITS_MIN
 from .table import Kind, Limit, number, settings_of_class
 
@@ -95,12 +95,13 @@ class Sensor:
         for name, highest in (("phases", PHASES_MAX), ("offset_phases", self.phases)):
             steps = getattr(self, name)
             if steps & (steps - 1):
-                raise InputError(f"sensor.{name} = {steps}: must be a power of two from {QUARTERS} to {highest}")
+                legal = f"a power of two from {QUARTERS} to {highest}"
+                raise wrong_value(f"sensor.{name}", steps, legal, low=QUARTERS, high=highest)
         for part, whole, sizes in (
             ("subgroup", ("rows", "cols"), (self.rows, self.cols)),
             ("minigroup", ("subgroup", "subgroup"), self.subgroup),
         ):
-            for name, size, step in zip(whole, sizes, getattr(self, part)):
+            for name, size, step in zip(whole, sizes, getattr(self, part), strict=True):
                 if size % step:
                     shown = f"{' x '.join(dict.fromkeys(whole))} = {list(sizes)}"
                     blocks = f"sensor.{part} = {list(getattr(self, part))}"
@@ -111,10 +112,11 @@ class Sensor:
                     )
         if self.offset_max >= OFFSET_NONE:
             highest = OFFSET_NONE * self.offset_ticks - self.phases + 1
-            raise InputError(
-                f"sensor.window_max = {self.window_max}: must be an integer from 1 to {highest} with sensor.phases ="
-                f" {self.phases} and sensor.offset_phases = {self.offset_phases}, so that offsets fit 8 bits"
+            legal = (
+                f"an integer from 1 to {highest} with sensor.phases = {self.phases} and sensor.offset_phases ="
+                f" {self.offset_phases}, so that offsets fit 8 bits"
             )
+            raise wrong_value("sensor.window_max", self.window_max, legal, low=1, high=highest)
         if self.subgroups > SUBGROUPS_MAX:
             raise self._refused(
                 ("rows", "cols", "subgroup"),
@@ -122,12 +124,11 @@ class Sensor:
                 f"there are {self.subgroups} subgroups, must be at most {SUBGROUPS_MAX}",
             )
         if self.streams > self.subgroups:
-            raise InputError(
-                f"sensor.streams = {self.streams}: must be an integer from 1 to {self.subgroups} (the subgroups)"
-            )
+            raise out_of_range("sensor.streams", self.streams, 1, self.subgroups, "the subgroups")
         if self.period_max <= self.guard:
             raise InputError(
-                f"sensor.coarse_bits = {self.coarse_bits}: 2^coarse_bits must be above the guard of {self.guard} cycles"
+                f"sensor.coarse_bits = {self.coarse_bits}: 2^coarse_bits must be above the guard of {self.guard} cycles",
+                field="sensor.coarse_bits",
             )
 
     def _refused(self, names: tuple[str, ...], own: dict[str, str], why: str) -> InputError:
@@ -135,11 +136,10 @@ class Sensor:
 
         own: what to say if the error names this parameter, instead of `why`.
         """
-        chosen = next(name for name in names if getattr(self, name) != SENSOR[name].default_of(self, {}))
+        chosen = next(name for name in names if getattr(self, name) != SENSOR[name].default_of(self))
         value = getattr(self, chosen)
-        return InputError(
-            f"sensor.{chosen} = {list(value) if isinstance(value, tuple) else value}: {own.get(chosen, why)}"
-        )
+        shown = list(value) if isinstance(value, tuple) else value
+        return InputError(f"sensor.{chosen} = {shown}: {own.get(chosen, why)}", field=f"sensor.{chosen}")
 
     @property
     def coarse_bits_max(self) -> int:

@@ -29,7 +29,12 @@ _FORMATS_TOLD = ", ".join(f"{n} {name}" + f" ({of.doc})" * bool(of.doc) for n, (
 
 
 def _setting(kind: Kind, doc: str, **columns: Any) -> Any:
-    return field(metadata={"kind": kind, "doc": doc} | columns)
+    return field(metadata={"kind": kind, "doc": doc} | columns, converter=_constant if kind is Kind.INTEGERS else None)
+
+
+def _constant(value: Any) -> tuple[int, ...] | None:
+    """Return a list as a tuple."""
+    return None if value is None else tuple(value)
 
 
 def _integer(default: int | None, low: Limit, high: Limit, doc: str, **columns: Any) -> Any:
@@ -49,9 +54,9 @@ def _counted(unit: str, **columns: Any) -> dict[str, Any]:
     return {"derived": True, "unit": unit, "high": EVENTS_MAX} | columns
 
 
-@frozen
+@frozen(kw_only=True)
 class FrameSettings:
-    """Keys of [frame]. Numbers: default, lowest and highest legal value."""
+    """The settings of a frame: a value of every key of [frame]. Numbers below: default, lowest and highest legal value."""
 
     frames: int = _integer(1, 1, FRAMES_MAX, "Number of frames.")
     clock_mhz: float = _setting(Kind.REAL, "System clock.", default=CLOCK_MHZ, unit="MHz", low=1e-3, high=1e5)
@@ -107,7 +112,7 @@ class FrameSettings:
         unit="pixels",
         offset=0x90,
     )
-    auto_bounds: list[int] | None = _of_controller(
+    auto_bounds: tuple[int, ...] | None = _of_controller(
         Kind.INTEGERS,
         "the threshold is at most 1 + the number of bounds that `opened` of the previous frame reaches. Must not descend.",
         **_counted("windows", reset=0, offset=0x6C),
@@ -151,6 +156,7 @@ SUBGROUP = settings_of_class(SubgroupSettings, "subgroup")
 SWITCHES = {name: setting for name, setting in SUBGROUP.items() if setting.bit != NO_BIT}
 
 
-def frame_defaults(sensor: Sensor) -> dict[str, Any]:
+def frame_defaults(sensor: Sensor) -> FrameSettings:
     """Return the settings of a frame for which nothing is written."""
-    return {name: setting.default_of(sensor, {}) for name, setting in FRAME.items()}
+    defaults = {name: setting.default_of(sensor) for name, setting in FRAME.items()}
+    return FrameSettings(**defaults)

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from attrs import fields, frozen
 
-from ..shared.errors import InputError, check_integer
+from ..shared.errors import check_integer, wrong_value
 from ..shared.quantities import check_choice, check_real, check_switch
 
 NO_BIT = -1
@@ -81,15 +81,15 @@ class Setting:
         """Return the number of its register's words."""
         return number(self.count, sensor) if self.kind is Kind.SWITCH or self.built(sensor) else 0
 
-    def default_of(self, sensor: Any, frame: dict[str, Any]) -> Any:
-        """Return the value of a key that is not written. frame: values of [frame]."""
+    def default_of(self, sensor: Any, frame: Any = None) -> Any:
+        """Return the value of a key that is not written. frame: `FrameSettings`, for a key that follows one of them."""
         if self.kind is Kind.MASK:
             return f"{(1 << sensor.pixels) - 1:x}"
-        default = frame[self.follows] if self.follows else self.default
+        default = getattr(frame, self.follows) if self.follows else self.default
         return min(default, self.limits(sensor)[1]) if self.kind is Kind.INTEGER and default is not None else default
 
-    def reset_of(self, sensor: Any, frame: dict[str, Any]) -> int:
-        """Return the value of a word of its register after a reset. frame: values of [frame]."""
+    def reset_of(self, sensor: Any, frame: Any) -> int:
+        """Return the value of a word of its register after a reset. frame: `FrameSettings`, those of the reset."""
         if self.reset is not None:
             return int(number(self.reset, sensor))
         default = self.default_of(sensor, frame)
@@ -121,7 +121,7 @@ class Setting:
                 return check_choice(where, value, self.choices)
             case Kind.INTEGERS:
                 if not isinstance(value, list) or len(value) != self.count:
-                    raise InputError(f"{where} = {value!r}: must be {self.count} integers from {low} to {high}")
+                    raise wrong_value(where, value, f"{self.count} integers from {low} to {high}", low=low, high=high)
                 return [check_integer(where, item, low, high) for item in value]
             case Kind.SIZE:
                 return _checked_size(where, value, low, high)
@@ -150,7 +150,7 @@ def _plain(value: Any) -> Any:
 def _checked_size(where: str, value: Any, low: int, high: int) -> tuple[int, int]:
     legal = isinstance(value, list) and len(value) == 2 and all(type(n) is int and n > 0 for n in value)
     if not legal or not low <= value[0] * value[1] <= high:
-        raise InputError(f"{where} = {value!r}: must be [rows, cols] of {low} to {high} pixels")
+        raise wrong_value(where, value, f"[rows, cols] of {low} to {high} pixels", low=low, high=high)
     return value[0], value[1]
 
 
@@ -158,5 +158,5 @@ def _checked_mask(where: str, value: Any, pixels: int) -> np.ndarray:
     if isinstance(value, list) and len(value) == pixels and all(isinstance(on, bool) for on in value):
         return np.array(value)
     if not isinstance(value, str) or not re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", value) or int(value, 16) >> pixels:
-        raise InputError(f"{where} = {value!r}: must be a string of hex digits below 2^{pixels} (bit i = pixel i)")
+        raise wrong_value(where, value, f"a string of hex digits below 2^{pixels} (bit i = pixel i)")
     return np.array([int(value, 16) >> i & 1 for i in range(pixels)], bool)

@@ -205,7 +205,7 @@ def _gates(config: Config) -> tuple[np.ndarray, np.ndarray]:
     """float64[subgroups] each: first tick in which a window may open in any pulse, and the one after the last."""
     sensor, frame = config.sensor, config.frame
     last = config.period - sensor.guard
-    moved = frame["gate_step"] * (frame["gate_steps"] - 1) if frame["gate_every"] else 0
+    moved = frame.gate_step * (frame.gate_steps - 1) if frame.gate_every else 0
     start = np.where(config.gating, config.gate_start, 0)
     end = np.where(config.gating, config.gate_start + config.gate_len + moved, last)
     return np.minimum(start, last) * float(sensor.phases), np.minimum(end, last) * float(sensor.phases)

@@ -81,8 +81,8 @@ def _gate_opens(events: Events, config: Config) -> np.ndarray:
 
 def gate_moved(config: Config, pulse: np.ndarray) -> np.ndarray:
     """int64[n]: cycles by which the gate has moved in pulses of a frame, int64[n]."""
-    every, steps = config.frame["gate_every"], config.frame["gate_steps"]
-    return config.frame["gate_step"] * (pulse // every % steps if every else np.zeros_like(pulse))
+    every, steps = config.frame.gate_every, config.frame.gate_steps
+    return config.frame.gate_step * (pulse // every % steps if every else np.zeros_like(pulse))
 
 
 def armed_ticks(stamp: np.ndarray, window: int | np.ndarray, config: Config) -> np.ndarray:

@@ -180,7 +180,7 @@ def _live(
 ) -> tuple[Callable[[int], np.ndarray], np.ndarray | None]:
     """Return the shares of the periods in which a subgroup's histograms could grow (`pixel_peaks`), and the groups of them."""
     sensor = config.sensor
-    if source != "minigroup" or not config.frame["minigroup_records"]:
+    if source != "minigroup" or not config.frame.minigroup_records:
         return live_share(arrays, events, config, frame).__getitem__, None
     stamp, maps, bounds = frame_records(arrays, config, frame)
     stored, dropped = (

@@ -163,7 +163,7 @@ def _histogram_maker(
     sensor, events = config.sensor, frame_events(arrays, config, sigma_ticks, frame)
     if not events.mapped:
         raise InputError("hits: the result has no ID map, its format must be id or full")
-    use_records = source == "minigroup" and config.frame["minigroup_records"]
+    use_records = source == "minigroup" and config.frame.minigroup_records
     if source == "minigroup" and not use_records and not events.offset.shape[1]:
         raise InputError("mg_offset: the result has no minigroup stamps, it must have format full or minigroup_records")
     record_stamp, maps, bounds = frame_records(arrays, config, frame) if use_records else (np.empty(0),) * 3
@@ -191,7 +191,7 @@ def _histogram_maker(
 
 def minigroup_step_ticks(config: Config) -> int:
     """Return the ticks between the stamps of minigroups: those of the records, or the offsets of full events."""
-    return config.sensor.quarter_ticks if config.frame["minigroup_records"] else config.sensor.offset_ticks
+    return config.sensor.quarter_ticks if config.frame.minigroup_records else config.sensor.offset_ticks
 
 
 def pixel_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:

@@ -45,7 +45,7 @@ class Controller:
         rises = committed > self.limit[self._stream]
         falls = ~rises & (lower <= self.budget[self._stream])
         ceiling = 1 + np.searchsorted(config.auto_bounds, opened, side="right")  # at most THRESHOLD_MAX
-        floor = max(1, config.frame["threshold_floor"])
+        floor = max(1, config.frame.threshold_floor)
         return np.maximum(floor, np.minimum(threshold + rises - falls, ceiling))
 
     def end(self, config: Config, counters: np.ndarray) -> np.ndarray:

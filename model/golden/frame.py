@@ -138,8 +138,8 @@ def _plan(config: Config, threshold: np.ndarray, ready: np.ndarray | None = None
     start = config.start_cycles()
     phases = config.sensor.phases
     steps = np.zeros(len(start), np.int64)
-    if frame["gate_every"]:
-        steps = np.arange(len(start)) // frame["gate_every"] % frame["gate_steps"]
+    if frame.gate_every:
+        steps = np.arange(len(start)) // frame.gate_every % frame.gate_steps
     window = np.where(config.coincidence, config.window, 1)
     settings = Settings(
         threshold=np.where(config.coincidence, threshold, 1),
@@ -155,7 +155,7 @@ def _plan(config: Config, threshold: np.ndarray, ready: np.ndarray | None = None
         shape=shape_of(config),
         threshold=threshold,
         settings=settings,
-        timeline=Timeline(start=start, gate_shift=frame["gate_step"] * steps),
+        timeline=Timeline(start=start, gate_shift=frame.gate_step * steps),
         end=int(start[played - 1]) + config.period,
         next_ready=ready_times(config.tready(ready)),
     )

@@ -66,14 +66,14 @@ class SpadGate:
         subgroup, frame = pixel_table(config.sensor).subgroup, config.frame
         start, length, step = (
             np.where(config.gating, on, off)[subgroup]
-            for on, off in ((config.gate_start, 0), (config.gate_len, config.period), (frame["gate_step"], 0))
+            for on, off in ((config.gate_start, 0), (config.gate_len, config.period), (frame.gate_step, 0))
         )
         return cls(
             start_cycles=start,
             len_cycles=np.minimum(length, config.period),
             step_cycles=step,
-            every_pulses=frame["gate_every"],
-            steps=frame["gate_steps"],
+            every_pulses=frame.gate_every,
+            steps=frame.gate_steps,
             frame_pulses=config.pulses,
         )
 

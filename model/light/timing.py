@@ -49,8 +49,8 @@ class Timing:
             phases=config.sensor.phases,
             period_cycles=config.period,
             tap_width_lsb=tap_width_lsb,
-            dither_bits=config.frame["dither_bits"],
-            dither_seed=config.frame["dither_seed"],
+            dither_bits=config.frame.dither_bits,
+            dither_seed=config.frame.dither_seed,
             frame_pulses=config.pulses,
         )
 

@@ -8,12 +8,47 @@ SEED_MAX = (1 << 63) - 1  # highest seed of random numbers: it fits a column of 
 
 
 class InputError(ValueError):
-    """Invalid input. The message names the field and its legal range; commands print it and exit with code 2."""
+    """Invalid input. The message names the field and its legal range; commands print it and exit with code 2.
+
+    Attributes
+    ----------
+    field : str or None
+        What is wrong, as the message names it at its beginning, such as "frame.period"; None if it is not a single field.
+    low, high : float or None
+        The legal range, if the field has one.
+    """
+
+    def __init__(
+        self, message: str, *, field: str | None = None, low: float | None = None, high: float | None = None
+    ) -> None:
+        super().__init__(message)
+        self.field = field
+        self.low = low
+        self.high = high
+
+    def within(self, where: object) -> "InputError":
+        """Return the same error with the file or the point in which it was found in front of its message."""
+        return InputError(f"{where}: {self}", field=self.field, low=self.low, high=self.high)
+
+    def renamed(self, name: str) -> str:
+        """Return the message with another name of the field, as a user knows it."""
+        message = str(self)
+        if self.field is None or not message.startswith(self.field):
+            return message
+        return name + message.removeprefix(self.field)
+
+
+def wrong_value(
+    name: str, value: object, legal: str, *, low: float | None = None, high: float | None = None
+) -> InputError:
+    """Return the error for the field `name` with an illegal `value`. legal: what it must be, as "an integer from 1 to 8"."""
+    return InputError(f"{name} = {value!r}: must be {legal}", field=name, low=low, high=high)
 
 
 def out_of_range(name: str, value: object, low: int, high: int, why: str = "") -> InputError:
     """Return the error for `name` = `value` outside [`low`, `high`]; `why` gives the reason for the range."""
-    return InputError(f"{name} = {value!r}: must be an integer from {low} to {high}{f' ({why})' if why else ''}")
+    reason = f" ({why})" if why else ""
+    return wrong_value(name, value, f"an integer from {low} to {high}{reason}", low=low, high=high)
 
 
 def check_integer(name: str, value: object, low: int, high: int, why: str = "") -> int:

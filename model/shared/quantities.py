@@ -8,7 +8,7 @@ import numpy as np
 from attrs import field
 from numpy.typing import ArrayLike
 
-from .errors import InputError
+from .errors import InputError, wrong_value
 
 Numbers: TypeAlias = float | np.ndarray  # one number, or one for each of many: they broadcast
 _T = TypeVar("_T")
@@ -18,21 +18,21 @@ def check_real(name: str, value: Any, low: float, high: float = inf) -> float:
     """Return `value` as a float if it is finite and within [`low`, `high`]. Raises `InputError`."""
     is_scalar: bool = np.isscalar(value)  # in the condition, it would narrow Any to unordered types
     if isinstance(value, (bool, str)) or not is_scalar or not low <= value <= high or not isfinite(value):
-        raise InputError(f"{name} = {value!r}: must be a number {_range(low, high)}")
+        raise wrong_value(name, value, f"a number {_range(low, high)}", low=low, high=high)
     return float(value)
 
 
 def check_choice(name: str, value: _T, choices: tuple[_T, ...]) -> _T:
     """Return `value` if it is one of `choices`. Raises `InputError`."""
     if value not in choices:
-        raise InputError(f"{name} = {value!r}: must be one of {', '.join(map(str, choices))}")
+        raise wrong_value(name, value, f"one of {', '.join(map(str, choices))}")
     return value
 
 
 def check_switch(name: str, value: Any) -> bool:
     """Return `value` if it is a bool. Raises `InputError`."""
     if not isinstance(value, bool):
-        raise InputError(f"{name} = {value!r}: must be true or false")
+        raise wrong_value(name, value, "true or false")
     return value
 
 
@@ -51,18 +51,20 @@ def real_array(
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: must hold numbers {_range(low, high)}") from None
+        raise InputError(f"{name}: must hold numbers {_range(low, high)}", field=name, low=low, high=high) from None
     try:
         array = np.array(np.broadcast_to(array, shape), order="C")  # a copy, so that the caller's array stays writable
     except ValueError:
-        raise InputError(f"{name}: has shape {array.shape}, must be {shape} or broadcast to it") from None
+        message = f"{name}: has shape {array.shape}, must be {shape} or broadcast to it"
+        raise InputError(message, field=name) from None
     bad = ~(np.isfinite(array) & (array >= low) & (array <= high))
     if nan:
         bad &= ~np.isnan(array)
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         legal = _range(low, high).removeprefix("of ") + " or NaN" * nan
-        raise InputError(f"{name}{list(where) or ''} = {array[where]}: must be {legal}")
+        message = f"{name}{list(where) or ''} = {array[where]}: must be {legal}"
+        raise InputError(message, field=name, low=low, high=high)
     array.flags.writeable = False
     return array
 

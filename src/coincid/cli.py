@@ -388,7 +388,7 @@ def edges(
             recorded, settings, timing, channels=pixel_of, first_sync=first_sync, delay_ps=delay_ps
         )
     except InputError as error:
-        raise InputError(f"{recording}: {error}") from None
+        raise error.within(recording) from None
     write_edges(out, kept, timing)
     print(f"{recording}: {recorded.kind}, {len(recorded.sync):,} photons")
     for note in filter(None, (period_note(recorded, timing), f"left out: {told(lost)}" if lost else "")):

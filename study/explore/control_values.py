@@ -11,7 +11,7 @@ import numpy as np
 from attrs import evolve, frozen
 
 from ...lab.setup import Setup
-from ...model.contract.config import SETTINGS, Config, parse_config, sensor_table, toml_text
+from ...model.contract.config import SETTINGS, Config, frame_table, parse_config, sensor_table, toml_text
 from ...model.contract.settings import SUBGROUP
 from ...model.contract.table import Kind
 from ...model.light.light import NEAREST_M, Light
@@ -19,21 +19,15 @@ from ...model.light.spad import Spad
 from ...model.light.timing import Timing
 from ...model.scenes.catalogue import load_scene
 from ...model.scenes.scene import Scene, scene_light
-from ...model.shared.errors import InputError, check_integer, out_of_range
+from ...model.shared.errors import InputError, check_integer, out_of_range, wrong_value
 from ...model.shared.quantities import check_choice, check_real
 from .controls import CONTROL, CONTROLS, DEFAULTS, SCENES, UNITS, Control, Value
 from .uploads import KINDS, Uploads
 
 PIXEL_PULSES_MAX = 1 << 25  # pixels x pulses x frames: some ten seconds of work
-PERCENT, KILO = 100, 1000
-
-
-class SettingError(InputError):
-    """An `InputError` with its control, or None if it involves several controls."""
-
-    def __init__(self, message: str, control: str | None):
-        super().__init__(message)
-        self.control = control
+PERCENT = 100
+KILO = 1000
+_KEY = re.compile(r"\b(?:sensor|frame|subgroup)\.(\w+)")  # a key of the configuration, as messages have it
 
 
 @frozen(eq=False)
@@ -56,8 +50,9 @@ class Settings:
         assert control.where is not None
         table, key = control.where
         config, shown = self.config, self.values[control.name]
-        value = {"sensor": config.sensor, "subgroup": config}.get(table)
-        now = config.frame[key] if value is None else np.ravel(getattr(value, key))[0]
+        holder = {"sensor": config.sensor, "frame": config.frame, "subgroup": config}[table]
+        value = getattr(holder, key)
+        now = value if table == "frame" else np.ravel(value)[0]
         range_told = control.span(config.sensor)
         now_told = f"now {now}" if shown is not None and now != shown else ""
         ticks = {"ticks": 1, "cycles": config.sensor.phases}.get(control.unit)
@@ -84,9 +79,8 @@ class Settings:
         name = values["scene"]
         if name == "upload":
             if self.uploads.depth is None:
-                raise SettingError(
-                    "scene = 'upload': choose a depth picture (PNG of 16 bits, NPY, PFM or EXR)", "scene"
-                )
+                message = "scene = 'upload': choose a depth picture (PNG of 16 bits, NPY, PFM or EXR)"
+                raise InputError(message, field="scene")
             source = str(self.uploads.depth)
         else:
             given = ",".join(f"{values[key]:g}" for key in SCENES[name])
@@ -102,14 +96,16 @@ class Settings:
                 range_m=self.timing.range_m,
             )
         except InputError as error:
-            raise SettingError(self.uploads.named(str(error)), "scene") from None
+            raise InputError(self.uploads.named(str(error)), field="scene") from None
         scaled_m = scene.distance_m * values["scale"]
         if np.nanmax(scaled_m) >= self.timing.range_m or np.nanmin(scaled_m) < NEAREST_M:
             low, high = NEAREST_M / np.nanmin(scene.distance_m), self.timing.range_m / np.nanmax(scene.distance_m)
-            raise SettingError(
+            raise InputError(
                 f"scale = {values['scale']:g}: must be a number from {low:.3g} to {high:.3g} with this scene"
                 f" (the laser period holds {self.timing.range_m:.4g} m)",
-                "scale",
+                field="scale",
+                low=low,
+                high=high,
             )
         return evolve(scene, distance_m=scaled_m)
 
@@ -121,27 +117,25 @@ class Settings:
             share[:, scene.cols // 2 :] = 0
         elif values["sun"] == "picture":
             if self.uploads.sun is None:
-                raise SettingError("sun = 'picture': choose a picture of the sun (white) and the shade (black)", "sun")
+                message = "sun = 'picture': choose a picture of the sun (white) and the shade (black)"
+                raise InputError(message, field="sun")
             share = self.uploads.sun_share(scene.rows, scene.cols)
         klux = share * values["klux"] + (1 - share) * values["shade_klux"]
         return scene_light(scene, klux, background=values["background"])
 
 
 def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Settings:
-    """Return `Settings` from values of controls; missing values get their defaults. Raises `SettingError`."""
+    """Return `Settings` from values of controls; missing values get their defaults. Raises `InputError`."""
     for name in values:
         if name not in CONTROL:
-            raise SettingError(f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", None)
+            raise InputError(f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", field=name)
     values = {control.name: _checked(control, values.get(control.name, control.default)) for control in CONTROLS}
-    try:
-        config = parse_config(_document(values)).with_pulses(values["pulses"])
-    except InputError as error:
-        raise SettingError(str(error), _control_of(str(error))) from None
+    config = parse_config(_document(values)).with_pulses(values["pulses"])
     work = config.sensor.array_pixels * config.pulses * config.frames
     if work > PIXEL_PULSES_MAX:
         most = max(1, PIXEL_PULSES_MAX // (config.sensor.array_pixels * config.frames))
         why = "so many pixels and frames here; larger: coincid sim"
-        raise SettingError(str(out_of_range("pulses", config.pulses, 1, most, why)), "pulses")
+        raise out_of_range("pulses", config.pulses, 1, most, why)
     spad = Spad(
         dead_time_s=values["dead_ns"] * 1e-9,
         jitter_fwhm_s=values["jitter_ps"] * 1e-12,
@@ -154,22 +148,20 @@ def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Se
 
 def _checked(control: Control, value: Any) -> Any:
     """Return `value` in the type of its control. The parser of the configuration makes its own checks later."""
-    try:
-        if control.kind == "choice":
-            return check_choice(control.name, value, control.choices)
-        if control.kind == "switch":
-            return check_choice(control.name, value, (True, False))
-        if value is None and control.default is not None:
-            raise InputError(f"{control.name}: is empty, must be a number from {control.low:g} to {control.high:g}")
-        if control.kind == "real":
-            return check_real(control.name, value, control.low, control.high)
-        if isinstance(value, float) and isfinite(value) and value == int(value):
-            value = int(value)
-        if control.where is None or control.name in ("pulses", "frames"):
-            return check_integer(control.name, value, int(control.low), int(control.high))
-        return value
-    except InputError as error:
-        raise SettingError(str(error), control.name) from None
+    if control.kind == "choice":
+        return check_choice(control.name, value, control.choices)
+    if control.kind == "switch":
+        return check_choice(control.name, value, (True, False))
+    if value is None and control.default is not None:
+        message = f"{control.name}: is empty, must be a number from {control.low:g} to {control.high:g}"
+        raise InputError(message, field=control.name, low=control.low, high=control.high)
+    if control.kind == "real":
+        return check_real(control.name, value, control.low, control.high)
+    if isinstance(value, float) and isfinite(value) and value == int(value):
+        value = int(value)
+    if control.where is None or control.name in ("pulses", "frames"):
+        return check_integer(control.name, value, int(control.low), int(control.high))
+    return value
 
 
 def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -183,10 +175,18 @@ def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return document
 
 
-def _control_of(message: str) -> str | None:
-    """Return the control with which a message of the configuration's parser begins; None: it names none."""
-    found = re.match(r"(sensor|frame|subgroup)\.(\w+)", message)
-    return found[2] if found and found[2] in CONTROL else None
+def control_of(error: InputError) -> Control | None:
+    """Return the control whose value is wrong; None if the error is not about a single control."""
+    if error.field is None:
+        return None
+    return CONTROL.get(error.field.rpartition(".")[2])
+
+
+def told_by_labels(error: InputError) -> str:
+    """Return the message of an error with labels of controls in place of keys of the configuration."""
+    control = control_of(error)
+    message = str(error) if control is None else error.renamed(control.label)
+    return _KEY.sub(lambda key: CONTROL[key[1]].label if key[1] in CONTROL else key[0], message)
 
 
 def config_toml(settings: Settings) -> str:
@@ -195,7 +195,7 @@ def config_toml(settings: Settings) -> str:
     return toml_text(
         {
             "sensor": sensor_table(config.sensor),
-            "frame": {name: value for name, value in config.frame.items() if value is not None},
+            "frame": {name: value for name, value in frame_table(config.frame).items() if value is not None},
             "subgroup": {name: getattr(config, name)[0].item() for name in SUBGROUP if name in CONTROL},
         }
     )
@@ -218,13 +218,13 @@ def query(settings: Settings) -> str:
 
 
 def given_settings(given: list[str]) -> Settings:
-    """Return `Settings` from texts NAME=VALUE; NAME is a control, or the kind of an upload with `_file`. Raises `SettingError`."""
+    """Return `Settings` from texts NAME=VALUE; NAME is a control, or the kind of an upload with `_file`. Raises `InputError`."""
     text: dict[str, str] = {}
     uploads = Uploads()
     for one in given:
         name, equals, value = one.partition("=")
         if not equals:
-            raise SettingError(f"--set {one}: must be NAME=VALUE", None)
+            raise InputError(f"--set {one}: must be NAME=VALUE")
         if name.removesuffix("_file") in KINDS and name.endswith("_file"):
             uploads = uploads.with_path(name.removesuffix("_file"), Path(value))
         else:
@@ -240,26 +240,18 @@ def values_of_link(given: dict[str, str]) -> tuple[dict[str, Any], str]:
         try:
             value = values_of_text({name: text})[name]
             values[name] = value if value is None else _checked(CONTROL[name], value)
-        except SettingError as error:
-            ignored.append(by_labels(str(error)))
+        except InputError as error:
+            ignored.append(told_by_labels(error))
     return values, " ".join(f"Ignored in the link: {message}." for message in ignored)
 
 
-def by_labels(message: str) -> str:
-    """Return a message with labels of controls in place of their names."""
-    message = re.sub(r"\b(?:sensor|frame|subgroup)\.(?=[a-z])", "", message)
-    return re.sub(
-        r"\b[a-z_]+(?= = |: is empty)", lambda name: CONTROL[name[0]].label if name[0] in CONTROL else name[0], message
-    )
-
-
 def values_of_text(given: dict[str, str]) -> dict[str, Any]:
-    """Return the values of controls from the text of a command or URL. Raises `SettingError`."""
+    """Return the values of controls from the text of a command or URL. Raises `InputError`."""
     values = {}
     for name, text in given.items():
         control = CONTROL.get(name)
         if control is None:
-            raise SettingError(f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", None)
+            raise InputError(f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", field=name)
         values[name] = _from_text(control, text)
     return values
 
@@ -274,7 +266,6 @@ def _from_text(control: Control, text: str) -> Value | None:
     try:
         number = float(text)
     except ValueError:
-        raise SettingError(
-            f"{control.name} = {text!r}: must be a number from {control.low:g} to {control.high:g}", control.name
-        ) from None
+        legal = f"a number from {control.low:g} to {control.high:g}"
+        raise wrong_value(control.name, text, legal, low=control.low, high=control.high) from None
     return int(number) if control.kind == "integer" and isfinite(number) and number == int(number) else number

@@ -71,6 +71,22 @@ NEEDS: dict[str, "Needs"] = {  # conditions under which a control has an effect
     "offset_phases": _STAMPED,
 }
 FURTHER = "Further"  # group of the settings that are not described here
+FURTHER_LABELS = {  # of those whose key is not a label
+    "clock_mhz": "System clock",
+    "link_gbps": "Rate of the link",
+    "period": "Laser period",
+    "mg_threshold": "Minigroup threshold",
+    "mg_window": "Minigroup window",
+    "threshold_floor": "Lowest threshold",
+    "phases": "Phases of the TDC",
+    "window_max": "Longest window",
+    "rearm": "Re-arm gap",
+    "offset_phases": "Steps of the offsets",
+    "offsets": "Offsets built",
+    "records": "Records built",
+    "controller": "Controller built",
+    "held": "Settings held",
+}
 
 Value: TypeAlias = int | float | str | bool
 # Alternatives. Each gives values of other controls that must all hold; None: any value except 0.
@@ -153,7 +169,7 @@ def _key(name: str, group: str = FURTHER, label: str = "", sentence: str = "", d
     setting = SETTINGS[name]
     if default is None:
         default = setting.default_of(_DEFAULTS.sensor, _DEFAULTS.frame)
-    label = label or name.replace("_", " ").capitalize()
+    label = label or FURTHER_LABELS.get(name) or name.replace("_", " ").capitalize()
     sentence = (sentence or setting.doc) + " Empty: derived from the other settings." * setting.derived
     limits, where = setting.limits(_DEFAULTS.sensor), (setting.table, name)
     return Control(name, group, label, sentence, setting.kind.value, default, setting.unit, *limits, where=where)

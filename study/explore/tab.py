@@ -13,6 +13,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from attrs import evolve
 from bokeh.core.properties import Any as AnyValue
 from bokeh.core.properties import Dict, String
 from bokeh.document import Document
@@ -28,13 +29,15 @@ from ..show.assets import FILES, SHOW
 from ..show.figures import FATE_MARKS, REASON_MARKS, VERDICT_MARKS, Views
 from ..show.frame_content import FrameView
 from ..show.words import OBJECT_HEADS, number_rows, object_table, story, where_to_look
-from . import out
-from .control_values import SettingError, Settings, by_labels, check_settings, command, query, values_of_text
+from . import messages, out
+from .control_values import Settings, check_settings, command, control_of, query, told_by_labels, values_of_text
 from .controls import CONTROLS, DEFAULTS, GROUPS
+from .messages import LookedAt, Words, sent
 from .stages import Explored, Explorer, Runner, check_on_rtl
 from .uploads import Uploads
 
-FIRST_LOOK = {"row": 14, "col": 10, "pulse": 0, "frame": 0, "which": "B"}
+FIRST_LOOK = LookedAt(row=14, col=10, pulse=0, frame=0, which="B")
+LOOK_LABELS = {"row": "Row", "col": "Column", "pulse": "Pulse", "frame": "Frame"}  # of its fields on the page
 TRIES = (  # name, settings, what to look for
     ("1 Every photon", {"coincidence": False}, "Without coincidence, sunlight fills the FIFOs, and later events are dropped."),
     ("2 Threshold 2", {"threshold": 2}, "Two pixels must fire within 1 ns: most sunlight is gone, dark objects are still there."),
@@ -46,20 +49,19 @@ TRIES = (  # name, settings, what to look for
 
 
 class Link(DataModel):  # type: ignore[misc]  # Bokeh comes with an extra
-    """State that page and server share. The page writes `asked` and `order`; the server writes the rest."""
+    """What page and server share: the newest message of each kind (`messages.py`)."""
 
-    start = Dict(String, AnyValue)
-    defaults = Dict(String, AnyValue)
-    ignored = String()
-    asked = Dict(String, AnyValue)
+    opened = Dict(String, AnyValue)
+    question = Dict(String, AnyValue)
     order = Dict(String, AnyValue)
     answer = Dict(String, AnyValue)
-    told = Dict(String, AnyValue)
+    refusal = Dict(String, AnyValue)
+    new_words = Dict(String, AnyValue)
     progress = Dict(String, AnyValue)
-    rtl = Dict(String, AnyValue)
-    said = Dict(String, AnyValue)
-    looked = Dict(String, AnyValue)
-    file = Dict(String, AnyValue)
+    rtl_check = Dict(String, AnyValue)
+    command_line = Dict(String, AnyValue)
+    look_refusal = Dict(String, AnyValue)
+    download = Dict(String, AnyValue)
 
 
 @cache
@@ -77,21 +79,23 @@ class Page:
         """ignored: message about the link with which the page was opened."""
         self.doc = doc
         self.views = Views(compared=True)
-        self.link = Link(start=DEFAULTS | (start or {}), defaults=DEFAULTS, ignored=ignored)
+        opened = messages.Opened(values=DEFAULTS | (start or {}), defaults=DEFAULTS, ignored=ignored)
+        self.link = Link(opened=sent(opened))
         self.uploads = uploads or Uploads()
         self.bad_uploads: dict[str, str] = {}  # error of each bad file, by kind
-        self.look: dict[str, Any] = dict(FIRST_LOOK)
+        self.look = FIRST_LOOK
         self._shown: Explored | None = None
         self.a: Explored | None = None
-        self.number = self._files = 0
+        self.number = 0  # of the newest question
+        self._downloads = 0
         self._explorer = Explorer()
         self._folder = tempfile.TemporaryDirectory(prefix="coincid-explore-")
         self._runner = Runner(lambda *what: self._soon(self._computed, *what))
         self._checker = Runner(lambda *what: self._soon(self._checked, *what))
-        self._asked_by_run: dict[int, int] = {}
+        self._run: int | None = None  # number of the run that answers the newest question
         self.views.on_pick(self._picked)
-        self.link.on_change("asked", lambda attribute, old, new: self._asked(new))
-        self.link.on_change("order", lambda attribute, old, new: self._ordered(new))
+        self.link.on_change("question", lambda attribute, old, new: self._asked(messages.Question(**new)))
+        self.link.on_change("order", lambda attribute, old, new: self._ordered(messages.order_of(new)))
         self.views.histogram.figure.tags = [self.link]  # so that the link is a part of the document
         with doc.models.freeze():
             for root in self.views.roots():
@@ -122,46 +126,51 @@ class Page:
 
     # Settings
 
-    def _asked(self, asked: dict[str, Any]) -> None:
-        self.number = asked["number"]
+    def _asked(self, question: messages.Question) -> None:
+        self.number = question.number
         self._checker.cancel()
         try:
-            self._check_uploads(asked["values"])
-            settings = check_settings(values_of_text(asked["values"]), self.uploads)
+            self._check_uploads(question.values)
+            settings = check_settings(values_of_text(question.values), self.uploads)
         except InputError as error:
             self._runner.cancel()
             self._refuse(error)
             return
-        self._asked_by_run = {self._runner.start(lambda progress: self._explorer.run(settings, progress)): self.number}
+        self._run = self._runner.start(lambda progress: self._explorer.run(settings, progress))
 
     def _check_uploads(self, values: dict[str, str]) -> None:
-        """Raise `SettingError` if `values` need a picture that was refused."""
+        """Raise `InputError` if `values` need a picture that was refused."""
         for kind, control, asking in (
             ("depth", "scene", "upload"),
             ("colour", "scene", "upload"),
             ("sun", "sun", "picture"),
         ):
             if kind in self.bad_uploads and values[control] == asking:
-                raise SettingError(self.bad_uploads[kind], control)
+                raise InputError(self.bad_uploads[kind], field=control)
 
     def _refuse(self, error: InputError) -> None:
-        control = getattr(error, "control", None)
-        self.link.answer = {"number": self.number, "refused": by_labels(str(error)), "control": control}
+        control = control_of(error)
+        name = None if control is None else control.name
+        self.link.refusal = sent(messages.Refusal(number=self.number, message=told_by_labels(error), control=name))
 
     def _computed(self, run: int, kind: str, outcome: Any) -> None:
-        if run not in self._asked_by_run:
+        if run != self._run:
             return
         if kind == "progress":
             stage, share = outcome
-            self.link.progress = {"number": self.number, "stage": stage, "share": share}
+            self.link.progress = sent(messages.Progress(number=self.number, stage=stage, share=share))
         elif kind == "done":
             self._shown = outcome
-            self.look["frame"] = outcome.settings.config.frames - 1
-            sensor = outcome.settings.config.sensor
-            for name, most in (("row", sensor.rows), ("col", sensor.cols), ("pulse", outcome.settings.config.pulses)):
-                self.look[name] = min(self.look[name], most - 1)
+            config = outcome.settings.config
+            self.look = evolve(
+                self.look,
+                frame=config.frames - 1,
+                row=min(self.look.row, config.sensor.rows - 1),
+                col=min(self.look.col, config.sensor.cols - 1),
+                pulse=min(self.look.pulse, config.pulses - 1),
+            )
             self._show()
-            self.link.answer = {"number": self.number} | self._said()
+            self.link.answer = sent(messages.Answer(number=self.number, words=self._words()))
         elif isinstance(outcome, InputError):
             self._refuse(outcome)
         else:
@@ -170,81 +179,92 @@ class Page:
     # Views
 
     def _show(self) -> None:
-        self.views.show(self.shown.view(self.look["frame"]), self._a_view())
+        self.views.show(self.shown.view(self.look.frame), self._a_view())
         self._point()
 
     def _a_view(self) -> FrameView | None:
         """Return the frame of A with the current number, or its last one; None without A."""
-        return None if self.a is None else self.a.view(min(self.look["frame"], self.a.settings.config.frames - 1))
+        return None if self.a is None else self.a.view(min(self.look.frame, self.a.settings.config.frames - 1))
 
     def _point(self) -> None:
         """Show the pixel and pulse of `look`; if A has fewer of them, show its last one."""
         look = self.look
-        view = (self._a_view() if look["which"] == "A" else None) or self.shown.view(look["frame"])
-        ends = view.config.sensor.rows, view.config.sensor.cols, view.config.pulses
-        self.views.pick(view, *(min(look[name], end - 1) for name, end in zip(("row", "col", "pulse"), ends)))
+        view = (self._a_view() if look.which == "A" else None) or self.shown.view(look.frame)
+        row = min(look.row, view.config.sensor.rows - 1)
+        col = min(look.col, view.config.sensor.cols - 1)
+        pulse = min(look.pulse, view.config.pulses - 1)
+        self.views.pick(view, row, col, pulse)
 
     def _picked(self, row: int, col: int) -> None:
         if self._shown is None:
             return
         sensor = self.shown.settings.config.sensor
         if 0 <= row < sensor.rows and 0 <= col < sensor.cols:
-            self.look |= {"row": row, "col": col}
+            self.look = evolve(self.look, row=row, col=col)
             self._point()
             self._tell()
 
     def _tell(self) -> None:
-        self.link.looked = {"text": ""}
-        self.link.told = {"number": self.number} | self._said()
+        self.link.look_refusal = sent(messages.LookRefusal(text=""))
+        self.link.new_words = sent(messages.NewWords(number=self.number, words=self._words()))
 
-    def _said(self) -> dict[str, Any]:
-        """Return the words and numbers beside the views."""
-        settings, view, a_view = self.shown.settings, self.shown.view(self.look["frame"]), self._a_view()
+    def _words(self) -> Words:
+        settings = self.shown.settings
+        view = self.shown.view(self.look.frame)
+        a_view = self._a_view()
         views, heads = ([view], [""]) if a_view is None else ([view, a_view], ["B", "A"])
-        return {
-            "status": f"{_summary(settings)} · {self.shown.seconds:.2f} s, golden model",
-            "query": query(settings),
-            "story": story(view),
-            "where": where_to_look(view),
-            "objects": object_table(*views),
-            "object_heads": [*OBJECT_HEADS[:-1], f"{OBJECT_HEADS[-1]} {heads[0]}".strip(), *heads[1:]],
-            "numbers": number_rows(*views),
-            "number_heads": ["", *heads],
-            "ab": self.a is not None,
-            "a_says": f"A: {_summary(self.a.settings)}" if self.a is not None else "",
-            "frames": settings.config.frames,
-            "meaning": [list(row) for row in meaning(settings.config)],
-            "wastes": warnings(settings.config),
-            "spans": {c.name: settings.told(c) for c in CONTROLS if c.where and c.kind == "integer"},
-            "look": dict(self.look),  # a copy, because Bokeh only sends changes
-        }
+        return Words(
+            status=f"{_summary(settings)} · {self.shown.seconds:.2f} s, golden model",
+            query=query(settings),
+            story=story(view),
+            where=where_to_look(view),
+            objects=object_table(*views),
+            object_heads=[*OBJECT_HEADS[:-1], f"{OBJECT_HEADS[-1]} {heads[0]}".strip(), *heads[1:]],
+            numbers=number_rows(*views),
+            number_heads=["", *heads],
+            ab=self.a is not None,
+            a_says=f"A: {_summary(self.a.settings)}" if self.a is not None else "",
+            frames=settings.config.frames,
+            meaning=[list(row) for row in meaning(settings.config)],
+            wastes=warnings(settings.config),
+            spans={c.name: settings.told(c) for c in CONTROLS if c.where and c.kind == "integer"},
+            look=self.look,
+        )
 
     # Orders of buttons and fields
 
-    def _ordered(self, order: dict[str, Any]) -> None:
-        name, what = order["name"], order["what"]
-        if name == "upload":
-            self._upload(**what)
-        elif name == "forget":
-            self.uploads, self.bad_uploads = Uploads(), {}
-        elif self._shown is not None:
-            done: dict[str, Callable[..., None]] = {
-                "keep_a": self._keep_a,
-                "drop_a": self._drop_a,
-                "look": self._look,
-                "step": self._step,
-                "rtl": self._check,
-                "save": self._save,
-            }
-            done[name](**what)
+    def _ordered(self, order: object) -> None:
+        match order:
+            case messages.Upload():
+                self._upload(order)
+                return
+            case messages.Forget():
+                self.uploads = Uploads()
+                self.bad_uploads = {}
+                return
+        if self._shown is None:
+            return  # what follows needs a result
+        match order:
+            case messages.KeepA():
+                self._keep_a()
+            case messages.DropA():
+                self._drop_a()
+            case messages.Look(name=name, value=value):
+                self._look(name, value)
+            case messages.Step(name=name):
+                self._step(name)
+            case messages.CheckOnRtl():
+                self._check()
+            case messages.Save(kind=kind):
+                self._save(kind)
 
-    def _upload(self, kind: str, name: str, content: str) -> None:
-        """content: in base64."""
-        self.bad_uploads.pop(kind, None)
+    def _upload(self, upload: messages.Upload) -> None:
+        self.bad_uploads.pop(upload.kind, None)
+        content = base64.b64decode(upload.content)
         try:
-            self.uploads = self.uploads.with_file(kind, name, base64.b64decode(content), Path(self._folder.name))
+            self.uploads = self.uploads.with_file(upload.kind, upload.name, content, Path(self._folder.name))
         except InputError as error:
-            self.bad_uploads[kind] = str(error)
+            self.bad_uploads[upload.kind] = str(error)
 
     def _keep_a(self) -> None:
         self.a = self.shown
@@ -252,7 +272,8 @@ class Page:
         self._tell()
 
     def _drop_a(self) -> None:
-        self.a, self.look["which"] = None, "B"
+        self.a = None
+        self.look = evolve(self.look, which="B")
         self._show()
         self._tell()
 
@@ -261,44 +282,51 @@ class Page:
         most = {"row": config.sensor.rows, "col": config.sensor.cols, "pulse": config.pulses, "frame": config.frames}
         try:
             number = int(value) if value.lstrip("-").isdecimal() else value
-            self.look[name] = check_integer(name, number, 0, most[name] - 1) if name in most else value
+            checked = check_integer(name, number, 0, most[name] - 1) if name in most else value
+            self.look = evolve(self.look, **{name: checked})
             self._show() if name == "frame" else self._point()
             self._tell()
         except InputError as error:
-            self.link.looked = {"text": str(error)}
+            self.link.look_refusal = sent(messages.LookRefusal(text=error.renamed(LOOK_LABELS[name])))
 
     def _step(self, name: str) -> None:
-        """Go to the next pulse or frame; after the last one comes the first."""
+        """Go to the next pulse (`name` "pulse") or frame; after the last one comes the first."""
         config = self.shown.settings.config
-        count = config.pulses if name == "pulse" else config.frames
-        self._look(name, str((self.look[name] + 1) % count))
+        if name == "pulse":
+            following = (self.look.pulse + 1) % config.pulses
+        else:
+            following = (self.look.frame + 1) % config.frames
+        self._look(name, str(following))
 
     def _check(self) -> None:
         explored = self.shown
-        self._said_of_rtl("The RTL is being compiled and run; the first time takes about a minute.")
+        self._tell_of_rtl("The RTL is being compiled and run; the first time takes about a minute.")
         self._checker.start(lambda progress: check_on_rtl(explored, progress))
 
     def _checked(self, run: int, kind: str, outcome: Any) -> None:
         if run != self._checker.newest:
             return
         if kind == "progress":
-            self._said_of_rtl("{}: {:.0%}".format(*outcome))
+            stage, share = outcome
+            self._tell_of_rtl(f"{stage}: {share:.0%}")
         else:
             failed = kind == "failed"
             text = f"The check did not run: {outcome}" if failed else outcome
-            self._said_of_rtl(text, bad=failed or "differ" in text)
+            self._tell_of_rtl(text, bad=failed or "differ" in text)
 
-    def _said_of_rtl(self, text: str, bad: bool = False) -> None:
-        self.link.rtl = {"number": self.number, "text": text, "bad": bad}
+    def _tell_of_rtl(self, text: str, bad: bool = False) -> None:
+        self.link.rtl_check = sent(messages.RtlCheck(number=self.number, text=text, bad=bad))
 
     def _save(self, kind: str) -> None:
         if kind == "command":
-            self.link.said = {"number": self.number, "text": command(self.shown.settings)}
+            told = messages.CommandLine(number=self.number, text=command(self.shown.settings))
+            self.link.command_line = sent(told)
             return
         save = out.SAVES[kind]
-        self._files += 1  # so that the same file again is a change, too
-        text = base64.b64encode(save.content(self.shown, self.look["frame"])).decode()
-        self.link.file = {"number": self._files, "name": save.name, "type": save.media_type, "base64": text}
+        self._downloads += 1
+        text = base64.b64encode(save.content(self.shown, self.look.frame)).decode()
+        file = messages.Download(number=self._downloads, name=save.name, type=save.media_type, base64=text)
+        self.link.download = sent(file)
 
 
 def _summary(settings: Settings) -> str:

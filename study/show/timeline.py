@@ -112,8 +112,8 @@ def gate_of(config: Config, subgroup: int, pulse: int) -> tuple[int, int] | None
     if not config.gating[subgroup]:
         return None
     frame = config.frame
-    steps = pulse // frame["gate_every"] % frame["gate_steps"] if frame["gate_every"] else 0
-    first = int(config.gate_start[subgroup]) + frame["gate_step"] * steps
+    steps = pulse // frame.gate_every % frame.gate_steps if frame.gate_every else 0
+    first = int(config.gate_start[subgroup]) + frame.gate_step * steps
     return min(first, config.period), min(first + int(config.gate_len[subgroup]), config.period)
 
 

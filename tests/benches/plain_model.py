@@ -37,8 +37,8 @@ class PlainSubgroup:
         if not c.gating[self.index]:
             return True
         start = int(c.gate_start[self.index])
-        if c.frame["gate_every"]:
-            start += c.frame["gate_step"] * ((pulse // c.frame["gate_every"]) % c.frame["gate_steps"])
+        if c.frame.gate_every:
+            start += c.frame.gate_step * ((pulse // c.frame.gate_every) % c.frame.gate_steps)
         return start <= cycle < start + int(c.gate_len[self.index])
 
     def period(self, pulse: int, edges: list[tuple[int, int, int, int, int]], fate: list) -> None:
@@ -98,7 +98,7 @@ class PlainSubgroup:
                 window, armed_from = None, cycle + 1 + sensor.rearm
         assert window is None, "a period is self-contained"
         self.blind += len(blind_cycles)
-        if config.frame["minigroup_records"]:
+        if config.frame.minigroup_records:
             record = self.record(accepted)
             if record:
                 self.records.append((pulse, record))
@@ -111,12 +111,12 @@ class PlainSubgroup:
             while cycle < config.period and g not in latched:
                 if cycle < config.period - sensor.guard and accepted.get((g, cycle)):
                     collected = [
-                        edge for k in range(config.frame["mg_window"]) for edge in accepted.get((g, cycle + k), ())
+                        edge for k in range(config.frame.mg_window) for edge in accepted.get((g, cycle + k), ())
                     ]
                     pixels = {j for _, j in collected}
-                    if len(pixels) >= config.frame["mg_threshold"]:
+                    if len(pixels) >= config.frame.mg_threshold:
                         latched[g] = (min(collected)[0] // (sensor.phases // 4), sum(1 << j for j in pixels))
-                    cycle += config.frame["mg_window"]
+                    cycle += config.frame.mg_window
                 else:
                     cycle += 1
         return latched
@@ -124,13 +124,13 @@ class PlainSubgroup:
 
 def period_starts(config: Config) -> list[int]:
     """Return the cycle in which each period of a frame begins."""
-    starts, register, at = [], config.frame["dither_seed"], 0
+    starts, register, at = [], config.frame.dither_seed, 0
     for _ in range(config.pulses):
         starts.append(at)
         for _ in range(config.period):
             bit, register = register & 1, register >> 1
             register ^= 0b1011_0100_0000_0000 * bit
-        at += config.period + register % 2 ** config.frame["dither_bits"]
+        at += config.period + register % 2**config.frame.dither_bits
     return starts
 
 
@@ -196,7 +196,7 @@ class PlainController:
         for bound in self.config.auto_bounds.tolist():
             if frame.opened >= bound:
                 ceiling += 1
-        return max(self.config.frame["threshold_floor"], 1, min(threshold, ceiling))
+        return max(self.config.frame.threshold_floor, 1, min(threshold, ceiling))
 
 
 def plain_run(config: Config, edges) -> tuple[list[list[PlainSubgroup]], list[int]]:

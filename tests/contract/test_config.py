@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from attrs import asdict
 
-from coincid.model.contract.config import Config, changes_of_text, load_config, parse_config
+from coincid.model.contract.config import Config, changes_of_text, frame_table, load_config, parse_config
 from coincid.model.contract.latency import armed_cycle, close_cycle
 from coincid.model.contract.registers import address
 from coincid.model.light.timing import Timing
@@ -48,7 +48,7 @@ def same(one, other):
 
 def test_settings_in_python_are_those_of_the_file():
     written = parse_config({"frame": FRAME, "subgroup": SUBGROUP})
-    assert written.frame == FRAME
+    assert frame_table(written.frame) == FRAME
     same(parse_config({}).with_frame(**FRAME).with_settings(**SUBGROUP), written)
     plain = {name: np.array([value])[0] if isinstance(value, int) else value for name, value in SUBGROUP.items()}
     same(parse_config({"frame": FRAME}).with_settings(**plain), written)
@@ -119,7 +119,7 @@ def test_settings_that_are_refused(table, settings, words):
 def test_what_is_not_built_is_refused(frame, told):
     sensor = {"offsets": 0, "records": 0, "controller": 0}
     config = parse_config({"sensor": sensor})
-    assert not config.frame["minigroup_records"]
+    assert not config.frame.minigroup_records
     assert {address("share"), address("auto_bounds")}.isdisjoint(dict(config.register_writes()))
     with pytest.raises(
         InputError, match=re.escape("subgroup.auto: must be false, because the sensor is built without")
@@ -147,7 +147,7 @@ def test_the_clock_is_no_register():
 def test_events_of_a_frame_follow_the_pulses():
     config = parse_config({"frame": {"pulses": 100, "auto_bounds": [10, 20, 30, 40, 50, 60], "capacity": 1001}})
     half = config.with_pulses(50)
-    assert half.frame["auto_bounds"] == [5, 10, 15, 20, 25, 30]
+    assert half.frame.auto_bounds == (5, 10, 15, 20, 25, 30)
     assert half.capacity == 500
     default = parse_config({}).with_pulses(50)
     same(default, parse_config({"frame": {"pulses": 50}}))
@@ -230,7 +230,7 @@ def test_steps_of_a_cycle_that_offsets_count(sensor, steps):
 )
 def test_defaults_follow_what_is_written(document, settings):
     config = parse_config(document)
-    found = asdict(config.sensor) | config.frame | {name: getattr(config, name) for name in SUBGROUP}
+    found = asdict(config.sensor) | frame_table(config.frame) | {name: getattr(config, name) for name in SUBGROUP}
     assert all(np.all(found[name] == value) for name, value in settings.items())
     assert config.given == {f"{table}.{name}" for table, values in document.items() for name in values}
 
@@ -249,7 +249,7 @@ def test_settings_as_text():
     given += ["auto_bounds=[1, 2, 3, 4, 5, 6]"]
     config = load_config("fpga", changes_of_text(given))
     assert (config.sensor.subgroup, config.sensor.minigroup, config.period) == ((4, 4), (2, 4), 63)
-    assert (config.format, config.frame["link_gbps"], config.auto_bounds.tolist()) == ("full", 8.0, [1, 2, 3, 4, 5, 6])
+    assert (config.format, config.frame.link_gbps, config.auto_bounds.tolist()) == ("full", 8.0, [1, 2, 3, 4, 5, 6])
     assert (
         np.all(config.threshold == 3) and np.all(config.auto) and np.all(config.mask[:, 4]) and config.mask.sum() == 64
     )

@@ -194,16 +194,16 @@ def test_a_click_picks_a_pixel_and_its_subgroup_and_pulses_play(tabs, address):
     tab.fill("[data-look=pulse]", "7")
     wait_for_title(tab, "timeline", "startsWith('subgroup 1, pulse 7')")
     tab.fill("[data-look=row]", "99")
-    tab.wait_for_selector("#looked:has-text('row = 99: must be an integer from 0 to 15')")
+    tab.wait_for_selector("#looked:has-text('Row = 99: must be an integer from 0 to 15')")
     tab.fill("[data-look=row]", "3")
     put(tab, "frames", 3)
     put(tab, "auto", True)
     shown(tab)
     assert tab.locator("#film").is_visible()
     for name in ("pulse", "frame"):
-        before = tab.evaluate(f"link.told.look?.{name} ?? link.answer.look.{name}")
+        before = tab.evaluate(f"link.new_words.words?.look.{name} ?? link.answer.words.look.{name}")
         tab.click(f"[data-play={name}]")
-        tab.wait_for_function(f"link.told.look && link.told.look.{name} !== {before}")
+        tab.wait_for_function(f"link.new_words.words && link.new_words.words.look.{name} !== {before}")
         tab.click(f"[data-play={name}]")
 
 

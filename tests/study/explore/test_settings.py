@@ -2,6 +2,7 @@
 """The explorer's settings: every control reaches the simulation, and illegal values are refused with the legal range."""
 
 import io
+import re
 import tomllib
 
 import numpy as np
@@ -11,7 +12,14 @@ from PIL import Image
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.parameters import Sensor
 from coincid.model.shared.errors import InputError
-from coincid.study.explore.control_values import check_settings, command, config_toml, given_settings
+from coincid.study.explore.control_values import (
+    check_settings,
+    command,
+    config_toml,
+    control_of,
+    given_settings,
+    told_by_labels,
+)
 from coincid.study.explore.controls import CONTROL, CONTROLS
 from coincid.study.explore.uploads import BYTES_MAX, Uploads
 
@@ -89,7 +97,8 @@ def test_illegal_values_name_the_control_and_what_is_legal(values, control, sent
     with pytest.raises(InputError) as refused:
         check_settings(values)
     assert str(refused.value).startswith(sentence)
-    assert refused.value.control == control
+    found = control_of(refused.value)
+    assert (found and found.name) == control
 
 
 def test_distances_are_scaled_within_the_range():
@@ -172,3 +181,21 @@ def test_a_default_that_does_not_fit_says_what_counts():
     assert "now" not in small.told(CONTROL["rows"])
     integers = [control for control in CONTROLS if control.where and control.kind == "integer"]
     assert all("now" not in check_settings({}).told(control) for control in integers)
+
+
+def test_labels_are_words_and_no_two_are_equal():
+    labels = [control.label for control in CONTROLS]
+    assert sorted(set(labels)) == sorted(labels)
+    assert not [label for label in labels if re.search(r"_|mhz|gbps|mg |(?<!\w)max", label)]
+
+
+@pytest.mark.parametrize(
+    "control", [one for one in CONTROLS if one.kind in ("integer", "real")], ids=lambda one: one.name
+)
+def test_a_refused_value_is_told_by_its_label(control):
+    above = 2 * control.high + 1
+    with pytest.raises(InputError) as refused:
+        check_settings({control.name: above})
+    assert control_of(refused.value) is control
+    assert told_by_labels(refused.value).startswith(f"{control.label} = {above}")
+    assert not re.search(r"\b(sensor|frame|subgroup)\.", told_by_labels(refused.value))

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors that users read carry the field and its legal range, so that no reader has to take their message apart."""
+
+import pickle
+
+import pytest
+
+from coincid.lab.setup import Setup
+from coincid.model.contract.config import load_config, parse_config
+from coincid.model.shared.errors import InputError, check_integer
+from coincid.model.shared.quantities import check_choice, check_real
+
+
+@pytest.mark.parametrize(
+    "document, field, low, high",
+    [
+        ({"frame": {"pulses": 0}}, "frame.pulses", 1, 1 << 16),
+        ({"frame": {"clock_mhz": 0.0}}, "frame.clock_mhz", 1e-3, 1e5),
+        ({"frame": {"link_gbps": 1e-9}}, "frame.link_gbps", 0.03125, 1e6),
+        ({"frame": {"auto_bounds": [1]}}, "frame.auto_bounds", 0, (1 << 32) - 1),
+        ({"frame": {"period": 1}}, "frame.period", 6, 1 << 10),
+        ({"sensor": {"phases": 12}}, "sensor.phases", 4, 64),
+        ({"sensor": {"rows": 7}}, "sensor.rows", None, None),
+        ({"sensor": {"moon": 7}}, "sensor.moon", None, None),
+        ({"subgroup": {"threshold": 65}}, "subgroup.threshold", 1, 64),
+        ({"subgroup": {"gating": 1}}, "subgroup.gating", None, None),
+        ({"subgroup": {"gating": True, "gate_start": 300}}, "subgroup.gate_start", 0, 249),
+        ({"override": [{"subgroups": [99]}]}, "override[0].subgroups", 0, 15),
+    ],
+)
+def test_an_error_of_the_configuration_has_its_field_and_range(document, field, low, high):
+    with pytest.raises(InputError) as raised:
+        parse_config(document)
+    assert (raised.value.field, raised.value.low, raised.value.high) == (field, low, high)
+    assert str(raised.value).startswith(field)
+
+
+def test_a_change_is_blamed_for_an_error_in_another_field():
+    with pytest.raises(InputError, match=r"^sensor\.coarse_bits: does not go with .*\(frame\.period = 63") as raised:
+        load_config("fpga", {"coarse_bits": 5})
+    assert raised.value.field == "sensor.coarse_bits"
+    with pytest.raises(InputError, match=r"^frame\.period = 1: must be an integer from") as raised:
+        load_config("fpga", {"period": 1})
+    assert raised.value.field == "frame.period"
+
+
+@pytest.mark.parametrize(
+    "check, message",
+    [
+        (lambda: check_integer("frames", 9, 1, 8), "Frames = 9: must be an integer from 1 to 8"),
+        (lambda: check_real("frames", 9, 1, 8), "Frames = 9: must be a number from 1 to 8"),
+        (lambda: check_choice("frames", "9", ("1", "8")), "Frames = '9': must be one of 1, 8"),
+    ],
+)
+def test_a_field_can_be_told_by_another_name(check, message):
+    with pytest.raises(InputError) as raised:
+        check()
+    assert raised.value.renamed("Frames") == message
+    # In front of a message comes the file; the field is then inside of it, and stays the attribute.
+    within = raised.value.within("a.toml")
+    assert str(within) == f"a.toml: {raised.value}"
+    assert within.field == "frames"
+
+
+def test_an_error_comes_back_from_another_process():
+    with pytest.raises(InputError) as raised:
+        Setup.of("flat:5,0.4", frame={"pulses": 0})
+    back = pickle.loads(pickle.dumps(raised.value))
+    assert str(back) == str(raised.value)
+    assert (back.field, back.low, back.high) == ("frame.pulses", 1, 1 << 16)
