@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The explorer's page: sends the controls' values to the server, and shows an answer only if it belongs to the current values.
-let link = null;        // the model that page and server share (page.py)
+// messages.py describes the fields of every message.
+let link = null;        // the model that page and server share: the newest message of each kind
 let asked = 0;          // number of the latest question; every keystroke in a control is a new one
 let began = 0;          // when the latest question left
 let waiting = 0;        // timer: a question leaves when typing pauses
@@ -49,45 +50,58 @@ function ask() {
   clearTimeout(waiting);
   waiting = setTimeout(() => {
     const values = Object.fromEntries(all("#controls [name]").map((input) => [input.name, read(input)]));
-    link.asked = {number: asked, values};
+    link.question = {number: asked, values};
     began = performance.now();
   }, pause);
 }
 
 let orders = 0;
-function order(name, what = {}) { link.order = {number: ++orders, name, what}; }
+function order(name, fields = {}) { link.order = {number: ++orders, name, fields}; }
 
 function answered() {
-  const answer = link.answer;
-  if (answer.number !== asked) return;
-  all(".control.illegal").forEach((one) => one.classList.remove("illegal"));
-  say("#refused", answer.refused ?? "");
-  $("#progress").hidden = true;
-  if (answer.refused) {
-    state("refused");
-    $("#status").textContent = "Nothing is shown: these settings are not possible.";
-    document.querySelector(`[data-control="${answer.control}"]`)?.classList.add("illegal");
-    return;
-  }
-  $("#status").textContent = answer.status;
-  history.replaceState(null, "", answer.query ? "?" + answer.query : location.pathname);
-  tell(answer);
+  const {number, words} = link.answer;
+  if (number !== asked) return;
+  settled("");
+  $("#status").textContent = words.status;
+  history.replaceState(null, "", words.query ? "?" + words.query : location.pathname);
+  tell(words);
   state("shown");
 }
 
-function tell(answer) {
-  document.body.toggleAttribute("data-ab", answer.ab);
-  document.body.toggleAttribute("data-film", answer.frames > 1);
-  $("[data-do=drop_a]").hidden = !answer.ab;
-  $("#a-says").textContent = answer.a_says;
-  $("#story").textContent = answer.story;
-  $("#where").textContent = answer.where;
-  fillTable("objects", answer.object_heads, answer.objects);
-  fillTable("numbers", answer.number_heads, answer.numbers);
-  fillTable("meaning", [], answer.meaning);
-  $("#wastes").replaceChildren(...answer.wastes.map((text) => Object.assign(document.createElement("li"), {textContent: text})));
-  for (const [name, span] of Object.entries(answer.spans)) $(`[data-control="${name}"] small`).textContent = span;
-  for (const [name, value] of Object.entries(answer.look)) {
+function refused() {
+  const {number, message, control} = link.refusal;
+  if (number !== asked) return;
+  settled(message);
+  state("refused");
+  $("#status").textContent = "Nothing is shown: these settings are not possible.";
+  document.querySelector(`[data-control="${control}"]`)?.classList.add("illegal");
+}
+
+// The newest question has its answer: nothing is in progress. refusal: why there is no result; "" if there is one.
+function settled(refusal) {
+  all(".control.illegal").forEach((one) => one.classList.remove("illegal"));
+  say("#refused", refusal);
+  $("#progress").hidden = true;
+}
+
+function renewed() {
+  const {number, words} = link.new_words;
+  if (number === asked) tell(words);
+}
+
+function tell(words) {
+  document.body.toggleAttribute("data-ab", words.ab);
+  document.body.toggleAttribute("data-film", words.frames > 1);
+  $("[data-do=drop_a]").hidden = !words.ab;
+  $("#a-says").textContent = words.a_says;
+  $("#story").textContent = words.story;
+  $("#where").textContent = words.where;
+  fillTable("objects", words.object_heads, words.objects);
+  fillTable("numbers", words.number_heads, words.numbers);
+  fillTable("meaning", [], words.meaning);
+  $("#wastes").replaceChildren(...words.wastes.map((text) => Object.assign(document.createElement("li"), {textContent: text})));
+  for (const [name, span] of Object.entries(words.spans)) $(`[data-control="${name}"] small`).textContent = span;
+  for (const [name, value] of Object.entries(words.look)) {
     const input = document.querySelector(`[data-look="${name}"]`);
     if (input !== document.activeElement) input.value = value;
   }
@@ -111,14 +125,24 @@ setInterval(() => {
 }, 250);
 
 function checked() {
-  const {number, text, bad} = link.rtl;
+  const {number, text, bad} = link.rtl_check;
   if (number !== asked) return;
   say("#rtl", text);
   $("#rtl").classList.toggle("bad", bad);
 }
 
+function showCommand() {
+  const {number, text} = link.command_line;
+  if (number === asked) say("#said", text);
+}
+
+function lookRefused() {
+  const {text} = link.look_refusal;
+  $("#looked").textContent = text;
+}
+
 function saved() {
-  const {name, type, base64} = link.file;
+  const {name, type, base64} = link.download;
   const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
   const anchor = document.createElement("a");
   anchor.href = URL.createObjectURL(new Blob([bytes], {type}));
@@ -138,7 +162,8 @@ function upload(input) {
   const reader = new FileReader();
   reader.onload = () => {
     if (kind !== "sun") write("scene", "upload"); else write("sun", "picture");
-    order("upload", {kind, name: file.name, content: reader.result.split(",")[1] ?? ""});
+    const content = reader.result.split(",")[1] ?? "";
+    order("upload", {kind, name: file.name, content});
     ask();
   };
   reader.readAsDataURL(file);
@@ -172,13 +197,18 @@ function gone() {
 // Called once Bokeh has drawn the page.
 function explorer(model) {
   link = model;
-  for (const [name, value] of Object.entries(link.start)) write(name, value);
-  say("#ignored", link.ignored);
+  const {values, defaults, ignored} = link.opened;
+  for (const [name, value] of Object.entries(values)) write(name, value);
+  say("#ignored", ignored);
   const on = (name, call) => link.properties[name].change.connect(call);
-  on("answer", answered); on("progress", progressed); on("rtl", checked); on("file", saved);
-  on("told", () => { if (link.told.number === asked) tell(link.told); });
-  on("said", () => { if (link.said.number === asked) say("#said", link.said.text); });
-  on("looked", () => { $("#looked").textContent = link.looked.text; });
+  on("answer", answered);
+  on("refusal", refused);
+  on("new_words", renewed);
+  on("progress", progressed);
+  on("rtl_check", checked);
+  on("command_line", showCommand);
+  on("look_refusal", lookRefused);
+  on("download", saved);
   $("#controls").addEventListener("input", (event) => {
     const slides = event.target.dataset.slides;
     if (slides) field(slides).value = event.target.value;
@@ -200,7 +230,7 @@ function explorer(model) {
   all("[data-kind]").forEach((input) => input.addEventListener("change", () => upload(input)));
   all("[data-do]").forEach((button) => button.addEventListener("click", () => {
     if (button.dataset.do === "reset") {
-      for (const [name, value] of Object.entries(link.defaults)) write(name, value);
+      for (const [name, value] of Object.entries(defaults)) write(name, value);
       all("[data-kind]").forEach((input) => { input.value = ""; });
       $("#tried").textContent = "";
       say("#ignored", "");
@@ -209,7 +239,7 @@ function explorer(model) {
     } else order(button.dataset.do);
   }));
   all("[data-try]").forEach((button) => button.addEventListener("click", () => {
-    for (const [name, value] of Object.entries({...link.defaults, ...JSON.parse(button.dataset.try)})) write(name, value);
+    for (const [name, value] of Object.entries({...defaults, ...JSON.parse(button.dataset.try)})) write(name, value);
     $("#tried").textContent = button.dataset.says;
     ask();
   }));
