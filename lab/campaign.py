@@ -9,13 +9,16 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypeVar
 
+import numpy as np
+
+from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import worker_processes
 from ..tb.engines import sensors_together
 from ..tb.replay import replay_together
 from .measures import Number
-from .outcomes import Kept, Run
+from .outcomes import Run, StageCache
 from .setup import Setup
 
 Progress: TypeAlias = Callable[[int, int], None]  # gets the number done and the total, which grows with each campaign
@@ -25,7 +28,7 @@ _Key = TypeVar("_Key", bound=Hashable)
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 TOGETHER_MAX = 8  # setups in a batch: the edges of all of them are in memory at the same time
-_kept = Kept()  # one in each process, because successive setups of a campaign often have the same photons
+_cache = StageCache()  # one in each process, because successive setups of a campaign often have the same photons
 
 
 class Workers(Protocol):
@@ -53,17 +56,18 @@ def batches(setups: Sequence[Setup], workers: int) -> list[list[int]]:
 
 def read_batch(read: Read, setups: Sequence[Setup]) -> list[tuple[Any, BaseException | None]]:
     """Play the setups of a batch on a worker; return what was read from each run, or its error."""
-    results: list[dict[str, Any]] = [{} for _ in setups]
+    played: list[tuple[Edges | None, dict[str, np.ndarray] | None]] = [(None, None)] * len(setups)
     if len(setups) > 1:
         # After an error, each setup is played again alone below, which shows the setup that fails.
         with suppress(Exception):
-            runs = [Run(setup) for setup in setups]
-            together = replay_together([(run.config, run.edges) for run in runs])
-            results = [{"edges": run.edges, "result": result} for run, result in zip(runs, together)]
+            drawn = [Run(setup).edges for setup in setups]
+            together = replay_together([(setup.config, edges) for setup, edges in zip(setups, drawn, strict=True)])
+            played = list(zip(drawn, together, strict=True))
     outcomes: list[tuple[Any, BaseException | None]] = []
-    for setup, given in zip(setups, results):
+    for setup, (edges, result) in zip(setups, played, strict=True):
         try:
-            outcomes.append((read(Run(setup, kept=_kept, **given)), None))
+            run = Run(setup, cache=_cache, edges=edges, result=result)
+            outcomes.append((read(run), None))
         except Exception as error:
             outcomes.append((None, error))
     return outcomes
@@ -102,7 +106,7 @@ class Processes:
             yield from self._counted(batch, [(None, error)] * len(batch) if error else task.result())
 
     def _counted(self, batch: Sequence[int], outcomes: Sequence[tuple[Any, BaseException | None]]) -> Iterator[Played]:
-        for number, (outcome, error) in zip(batch, outcomes):
+        for number, (outcome, error) in zip(batch, outcomes, strict=True):
             yield number, outcome, error
             self._count()
 
@@ -121,21 +125,22 @@ class Processes:
         self.progress(self.done, self.total)
 
 
-class KeptFiles:
-    """A folder with one flat JSON file per setup: what was read from its run. The setup's key names the file."""
+class FinishedFiles:
+    """A folder with one flat JSON file per finished setup: what was read from its run. The setup's key names the file."""
 
     def __init__(self, folder: Path, names: Sequence[str]) -> None:
-        self.folder, self.names = folder, list(names)
+        self.folder = folder
+        self.names = list(names)
 
     def load(self, key: str) -> dict[str, Number] | None:
-        """Return what is kept under `key`; None if no readable file with these names exists."""
+        """Return what the file of `key` holds; None if no readable file with these names exists."""
         try:
-            kept = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
+            found = json.loads((self.folder / f"{key}.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        return kept if isinstance(kept, dict) and list(kept) == self.names else None
+        return found if isinstance(found, dict) and list(found) == self.names else None
 
-    def keep(self, key: str, found: dict[str, Number]) -> None:
+    def store(self, key: str, found: dict[str, Number]) -> None:
         with whole_file(self.folder / f"{key}.json", "w") as file:
             file.write(json.dumps(found, indent=1) + "\n")
 
@@ -145,27 +150,33 @@ def campaign(
     read: Read,
     workers: Workers,
     *,
-    kept: KeptFiles | None = None,
+    finished: FinishedFiles | None = None,
     failed: dict[_Key, BaseException] | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> dict[_Key, Any]:
     """Return the result of `read` for the run of each setup, by key and in order; the workers do not change it.
 
-    kept: finished setups of an earlier campaign, which are not played again; setups with equal content are then played once.
+    finished: setups of an earlier campaign, which are not played again; setups with equal content are then played once.
     failed: receives the error of each setup that fails; None: the first error is raised. progress: is called with the number
-    of different setups that are done, first with the number of those that are kept.
+    of different setups that are done, first with the number of those that were finished before.
     """
-    digests = {key: setup.key if kept else str(number) for number, (key, setup) in enumerate(setups.items())}
-    found = {name: before for name in digests.values() if kept and (before := kept.load(name)) is not None}
+    digests = {key: setup.key if finished else str(number) for number, (key, setup) in enumerate(setups.items())}
+    found: dict[str, Any] = {}
+    if finished is not None:
+        for name in digests.values():
+            before = finished.load(name)
+            if before is not None:
+                found[name] = before
     todo = {digests[key]: setup for key, setup in setups.items() if digests[key] not in found}
-    names, errors = list(todo), dict[str, BaseException]()
+    names = list(todo)
+    errors: dict[str, BaseException] = {}
     progress(len(found))
     for number, outcome, error in workers.play(read, list(todo.values())):
         name = names[number]
         if error is None:
             found[name] = outcome
-            if kept:
-                kept.keep(name, outcome)
+            if finished:
+                finished.store(name, outcome)
         elif failed is None:
             raise error
         else:

@@ -63,7 +63,7 @@ class Dask:
                     ) from None
                 except Exception as why:
                     outcomes = [(None, why)] * len(batch)
-                for number, (outcome, error) in zip(batch, outcomes):
+                for number, (outcome, error) in zip(batch, outcomes, strict=True):
                     yield number, outcome, error
 
 
@@ -77,7 +77,7 @@ def _read_batch(
     """Play a batch. Raises `RuntimeError` if this worker has other versions, because its numbers could then differ."""
     if (own := versions(setups[0].engine)) != expected:
         raise RuntimeError(f"the worker's versions are not the sweep's: {own}, {expected}")
-    return read_batch(read, [evolve(setup, scene=scene) for setup, scene in zip(setups, scenes)])
+    return read_batch(read, [evolve(setup, scene=scene) for setup, scene in zip(setups, scenes, strict=True)])
 
 
 def reason(error: BaseException) -> str:

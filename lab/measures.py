@@ -5,19 +5,52 @@ The selection is our choice; `wrong_share` is that of the paper's Fig. 7.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from attrs import frozen
 
 from ..model.contract.config import Config
+from ..model.contract.edges import Edges
 from ..model.contract.groups import FIRST_PIXELS, PAYLOAD_BITS, group_widths
 from ..model.contract.packet import BEAT_BITS, FORMATS, RECORD, layout
 from ..model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, off_surfaces, range_error, wrong_pixels, wrong_share
+from ..model.scenes.scene import Scene
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
 
 Number: TypeAlias = int | float | None
-Frame: TypeAlias = Any  # of `outcomes.py`, which imports this file
+
+
+class MeasuredRun(Protocol):
+    """What measures read of the run of a frame (`outcomes.Run`)."""
+
+    @property
+    def scene(self) -> Scene: ...
+    @property
+    def result(self) -> dict[str, np.ndarray]: ...
+
+
+class MeasuredFrame(Protocol):
+    """What measures read of a frame (`outcomes.Frame`)."""
+
+    @property
+    def run(self) -> MeasuredRun: ...
+    @property
+    def config(self) -> Config: ...
+    @property
+    def edges(self) -> Edges: ...
+    @property
+    def events(self) -> np.ndarray: ...
+    @property
+    def beats(self) -> np.ndarray: ...
+    @property
+    def threshold(self) -> np.ndarray: ...
+    @property
+    def depth_m(self) -> np.ndarray: ...
+    @property
+    def truth_m(self) -> np.ndarray: ...
+    def counter(self, name: str) -> np.ndarray: ...
+    def __getitem__(self, measure: str) -> Number: ...
 
 
 @frozen
@@ -26,48 +59,58 @@ class Measure:
 
     kind: type
     meaning: str
-    of: Callable[[Frame], Number]
+    of: Callable[[MeasuredFrame], Number]
 
 
-def _sum(counter: str) -> Callable[[Frame], int]:
-    return lambda frame: int(frame.counter(counter).sum())
+def _total(frame: MeasuredFrame, counter: str) -> int:
+    """Return the sum of a counter over all subgroups."""
+    return int(frame.counter(counter).sum())
 
 
-def _dropped_share(frame: Frame) -> float | None:
-    return frame["dropped"] / frame["committed"] if frame["committed"] else None
+def _sum(counter: str) -> Callable[[MeasuredFrame], int]:
+    return lambda frame: _total(frame, counter)
 
 
-def _wrong(tolerance_m: float) -> Callable[[Frame], float | None]:
+def _dropped_share(frame: MeasuredFrame) -> float | None:
+    committed = _total(frame, "committed")
+    return _total(frame, "dropped") / committed if committed else None
+
+
+def _wrong(tolerance_m: float) -> Callable[[MeasuredFrame], float | None]:
     return lambda frame: wrong_share(frame.depth_m, frame.truth_m, tolerance_m) if _known(frame).any() else None
 
 
-def _off_surface(frame: Frame) -> float | None:
+def _off_surface(frame: MeasuredFrame) -> float | None:
     known = _known(frame)
     off = off_surfaces(frame.depth_m[known], frame.run.scene.surfaces_m[known])
     return float(off.mean()) if len(off) else None
 
 
-def _known(frame: Frame) -> np.ndarray:
+def _known(frame: MeasuredFrame) -> np.ndarray:
     return ~np.isnan(frame.truth_m)
 
 
-def _not(share: str) -> Callable[[Frame], float | None]:
-    return lambda frame: None if frame[share] is None else 1 - frame[share]
+def _not(share: str) -> Callable[[MeasuredFrame], float | None]:
+    def rest(frame: MeasuredFrame) -> float | None:
+        value = frame[share]
+        return None if value is None else 1 - value
+
+    return rest
 
 
-def _per_s(measure: str) -> Callable[[Frame], float]:
-    return lambda frame: frame[measure] * frame.config.clock_mhz * 1e6 / frame.config.frame_cycles
+def _per_s(counter: str) -> Callable[[MeasuredFrame], float]:
+    return lambda frame: _total(frame, counter) * frame.config.clock_mhz * 1e6 / frame.config.frame_cycles
 
 
-def _depth_share(frame: Frame) -> float | None:
+def _depth_share(frame: MeasuredFrame) -> float | None:
     known = _known(frame)
     return int(np.sum(known & ~np.isnan(frame.depth_m))) / int(known.sum()) if known.any() else None
 
 
-def _error(which: int, tolerance_m: float = np.inf) -> Callable[[Frame], float | None]:
+def _error(which: int, tolerance_m: float = np.inf) -> Callable[[MeasuredFrame], float | None]:
     """Return bias (0) or RMS (1) of the pixels that are not off by more than `tolerance_m`."""
 
-    def error(frame: Frame) -> float | None:
+    def error(frame: MeasuredFrame) -> float | None:
         near = _known(frame) & ~wrong_pixels(frame.depth_m, frame.truth_m, tolerance_m)
         value = range_error(frame.depth_m[near], frame.truth_m[near])[which]
         return None if np.isnan(value) else value
@@ -77,7 +120,7 @@ def _error(which: int, tolerance_m: float = np.inf) -> Callable[[Frame], float |
 
 _PAPERS = f"{SUCCESS_TOLERANCE_S * 1e12:.0f} ps ({TOLERANCE_M * 100:.1f} cm)"
 _FAR = f"{OTHER_SURFACE_M * 100:.0f} cm"
-_SWEPT: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
+_SWEPT: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
     "edges": (int, "avalanches of all SPADs", lambda frame: len(frame.edges)),
     "opened": (int, "coincidence windows", _sum("opened")),
     "committed": (int, "windows that met their threshold", _sum("committed")),
@@ -105,7 +148,7 @@ _SWEPT: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
     "commits_per_pulse": (
         float,
         "committed windows of the sensor per laser pulse",
-        lambda frame: frame["committed"] / frame.config.pulses,
+        lambda frame: _total(frame, "committed") / frame.config.pulses,
     ),
     "dropped_share": (float, "share of the committed windows that were dropped", _dropped_share),
     "beats": (int, "beats of all streams", lambda frame: int(frame.beats.sum())),
@@ -126,8 +169,8 @@ _SWEPT: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
     "right_bias_m": (float, "mean error of range, pixels that are not wrong", _error(0, TOLERANCE_M)),
     "right_rms_m": (float, "RMS error of range, pixels that are not wrong", _error(1, TOLERANCE_M)),
 }
-_OTHERS: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
-    "bits": (int, "bits of all streams", lambda frame: BEAT_BITS * frame["beats"]),
+_OTHERS: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
+    "bits": (int, "bits of all streams", lambda frame: BEAT_BITS * int(frame.beats.sum())),
     "link_load": (
         float,
         "beats of the busiest stream, as a share of those that its link takes during the frame",
@@ -136,10 +179,10 @@ _OTHERS: dict[str, tuple[type, str, Callable[[Frame], Number]]] = {
     "capacity_share": (
         float,
         "committed windows as a share of the controller's capacity, all streams",
-        lambda frame: frame["committed"] / (frame.config.capacity * frame.config.sensor.streams),
+        lambda frame: _total(frame, "committed") / (frame.config.capacity * frame.config.sensor.streams),
     ),
-    "events_per_s": (float, "events that left the sensor per second of the frame", _per_s("events")),
-    "records_per_s": (float, "minigroup records that left the sensor per second of the frame", _per_s("mg_records")),
+    "events_per_s": (float, "events that left the sensor per second of the frame", _per_s("stored")),
+    "records_per_s": (float, "minigroup records that left the sensor per second of the frame", _per_s("mg_stored")),
     "right_share": (float, f"share of pixels with depth, off by at most {_PAPERS}", _not("wrong_share")),
     "wrong_share_15cm": (float, f"share of pixels without depth, or off by more than {_FAR}", _wrong(OTHER_SURFACE_M)),
     "found_share": (float, f"share of pixels with depth, off by at most {_FAR}", _not("wrong_share_15cm")),

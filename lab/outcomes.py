@@ -28,7 +28,7 @@ from .measures import MEASURES, Number, stream_beats
 from .setup import Setup, Watch, fingerprint, unwatched
 
 
-class Kept:
+class StageCache:
     """The latest results of each stage, so that runs can share them. The key is a digest of everything that a result depends on."""
 
     def __init__(self, size: int = 1) -> None:
@@ -39,36 +39,62 @@ class Kept:
     def get(self, stage: str, key: Hashable, make: Callable[[], Any]) -> Any:
         """Return the result under `key`, and make it first if it is missing."""
         with self._lock:
-            kept = self._stages.setdefault(stage, OrderedDict())
-            if key in kept:
-                kept.move_to_end(key)
-                return kept[key]
+            results = self._stages.setdefault(stage, OrderedDict())
+            if key in results:
+                results.move_to_end(key)
+                return results[key]
         made = make()  # without the lock, so that other runs do not wait
         with self._lock:
-            kept[key] = made
-            while len(kept) > self.size:
-                kept.popitem(last=False)
+            results[key] = made
+            while len(results) > self.size:
+                results.popitem(last=False)
         return made
 
 
 class Run:
     """The outcome of a setup: light, edges, traces, result, depth.
 
-    kept: shares photons and golden frames with other runs. workers: number of threads for photons, golden frames and depth;
-    it does not change the results. watch: is told the progress, and may raise an exception to end the run. given: outcomes
-    of stages that exist already, such as the `result` of a file or of a board.
+    Each stage is computed when it is first used, unless its outcome exists already and is given.
+
+    Parameters
+    ----------
+    setup : Setup
+        What is played.
+    cache : StageCache or None
+        Shares photons and golden frames with other runs.
+    workers : int
+        Number of threads for photons, golden frames and depth. It does not change the results.
+    watch : callable
+        Is told the progress, and may raise an exception to end the run.
+    light, edges, traces, result
+        Outcomes of stages that exist already, such as the `result` of a file or of a board; None: not yet.
     """
 
     def __init__(
-        self, setup: Setup, *, kept: Kept | None = None, workers: int = 1, watch: Watch = unwatched, **given: Any
+        self,
+        setup: Setup,
+        *,
+        cache: StageCache | None = None,
+        workers: int = 1,
+        watch: Watch = unwatched,
+        light: Light | None = None,
+        edges: Edges | None = None,
+        traces: list[Trace] | None = None,
+        result: dict[str, np.ndarray] | None = None,
     ) -> None:
-        self.setup, self.kept, self.workers, self.watch = setup, kept or Kept(), workers, watch
-        self.__dict__ |= given
+        self.setup = setup
+        self.cache = cache or StageCache()
+        self.workers = workers
+        self.watch = watch
+        self._light = light
+        self._edges = edges
+        self._traces = traces
+        self._result = result
         self._frames: dict[tuple[int, str | None], Frame] = {}
 
     def but(self, **changes: Any) -> "Run":
         """Return the run of a changed setup (`Setup.but`). It keeps the photons if the change does not affect them."""
-        return Run(self.setup.but(**changes), kept=self.kept, workers=self.workers, watch=self.watch)
+        return Run(self.setup.but(**changes), cache=self.cache, workers=self.workers, watch=self.watch)
 
     def alone(self, number: int, **changes: Any) -> "Run":
         """Return a run that begins at reset with the photons of one frame, with a changed setup."""
@@ -83,23 +109,30 @@ class Run:
     @property
     def scene(self) -> Scene:
         """What the pixels see."""
-        assert self.setup.scene is not None, "a setup without a scene has no truth"
-        return self.setup.scene
+        return self.setup.seen
 
-    @cached_property
+    @property
     def light(self) -> Light:
         """Detected signal and background of every pixel."""
-        return self.setup.photons.light
+        if self._light is None:
+            self._light = self.setup.photons.light
+        return self._light
 
-    @cached_property
+    @property
     def edges(self) -> Edges:
         """All avalanches, of all frames."""
+        if self._edges is None:
+            self._edges = self._generated_edges()
+        return self._edges
+
+    def _generated_edges(self) -> Edges:
         if self.setup.edges is not None:
             return self.setup.edges
         if self.workers > 1 and DEFAULT_METHOD in self.setup.estimators:
             compile_ahead()  # uses a core that this run does not need yet
         photons = self.setup.photons
-        return self.kept.get("photons", photons.key, lambda: photons.edges(self.workers, self.watch))
+        edges: Edges = self.cache.get("photons", photons.key, lambda: photons.edges(self.workers, self.watch))
+        return edges
 
     @cached_property
     def _of_frame(self) -> list[Any]:
@@ -116,12 +149,19 @@ class Run:
         own = self.edges.take(self._of_frame[number])
         return evolve(own, pulse=own.pulse - number * self.config.pulses) if number else own
 
-    @cached_property
+    @property
     def traces(self) -> list[Trace]:
         """The frames of the golden model, also if another engine plays the setup."""
+        if self._traces is None:
+            self._traces = self._cached_golden_frames()
+        return self._traces
+
+    def _cached_golden_frames(self) -> list[Trace]:
         if self.setup.edges is not None:
             return self._golden_frames()
-        return self.kept.get("frames", (self.setup.photons.key, fingerprint(self.config)), self._golden_frames)
+        key = self.setup.photons.key, fingerprint(self.config)
+        frames: list[Trace] = self.cache.get("frames", key, self._golden_frames)
+        return frames
 
     def _golden_frames(self) -> list[Trace]:
         model, frames = Golden(self.config.sensor), self.config.frames
@@ -132,13 +172,24 @@ class Run:
             traces += model.frames_of(self.config, together, self.workers)
         return traces
 
-    @cached_property
+    @property
     def result(self) -> dict[str, np.ndarray]:
         """The arrays of the result file (docs/files.md) for all frames, from the setup's engine."""
+        if self._result is None:
+            self._result = self._played()
+        return self._result
+
+    @property
+    def has_result(self) -> bool:
+        """Whether the result exists already, so that reading it computes nothing."""
+        return self._result is not None
+
+    def _played(self) -> dict[str, np.ndarray]:
         if self.setup.engine != "golden":
             return replay(self.setup.engine, self.config, self.edges, view=self.setup.view)
-        built, fate = ResultBuilder(self.config), np.empty(len(self.edges), np.uint8)
-        for own, trace in zip(self._of_frame, self.traces):
+        built = ResultBuilder(self.config)
+        fate = np.empty(len(self.edges), np.uint8)
+        for own, trace in zip(self._of_frame, self.traces, strict=True):
             fate[own] = trace.fate
             built.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
         return built.arrays() | {"fate": fate}
@@ -167,7 +218,11 @@ class Frame:
     """One frame of a run with one estimator. `frame["wrong_share"]` is a measure, by its name in `MEASURES`."""
 
     def __init__(self, run: Run, number: int, estimator: str | None) -> None:
-        self.run, self.number, self.estimator, self.config = run, number, estimator, run.config
+        self.run = run
+        self.number = number
+        self.estimator = estimator
+        self.config = run.config
+        self._first: Depth | None = None
 
     def __getitem__(self, measure: str) -> Number:
         return MEASURES[measure].of(self)
@@ -193,7 +248,7 @@ class Frame:
 
     def counter(self, name: str) -> np.ndarray:
         """int64[subgroups]: a counter of the frame; with the golden model it does not need the result."""
-        if self.run.setup.engine == "golden" and "result" not in self.run.__dict__:
+        if self.run.setup.engine == "golden" and not self.run.has_result:
             return self.trace.counters[:, COUNTER_NAMES.index(name)]
         return self.run.result[name][self.number]
 
@@ -212,13 +267,14 @@ class Frame:
     def depth(self, returns: int = 1) -> Depth:
         """Return the frame's depth. The first return does not depend on the number of returns, so measures use it from here."""
         found = self.run.depth(self.estimator, frame=self.number, returns=returns)
-        self.__dict__.setdefault("first", found)
+        if self._first is None:
+            self._first = found
         return found
 
-    @cached_property
+    @property
     def first(self) -> Depth:
         """The frame's depth; use only its first return, because the number of returns varies."""
-        return self.depth()
+        return self.depth() if self._first is None else self._first
 
     @property
     def depth_m(self) -> np.ndarray:

@@ -37,7 +37,7 @@ def unwatched(stage: str, share: float, edges: int) -> None:
 
 
 @frozen(kw_only=True, eq=False)
-class Photons:
+class PhotonInputs:
     """Everything that the avalanches depend on, and nothing else; for example no thresholds, formats and FIFOs."""
 
     light: Light
@@ -132,14 +132,19 @@ class Setup:
         config: Config = fields.pop("config", self.config)
         return evolve(self, config=config.with_frame(**frame or {}).with_settings(**subgroup or {}), **fields)
 
+    @property
+    def seen(self) -> Scene:
+        """The scene, of a setup that begins there."""
+        assert self.scene is not None, "a setup without a scene has no truth"
+        return self.scene
+
     @cached_property
-    def photons(self) -> Photons:
+    def photons(self) -> PhotonInputs:
         """The photons of all frames. Raises `InputError`."""
         light = self.light
         if light is None:
-            assert self.scene is not None, "photons need a scene or a light"
-            light = scene_light(self.scene, self.klux, background=self.background)
-        return Photons(
+            light = scene_light(self.seen, self.klux, background=self.background)
+        return PhotonInputs(
             light=light,
             spad=self.spad,
             timing=Timing.from_config(self.config),

@@ -195,7 +195,7 @@ def _draw(path: Path, advice: Advice, heading: str) -> None:
         figure = new_figure(7.5, 4.5)
         axis = figure.subplots()
         compared = [one for one in advice.tried if one.link_gbps == 8.0 and one.config.format == FORMATS[0]]
-        for colour, window_ns in zip(SERIES[1::2], sorted({one.window_ns for one in compared})):
+        for colour, window_ns in zip(SERIES[1::2], sorted({one.window_ns for one in compared}), strict=False):
             of_window = [one for one in compared if one.window_ns == window_ns]
             fixed = [one for one in of_window if not one.config.auto.any()]
             axis.plot(

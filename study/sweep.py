@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs a sweep: a grid of points on Dask workers, each from photons to depth, into one Parquet file.
 
-Each finished point is kept beside the result, in a small file that is named by a digest of everything that the point depends
+Each finished point is stored beside the result, in a small file that is named by a digest of everything that the point depends
 on. A sweep that was killed therefore continues where it stopped, a changed SPEC only runs its new points, and the result has
 the same bytes in both cases.
 """
@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from attrs import frozen
 from filelock import FileLock, Timeout
 
-from ..lab.campaign import KeptFiles, campaign, read_measures
+from ..lab.campaign import FinishedFiles, campaign, read_measures
 from ..lab.dask_workers import Dask, reason
 from ..lab.measures import SWEPT, Number
 from ..lab.outcome_table import to_table
@@ -31,11 +31,11 @@ METADATA = "coincid"  # key of the Parquet file's metadata
 
 @frozen
 class Summary:
-    """Summary of a sweep. rows: of the result. kept: points that an earlier sweep finished. failed: reasons by name of the point."""
+    """Summary of a sweep."""
 
-    rows: int
-    kept: int
-    failed: dict[str, str]
+    rows: int  # of the result
+    finished_before: int  # points that an earlier sweep finished
+    failed: dict[str, str]  # reason by name of the point
 
 
 def sweep(
@@ -61,7 +61,7 @@ def sweep(
             {key: point.setup for key, point in points.items()},
             partial(read_measures, names=SWEPT),
             Dask(workers, scheduler),
-            kept=finished,
+            finished=finished,
             failed=failed,
             progress=progress,
         )
@@ -75,7 +75,7 @@ def sweep(
     return Summary(sum(point.key in found for point in spec.points), before, dict(sorted(reasons.items())))
 
 
-class Finished(KeptFiles):
+class Finished(FinishedFiles):
     """Finished points of a result file, in a folder beside it; a context manager that only one sweep can enter at a time."""
 
     def __init__(self, out: Path):

@@ -52,9 +52,10 @@ def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict[str, An
     with style():
         down = -(-len(PANELS) // ACROSS)
         figure = new_figure(WIDTH_IN * ACROSS, HEIGHT_IN * down + 0.8)
-        for axis, (measure, (label, factor)) in zip(figure.subplots(down, ACROSS, sharex=True).ravel(), PANELS.items()):
+        places = figure.subplots(down, ACROSS, sharex=True).ravel()
+        for axis, (measure, (label, factor)) in zip(places, PANELS.items(), strict=False):  # the last row may have room
             x = _scale(axis, across)
-            for k, (name, colour) in enumerate(zip(names, colours)):
+            for k, (name, colour) in enumerate(zip(names, colours, strict=True)):
                 at = [(i, k)[: min(2, len(order))] for i in range(len(x))]
                 low, mean, high = np.array([_span(cells.get(cell, []), measure) for cell in at]).T * factor
                 axis.plot(x, mean, "-o", color=colour, label=name or None)
@@ -93,7 +94,7 @@ def _span(cell: list[dict[str, Any]], measure: str) -> tuple[float, float, float
 def _texts(swept: dict[str, list[Any]]) -> list[str]:
     return [
         ", ".join(format(value, "g") if isinstance(value, float) else str(value) for value in step)
-        for step in zip(*swept.values())
+        for step in zip(*swept.values(), strict=True)
     ]
 
 

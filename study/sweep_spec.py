@@ -116,7 +116,7 @@ def _axes(tables: object) -> list[dict[str, list[Any]]]:
                 raise InputError(
                     f"{where}: has {len(values)} values, must have as many as {next(iter(axis))}: {_length(axis)}"
                 )
-        seen = list(map(repr, zip(*axis.values())))
+        seen = list(map(repr, zip(*axis.values(), strict=True)))
         for i, value in enumerate(seen):
             if value in seen[:i]:
                 shown = ", ".join(f"{name} = {values[i]!r}" for name, values in axis.items())
@@ -176,7 +176,10 @@ def _point(
     document: dict[str, Any], axes: list[dict[str, list[Any]]], at: tuple[int, ...], scenes: Callable[..., Scene]
 ) -> Point:
     """Return the checked point of `document` at an index along each axis. scenes: a `load_scene` with a cache."""
-    document, values = dict(document), {name: listed[i] for axis, i in zip(axes, at) for name, listed in axis.items()}
+    document, values = (
+        dict(document),
+        {name: listed[i] for axis, i in zip(axes, at, strict=True) for name, listed in axis.items()},
+    )
     for name, value in values.items():
         table, dot, key = _placed(name).partition(".")
         if not dot:

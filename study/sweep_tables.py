@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..lab.campaign import KeptFiles, Processes, campaign, read_measures
+from ..lab.campaign import FinishedFiles, Processes, campaign, read_measures
 from ..lab.measures import SWEPT
 from ..model.shared.folders import build_root
 from ..model.shared.markdown import paragraph, text_table
@@ -27,11 +27,11 @@ Row = dict[str, Any]  # a point's values by key, and its measures by name
 def points(name: str, measures: Sequence[str]) -> tuple[Spec, dict[str, Row]]:
     """Return the SPEC docs/sweep-NAME.toml, and the measures of its points by their keys."""
     spec = read_spec(folder() / "docs" / f"sweep-{name}.toml")
-    kept = KeptFiles(build_root() / "pages" / f"sweep-{name}", measures)
-    kept.folder.mkdir(parents=True, exist_ok=True)
+    finished = FinishedFiles(build_root() / "pages" / f"sweep-{name}", measures)
+    finished.folder.mkdir(parents=True, exist_ok=True)
     with Processes(progress=counted) as run:
         setups = {key: point.setup for key, point in spec.keys.items()}
-        return spec, campaign(setups, partial(read_measures, names=measures), run, kept=kept)
+        return spec, campaign(setups, partial(read_measures, names=measures), run, finished=finished)
 
 
 def rows_of(name: str, *measures: str) -> list[Row]:

@@ -5,16 +5,25 @@
 documents share.
 """
 
-from collections import namedtuple
 from functools import cache
+from typing import NamedTuple
 
 from attrs import frozen
 
 from .packet import KIND_LSB, Packet
 from .parameters import Sensor, bits_for
 
-Head = namedtuple("Head", "pulse number stamp_bits with_offsets")  # fields before the first event, in their order
-HEAD = Head(16, 8, 4, 1)  # their widths
+
+class Head(NamedTuple):
+    """Something for each field before the first event, in their order."""
+
+    pulse: int  # number of the laser pulse in the frame
+    number: int  # of events in the group, less one
+    stamp_bits: int  # width of the stamps
+    with_offsets: int  # 1: the events have coarse offsets
+
+
+HEAD = Head(pulse=16, number=8, stamp_bits=4, with_offsets=1)  # widths in bits
 FIRST_LSB, LAST_LSB = KIND_LSB - 1, KIND_LSB - 2  # marks of a group's first and last beat
 PAYLOAD_BITS = LAST_LSB  # of a beat
 CHECK_BITS = 32  # in the highest bits of the last beat's payload

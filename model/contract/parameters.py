@@ -45,18 +45,21 @@ def _integer(default: int, low: int, high: Limit, offset: int, doc: str, unit: s
         except TypeError:  # a field before it is of a wrong type, which is refused later
             return default
 
-    return _field(Kind.INTEGER, Factory(default_of, takes_self=True), default, low, high, offset, doc, unit)
+    of_sensor = Factory(default_of, takes_self=True)
+    return _field(Kind.INTEGER, of_sensor, default=default, low=low, high=high, offset=offset, doc=doc, unit=unit)
 
 
 def _size(default: tuple[int, int], low: int, high: int, offset: int, doc: str) -> Any:
     """Return a field that holds (rows, cols); its registers are NAME_rows and NAME_cols."""
-    return _field(Kind.SIZE, default, default, low, high, offset, doc, "pixels")
+    return _field(Kind.SIZE, default, default=default, low=low, high=high, offset=offset, doc=doc, unit="pixels")
 
 
-def _field(kind: Kind, made: Any, default: Any, low: int, high: Limit, offset: int, doc: str, unit: str) -> Any:
-    columns = {"kind": kind, "default": default, "low": low, "high": high, "offset": offset, "doc": doc, "unit": unit}
+def _field(kind: Kind, made: Any, **columns: Any) -> Any:
+    """Return a field. made: its default, or the factory of it; columns: of its `Setting`."""
     return field(
-        default=made, converter=lambda value: tuple(value) if isinstance(value, list) else value, metadata=columns
+        default=made,
+        converter=lambda value: tuple(value) if isinstance(value, list) else value,
+        metadata={"kind": kind} | columns,
     )
 
 

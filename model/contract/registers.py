@@ -92,8 +92,17 @@ def _of_setting(of: Setting, offset: int) -> list[Register]:
         ]
     if of.table == "sensor":
         return [Register(name, offset, CONSTANT, doc, attrgetter(name))]
-    low, high = (lambda s: of.limits(s)[0]), (lambda s: of.limits(s)[1])
-    return [Register(name, offset, SETTING, doc, lambda s: of.reset_of(s, frame_defaults(s)), low, high, of.words)]
+    register = Register(
+        name,
+        offset,
+        SETTING,
+        doc,
+        reset=lambda s: of.reset_of(s, frame_defaults(s)),
+        low=lambda s: of.limits(s)[0],
+        high=lambda s: of.limits(s)[1],
+        count=of.words,
+    )
+    return [register]
 
 
 def _of_stream(name: str, offset: int, access: Access, doc: str, high: int = 0) -> Register:

@@ -42,7 +42,7 @@ class ResultBuilder:
         frames = [decode_frame(stream, sensor, n).check() for stream, n in zip(beats, subgroups, strict=True)]
         for k, frame in enumerate(frames):
             counters[sensor.stream_subgroups(k)] = frame.counters
-        columns = dict(zip(HEADER, np.concatenate([frame.events for frame in frames]).T))
+        columns = dict(zip(HEADER, np.concatenate([frame.events for frame in frames]).T, strict=True))
         commit = np.full(len(columns["subgroup"]), COMMIT_UNKNOWN)
         if commit_subgroup is not None and commit_cycle is not None:
             order = np.argsort(commit_subgroup, kind="stable")
@@ -61,8 +61,8 @@ class ResultBuilder:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of the result file, with rows frame by frame, and stream by stream within a frame."""
-        *fields, commit, hits, offsets = (np.concatenate(column) for column in zip(*self._events))
-        result = dict(zip(EVENT_FIELDS, fields))
+        *fields, commit, hits, offsets = (np.concatenate(column) for column in zip(*self._events, strict=True))
+        result = dict(zip(EVENT_FIELDS, fields, strict=True))
         result["overrun"] = result["overrun"].astype(bool)
         result["commit_cycle"] = commit
         packet = FORMATS[self.config.format]
@@ -70,7 +70,7 @@ class ResultBuilder:
             result["hits"] = hits
         if packet.has("offsets"):
             result["mg_offset"] = offsets
-        subgroup, pulse, entries = (np.concatenate(column) for column in zip(*self._records))
+        subgroup, pulse, entries = (np.concatenate(column) for column in zip(*self._records, strict=True))
         result |= {"mg_subgroup": subgroup, "mg_pulse": pulse}
         result |= {"mg_stamp": entries[:, :, 0].astype(np.uint16), "mg_map": entries[:, :, 1].astype(np.uint16)}
         return result | {

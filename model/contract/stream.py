@@ -33,7 +33,7 @@ from .ungroup import ungroup
 NO_HEADER = "not a packet header where one is due"
 _RECORD, _DAMAGED = RECORD.code, GROUP_KIND
 _UNUSED_IN_RECORD = np.uint64(UNUSED[RECORD.code])
-COLUMN = {name: column for column, name in enumerate(HEADER)}  # of `Frame.events`
+COLUMN = {name: column for column, name in enumerate(HEADER)}  # of `ReceivedFrame.events`
 
 
 class StreamError(Exception):
@@ -41,26 +41,20 @@ class StreamError(Exception):
 
 
 @frozen(eq=False)
-class Frame:
-    """One frame of one stream, decoded; whole or not.
+class ReceivedFrame:
+    """One frame of one stream, decoded; whole or not."""
 
-    number: frame number in its packets. events: int64[n, 7], columns in the order of `HEADER`. hits: uint64[n, map
-    beats]; offsets: uint8[n, minigroups]. records: int64[k, 2], subgroup and pulse. entries: int64[k, minigroups, 2],
-    stamp and map. counters: int64[subgroups of the stream, 11]. damaged: int64[m], beats at which a group of events is
-    missing or wrong; its events are left out, and all others are right. missing: number of events that were left out.
-    """
+    number: int  # frame number in its packets
+    events: np.ndarray  # int64[n, 7], columns in the order of `HEADER`
+    hits: np.ndarray  # uint64[n, map beats]
+    offsets: np.ndarray  # uint8[n, minigroups]
+    records: np.ndarray  # int64[k, 2]: subgroup and pulse
+    entries: np.ndarray  # int64[k, minigroups, 2]: stamp and map
+    counters: np.ndarray  # int64[subgroups of the stream, 11]
+    damaged: np.ndarray  # int64[m]: beats at which a group of events is missing or wrong; all other events are right
+    missing: int  # number of events that were left out, because their group is damaged
 
-    number: int
-    events: np.ndarray
-    hits: np.ndarray
-    offsets: np.ndarray
-    records: np.ndarray
-    entries: np.ndarray
-    counters: np.ndarray
-    damaged: np.ndarray
-    missing: int
-
-    def check(self) -> "Frame":
+    def check(self) -> "ReceivedFrame":
         """Return the frame. Raises `StreamError` if events are missing."""
         if len(self.damaged) or self.missing:
             places = f", near beats {', '.join(map(str, self.damaged))}" if len(self.damaged) else ""
@@ -68,7 +62,7 @@ class Frame:
         return self
 
 
-def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
+def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> ReceivedFrame:
     """Decode the beats (uint64[n]) of one frame of a stream that carries `subgroups` subgroups.
 
     Raises `StreamError` if the beats are not exactly a frame start, packets, and a frame end with its counters. Damaged
@@ -93,9 +87,20 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> Frame:
         missing = max(0, stored - len(events))  # saturated counters tell of fewer than were stored
     else:
         events, hits, offsets = _events(beats, starts[~is_record], kinds[~is_record], sensor)
-        damaged, missing = np.zeros(0, np.int64), 0
+        damaged = np.zeros(0, np.int64)
+        missing = 0
     number = int(header_field(head, "pulse"))
-    return Frame(number, events, hits, offsets, records, entries, counters, damaged, missing)
+    return ReceivedFrame(
+        number=number,
+        events=events,
+        hits=hits,
+        offsets=offsets,
+        records=records,
+        entries=entries,
+        counters=counters,
+        damaged=damaged,
+        missing=missing,
+    )
 
 
 def is_grouped(frame_start: np.uint64) -> bool:

@@ -11,7 +11,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from inspect import Parameter, Signature, getdoc, signature
+from inspect import getdoc
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,10 +26,13 @@ from coincid.model.shared.errors import SEED_MAX, InputError, check_integer, ext
 from coincid.model.shared.interrupts import INTERRUPTED, TERMINATED, Terminated, interruptible
 
 if TYPE_CHECKING:
+    from coincid.lab.setup import Setup
     from coincid.model.contract.config import Config
+    from coincid.model.light.spad import Spad
     from coincid.study.progress import Bar
 
-BAD_INPUT, DIFFERS = 2, 1
+BAD_INPUT = 2
+DIFFERS = 1
 STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
 ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # for `sim --view async`; Icarus takes about three minutes for them
@@ -81,95 +84,103 @@ app = typer.Typer(
     help=("Open, cycle-accurate model of a SPAD direct time-of-flight sensor with coincidence detection."),
 )
 
-_Kind = tuple[Any, Any, str, str]  # type, default, metavar, help
-_TYPES = {"spad": list[str] | None}  # of options whose type does not follow from their default
-_SHARED: dict[str, _Kind] = {
-    name: (
-        _TYPES.get(name, str | None if one.default is None else type(one.default)),
-        one.default,
-        one.metavar,
-        one.doc,
-    )
-    for name, one in OPTIONS.items()
-} | {
-    "config": (str | None, None, "FILE", f"TOML file, or a preset: {', '.join(PRESETS)}."),
-    "changes": (
-        list[str] | None,
-        None,
-        "NAME=VALUE",
-        "Set a key of the configuration, such as threshold=3 or format=full; overrides the file; repeatable.",
-    ),
-    "clock_mhz": (float | None, None, "", "System clock; default: the configuration's (frame.clock_mhz)."),
-}
-_FLAGS = {"changes": "--set"}  # flags that differ from the parameter's name
 
+def option(help: str, metavar: str | None = None, flag: str | None = None) -> Any:
+    """Return the description of an option. flag: of a switch, and of an option that its parameter does not name.
 
-def command(options: str = "", **told: str | tuple[str, str]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that makes a function a command.
-
-    options: the names in order; arguments are in capitals. An option that is a parameter of the function has its type and
-    its default from there. `told` gives the help of an option, or (metavar, help); if the option is one of lab/options.py,
-    a text only replaces its default in the help. The function gets all other options as further keywords.
+    Square brackets in texts are no markup.
     """
-
-    def decorate(function: Callable[..., None]) -> Callable[..., None]:
-        own = signature(function, eval_str=True).parameters
-        parameters = []
-        for word in options.split():
-            name = word.strip("[]").lower()
-            kind, default, metavar, text = _SHARED.get(name, (None, None, "", ""))
-            if name in own:
-                kind, default = own[name].annotation, own[name].default
-            given = told.get(name, text)
-            if isinstance(given, tuple):
-                metavar, text = given
-            elif given is not text:
-                text = f"{text.rstrip('.')}; default: {given}." if text else given
-            text = escape(text)  # square brackets are no markup
-            if word.isupper():
-                info: Any = typer.Argument(metavar=word.strip("[]"), help=text)
-            else:
-                flag = _FLAGS.get(name, f"--{name.replace('_', '-')}")
-                info = typer.Option(flag, metavar=metavar or None, help=text, show_default=default is not None)
-            parameters.append(
-                Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info])
-            )
-        function.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-        return app.command(help=escape(getdoc(function) or ""))(function)
-
-    return decorate
+    flags = [] if flag is None else [flag]
+    return typer.Option(*flags, metavar=metavar, help=escape(help))
 
 
-@command(
-    "scene unit scale reflectivity klux background pulses threshold frames link_gbps config changes seed engine out waves "
-    "clock_mhz spad spad_gate view",
-    pulses="Laser pulses per frame; default: the configuration's. The controller's bounds change in proportion.",
-    threshold="Threshold of all subgroups in the frame `fixed`; "
-    "default: the configuration's if it gives one, otherwise the best of 1 to 7.",
-    frames="Frames of new photons in which the controller settles; default: 8.",
-    link_gbps="Rate of a stream's link in Gbit/s; 0: 64 bits per cycle; default: the configuration's, otherwise 8.",
-    engine="sliced; with --waves verilator, with --view async icarus",
-    out=("DIR", "Folder of the results."),
-    waves="Also write a waveform (FST) and views of it for GTKWave and Surfer.",
-)
+def argument(help: str, metavar: str) -> Any:
+    """Return the description of an argument."""
+    return typer.Argument(metavar=metavar, help=escape(help))
+
+
+def command(function: Callable[..., None]) -> Callable[..., None]:
+    """Make a function a command of its name. Its parameters are options and arguments, its docstring is the help."""
+    return app.command(help=escape(getdoc(function) or ""))(function)  # square brackets are no markup
+
+
+def tabled(name: str, flag: str | None = None, default: str | None = None) -> Any:
+    """Return the description of an option of lab/options.py. default: told instead of its default there."""
+    one = OPTIONS[name]
+    help = one.doc if default is None else f"{one.doc.rstrip('.')}; default: {default}."
+    return option(help, one.metavar or None, flag)
+
+
+SceneOption = Annotated[str, tabled("scene")]
+SceneArgument = Annotated[str, argument(OPTIONS["scene"].doc, "SCENE")]
+UnitOption = Annotated[str | None, tabled("unit")]
+ScaleOption = Annotated[float, tabled("scale")]
+ReflectivityOption = Annotated[float, tabled("reflectivity")]
+KluxOption = Annotated[str | None, tabled("klux")]
+BackgroundOption = Annotated[str, tabled("background")]
+SeedOption = Annotated[int, tabled("seed")]
+SpadOption = Annotated[list[str] | None, tabled("spad")]
+ViewOption = Annotated[str, tabled("view")]
+CONFIG_DOC = f"TOML file, or a preset: {', '.join(PRESETS)}."
+ConfigOption = Annotated[str | None, option(CONFIG_DOC, "FILE")]
+ChangesOption = Annotated[
+    list[str] | None,
+    option(
+        "Set a key of the configuration, such as threshold=3 or format=full; overrides the file; repeatable.",
+        "NAME=VALUE",
+        "--set",
+    ),
+]
+ClockOption = Annotated[float | None, option("System clock; default: the configuration's (frame.clock_mhz).")]
+EdgesOutOption = Annotated[Path, option("Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.", "FILE")]
+FiguresOutOption = Annotated[Path, option("Folder of the figures.", "DIR")]
+
+
+@command
 def sim(
     *,
-    scene: str = "sun-and-shade",
-    pulses: int | None = None,
-    threshold: int | None = None,
-    frames: int | None = None,
-    link_gbps: float | None = None,
-    engine: str | None = None,
-    out: Path = Path("build/sim"),
-    waves: bool = False,
-    view: str = "polyphase",
-    **given: Any,
+    scene: SceneOption = "sun-and-shade",
+    unit: UnitOption = None,
+    scale: ScaleOption = 1.0,
+    reflectivity: ReflectivityOption = 0.4,
+    klux: KluxOption = None,
+    background: BackgroundOption = "reflected",
+    pulses: Annotated[
+        int | None,
+        option("Laser pulses per frame; default: the configuration's. The controller's bounds change in proportion."),
+    ] = None,
+    threshold: Annotated[
+        int | None,
+        option(
+            "Threshold of all subgroups in the frame `fixed`; "
+            "default: the configuration's if it gives one, otherwise the best of 1 to 7."
+        ),
+    ] = None,
+    frames: Annotated[int | None, option("Frames of new photons in which the controller settles; default: 8.")] = None,
+    link_gbps: Annotated[
+        float | None,
+        option("Rate of a stream's link in Gbit/s; 0: 64 bits per cycle; default: the configuration's, otherwise 8."),
+    ] = None,
+    config: ConfigOption = None,
+    changes: ChangesOption = None,
+    seed: SeedOption = 1,
+    engine: Annotated[
+        str | None, tabled("engine", default="sliced; with --waves verilator, with --view async icarus")
+    ] = None,
+    out: Annotated[Path, option("Folder of the results.", "DIR")] = Path("build/sim"),
+    waves: Annotated[
+        bool, option("Also write a waveform (FST) and views of it for GTKWave and Surfer.", flag="--waves")
+    ] = False,
+    clock_mhz: ClockOption = None,
+    spad: SpadOption = None,
+    spad_gate: Annotated[bool, tabled("spad_gate", "--spad-gate")] = False,
+    view: ViewOption = "polyphase",
 ) -> None:
     """Simulate frames of a scene and check every word against the golden model; write depth.png, events.npz and report.json."""
     from coincid.study.simulate import simulate, with_link
     from coincid.tb.replay import chosen_view
 
-    settings = _config(given)
+    settings = _config(config, changes, clock_mhz)
     if view == "async":
         engine = engine or "icarus"
         pulses = ASYNC_PULSES if pulses is None else pulses
@@ -180,22 +191,45 @@ def sim(
     engine = engine or ("verilator" if waves else "sliced")
     chosen_view(engine, view, settings.clock_mhz, waves)
     simulate(
-        _setup(settings, scene, given, engine=engine, view=view),
+        _setup(
+            settings,
+            scene,
+            klux=klux,
+            unit=unit,
+            scale=scale,
+            reflectivity=reflectivity,
+            background=background,
+            seed=seed,
+            spad=_spad(spad),
+            spad_gate=spad_gate,
+            engine=engine,
+            view=view,
+        ),
         out=_folder(out),
         threshold=threshold,
         settling=frames if frames is None else check_integer("frames", frames, 1, FRAMES_MAX),
         waves=waves,
         console=Console(highlight=False),
-        scale=given["scale"],
-        unit=given["unit"],
+        scale=scale,
+        unit=unit,
     )
 
 
-@command(
-    "SCENE unit scale reflectivity klux background config changes seed spad out",
-    out=("DIR", "Folder of table, picture and advised settings."),
-)
-def advise(*, scene: str, out: Path = Path("build/advise"), **given: Any) -> None:
+@command
+def advise(
+    *,
+    scene: SceneArgument,
+    unit: UnitOption = None,
+    scale: ScaleOption = 1.0,
+    reflectivity: ReflectivityOption = 0.4,
+    klux: KluxOption = None,
+    background: BackgroundOption = "reflected",
+    config: ConfigOption = None,
+    changes: ChangesOption = None,
+    seed: SeedOption = 1,
+    spad: SpadOption = None,
+    out: Annotated[Path, option("Folder of table, picture and advised settings.", "DIR")] = Path("build/advise"),
+) -> None:
     """Try thresholds, windows, the controller, formats and links on a scene; recommend one combination and state its cost."""
     import numpy as np
     from rich.table import Table
@@ -205,8 +239,18 @@ def advise(*, scene: str, out: Path = Path("build/advise"), **given: Any) -> Non
     from coincid.study.advise import advise as run
     from coincid.study.progress import Bar
 
-    setup = _setup(_config(given), scene, given)
-    looked_at = setup.scene
+    setup = _setup(
+        _config(config, changes),
+        scene,
+        klux=klux,
+        unit=unit,
+        scale=scale,
+        reflectivity=reflectivity,
+        background=background,
+        seed=seed,
+        spad=_spad(spad),
+    )
+    looked_at = setup.seen
     _folder(out)
     mean_klux = float(np.mean(ambient_klux(setup.klux, looked_at.rows, looked_at.cols) * looked_at.sunlit))
     with Bar(console, lines=True) as bar:
@@ -229,25 +273,30 @@ def advise(*, scene: str, out: Path = Path("build/advise"), **given: Any) -> Non
     print(" ".join(map(str, files)))
 
 
-@command("[CONFIG] changes")
-def show(**given: Any) -> None:
+@command
+def show(
+    *, config: Annotated[str | None, argument(CONFIG_DOC, "CONFIG")] = None, changes: ChangesOption = None
+) -> None:
     """Print what follows from a configuration: sizes, rates, distances, share of the link, area, power; and warn of waste."""
     from coincid.study.explain import meaning, warnings
 
-    settings = _config(given)
+    settings = _config(config, changes)
     for name, value in meaning(settings):
         print(f"{name:16} {value}")
     for sentence in warnings(settings):
         print(f"* {sentence}")
 
 
-@command(
-    "port no_browser changes",
-    port="Port on this machine; default: 5006, or the next free one.",
-    no_browser="Only print the address.",
-    changes=("NAME=VALUE", "Initial value of a control, or a picture: depth_file, colour_file, sun_file."),
-)
-def explore(*, port: int | None = None, no_browser: bool = False, changes: list[str] | None = None) -> None:
+@command
+def explore(
+    *,
+    port: Annotated[int | None, option("Port on this machine; default: 5006, or the next free one.")] = None,
+    no_browser: Annotated[bool, option("Only print the address.", flag="--no-browser")] = False,
+    changes: Annotated[
+        list[str] | None,
+        option("Initial value of a control, or a picture: depth_file, colour_file, sun_file.", "NAME=VALUE", "--set"),
+    ] = None,
+) -> None:
     """Serve the explorer, which shows the effect of every setting in the browser. It serves this machine only and sends no requests."""
     with extra("explore"):
         from coincid.study.explore.server import serve
@@ -256,27 +305,24 @@ def explore(*, port: int | None = None, no_browser: bool = False, changes: list[
     serve(port, browser=not no_browser, start=given_settings(changes or []))
 
 
-@command(
-    "edges out config changes engine stall view offset_seed",
-    edges=("FILE", "Edges (NPZ: pulse, pixel, tick)."),
-    out=("FILE", "Result (NPZ)."),
-    engine="golden; with --view async icarus",
-    stall=("N", "Keep tready low for the first N cycles of every frame."),
-    offset_seed=(
-        "SEED",
-        "With --view async: seed of random positions of the edges within their ticks; "
-        "default: the file's offset_ps, otherwise the middle of the tick.",
-    ),
-)
+@command
 def replay(
     *,
-    edges: Path,
-    out: Path,
-    engine: str | None = None,
-    stall: int = 0,
-    view: str = "polyphase",
-    offset_seed: int | None = None,
-    **given: Any,
+    edges: Annotated[Path, option("Edges (NPZ: pulse, pixel, tick).", "FILE")],
+    out: Annotated[Path, option("Result (NPZ).", "FILE")],
+    config: ConfigOption = None,
+    changes: ChangesOption = None,
+    engine: Annotated[str | None, tabled("engine", default="golden; with --view async icarus")] = None,
+    stall: Annotated[int, option("Keep tready low for the first N cycles of every frame.", "N")] = 0,
+    view: ViewOption = "polyphase",
+    offset_seed: Annotated[
+        int | None,
+        option(
+            "With --view async: seed of random positions of the edges within their ticks; "
+            "default: the file's offset_ps, otherwise the middle of the tick.",
+            "SEED",
+        ),
+    ] = None,
 ) -> None:
     """Run an edge file through the golden model or the RTL and write what leaves the sensor."""
     from coincid.model.contract.edges import load_edges
@@ -287,7 +333,7 @@ def replay(
 
     engine = engine or ("icarus" if view == "async" else "golden")
     check_integer("stall", stall, 0, STALL_CYCLES_MAX)
-    settings = _config(given)
+    settings = _config(config, changes)
     chosen_view(engine, view, settings.clock_mhz)
     pulses = settings.frames * settings.pulses
     loaded = load_edges(edges, pixels=settings.sensor.array_pixels, pulses=pulses, period_ticks=settings.period_ticks)
@@ -306,18 +352,24 @@ def replay(
     )
 
 
-@command(
-    "SPEC out scheduler workers",
-    spec="TOML file: a configuration, its scene and light, and axes to sweep.",
-    out=(
-        "FILE",
-        "Result (Parquet); default: build/SPEC.parquet. "
-        "Beside it: a plot (PNG), and the finished points, which a second start reuses.",
-    ),
-    scheduler=("ADDRESS", "Dask scheduler, such as tcp://HOST:8786; default: a cluster on this machine alone."),
-    workers="Processes on this machine; default: one per core.",
-)
-def sweep(*, spec: Path, out: Path | None = None, scheduler: str | None = None, workers: int | None = None) -> None:
+@command
+def sweep(
+    *,
+    spec: Annotated[Path, argument("TOML file: a configuration, its scene and light, and axes to sweep.", "SPEC")],
+    out: Annotated[
+        Path | None,
+        option(
+            "Result (Parquet); default: build/SPEC.parquet. "
+            "Beside it: a plot (PNG), and the finished points, which a second start reuses.",
+            "FILE",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        option("Dask scheduler, such as tcp://HOST:8786; default: a cluster on this machine alone.", "ADDRESS"),
+    ] = None,
+    workers: Annotated[int | None, option("Processes on this machine; default: one per core.")] = None,
+) -> None:
     """Run a grid of configurations, scenes and light on many processes or machines; the table has one row per point."""
     workers = check_integer("workers", os.cpu_count() or 1 if workers is None else workers, 1, WORKERS_MAX)
     out = out or Path("build") / f"{spec.stem}.parquet"
@@ -331,83 +383,115 @@ def sweep(*, spec: Path, out: Path | None = None, scheduler: str | None = None, 
         from coincid.study.sweep import sweep as run
     with _progress(len(grid.keys), spec.name) as bar:
         summary = run(grid, out, workers=workers, scheduler=scheduler, title=spec.stem, progress=bar.done)
-    print(f"{out}: {summary.rows} of {len(grid.points)} points, {summary.kept} of them finished before")
+    print(f"{out}: {summary.rows} of {len(grid.points)} points, {summary.finished_before} of them finished before")
     _all_met(f"point {name}: {why}" for name, why in summary.failed.items())
 
 
-@command(
-    "out scene unit scale reflectivity klux background config changes seed spad clock_mhz",
-    out=("FILE", "Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu."),
-)
-def photons(*, out: Path, **given: Any) -> None:
+@command
+def photons(
+    *,
+    out: EdgesOutOption,
+    scene: SceneOption = "five-objects",
+    unit: UnitOption = None,
+    scale: ScaleOption = 1.0,
+    reflectivity: ReflectivityOption = 0.4,
+    klux: KluxOption = None,
+    background: BackgroundOption = "reflected",
+    config: ConfigOption = None,
+    changes: ChangesOption = None,
+    seed: SeedOption = 1,
+    spad: SpadOption = None,
+    clock_mhz: ClockOption = None,
+) -> None:
     """Write the photons of a scene, in all frames of a configuration, as edges."""
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, write_edges
 
-    settings = _config(given)
+    settings = _config(config, changes, clock_mhz)
     check_suffix(_file(out))
-    setup = _setup(settings, given.pop("scene"), given)
+    setup = _setup(
+        settings,
+        scene,
+        klux=klux,
+        unit=unit,
+        scale=scale,
+        reflectivity=reflectivity,
+        background=background,
+        seed=seed,
+        spad=_spad(spad),
+    )
     made = setup.photons.edges(os.cpu_count() or 1)
     write_edges(out, made, Timing.from_config(settings))
-    for note in setup.scene.notes:
+    for note in setup.seen.notes:
         print(note)
     print(f"{out}: {len(made):,} edges of {settings.frames * settings.pulses:,} pulses")
 
 
-@command(
-    "RECORDING out config changes channels sync_channel first_sync delay_ps clock_mhz",
-    recording="Photons: .ptu, .csv, .npz or .h5 (docs/recordings.md).",
-    out=("FILE", "Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu."),
-    channels=("MAP", "CHANNEL:PIXEL,... or a CSV file with these columns; default: channel k is pixel k."),
-    sync_channel=("N", "Channel of the laser trigger, for recordings with absolute times."),
-    first_sync=("N", "The trigger that becomes pulse 0."),
-    delay_ps=("PS", "Delay between trigger and light; it is subtracted from every time."),
-)
+@command
 def edges(
     *,
-    recording: Path,
-    out: Path,
-    channels: str | None = None,
-    sync_channel: int | None = None,
-    first_sync: int = 0,
-    delay_ps: float = 0.0,
-    **given: Any,
+    recording: Annotated[Path, argument("Photons: .ptu, .csv, .npz or .h5 (docs/recordings.md).", "RECORDING")],
+    out: EdgesOutOption,
+    config: ConfigOption = None,
+    changes: ChangesOption = None,
+    channels: Annotated[
+        str | None, option("CHANNEL:PIXEL,... or a CSV file with these columns; default: channel k is pixel k.", "MAP")
+    ] = None,
+    sync_channel: Annotated[
+        int | None, option("Channel of the laser trigger, for recordings with absolute times.", "N")
+    ] = None,
+    first_sync: Annotated[int, option("The trigger that becomes pulse 0.", "N")] = 0,
+    delay_ps: Annotated[
+        float, option("Delay between trigger and light; it is subtracted from every time.", "PS")
+    ] = 0.0,
+    clock_mhz: ClockOption = None,
 ) -> None:
     """Convert recorded photons into edges, or edges into another format; count the photons that are out of range."""
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import check_suffix, parse_channels, read_recording, write_edges
     from coincid.model.recorded.recordings import period_note, recorded_edges, told
 
-    settings = _config(given)
+    settings = _config(config, changes, clock_mhz)
     check_suffix(_file(out))
     timing = Timing.from_config(settings)
     pixel_of = None if channels is None else parse_channels(channels)
     recorded = read_recording(recording, sync_channel)
     try:
-        kept, lost = recorded_edges(
+        converted, lost = recorded_edges(
             recorded, settings, timing, channels=pixel_of, first_sync=first_sync, delay_ps=delay_ps
         )
     except InputError as error:
         raise error.within(recording) from None
-    write_edges(out, kept, timing)
+    write_edges(out, converted, timing)
     print(f"{recording}: {recorded.kind}, {len(recorded.sync):,} photons")
     for note in filter(None, (period_note(recorded, timing), f"left out: {told(lost)}" if lost else "")):
         print(note)
-    print(f"{out}: {len(kept):,} edges")
+    print(f"{out}: {len(converted):,} edges")
 
 
-@command("out config changes view", out=("DIR", "Folder of the export; replaces an earlier one."))
-def verilog(*, out: Path = Path("build/rtl"), view: str = "polyphase", **given: Any) -> None:
+@command
+def verilog(
+    *,
+    out: Annotated[Path, option("Folder of the export; replaces an earlier one.", "DIR")] = Path("build/rtl"),
+    config: ConfigOption = None,
+    changes: ChangesOption = None,
+    view: ViewOption = "polyphase",
+) -> None:
     """Export the synthesizable Verilog, one file per block, with file lists, constraints, register map and smoke test."""
-    settings = _config(given)
+    settings = _config(config, changes)
     with extra("rtl"):
         from coincid.flow.release import write_release
     files = write_release(out, settings, view)
     print(f"{out}: {len(files)} files, {sum(path.stat().st_size for path in files) / 1000:.0f} kB")
 
 
-@command("out", out=("FILE", "Markdown page with the cost of the presets; default: docs/synthesis.md."))
-def synth(*, out: Path | None = None) -> None:
+@command
+def synth(
+    *,
+    out: Annotated[
+        Path | None, option("Markdown page with the cost of the presets; default: docs/synthesis.md.", "FILE")
+    ] = None,
+) -> None:
     """Synthesize both presets to gates, standard cells and ECP5, and write the table of their cost."""
     with extra("rtl"):
         from coincid.flow.synth import write_page
@@ -415,7 +499,7 @@ def synth(*, out: Path | None = None) -> None:
     print(out or "docs/synthesis.md")
 
 
-@command()
+@command
 def gls() -> None:
     """Simulate the netlists of a small sensor, in gates and in standard cells, against the golden model."""
     with extra("rtl"):
@@ -424,8 +508,13 @@ def gls() -> None:
         print(line, flush=True)
 
 
-@command("out", out=("FILE", "Markdown page; the picture goes to images/ beside it; default: docs/power.md."))
-def power(*, out: Path | None = None) -> None:
+@command
+def power(
+    *,
+    out: Annotated[
+        Path | None, option("Markdown page; the picture goes to images/ beside it; default: docs/power.md.", "FILE")
+    ] = None,
+) -> None:
     """Compute the power of a subgroup in standard cells at several levels of light, from frames simulated on its netlist."""
     with extra("rtl"):
         from coincid.study.power_against_light import write_page
@@ -433,8 +522,13 @@ def power(*, out: Path | None = None) -> None:
     print(out or "docs/power.md")
 
 
-@command("out", out=("FILE", "Markdown page; the pictures go to images/ beside it; default: docs/layout.md."))
-def layout(*, out: Path | None = None) -> None:
+@command
+def layout(
+    *,
+    out: Annotated[
+        Path | None, option("Markdown page; the pictures go to images/ beside it; default: docs/layout.md.", "FILE")
+    ] = None,
+) -> None:
     """Lay out a minigroup in standard cells: place, route, check, time with its wires, and simulate with their delays."""
     with extra("rtl"):
         from coincid.flow.layout.tools import layout_cells
@@ -445,8 +539,13 @@ def layout(*, out: Path | None = None) -> None:
     print(out or "docs/layout.md")
 
 
-@command("out", out=("FILE", "Markdown report of Fmax and resources; default: docs/place-and-route.md."))
-def pnr(*, out: Path | None = None) -> None:
+@command
+def pnr(
+    *,
+    out: Annotated[
+        Path | None, option("Markdown report of Fmax and resources; default: docs/place-and-route.md.", "FILE")
+    ] = None,
+) -> None:
     """Place and route a module of the FPGA preset on an ECP5, with five seeds. Exit code 1: a clock misses its goal."""
     with extra("rtl"):
         from coincid.flow import boards, pnr
@@ -460,31 +559,33 @@ def pnr(*, out: Path | None = None) -> None:
     _all_met(pnr.missed(board, placements))
 
 
-@command(
-    "[KIND] config changes buffer_beats out page",
-    kind="ulx3s: Verilog and bitstream for that board; serial, axi: Verilog alone, linted.",
-    config=("FILE", "TOML file or preset; default: emulator, and emulator-axi for axi."),
-    buffer_beats=("N", "Size of the frame buffer in beats."),
-    out=("DIR", "Folder of Verilog, register map and bitstream."),
-    page=("FILE", "With ulx3s: Markdown report of Fmax and resources; default: docs/emulator-board.md."),
-)
+@command
 def emulator(
     *,
-    kind: str = "ulx3s",
-    buffer_beats: int = 8192,
-    out: Path = Path("build/emulator"),
-    page: Path | None = None,
-    **given: Any,
+    kind: Annotated[
+        str, argument("ulx3s: Verilog and bitstream for that board; serial, axi: Verilog alone, linted.", "KIND")
+    ] = "ulx3s",
+    config: Annotated[
+        str | None, option("TOML file or preset; default: emulator, and emulator-axi for axi.", "FILE")
+    ] = None,
+    changes: ChangesOption = None,
+    buffer_beats: Annotated[int, option("Size of the frame buffer in beats.", "N")] = 8192,
+    out: Annotated[Path, option("Folder of Verilog, register map and bitstream.", "DIR")] = Path("build/emulator"),
+    page: Annotated[
+        Path | None,
+        option("With ulx3s: Markdown report of Fmax and resources; default: docs/emulator-board.md.", "FILE"),
+    ] = None,
 ) -> None:
     """Build the emulator for a board. Exit code 1: lint found something, or one of five seeds misses a clock."""
     from coincid.model.contract.emulator import Emulator
 
     with extra("rtl"):
         from coincid.flow import boards, emulator_release, lint, pnr
-    on_bus, on_board = kind == emulator_release.AXI, kind == emulator_release.BOARD
+    on_board = kind == emulator_release.BOARD
     if page is not None:
         _file(page)
-    settings = _config({"config": "emulator-axi" if on_bus else "emulator"} | {k: v for k, v in given.items() if v})
+    usual = "emulator-axi" if kind == emulator_release.AXI else "emulator"
+    settings = _config(config or usual, changes)
     files = emulator_release.emulator_release(settings, kind, buffer_beats)
     written = emulator_release.write_emulator(_folder(out), files)
     print(f"{out}: {len(written)} files, {sum(path.stat().st_size for path in written) / 1000:.0f} kB")
@@ -499,7 +600,7 @@ def emulator(
         _all_met(pnr.missed(board, placements))
 
 
-@command()
+@command
 def cost() -> None:
     """Write area, bits of an event and readout rate against the paper's parameters, and the cost of each choice, into docs/."""
     with extra("rtl"):
@@ -509,18 +610,18 @@ def cost() -> None:
     print("docs/cost.md docs/silicon.md")
 
 
-@command("config changes view")
-def lint(*, view: str = "polyphase", **given: Any) -> None:
+@command
+def lint(*, config: ConfigOption = None, changes: ChangesOption = None, view: ViewOption = "polyphase") -> None:
     """Check the exported Verilog with Verilator's lint, and with Icarus if it is installed."""
-    settings = _config(given)
+    settings = _config(config, changes)
     with extra("rtl"):
         from coincid.flow.lint import lint as run
         from coincid.hdl.front_end_views import view_at
     _all_clean(run(settings, view_at(view, settings.clock_mhz)))
 
 
-@command("[NAMES]", names="Proofs; default: all.")
-def formal(*, names: list[str] | None = None) -> None:
+@command
+def formal(*, names: Annotated[list[str] | None, argument("Proofs; default: all.", "NAMES")] = None) -> None:
     """Prove the RTL's properties for all inputs and all time; takes a few minutes."""
     with extra("rtl"):
         from coincid.formal.prove import HEAD, prove
@@ -531,23 +632,15 @@ def formal(*, names: list[str] | None = None) -> None:
     _all_met(f"{verdict.proof.name}: {verdict.reason}; log: {verdict.folder / 'log'}" for verdict in failed)
 
 
-@command(
-    "distance_m reflectivity klux spectrum form json",
-    distance_m="Distance of the target in metres.",
-    reflectivity=("", "Reflectivity of the target, 0 to 1."),
-    klux=("", "Sunlight in klux."),
-    spectrum=("SPECTRUM", "am15g or planck; default: am15g."),
-    form=("FORM", "literal (as printed in the paper) or corrected."),
-    json="Print JSON with flat keys, for programs.",
-)
+@command
 def budget(
     *,
-    distance_m: float = 4.0,
-    reflectivity: float = 0.4,
-    klux: float = 50.0,
-    spectrum: str | None = None,
-    form: str = "literal",
-    json: bool = False,
+    distance_m: Annotated[float, option("Distance of the target in metres.")] = 4.0,
+    reflectivity: Annotated[float, option("Reflectivity of the target, 0 to 1.")] = 0.4,
+    klux: Annotated[float, option("Sunlight in klux.")] = 50.0,
+    spectrum: Annotated[str | None, option("am15g or planck; default: am15g.", "SPECTRUM")] = None,
+    form: Annotated[str, option("literal (as printed in the paper) or corrected.", "FORM")] = "literal",
+    json: Annotated[bool, option("Print JSON with flat keys, for programs.", flag="--json")] = False,
 ) -> None:
     """Print the link budget, equations (1) and (2) of the paper, line by line."""
     from json import dumps
@@ -563,50 +656,56 @@ def budget(
         print(f"{name:22} {value if isinstance(value, str) else format(value, '.6g'):>12} {unit:6} {source}")
 
 
-@command("out rtl", out=("DIR", "Folder of the figures."), rtl="Add the RTL as a source to figures 6 and 8.")
-def figures(*, out: Path = Path("build/figures"), rtl: bool = False) -> None:
+@command
+def figures(
+    *,
+    out: FiguresOutOption = Path("build/figures"),
+    rtl: Annotated[bool, option("Add the RTL as a source to figures 6 and 8.", flag="--rtl")] = False,
+) -> None:
     """Draw the paper's figures from the analytic model, Monte Carlo and, on request, the RTL."""
     _drawn("figures", out, rtl)
 
 
-@command("out", out=("DIR", "Folder of the figures."))
-def compare(*, out: Path = Path("build/compare")) -> None:
+@command
+def compare(*, out: FiguresOutOption = Path("build/compare")) -> None:
     """Compare the sensor with other schemes on the same photons: plots, their data (CSV) and a page."""
     _drawn("compare", out)
 
 
-@command("out rtl", out=("DIR", "Folder of the figures."), rtl="Check some frames on the RTL.")
-def modes(*, out: Path = Path("build/modes"), rtl: bool = False) -> None:
+@command
+def modes(
+    *,
+    out: FiguresOutOption = Path("build/modes"),
+    rtl: Annotated[bool, option("Check some frames on the RTL.", flag="--rtl")] = False,
+) -> None:
     """Compare coincidence and gating over background and distance, behind glass and at 100 m: plots, data (CSV) and a page."""
     _drawn("modes", out, rtl)
 
 
-@command(
-    "port simulate netlist scene klux config changes frames pulses seed baud out",
-    port=("DEVICE", "Serial port of the board, such as /dev/ttyUSB0."),
-    simulate="Use the emulator's simulated RTL behind its serial pins instead.",
-    netlist="With --simulate: the netlist of the FPGA of an ULX3S instead of the RTL.",
-    scene=("SCENE", "Scene, as in coincid sim."),
-    config=("FILE", "TOML file or preset; its sensor must be the one on the board."),
-    frames=("N", "Frames to take."),
-    pulses=("N", "Laser pulses per frame; default: the configuration's."),
-    seed=("", "Seed of the photon source."),
-    baud="Baud rate of the serial line; default: 3,000,000 on a board, the fastest possible in simulation.",
-    out=("DIR", "Folder of the depth picture."),
-)
+@command
 def emulate(
     *,
-    port: str | None = None,
-    simulate: bool = False,
-    netlist: bool = False,
-    scene: str = "five-objects",
-    config: str = "emulator",
-    frames: int = 20,
-    pulses: int | None = None,
-    seed: int = 1,
-    baud: int | None = None,
-    out: Path = Path("build/emulate"),
-    **given: Any,
+    port: Annotated[str | None, option("Serial port of the board, such as /dev/ttyUSB0.", "DEVICE")] = None,
+    simulate: Annotated[
+        bool, option("Use the emulator's simulated RTL behind its serial pins instead.", flag="--simulate")
+    ] = False,
+    netlist: Annotated[
+        bool, option("With --simulate: the netlist of the FPGA of an ULX3S instead of the RTL.", flag="--netlist")
+    ] = False,
+    scene: Annotated[str, option("Scene, as in coincid sim.", "SCENE")] = "five-objects",
+    klux: KluxOption = None,
+    config: Annotated[
+        str, option("TOML file or preset; its sensor must be the one on the board.", "FILE")
+    ] = "emulator",
+    changes: ChangesOption = None,
+    frames: Annotated[int, option("Frames to take.", "N")] = 20,
+    pulses: Annotated[int | None, option("Laser pulses per frame; default: the configuration's.", "N")] = None,
+    seed: Annotated[int, option("Seed of the photon source.")] = 1,
+    baud: Annotated[
+        int | None,
+        option("Baud rate of the serial line; default: 3,000,000 on a board, the fastest possible in simulation."),
+    ] = None,
+    out: Annotated[Path, option("Folder of the depth picture.", "DIR")] = Path("build/emulate"),
 ) -> None:
     """Run the emulator, on a board or in simulation, and check each of its words against the golden model."""
     from coincid.host.emulator_driver import EmulatorDriver
@@ -621,11 +720,10 @@ def emulate(
     if netlist and not simulate:
         raise InputError("netlist: goes with --simulate only")
     check_integer("frames", frames, 1, FRAMES_MAX)
-    given["config"] = config
-    settings = _config(given)
+    settings = _config(config, changes)
     if pulses is not None:
         settings = settings.with_frame(pulses=pulses)
-    setup = _setup(settings, scene, given)
+    setup = _setup(settings, scene, klux=klux)
     patience: dict[str, Any] = {}
     if simulate:
         with extra("rtl"):
@@ -648,7 +746,7 @@ def emulate(
         tally = run(
             EmulatorDriver(transport),
             settings,
-            setup.scene,
+            setup.seen,
             _folder(out),
             klux=setup.klux,
             frames=frames,
@@ -662,12 +760,14 @@ def emulate(
     print(f"{rate}; {transport.repeats} requests repeated, {tally.recoveries} recoveries\n{out / DEPTH}")
 
 
-@command(
-    "out repeats",
-    out=("FILE", "JSON, flat keys; a Markdown table goes beside it."),
-    repeats=("N", "Number of rounds; the results are medians."),
-)
-def bench(*, out: Path = Path("build/bench.json"), repeats: int = 5) -> None:
+@command
+def bench(
+    *,
+    out: Annotated[Path, option("JSON, flat keys; a Markdown table goes beside it.", "FILE")] = Path(
+        "build/bench.json"
+    ),
+    repeats: Annotated[int, option("Number of rounds; the results are medians.", "N")] = 5,
+) -> None:
     """Measure the speed of the model, the simulators, whole frames and builds from scratch; takes about ten minutes."""
     with extra("rtl"):
         from coincid.study.bench import benchmark, table
@@ -675,26 +775,33 @@ def bench(*, out: Path = Path("build/bench.json"), repeats: int = 5) -> None:
     print(table(benchmark(_file(out), repeats=repeats, tell=console.print)), end="")
 
 
-def _setup(config: "Config", scene: str, given: dict[str, Any], **fields: Any) -> Any:
-    """Return the `Setup` of a scene, with those given options that are in lab/options.py, and with further `fields`."""
+def _setup(
+    config: "Config",
+    scene: str,
+    *,
+    klux: str | None,
+    unit: str | None = None,
+    scale: float = OPTIONS["scale"].default,
+    reflectivity: float = OPTIONS["reflectivity"].default,
+    **fields: Any,
+) -> "Setup":
+    """Return the `Setup` of a scene, which `unit`, `scale` and `reflectivity` describe, with further `fields`."""
     from coincid.lab.setup import Setup, scene_of
     from coincid.model.scenes.catalogue import usual_klux
 
-    of_scene = {name: given.get(name) for name in ("scale", "unit", "reflectivity") if name in given}
-    given = {name: value for name, value in given.items() if name not in of_scene}
-    klux = usual_klux(scene) if given["klux"] is None else given["klux"]
-    others = given | {"klux": klux, "spad": _spad(given.get("spad") or ())}
-    return Setup(config=config, scene=scene_of(config, scene, **of_scene), **others, **fields)
+    surfaces = scene_of(config, scene, unit=unit, scale=scale, reflectivity=reflectivity)
+    ambient = usual_klux(scene) if klux is None else klux
+    return Setup(config=config, scene=surfaces, klux=ambient, **fields)
 
 
-def _spad(given: Iterable[str]) -> Any:
+def _spad(given: Iterable[str] | None) -> "Spad":
     """Return the detector with properties NAME=VALUE."""
     from attrs import fields_dict
 
     from coincid.model.light.spad import Spad
 
     values: dict[str, Any] = {}
-    for text in given:
+    for text in given or ():
         name, _, value = text.partition("=")
         if name not in fields_dict(Spad):
             raise InputError(f"--spad {text}: must be NAME=VALUE with a name of {', '.join(fields_dict(Spad))}")
@@ -705,13 +812,12 @@ def _spad(given: Iterable[str]) -> Any:
     return Spad(**values)
 
 
-def _config(given: dict[str, Any]) -> "Config":
-    """Return the configuration with the settings of the command line. It removes them from the given options."""
+def _config(config: str | None, changes: list[str] | None, clock_mhz: float | None = None) -> "Config":
+    """Return the configuration of a file or preset with the changes of the command line."""
     from coincid.model.contract.config import changes_of_text, load_config
 
-    config = load_config(given.pop("config", None), changes_of_text(given.pop("changes", None) or []))
-    clock_mhz = given.pop("clock_mhz", None)
-    return config if clock_mhz is None else config.with_frame(clock_mhz=clock_mhz)
+    loaded = load_config(config, changes_of_text(changes or []))
+    return loaded if clock_mhz is None else loaded.with_frame(clock_mhz=clock_mhz)
 
 
 def _file(path: Path) -> Path:

@@ -7,7 +7,7 @@ settings have their range here. Settings of the file that are not described here
 """
 
 from collections.abc import Iterable
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from attrs import frozen
 
@@ -93,27 +93,22 @@ Value: TypeAlias = int | float | str | bool
 Needs: TypeAlias = "tuple[dict[str, tuple[Value, ...] | None], ...]"
 
 
-@frozen
+@frozen(kw_only=True)
 class Control:
-    """A setting of the explorer.
+    """A setting of the explorer."""
 
-    kind: "integer", "real", "choice" or "switch"; choices: legal values of a choice. default: None if the field may be empty.
-    low, high: legal range; for a key of the file, that of the default sensor. where: table and key of the configuration
-    file, or None if it is not in the file. step: change by a click or an arrow key.
-    """
-
-    name: str
-    group: str
-    label: str
-    sentence: str
-    kind: str
-    default: Value | None
+    name: str  # its key
+    group: str  # under which it stands on the page
+    label: str  # what a user calls it
+    sentence: str  # what it does
+    kind: str  # "integer", "real", "choice" or "switch"
+    default: Value | None  # None: the field may be empty
     unit: str = ""
-    low: float = 0
+    low: float = 0  # legal range; for a key of the file, that of the default sensor
     high: float = 0
-    step: float = 1
-    choices: tuple[str, ...] = ()
-    where: tuple[str, str] | None = None
+    step: float = 1  # change by a click or an arrow key
+    choices: tuple[str, ...] = ()  # legal values of a choice
+    where: tuple[str, str] | None = None  # table and key of the configuration file; None if it is not in the file
 
     def span(self, sensor: Sensor) -> str:
         """Return range and unit."""
@@ -145,23 +140,21 @@ def _texts(values: tuple[Value, ...] | None) -> list[str] | None:
 _DEFAULTS = parse_config({})
 
 
-def _integer(
-    name: str, group: str, label: str, default: int, low: int, high: int, sentence: str, step: int = 1
-) -> Control:
-    return Control(name, group, label, sentence, "integer", default, "", low, high, step)
+def _integer(**described: Any) -> Control:
+    """Return the control of an integer that is not in the configuration file."""
+    return Control(kind="integer", **described)
 
 
-def _real(
-    name: str, group: str, label: str, default: float, low: float, high: float, unit: str, step: float, sentence: str
-) -> Control:
-    return Control(name, group, label, sentence, "real", default, unit, low, high, step)
+def _real(**described: Any) -> Control:
+    """Return the control of a real number that is not in the configuration file."""
+    return Control(kind="real", **described)
 
 
-def _choice(
-    name: str, group: str, label: str, choices: Iterable[str], sentence: str, default: str = "", table: str = ""
-) -> Control:
-    chosen, where = tuple(choices), (table, name) if table else None
-    return Control(name, group, label, sentence, "choice", default or chosen[0], choices=chosen, where=where)
+def _choice(*, name: str, choices: Iterable[str], default: str = "", table: str = "", **described: Any) -> Control:
+    """Return the control of a choice. table: of the configuration file in which it is, if it is there."""
+    legal = tuple(choices)
+    where = (table, name) if table else None
+    return Control(name=name, kind="choice", default=default or legal[0], choices=legal, where=where, **described)
 
 
 def _key(name: str, group: str = FURTHER, label: str = "", sentence: str = "", default: int | None = None) -> Control:
@@ -171,60 +164,307 @@ def _key(name: str, group: str = FURTHER, label: str = "", sentence: str = "", d
         default = setting.default_of(_DEFAULTS.sensor, _DEFAULTS.frame)
     label = label or FURTHER_LABELS.get(name) or name.replace("_", " ").capitalize()
     sentence = (sentence or setting.doc) + " Empty: derived from the other settings." * setting.derived
-    limits, where = setting.limits(_DEFAULTS.sensor), (setting.table, name)
-    return Control(name, group, label, sentence, setting.kind.value, default, setting.unit, *limits, where=where)
+    low, high = setting.limits(_DEFAULTS.sensor)
+    return Control(
+        name=name,
+        group=group,
+        label=label,
+        sentence=sentence,
+        kind=setting.kind.value,
+        default=default,
+        unit=setting.unit,
+        low=low,
+        high=high,
+        where=(setting.table, name),
+    )
 
 
 _DESCRIBED: tuple[Control, ...] = (
-    _key("coincidence", "Threshold", "Coincidence",
-         "On: a detection counts only if enough pixels of a subgroup fire within a window. Off: every photon is an event."),
-    _key("threshold", "Threshold", "Threshold",
-         "Pixels that must fire within a window. Low lets sunlight through, high loses dark and far objects. The controller starts from it."),
-    _key("auto", "Threshold", "Controller", "Sets every subgroup's threshold anew after each frame; watch it over several frames."),
-    _key("window", "Threshold", "Window", "How long the tree waits for more pixels after a first photon; 16 ticks are 1 ns."),
-    _choice("scene", "Scene", "Scene", SCENES, "What the sensor looks at: planes that face it, or your own depth picture."),
-    _real("near_m", "Scene", "Distance, near", 5.0, NEAREST_M, round(RANGE_M, 1), "m", 0.5, "For the scenes flat, two-targets and two-returns."),
-    _real("far_m", "Scene", "Distance, far", 9.0, NEAREST_M, round(RANGE_M, 1), "m", 0.5, "Farther surface of two-targets and two-returns."),
-    _real("reflectivity", "Scene", "Reflectivity", 0.4, 0, 1, "", 0.05,
-          f"{_told('reflectivity')} It also applies to these three scenes. Black velvet: 0.01, asphalt: 0.1, white wall: 0.8."),
-    _real("shade", "Scene", "Light in the shade", SHADE, 0, 1, "", 0.01, "For the scenes sun-and-shade and tunnel: share of the sun's light."),
-    _real("scale", "Scene", "Distances times", 1.0, 0.1, 10, "", 0.1, f"{_told('scale')} In the explorer it applies to all scenes."),
-    _choice("unit", "Scene", "Unit of the file", UNITS, _told("unit")),
-    _real("klux", "Light", "Sunlight", 50.0, 0, KLUX_MAX, "klux", 5,
-          "Background light where the sun shines. Full sun: 100 klux, a lit room: 0.5 klux."),
-    _choice("sun", "Light", "The sun shines", SUN, "Everywhere, on the left half only, or where an uploaded picture is white; black is shade."),
-    _real("shade_klux", "Light", "Shade", 5.0, 0, KLUX_MAX, "klux", 1, "Background light where the sun does not shine."),
-    _integer("pulses", "Light", "Laser pulses", 100, 1, PULSES_MAX, "Per frame. More pulses give more light and a longer frame.", step=10),
-    _integer("frames", "Light", "Frames", 1, 1, FRAMES_MAX, "Frames in sequence; they show how the controller's thresholds settle."),
-    _integer("seed", "Light", "Seed", 1, 0, SEED_MAX, f"{_told('seed')} The same seed gives the same photons."),
-    _choice("background", "Light", "Background", BACKGROUNDS, _told("background")),
-    _key("rows", "Sensor", "Rows", "SPADs of the array from top to bottom."),
-    _key("cols", "Sensor", "Columns", "SPADs of the array from left to right."),
-    _choice("subgroup", "Sensor", "Subgroup", SIZES, "SPADs that share a coincidence tree and a threshold, rows x columns.", "8x8", "sensor"),
-    _choice("minigroup", "Sensor", "Minigroup", MINIGROUP_SIZES,
-          "SPADs that share a coarse time stamp of their own, rows x columns.", "2x2", "sensor"),
-    _key("fifo_depth", "Sensor", "FIFO depth", "Number of events of a subgroup that can wait for the stream; further ones are dropped."),
-    _key("streams", "Sensor", "Streams", "Outputs of the sensor; each one carries a part of the subgroups."),
-    _choice("format", "Sensor", "Format", WITH_MAP,
-            "Content of an event: id: which pixels fired; full: also the minigroups' time stamps. Depth needs the pixels.", "id", "frame"),
-    _key("gating", "Gate", "Gating", "Light outside the gate is ignored."),
-    _key("gate_start", "Gate", "Gate start", "First cycle of the gate; a cycle is 2 ns, 0.3 m.", 20),
-    _key("gate_len", "Gate", "Gate length", "Length of the gate.", 60),
-    Control(name="spad_gate", group="Gate", label="SPADs off outside", default=False, kind="switch",
-            sentence=f"{_told('spad_gate')} No SPAD is dead when the gate opens."),
-    _key("gate_step", "Gate", "Progressive: step", "The gate moves later by this many cycles ..."),
-    _key("gate_every", "Gate", "Progressive: every", "... after every so many pulses (0: never) ..."),
-    _key("gate_steps", "Gate", "Progressive: positions", "... and returns to the start after so many positions."),
-    _real("dead_ns", "SPAD", "Dead time", 8.0, 0, 1000, "ns", 1, "Time after an avalanche in which a SPAD detects nothing."),
-    _real("jitter_ps", "SPAD", "Jitter", 100.0, 0, 500, "ps", 50,
-          "Width (FWHM) of the SPAD's timing jitter. The laser pulse is set so that both together have 500 ps."),
-    _real("dark_kcps", "SPAD", "Dark counts", 0.0, 0, 10_000, "kcps", 10, "Avalanches per second without light; 50 klux give 1226 kcps."),
-    _real("crosstalk_percent", "SPAD", "Crosstalk", 0.0, 0, 25, "%", 1, "Probability that an avalanche fires a given neighbour."),
-    _real("afterpulse_percent", "SPAD", "Afterpulsing", 0.0, 0, 50, "%", 1,
-          "Probability that an avalanche traps a carrier, which fires the SPAD later."),
-    _choice("method", "Depth", "Estimator", METHODS,
-          f"{_told('method')} {'; '.join(f'{name}: {what}' for name, what in METHODS.items())}.", DEFAULT_METHOD),
-)  # fmt: skip
+    _key(
+        name="coincidence",
+        group="Threshold",
+        label="Coincidence",
+        sentence="On: a detection counts only if enough pixels of a subgroup fire within a window. Off: every photon is an event.",
+    ),
+    _key(
+        name="threshold",
+        group="Threshold",
+        label="Threshold",
+        sentence="Pixels that must fire within a window. Low lets sunlight through, high loses dark and far objects. The controller starts from it.",
+    ),
+    _key(
+        name="auto",
+        group="Threshold",
+        label="Controller",
+        sentence="Sets every subgroup's threshold anew after each frame; watch it over several frames.",
+    ),
+    _key(
+        name="window",
+        group="Threshold",
+        label="Window",
+        sentence="How long the tree waits for more pixels after a first photon; 16 ticks are 1 ns.",
+    ),
+    _choice(
+        name="scene",
+        group="Scene",
+        label="Scene",
+        choices=SCENES,
+        sentence="What the sensor looks at: planes that face it, or your own depth picture.",
+    ),
+    _real(
+        name="near_m",
+        group="Scene",
+        label="Distance, near",
+        default=5.0,
+        low=NEAREST_M,
+        high=round(RANGE_M, 1),
+        unit="m",
+        step=0.5,
+        sentence="For the scenes flat, two-targets and two-returns.",
+    ),
+    _real(
+        name="far_m",
+        group="Scene",
+        label="Distance, far",
+        default=9.0,
+        low=NEAREST_M,
+        high=round(RANGE_M, 1),
+        unit="m",
+        step=0.5,
+        sentence="Farther surface of two-targets and two-returns.",
+    ),
+    _real(
+        name="reflectivity",
+        group="Scene",
+        label="Reflectivity",
+        default=0.4,
+        low=0,
+        high=1,
+        unit="",
+        step=0.05,
+        sentence=f"{_told('reflectivity')} It also applies to these three scenes. Black velvet: 0.01, asphalt: 0.1, white wall: 0.8.",
+    ),
+    _real(
+        name="shade",
+        group="Scene",
+        label="Light in the shade",
+        default=SHADE,
+        low=0,
+        high=1,
+        unit="",
+        step=0.01,
+        sentence="For the scenes sun-and-shade and tunnel: share of the sun's light.",
+    ),
+    _real(
+        name="scale",
+        group="Scene",
+        label="Distances times",
+        default=1.0,
+        low=0.1,
+        high=10,
+        unit="",
+        step=0.1,
+        sentence=f"{_told('scale')} In the explorer it applies to all scenes.",
+    ),
+    _choice(name="unit", group="Scene", label="Unit of the file", choices=UNITS, sentence=_told("unit")),
+    _real(
+        name="klux",
+        group="Light",
+        label="Sunlight",
+        default=50.0,
+        low=0,
+        high=KLUX_MAX,
+        unit="klux",
+        step=5,
+        sentence="Background light where the sun shines. Full sun: 100 klux, a lit room: 0.5 klux.",
+    ),
+    _choice(
+        name="sun",
+        group="Light",
+        label="The sun shines",
+        choices=SUN,
+        sentence="Everywhere, on the left half only, or where an uploaded picture is white; black is shade.",
+    ),
+    _real(
+        name="shade_klux",
+        group="Light",
+        label="Shade",
+        default=5.0,
+        low=0,
+        high=KLUX_MAX,
+        unit="klux",
+        step=1,
+        sentence="Background light where the sun does not shine.",
+    ),
+    _integer(
+        name="pulses",
+        group="Light",
+        label="Laser pulses",
+        default=100,
+        low=1,
+        high=PULSES_MAX,
+        sentence="Per frame. More pulses give more light and a longer frame.",
+        step=10,
+    ),
+    _integer(
+        name="frames",
+        group="Light",
+        label="Frames",
+        default=1,
+        low=1,
+        high=FRAMES_MAX,
+        sentence="Frames in sequence; they show how the controller's thresholds settle.",
+    ),
+    _integer(
+        name="seed",
+        group="Light",
+        label="Seed",
+        default=1,
+        low=0,
+        high=SEED_MAX,
+        sentence=f"{_told('seed')} The same seed gives the same photons.",
+    ),
+    _choice(name="background", group="Light", label="Background", choices=BACKGROUNDS, sentence=_told("background")),
+    _key(name="rows", group="Sensor", label="Rows", sentence="SPADs of the array from top to bottom."),
+    _key(name="cols", group="Sensor", label="Columns", sentence="SPADs of the array from left to right."),
+    _choice(
+        name="subgroup",
+        group="Sensor",
+        label="Subgroup",
+        choices=SIZES,
+        sentence="SPADs that share a coincidence tree and a threshold, rows x columns.",
+        default="8x8",
+        table="sensor",
+    ),
+    _choice(
+        name="minigroup",
+        group="Sensor",
+        label="Minigroup",
+        choices=MINIGROUP_SIZES,
+        sentence="SPADs that share a coarse time stamp of their own, rows x columns.",
+        default="2x2",
+        table="sensor",
+    ),
+    _key(
+        name="fifo_depth",
+        group="Sensor",
+        label="FIFO depth",
+        sentence="Number of events of a subgroup that can wait for the stream; further ones are dropped.",
+    ),
+    _key(
+        name="streams",
+        group="Sensor",
+        label="Streams",
+        sentence="Outputs of the sensor; each one carries a part of the subgroups.",
+    ),
+    _choice(
+        name="format",
+        group="Sensor",
+        label="Format",
+        choices=WITH_MAP,
+        sentence="Content of an event: id: which pixels fired; full: also the minigroups' time stamps. Depth needs the pixels.",
+        default="id",
+        table="frame",
+    ),
+    _key(name="gating", group="Gate", label="Gating", sentence="Light outside the gate is ignored."),
+    _key(
+        name="gate_start",
+        group="Gate",
+        label="Gate start",
+        sentence="First cycle of the gate; a cycle is 2 ns, 0.3 m.",
+        default=20,
+    ),
+    _key(name="gate_len", group="Gate", label="Gate length", sentence="Length of the gate.", default=60),
+    Control(
+        name="spad_gate",
+        group="Gate",
+        label="SPADs off outside",
+        default=False,
+        kind="switch",
+        sentence=f"{_told('spad_gate')} No SPAD is dead when the gate opens.",
+    ),
+    _key(
+        name="gate_step",
+        group="Gate",
+        label="Progressive: step",
+        sentence="The gate moves later by this many cycles ...",
+    ),
+    _key(
+        name="gate_every",
+        group="Gate",
+        label="Progressive: every",
+        sentence="... after every so many pulses (0: never) ...",
+    ),
+    _key(
+        name="gate_steps",
+        group="Gate",
+        label="Progressive: positions",
+        sentence="... and returns to the start after so many positions.",
+    ),
+    _real(
+        name="dead_ns",
+        group="SPAD",
+        label="Dead time",
+        default=8.0,
+        low=0,
+        high=1000,
+        unit="ns",
+        step=1,
+        sentence="Time after an avalanche in which a SPAD detects nothing.",
+    ),
+    _real(
+        name="jitter_ps",
+        group="SPAD",
+        label="Jitter",
+        default=100.0,
+        low=0,
+        high=500,
+        unit="ps",
+        step=50,
+        sentence="Width (FWHM) of the SPAD's timing jitter. The laser pulse is set so that both together have 500 ps.",
+    ),
+    _real(
+        name="dark_kcps",
+        group="SPAD",
+        label="Dark counts",
+        default=0.0,
+        low=0,
+        high=10_000,
+        unit="kcps",
+        step=10,
+        sentence="Avalanches per second without light; 50 klux give 1226 kcps.",
+    ),
+    _real(
+        name="crosstalk_percent",
+        group="SPAD",
+        label="Crosstalk",
+        default=0.0,
+        low=0,
+        high=25,
+        unit="%",
+        step=1,
+        sentence="Probability that an avalanche fires a given neighbour.",
+    ),
+    _real(
+        name="afterpulse_percent",
+        group="SPAD",
+        label="Afterpulsing",
+        default=0.0,
+        low=0,
+        high=50,
+        unit="%",
+        step=1,
+        sentence="Probability that an avalanche traps a carrier, which fires the SPAD later.",
+    ),
+    _choice(
+        name="method",
+        group="Depth",
+        label="Estimator",
+        choices=METHODS,
+        sentence=f"{_told('method')} {'; '.join(f'{name}: {what}' for name, what in METHODS.items())}.",
+        default=DEFAULT_METHOD,
+    ),
+)
 _NAMES = {control.name for control in _DESCRIBED}
 _SIMPLE = (Kind.INTEGER, Kind.REAL, Kind.SWITCH)
 _FURTHER = [name for name, setting in (SUBGROUP | FRAME | SENSOR).items() if setting.kind in _SIMPLE]

@@ -33,7 +33,7 @@ def events_csv(explored: Explored, frame: int) -> bytes:
     lines.writerow([*EVENT_COLUMNS, "hits"])
     maps = [int.from_bytes(row.astype("<u8").tobytes(), "little") for row in arrays["hits"]]
     columns = [arrays[name].astype(np.int64).tolist() for name in EVENT_COLUMNS]
-    lines.writerows([*row, f"{hits:x}"] for *row, hits in zip(*columns, maps))
+    lines.writerows([*row, f"{hits:x}"] for *row, hits in zip(*columns, maps, strict=True))
     return text.getvalue().encode()
 
 

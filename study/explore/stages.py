@@ -14,13 +14,13 @@ from typing import Any, TypeAlias
 
 from attrs import evolve, field, frozen
 
-from ...lab.outcomes import Kept, Run
+from ...lab.outcomes import Run, StageCache
 from ...model.contract.result import differences
 from ...model.shared.errors import InputError
 from ..show.frame_content import FrameView
 from .control_values import Settings
 
-KEPT = 3  # results per stage: of the present settings, the previous ones, and those of A
+CACHED = 3  # results per stage: of the present settings, the previous ones, and those of A
 THREADS = 4  # for the newest job, and for cancelled jobs that are still ending
 TOLD_EVERY_S = 0.1  # time between two reports of progress
 EDGES_MAX = 30_000_000  # in all frames; they take about a gigabyte
@@ -52,7 +52,7 @@ class Explorer:
     """Computes `Explored` from `Settings` and keeps photons and frames of the golden model."""
 
     def __init__(self) -> None:
-        self._kept = Kept(KEPT)
+        self._cache = StageCache(CACHED)
 
     def run(self, settings: Settings, progress: Progress = lambda stage, share: None) -> Explored:
         """Run all frames of `settings`, and compute the view of the last one. Raises `InputError`.
@@ -69,7 +69,7 @@ class Explorer:
 
         began = time.perf_counter()
         progress("scene", 0.0)
-        run = Run(settings.setup(), kept=self._kept, workers=os.cpu_count() or 1, watch=watch)
+        run = Run(settings.setup(), cache=self._cache, workers=os.cpu_count() or 1, watch=watch)
         _ = run.result
         progress("depth", 0.0)
         explored = Explored(settings, run)

@@ -282,7 +282,7 @@ class Page:
         most = {"row": config.sensor.rows, "col": config.sensor.cols, "pulse": config.pulses, "frame": config.frames}
         try:
             number = int(value) if value.lstrip("-").isdecimal() else value
-            checked = check_integer(name, number, 0, most[name] - 1) if name in most else value
+            checked: Any = check_integer(name, number, 0, most[name] - 1) if name in most else value
             self.look = evolve(self.look, **{name: checked})
             self._show() if name == "frame" else self._point()
             self._tell()

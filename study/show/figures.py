@@ -85,10 +85,10 @@ FATE_MARKS = [
     (_SHAPES[marker], colour, meaning) for colour, marker, meaning in FATES.values()
 ]  # of the key beside the figures
 REASON_MARKS = [("■", colour, SENTENCES[reason].partition(":")[0]) for reason, colour in REASONS.items()]
-VERDICT_MARKS = [(sign, colour, meaning) for sign, (colour, _, meaning) in zip("▌▨▩", VERDICTS.values())]
+VERDICT_MARKS = [(sign, colour, meaning) for sign, (colour, _, meaning) in zip("▌▨▩", VERDICTS.values(), strict=True)]
 TRUTH, CHOSEN, OTHER = VERMILION, TEAL, SKY
 ERROR_PALETTE = tuple(  # blue, white, orange: too near, right, too far
-    "#" + "".join(f"{round(a + (b - a) * share):02x}" for a, b in zip(start, end))
+    "#" + "".join(f"{round(a + (b - a) * share):02x}" for a, b in zip(start, end, strict=True))
     for start, end in (((0, 114, 178), (247, 247, 247)), ((247, 247, 247), (213, 94, 0)))
     for share in np.linspace(0, 1, 64)
 )

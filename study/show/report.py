@@ -157,7 +157,10 @@ def _sources(view: FrameView, pulses: int) -> dict[str, Any]:
             part.name: getattr(line.windows, part.name)[opened].astype(np.int32) for part in Windows.__attrs_attrs__
         },
         "bounds": {"edges": edge_bounds.astype(np.int32), "windows": window_bounds.astype(np.int32)},
-        "gates": {name: np.array(part, np.int32) for name, part in zip(("first", "end"), zip(*gates))},
+        "gates": {
+            name: np.array(part, np.int32)
+            for name, part in zip(("first", "end"), zip(*gates, strict=True), strict=True)
+        },
         "fill": {"cycle": line.fill_cycle.astype(np.int32), "fill": line.fill.astype(np.int32)},
         "subgroups": {"fill": line.fill_bounds.astype(np.int32), "events": view.events.bounds.astype(np.int32)},
         "threshold": line.threshold.tolist(),

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from coincid.lab.campaign import KeptFiles, Processes, campaign, grouped, read_measures
+from coincid.lab.campaign import FinishedFiles, Processes, campaign, grouped, read_measures
 from coincid.lab.compile_ahead import estimate_anything
 from coincid.lab.dask_workers import Dask
 from coincid.lab.measures import MEASURES
-from coincid.lab.outcomes import Kept, Run
+from coincid.lab.outcomes import Run, StageCache
 from coincid.lab.setup import Setup, seeded
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.packet import FORMATS, RECORD, layout
@@ -69,7 +69,7 @@ def test_the_made_up_frame_has_all_code_of_the_estimators_compiled():
 
 
 def test_a_changed_setting_keeps_the_photons_and_another_seed_does_not():
-    run = Run(small(), kept=Kept(2))
+    run = Run(small(), cache=StageCache(2))
     assert run.but(subgroup={"threshold": 3}).edges is run.edges
     assert run.but(seed=2).edges is not run.edges
     alone = run.alone(-1, subgroup={"threshold": 3})
@@ -143,21 +143,22 @@ def test_outcomes_do_not_depend_on_the_workers():
 
 
 def test_a_campaign_continues_and_plays_equal_setups_once(tmp_path):
-    kept, asked = KeptFiles(tmp_path, NAMES), []
+    finished = FinishedFiles(tmp_path, NAMES)
+    asked = []
 
     def counted(run):
         asked.append(run.setup.seed)
         return read(run)
 
     with Processes(1) as workers:
-        first = campaign({seed: small(seed=seed) for seed in (1, 2)}, counted, workers, kept=kept)
+        first = campaign({seed: small(seed=seed) for seed in (1, 2)}, counted, workers, finished=finished)
         (tmp_path / f"{small(seed=2).key}.json").write_text("{", encoding="utf-8")  # spoilt
         setups = {"a": small(seed=1), "b": small(seed=2), "c": small(seed=3), "again": small(seed=3)}
         told = []
-        second = campaign(setups, counted, workers, kept=kept, progress=told.append)
+        second = campaign(setups, counted, workers, finished=finished, progress=told.append)
     assert asked == [1, 2, 2, 3] and told == [1, 2, 3]
     assert (second["a"], second["b"]) == (first[1], first[2]) and second["c"] == second["again"]
-    assert KeptFiles(tmp_path, NAMES[::-1]).load(small(seed=1).key) is None  # other columns
+    assert FinishedFiles(tmp_path, NAMES[::-1]).load(small(seed=1).key) is None  # other columns
 
 
 def test_setups_that_share_the_words_of_the_rtl_come_out_as_alone():

@@ -229,7 +229,7 @@ def test_lost_workers_lose_nothing(tmp_path, quick, processes, monkeypatch):
     (tmp_path / "lost").mkdir()
     spec, out = read_spec(tmp_path / "s.toml"), tmp_path / "lost" / "s.parquet"
     summary = job.sweep(spec, out, workers=2, title="s", progress=kill_one)
-    assert len(victims) == 2 and (summary.rows, summary.kept, summary.failed) == (6, 0, {})
+    assert len(victims) == 2 and (summary.rows, summary.finished_before, summary.failed) == (6, 0, {})
     for suffix in (".parquet", ".png"):
         assert out.with_suffix(suffix).read_bytes() == (tmp_path / f"s{suffix}").read_bytes()
 
