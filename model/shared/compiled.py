@@ -27,7 +27,6 @@ _NUMBA: Any = numba.config  # it reads its settings at import, so type checkers 
 _without_value: Any = types.unliteral  # the type of a constant, without the constant
 _SHARED_BY_ALL = ("model.contract", "model.shared")
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
-_Wrapped = Callable[[_Kernel], _Kernel]
 
 
 class _Compiled(CPUDispatcher):
@@ -50,7 +49,7 @@ class _Part(_Compiled):
 @overload
 def njit(function: _Kernel) -> _Kernel: ...
 @overload
-def njit(*, allocates: bool = True, **options: Any) -> _Wrapped[_Kernel]: ...
+def njit(*, allocates: bool = True, **options: Any) -> Callable[[_Kernel], _Kernel]: ...
 def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, **options: Any) -> Callable[..., Any]:
     """Compile a kernel with Numba, keep its code on disk, and run it without the lock of the interpreter.
 
@@ -78,7 +77,7 @@ def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, 
 @overload
 def part(function: _Kernel) -> _Kernel: ...
 @overload
-def part(*, allocates: bool = False, inlined: bool = True, **options: Any) -> _Wrapped[_Kernel]: ...
+def part(*, allocates: bool = False, inlined: bool = True, **options: Any) -> Callable[[_Kernel], _Kernel]: ...
 def part(
     function: Callable[..., Any] | None = None, *, allocates: bool = False, inlined: bool = True, **options: Any
 ) -> Callable[..., Any]:

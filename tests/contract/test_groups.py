@@ -2,6 +2,7 @@
 """Groups of events: an independent decoder reads the same rows as formats without groups; damage costs one group and is told."""
 
 import zlib
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -165,7 +166,7 @@ def test_damage_costs_one_group_and_is_told(data, damage, form):
 
 
 def _bounds(ends):
-    return zip([1] + [end + 1 for end in ends], [end + 1 for end in ends], strict=True)
+    return pairwise([1, *(end + 1 for end in ends)])
 
 
 _FRAMES = {}
