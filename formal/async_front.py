@@ -22,7 +22,9 @@ from .proof_bench import KEPT, PROOFS, Proof, elaborated
 
 DEPTH = 14  # half cycles of the induction
 COVER = 40  # half cycles within which a window with two pixels that spans several cycles comes out
-SMALL = Sensor(rows=4, cols=4, subgroup=(4, 4), minigroup=(2, 2), phases=4, coarse_bits=3, window_max=8)
+SMALL = Sensor(
+    rows=4, cols=4, subgroup=(4, 4), minigroup=(2, 2), phases=4, coarse_bits=3, window_max=8
+)
 SCRIPT = """\
 cutpoint -blackbox
 # Steps are half cycles: an enable selects the flops that move in a step, and all have the same clock.
@@ -33,7 +35,9 @@ setparam -set CLK_POLARITY 1'1 t:$*dff*
 def bench(sensor: Sensor, circuit: Circuit) -> Module:
     """Return the front end with free events, and the statements about it."""
     m = Module()
-    started, rising = (Signal(name=f"{KEPT}{name}", reset_less=True) for name in ("started", "rising"))
+    started, rising = (
+        Signal(name=f"{KEPT}{name}", reset_less=True) for name in ("started", "rising")
+    )
     reset = Signal()
     m.d.sync += [started.eq(started | rising), rising.eq(~rising)]
     m.d.comb += [reset.eq(AnySeq(1)), Assume(started | reset)]
@@ -89,21 +93,35 @@ def _control_returns(m: Module, control: AsyncControl, started: Signal) -> None:
         m.d.fall += waiting.eq(0)
         with m.If(control.read):
             m.d.fall += waiting.eq(waiting + 1)
-        m.d.comb += Assert(~started | (waiting <= 2))  # the clear comes two cycles after the window closed
+        # The clear comes two cycles after the window closed.
+        m.d.comb += Assert(~started | (waiting <= 2))
         m.d.comb += Assert(~(started & control.read & (waiting == 0)) | control.closing)
     unanswered, parity = Signal(range(8)), Signal()
     ended, parity_now = control.of_current("ended"), control.of_current("parity")
     m.d.fall += [unanswered.eq(0), parity.eq(parity_now)]
-    with m.If(control.window_open & ended & ~control.closes & ((unanswered == 0) | (parity_now == parity))):
+    with m.If(
+        control.window_open & ended & ~control.closes & ((unanswered == 0) | (parity_now == parity))
+    ):
         m.d.fall += unanswered.eq(unanswered + 1)
-    m.d.comb += Assert(~started | (unanswered <= 2))  # if the end stays, the window closes within two cycles
+    # If the end stays, the window closes within two cycles.
+    m.d.comb += Assert(~started | (unanswered <= 2))
     if control.sensor.rearm:
         m.d.comb += Assert(~started | (control.hold < max(2, control.sensor.rearm)))
 
 
 def _prove(name: str, states: str, sensor: Sensor) -> None:
-    PROOFS[name] = Proof(name, states, partial(bench, sensor, Circuit()), DEPTH, COVER, (CELLS, MACROS), SCRIPT)
+    PROOFS[name] = Proof(
+        name, states, partial(bench, sensor, Circuit()), DEPTH, COVER, (CELLS, MACROS), SCRIPT
+    )
 
 
-_prove("async_two_banks", "Asynchronous front end: whatever its events leave behind, its words are whole.", SMALL)
-_prove("async_one_bank", "The same, with one bank, which is cleared.", evolve(SMALL, rearm=SYNCHRONISER_REARM))
+_prove(
+    "async_two_banks",
+    "Asynchronous front end: whatever its events leave behind, its words are whole.",
+    SMALL,
+)
+_prove(
+    "async_one_bank",
+    "The same, with one bank, which is cleared.",
+    evolve(SMALL, rearm=SYNCHRONISER_REARM),
+)

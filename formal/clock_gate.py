@@ -12,7 +12,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from amaranth.hdl import Assume, Cat, EnableInserter, Fragment, Mux, ResetSignal, Signal
-from amaranth.hdl._mem import MemoryInstance  # Amaranth has no other access to a memory's write enable
+
+# Amaranth has no other access to a memory's write enable.
+from amaranth.hdl._mem import MemoryInstance
 
 from ..hdl import bus
 from ..hdl.dpcu import Dpcu
@@ -41,7 +43,11 @@ def _registers(fragment: Fragment) -> list[Signal]:
     for part in _parts(fragment):
         for domain, statements in part.statements.items():
             if domain != "comb":
-                found |= {id(signal): signal for statement in statements for signal in statement._lhs_signals()}
+                found |= {
+                    id(signal): signal
+                    for statement in statements
+                    for signal in statement._lhs_signals()
+                }
     return list(found.values())
 
 
@@ -78,10 +84,17 @@ def subgroup_rests(b: Bench):
     """Behind a closed clock gate no register of a subgroup would change, and no row of a memory, whatever is in them."""
     unit, tree = Subgroup(SMALL), CoincidenceTree(SMALL)
     shown = b.free(tree)
-    unit.view = SimpleNamespace(front_end=lambda sensor: tree, from_spads=POLYPHASE.from_spads, front_end_rests=True)
+    unit.view = SimpleNamespace(
+        front_end=lambda sensor: tree,
+        from_spads=POLYPHASE.from_spads,
+        front_end_rests=True,
+    )
     _rests(b, unit)
     strobes = Cat(unit.timing[name] for name in bus.STROBES).any()
-    quiet = b.same("quiet", (unit.command.operation == bus.Operation.IDLE) & ~strobes & ~unit.grant & ~ResetSignal())
+    quiet = b.same(
+        "quiet",
+        (unit.command.operation == bus.Operation.IDLE) & ~strobes & ~unit.grant & ~ResetSignal(),
+    )
     calm = _quiet_for(b, quiet, TREE_CYCLES)
     for name in ("closed", "blind", "record_due"):  # as proven below
         b.assume(~shown[name], where=calm == TREE_CYCLES)
@@ -115,9 +128,12 @@ def settings_rest(b: Bench):
     unit = SubgroupSettings(SMALL)
     closed = _rests(b, unit)
     idle = b.same("idle", unit.command.operation == bus.Operation.IDLE)
-    b.assume_stable(unit.period, where=idle & b.past(idle))  # the subgroup takes it in beside an operation
+    # The subgroup takes it in beside an operation.
+    b.assume_stable(unit.period, where=idle & b.past(idle))
     programmed = unit.programmed
-    b.always(unit.gate_late == (programmed.gating & (programmed.gate_start >= unit.period)), where=closed)
+    b.always(
+        unit.gate_late == (programmed.gating & (programmed.gate_start >= unit.period)), where=closed
+    )
     b.always(unit.upset == Cat(unit.upsets).any(), where=closed)
 
 

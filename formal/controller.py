@@ -12,7 +12,8 @@ from ..model.contract.settings import BUDGET_GROWTHS, LIMIT_DROP
 from .proof_bench import Bench, proof
 from .sensors import SMALL
 
-COMMITTED, LOWER = (COUNTER_NAMES.index(name) * COUNTER_BITS for name in ("committed", "lower"))  # in the packet
+# In the packet.
+COMMITTED, LOWER = (COUNTER_NAMES.index(name) * COUNTER_BITS for name in ("committed", "lower"))
 BEATS = LOWER // BEAT_BITS + 1  # `lower` is in the last beat
 SUM_MAX = (1 << DATA_BITS + 1) - 1
 
@@ -67,13 +68,24 @@ def controller(b: Bench):
         growth = Cat(1, budget >> BUDGET_GROWTHS[k - 1]) if k else 0
         b.always(unit.growth == growth, where=frame & (taken == begins))
         b.always(unit.grown == one[: DATA_BITS + 1], where=frame & (taken == begins + 1))
-        b.always(unit.bounded == Mux(one < capacity, one, capacity), where=frame & (taken == begins + 2))
+        b.always(
+            unit.bounded == Mux(one < capacity, one, capacity), where=frame & (taken == begins + 2)
+        )
         b.always(unit.candidate == candidate, where=frame & (taken == begins + 3))
-        for place in range(k + 1, STEPS):  # on their way to place k, one step for each candidate after them
-            b.always(unit.steps[place] == candidate, where=frame & (taken == begins + 3 + STEPS - place))
+        for place in range(
+            k + 1, STEPS
+        ):  # on their way to place k, one step for each candidate after them
+            b.always(
+                unit.steps[place] == candidate, where=frame & (taken == begins + 3 + STEPS - place)
+            )
 
     # The sums. The counters of a subgroup are at work until those of the next one are complete.
-    committed, now, then, controlled = Signal(COUNTER_BITS), Signal(COUNTER_BITS), Signal(COUNTER_BITS), Signal()
+    committed, now, then, controlled = (
+        Signal(COUNTER_BITS),
+        Signal(COUNTER_BITS),
+        Signal(COUNTER_BITS),
+        Signal(),
+    )
     with m.If(counted.valid & (beat == COMMITTED // BEAT_BITS)):
         m.d.sync += committed.eq(counted.beat >> COMMITTED % BEAT_BITS)
     with m.If(last):
@@ -111,7 +123,10 @@ def controller(b: Bench):
             m.d.sync += fit.eq(total <= capacity)
         b.always(fit == (total <= capacity), where=some & (since_last >= 4 + k))
     turns, fit_turns = Signal(range(SUMS)), Signal(range(SUMS))
-    m.d.sync += [turns.eq(Mux(b.past(slots.any()), Mux(turns == SUMS - 1, 0, turns + 1), turns)), fit_turns.eq(turns)]
+    m.d.sync += [
+        turns.eq(Mux(b.past(slots.any()), Mux(turns == SUMS - 1, 0, turns + 1), turns)),
+        fit_turns.eq(turns),
+    ]
     step_turns = Signal(range(STEPS))
     for k in range(SUMS):
         b.always(Cat(unit.sums) == Cat(_turned(sums, k)), where=turns == k)
@@ -120,7 +135,9 @@ def controller(b: Bench):
         b.always(fit_turns == k, where=b.past(slots[k], 2))
     b.always(turns == 0, where=~b.past(slots.any()))
     b.always(fit_turns == b.past(turns))
-    m.d.sync += step_turns.eq(Mux(slots[1:].any(), Mux(step_turns == STEPS - 1, 0, step_turns + 1), step_turns))
+    m.d.sync += step_turns.eq(
+        Mux(slots[1:].any(), Mux(step_turns == STEPS - 1, 0, step_turns + 1), step_turns)
+    )
     b.always(step_turns == 0, where=~slots[1:].any())
     for k in range(STEPS):
         stands = frame & (taken > STEPS + FILLED) & (step_turns == k)

@@ -51,7 +51,9 @@ def dpcu(b: Bench):
         stored=stored & b.past(unit.commit),
         dropped=~stored & b.past(unit.commit),  # as proven for the FIFO
     )
-    count = {name: unit.counters.word_select(i, COUNTER_BITS) for i, name in enumerate(COUNTER_NAMES)}
+    count = {
+        name: unit.counters.word_select(i, COUNTER_BITS) for i, name in enumerate(COUNTER_NAMES)
+    }
 
     # Between frames, when nothing is on its way, the bus says TAKE, then names budgets, limits and bounds, then BEGIN with the floor.
     budget, limit = b.constant(DATA_BITS), b.constant(DATA_BITS)
@@ -68,7 +70,9 @@ def dpcu(b: Bench):
         with m.Case(WORDS + 1):
             m.d.comb += [operation.eq(bus.Operation.BEGIN), data.eq(floor)]
         for k in range(STREAMS):
-            for word, (named, value) in enumerate(((bus.Operation.BUDGET, budget), (bus.Operation.LIMIT, limit))):
+            for word, (named, value) in enumerate(
+                ((bus.Operation.BUDGET, budget), (bus.Operation.LIMIT, limit))
+            ):
                 with m.Case(1 + 2 * k + word):
                     m.d.comb += [operation.eq(named), in_stream.eq(k < 2)]
                     if k == 1:
@@ -84,7 +88,9 @@ def dpcu(b: Bench):
     b.assume(quiet, where=starting)
     b.assume(~closed, where=b.past(starting) | b.past(starting, 2) | b.past(starting, 3))
     b.assume_stable(settings.as_value(), where=~b.past(take))
-    b.assume((settings.threshold != 0) & (settings.threshold <= sensor.pixels) & (settings.window != 0))
+    b.assume(
+        (settings.threshold != 0) & (settings.threshold <= sensor.pixels) & (settings.window != 0)
+    )
     b.assume((window.count != 0) & (window.count <= sensor.pixels))  # as proven for the tree
 
     # The comparison with the threshold.
@@ -92,7 +98,9 @@ def dpcu(b: Bench):
     in_frame = b.same("in_frame", ~starting & ~b.past(starting) & ~b.past(starting, 2))
     b.always(unit.commit == b.past(closed & (window.count >= threshold)), where=b.past(in_frame))
     b.always(unit.event.as_value() == b.last(window.as_value()), where=unit.commit & b.past(1))
-    b.always(unit.window_ticks == b.last(Mux(settings.coincidence, settings.window, 1)), where=b.past(1))
+    b.always(
+        unit.window_ticks == b.last(Mux(settings.coincidence, settings.window, 1)), where=b.past(1)
+    )
     b.always(unit.threshold == threshold, where=in_frame & b.past(1, 3))
     b.always(unit.lower_threshold + 1 == threshold, where=in_frame & begun)
     meets_lower = b.past(closed & (window.count + 1 >= threshold))
@@ -101,13 +109,20 @@ def dpcu(b: Bench):
     # The balance of the counters. A commit is stored or dropped one cycle later.
     under = b.same("under", count["opened"] != FULL_OF_CYCLES)
     b.always(count["opened"] == count["committed"] + count["rejected"], where=under)
-    b.always(count["committed"] == count["stored"] + count["dropped"] + b.past(unit.commit), where=under)
+    b.always(
+        count["committed"] == count["stored"] + count["dropped"] + b.past(unit.commit), where=under
+    )
     b.always(count["photons"] >= count["opened"], where=under & (count["photons"] != FULL))
-    b.always((count["lower"] >= count["committed"]) & (count["lower"] <= count["opened"]), where=under & begun)
+    b.always(
+        (count["lower"] >= count["committed"]) & (count["lower"] <= count["opened"]),
+        where=under & begun,
+    )
     counted = [name for name in COUNTER_NAMES if name != "threshold_used"]
     for name in counted:
         b.always(
-            (count[name] == b.past(count[name])) | (count[name] == 0) | (count[name] > b.past(count[name])),
+            (count[name] == b.past(count[name]))
+            | (count[name] == 0)
+            | (count[name] > b.past(count[name])),
             where=b.past(1),
         )
 
@@ -115,8 +130,13 @@ def dpcu(b: Bench):
     now, before = settings.auto & settings.coincidence, Signal()
     with m.If(take):
         m.d.sync += before.eq(now)
-    opened, committed, lower, used = (count[name] for name in ("opened", "committed", "lower", "threshold_used"))
-    above, below = (committed > limit) & (used < THRESHOLD_MAX), (committed <= limit) & (used > 1) & (lower <= budget)
+    opened, committed, lower, used = (
+        count[name] for name in ("opened", "committed", "lower", "threshold_used")
+    )
+    above, below = (
+        (committed > limit) & (used < THRESHOLD_MAX),
+        (committed <= limit) & (used > 1) & (lower <= budget),
+    )
     stepped = Mux(above, used + 1, Mux(below, used - 1, used))
     bounded = b.same("bounded", _least(stepped, 1 + _reached(bounds, opened)))
     controlled = b.same("controlled", Mux(bounded < floor, floor, bounded))
@@ -132,7 +152,10 @@ def dpcu(b: Bench):
     b.always(unit.stays == before)
     b.always(unit.ceiling + unit.reached == 1, where=(step != 0) & (step <= 1 + BUDGETS))
     for k in range(1, AUTO_BOUNDS + 1):
-        b.always(unit.ceiling + unit.reached == 1 + _reached(bounds[:k], opened), where=step == 1 + BUDGETS + k)
+        b.always(
+            unit.ceiling + unit.reached == 1 + _reached(bounds[:k], opened),
+            where=step == 1 + BUDGETS + k,
+        )
     b.always(unit.falls == (lower <= budget), where=step > 3)
     b.always(unit.rises == (committed > limit), where=step > 4)
     b.cover(unit.commit & (used == 3) & now & before)
@@ -147,7 +170,9 @@ def subgroup_settings(b: Bench):
     command, number = unit.command, b.constant(bus.SUBGROUP_BITS)
     write = command.operation == bus.Operation.WRITE
     b.assume(command.parity == command.data.xor(), where=write)
-    for offset, register, _ in registers.words(registers.SUBGROUP, sensor):  # as proven for the register front
+    for offset, register, _ in registers.words(
+        registers.SUBGROUP, sensor
+    ):  # as proven for the register front
         b.assume(command.data <= register.high(sensor), where=write & (command.word == offset // 4))
     b.place(unit, subgroup=number)
     b.always(~unit.upset)
@@ -157,14 +182,19 @@ def subgroup_settings(b: Bench):
     b.always(unit.settings.as_value() == b.last(unit.programmed.as_value()), where=taken)
     b.stable(unit.settings.as_value(), where=command.operation != bus.Operation.TAKE)
     b.stable(
-        unit.programmed.as_value(), where=(command.operation != bus.Operation.WRITE) | (command.subgroup != number)
+        unit.programmed.as_value(),
+        where=(command.operation != bus.Operation.WRITE) | (command.subgroup != number),
     )
     named = command.operation != bus.Operation.IDLE
     b.always(unit.data == 0, where=b.past(named & (command.subgroup != number), 2))
-    b.always(unit.gate_late == b.past(unit.programmed.gating & (unit.programmed.gate_start >= unit.period)))
+    b.always(
+        unit.gate_late
+        == b.past(unit.programmed.gating & (unit.programmed.gate_start >= unit.period))
+    )
     for word, value in unit.shown.items():
         b.always(
-            unit.data == b.last(value), where=b.past(named & (command.subgroup == number) & (command.word == word), 2)
+            unit.data == b.last(value),
+            where=b.past(named & (command.subgroup == number) & (command.word == word), 2),
         )
     b.always(~unit.named.any(), where=b.past(named & (command.subgroup != number)))
     b.cover(taken & (unit.settings.threshold == 5))

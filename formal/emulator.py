@@ -25,7 +25,10 @@ def deframer(b: Bench) -> None:
     m, unit = b.m, b.place(Deframer())
     came, byte, broken, hold = unit.came, unit.byte_in, unit.broken_in, unit.hold
     b.always(Cat(came, byte, broken) == b.past(Cat(unit.valid, unit.byte, unit.broken)))
-    b.always((unit.is_flag == (~broken & (byte == FLAG))) & (unit.is_escape == (byte == ESCAPE)), where=unit.came)
+    b.always(
+        (unit.is_flag == (~broken & (byte == FLAG))) & (unit.is_escape == (byte == ESCAPE)),
+        where=unit.came,
+    )
     flag = b.same("flag", came & ~broken & (byte == FLAG))
     in_frame, spoilt, put = Signal(), Signal(), Signal(range(BODY_BYTES_MAX + 2))
     with m.If(flag):
@@ -61,15 +64,21 @@ def framer(b: Bench) -> None:
     gone = b.same("gone", unit.out_valid & ready)
     b.always((unit.out_byte == FLAG) == ends, where=unit.out_valid)
     b.always(gone & ~ends, where=unit.ready)
-    b.always(unit.special == ((unit.next_byte == FLAG) | (unit.next_byte == ESCAPE)), where=unit.weighed)
+    b.always(
+        unit.special == ((unit.next_byte == FLAG) | (unit.next_byte == ESCAPE)), where=unit.weighed
+    )
     b.always(~unit.weighed | unit.machine.ongoing("body") | unit.machine.ongoing("tail"))
     b.always(~unit.weighed | valid, where=unit.machine.ongoing("body"))
     escape = Signal()  # the previous byte was an escape
     with m.If(gone):
         m.d.sync += escape.eq(~ends & (unit.out_byte == ESCAPE))
-    b.always(escape == unit.escaped, where=unit.machine.ongoing("body") | unit.machine.ongoing("tail"))
+    b.always(
+        escape == unit.escaped, where=unit.machine.ongoing("body") | unit.machine.ongoing("tail")
+    )
     b.always(unit.out_byte != ESCAPE, where=unit.out_valid & escape & ~ends)
-    b.always(~unit.escaped | unit.machine.ongoing("body") | unit.machine.ongoing("tail"), where=escape)
+    b.always(
+        ~unit.escaped | unit.machine.ongoing("body") | unit.machine.ongoing("tail"), where=escape
+    )
     held = b.same("held", unit.out_valid & ~ready)
     b.always(unit.out_valid & (unit.out_byte == b.last(unit.out_byte)), where=b.past(held))
     b.cover(unit.machine.ongoing("flag"))
@@ -87,7 +96,8 @@ def frame_buffer(b: Bench) -> None:
     b.always(((unit.first + unit.level) % depth) == unit.behind)
     stored = b.same("stored_now", comes & unit.s_axis.tready)
     b.always(
-        unit.level == b.last(unit.level) + b.past(stored) - Mux(b.past(take), b.last(amount), 0), where=b.past(Const(1))
+        unit.level == b.last(unit.level) + b.past(stored) - Mux(b.past(take), b.last(amount), 0),
+        where=b.past(Const(1)),
     )
     b.cover(take & (amount > 2) & comes)
 
@@ -97,9 +107,16 @@ def stream_slice(b: Bench) -> None:
     """All beats leave in their order, and none is lost or doubled; a beat that waits stays as it is."""
     m, unit = b.m, StreamSlice()
     comes, ready = unit.s_axis.tvalid, unit.m_axis.tready
-    taken, left = Signal(BEAT_BITS), Signal(BEAT_BITS)  # beats that came and that left; a beat is its number
+    # Beats that came and that left; a beat is its number.
+    taken, left = (
+        Signal(BEAT_BITS),
+        Signal(BEAT_BITS),
+    )
     b.place(unit, s_axis__tdata=taken)
-    m.d.sync += [taken.eq(taken + (comes & unit.s_axis.tready)), left.eq(left + (unit.m_axis.tvalid & ready))]
+    m.d.sync += [
+        taken.eq(taken + (comes & unit.s_axis.tready)),
+        left.eq(left + (unit.m_axis.tvalid & ready)),
+    ]
     b.always(taken == (left + unit.valid + unit.kept)[:BEAT_BITS])
     b.always(unit.m_axis.tdata == left, where=unit.m_axis.tvalid)
     b.always(unit.valid & (unit.spare == (left + 1)[:BEAT_BITS]), where=unit.kept)

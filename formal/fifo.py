@@ -32,7 +32,8 @@ def _event_fifo(b: Bench, depth: int) -> None:
     m.d.sync += level.eq(level + stored - take)
     b.always((level == unit.level) & (level <= depth))
     b.always(unit.stored == b.past(stored))  # each committed event is stored
-    b.always(unit.dropped == b.past(dropped))  # or, if the FIFO is full, counted as dropped, but never both
+    # Or, if the FIFO is full, counted as dropped, but never both.
+    b.always(unit.dropped == b.past(dropped))
     b.always(~(unit.stored & unit.dropped))
 
     # Overrun: events were dropped since the last one that was stored in this frame.

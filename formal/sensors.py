@@ -4,5 +4,13 @@
 from ..model.contract.parameters import Sensor
 
 SMALL = Sensor(
-    rows=4, cols=8, phases=4, coarse_bits=4, window_max=9, rearm=1, fifo_depth=2, subgroup=(4, 4), minigroup=(2, 2)
+    rows=4,
+    cols=8,
+    phases=4,
+    coarse_bits=4,
+    window_max=9,
+    rearm=1,
+    fifo_depth=2,
+    subgroup=(4, 4),
+    minigroup=(2, 2),
 )

@@ -31,7 +31,13 @@ def tdc(b: Bench):
             b.always(~before[:k].any(), where=line.any & (line.phase == k))
         b.always(line.coarse == coarse)
     b.cover(lines[0].any & ~lines[1].any & (lines[0].phase == 31))
-    b.cover(lines[0].any & lines[1].any & (lines[0].phase == 5) & (lines[1].phase == 7) & (lines[0].coarse == 3))
+    b.cover(
+        lines[0].any
+        & lines[1].any
+        & (lines[0].phase == 5)
+        & (lines[1].phase == 7)
+        & (lines[0].coarse == 3)
+    )
 
 
 @proof(depth=3, cover=24)
@@ -55,7 +61,9 @@ def gating(b: Bench):
     b.assume(settings.gate_start <= highest, where=settings.gating)
 
     opens = b.same("opens", settings.gate_start + shift_now)
-    inside = b.same("inside", running & (cycle_now >= opens) & (cycle_now < opens + settings.gate_len))
+    inside = b.same(
+        "inside", running & (cycle_now >= opens) & (cycle_now < opens + settings.gate_len)
+    )
     passes = b.same("passes", running & (inside | ~settings.gating))
     b.always(unit.accept == b.past(passes, 3))
     b.always(unit.spad_gate == b.past(inside, 2) | ~b.past(settings.gating), where=b.past(1, 2))
@@ -65,10 +73,18 @@ def gating(b: Bench):
     since = b.same("since", Mux(c > f, c - f, 0))
     here = b.past(running) & settings.gating
     b.always(unit.until_now == Mux(f > c, f - c, 0), where=here)
-    b.always(unit.left_now == Mux(settings.gate_len > since, settings.gate_len - since, 0), where=here)
+    b.always(
+        unit.left_now == Mux(settings.gate_len > since, settings.gate_len - since, 0), where=here
+    )
     b.always(unit.running == (b.past(running) | b.past(running, 2) << 1))
     b.always(unit.start == b.past(timing.start))
-    b.cover(settings.gating & unit.accept & (b.past(cycle_now, 3) == 3) & (settings.gate_start == 1) & (shift == 2))
+    b.cover(
+        settings.gating
+        & unit.accept
+        & (b.past(cycle_now, 3) == 3)
+        & (settings.gate_start == 1)
+        & (shift == 2)
+    )
     b.cover(settings.gating & running & ~unit.accept & b.past(unit.accept))
 
 
@@ -156,7 +172,9 @@ def sequencer(b: Bench):
     b.always(unit.number == (b.past(unit.number) + unit.done)[: bus.PULSE_BITS], where=b.past(1))
 
     # Invariants: the sequencer's registers are one cycle ahead of its outputs.
-    one_frame = unit.running | unit.start.any() | b.past(start) | unit.draining | alive | unit.done | ending
+    one_frame = (
+        unit.running | unit.start.any() | b.past(start) | unit.draining | alive | unit.done | ending
+    )
     b.always(busy, where=one_frame & ~unit.done | unit.finish)
     b.always(b.past(unit.running) == alive)
     b.always(~frame, where=waits != 0)
@@ -167,14 +185,17 @@ def sequencer(b: Bench):
     b.always(unit.mask == b.past((1 << plan.dither_bits) - 1), where=b.past(1))
     b.always((b.past(unit.pulses) == pulses) & (b.past(unit.steps) == steps), where=alive)
     b.always(
-        b.past(unit.step) == ((plan.gate_every != 0) & (pulses == plan.gate_every - 1)), where=frame & (since != 0)
+        b.past(unit.step) == ((plan.gate_every != 0) & (pulses == plan.gate_every - 1)),
+        where=frame & (since != 0),
     )
     b.always(b.past(unit.last_step) == (steps == plan.gate_steps - 1), where=frame & (since != 0))
     b.always((steps < plan.gate_steps) & (exact <= (steps << GATE_BITS) - steps), where=alive)
     b.always(unit.aborted == aborting)
     b.always(ending == b.past(unit.draining))
     b.always(unit.draining == (unit.drained != 0))
-    b.always(unit.active == (unit.running | unit.wrap | unit.draining), where=~unit.running | ~unit.wrap)
+    b.always(
+        unit.active == (unit.running | unit.wrap | unit.draining), where=~unit.running | ~unit.wrap
+    )
     b.always(unit.active, where=unit.running)
     b.always(unit.number_kept.agree)
     b.always(unit.finish == (unit.drained == TO_FINISH))

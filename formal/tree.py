@@ -76,7 +76,10 @@ def _first(word):
 
 def _leaf_holds(b: Bench, leaf: Minigroup, edges: Edges, pixels=None) -> None:
     """State the invariants of a minigroup's pipeline: it holds the encoded first edges of its pixels."""
-    for raw, phases, since in ((edges.raw_1, leaf.phases_1, 1), (edges.raw_2, leaf.phases_2, edges.fresh)):
+    for raw, phases, since in (
+        (edges.raw_1, leaf.phases_1, 1),
+        (edges.raw_2, leaf.phases_2, edges.fresh),
+    ):
         words = edges.words(raw, pixels)
         for word, phase in zip(words, phases):
             b.always(phase == _first(word), where=since & Cat(words).any())
@@ -113,7 +116,9 @@ class Specification:
         self.hits = Signal(sensor.pixels)
         self.winner = Signal(sensor.winner_bits)
         self.stamp = Signal(sensor.stamp_bits)
-        self.offsets = [Signal(sensor.offset_bits, name=f"offset_{g}") for g in range(sensor.minigroups)]
+        self.offsets = [
+            Signal(sensor.offset_bits, name=f"offset_{g}") for g in range(sensor.minigroups)
+        ]
         self.elapsed = Signal(4)
         self.not_armed = Signal(range(sensor.rearm + 2))
 
@@ -142,7 +147,9 @@ def _specification(b: Bench, dut: Placed) -> Specification:
     """Specify a cycle of stage 2 by the contract. Return its registers, and their next values in `now`."""
     sensor, edges = dut.unit.sensor, dut.edges
     spec = Specification(sensor)
-    now = {name: getattr(spec, name) for name in ("open", "left", "hits", "winner", "stamp", "offsets")}
+    now = {
+        name: getattr(spec, name) for name in ("open", "left", "hits", "winner", "stamp", "offsets")
+    }
     now |= {"elapsed": spec.elapsed + 1, "live": spec.open, "closed": C(0, 1), "blind": C(0, 1)}
     seen = C(0, sensor.pixels)
     for tick in range(sensor.phases):
@@ -154,7 +161,9 @@ def _specification(b: Bench, dut: Placed) -> Specification:
     for name in ("open", "left", "hits", "winner", "stamp", "elapsed"):
         b.m.d.sync += getattr(spec, name).eq(now[name])
     b.m.d.sync += [offset.eq(value) for offset, value in zip(spec.offsets, now["offsets"])]
-    b.m.d.sync += spec.not_armed.eq(Mux(now["closed"], sensor.rearm, spec.not_armed - (spec.not_armed != 0)))
+    b.m.d.sync += spec.not_armed.eq(
+        Mux(now["closed"], sensor.rearm, spec.not_armed - (spec.not_armed != 0))
+    )
     spec.now = now
     return spec
 
@@ -185,7 +194,9 @@ def _tick(b: Bench, dut: Placed, before: dict[str, Any], tick: int, edges, armed
         had = Cat(hits_before[i] for i in members).any()
         gets = Cat(new[i] for i in members).any()
         offset = cycles * sensor.offset_phases + tick * sensor.offset_phases // sensor.phases
-        offsets.append(named(f"offset_{g}", Mux(in_window & gets & ~had, offset, before["offsets"][g])))
+        offsets.append(
+            named(f"offset_{g}", Mux(in_window & gets & ~had, offset, before["offsets"][g]))
+        )
     return {
         "open": named("open", in_window & ~closes),
         "left": named("left", ticks_left - in_window),
@@ -219,7 +230,9 @@ def _rearms(b: Bench, dut: Placed, spec: Specification) -> None:
     """State the self-reset: the tree is armed R cycles after the close cycle, and always at the end of a guard."""
     unit, sensor = dut.unit, dut.unit.sensor
     since_close = Signal(range(sensor.rearm + 2), init=sensor.rearm + 1)
-    b.m.d.sync += since_close.eq(Mux(spec.now["closed"], 0, since_close + (since_close != sensor.rearm + 1)))
+    b.m.d.sync += since_close.eq(
+        Mux(spec.now["closed"], 0, since_close + (since_close != sensor.rearm + 1))
+    )
     b.always(unit.rearm == 0, where=since_close >= sensor.rearm)
     b.always(since_close == sensor.rearm - spec.not_armed, where=spec.not_armed != 0)
     guarded = Signal(range(sensor.guard + 1))
@@ -287,7 +300,11 @@ def minigroup_record(b):
 
     It also finds the step of a cycle's first edge for the coarse offset; the proof of the tree covers how it is used.
     """
-    sensor, m = evolve(SMALL, phases=16, offset_phases=8), b.m  # so that ticks, steps and quarters of a cycle differ
+    # So that ticks, steps and quarters of a cycle differ.
+    sensor, m = (
+        evolve(SMALL, phases=16, offset_phases=8),
+        b.m,
+    )
     unit = Minigroup(sensor)
     pixels, phases = sensor.minigroup_pixels, sensor.phases
     frame, may_open, wrap = unit.frame, unit.may_open, unit.wrap
@@ -306,20 +323,33 @@ def minigroup_record(b):
     m.d.sync += guarded.eq(Mux(may_open, 0, guarded + (guarded != 4)))
     b.assume(guarded == 4, where=wrap)
 
-    coarse = b.same("coarse", b.anything(sensor.coarse_bits))  # at stage 3; the minigroup receives it one cycle later
+    # At stage 3; the minigroup receives it one cycle later.
+    coarse = b.same("coarse", b.anything(sensor.coarse_bits))
     m.d.comb += coarse_4.eq(b.last(coarse))
-    latched, remaining, seen, stamp = Signal(), Signal(3), Signal(pixels), Signal(sensor.record_stamp_bits)
+    latched, remaining, seen, stamp = (
+        Signal(),
+        Signal(3),
+        Signal(pixels),
+        Signal(sensor.record_stamp_bits),
+    )
     latched_now = b.same("latched_now", latched & ~wrap)
-    starts = b.same("starts_now", frame.minigroup_records & active.any() & may_open & ~latched_now & (remaining == 0))
+    starts = b.same(
+        "starts_now",
+        frame.minigroup_records & active.any() & may_open & ~latched_now & (remaining == 0),
+    )
     remaining_now = b.same("remaining_now", Mux(starts, frame.mg_window, remaining))
     first = sum((~edges.root(edges.stage_3)[: k + 1].any() for k in range(phases)), start=0)
     seen_now = b.same("seen_now", Mux(starts, 0, seen) | active)
     with m.If(remaining_now != 0):
         m.d.sync += [seen.eq(seen_now), remaining.eq(remaining_now - 1)]
-    m.d.sync += latched.eq(Mux(remaining_now == 1, sum(seen_now, start=0) >= frame.mg_threshold, latched_now))
+    m.d.sync += latched.eq(
+        Mux(remaining_now == 1, sum(seen_now, start=0) >= frame.mg_threshold, latched_now)
+    )
     with m.If(starts):
         m.d.sync += stamp.eq(coarse * QUARTERS + first * QUARTERS // phases)
-    b.always(unit.step == first * sensor.offset_phases // phases, where=active.any() & edges.fresh_3)
+    b.always(
+        unit.step == first * sensor.offset_phases // phases, where=active.any() & edges.fresh_3
+    )
     b.always(unit.latched == latched)
     b.always((unit.entry.map == seen) & seen.any(), where=latched)
     b.always(unit.entry.stamp == stamp, where=latched & ~unit.started)
@@ -328,7 +358,10 @@ def minigroup_record(b):
     b.always((unit.seen == seen) & ~latched & seen.any(), where=remaining != 0)
     b.always(unit.entry.stamp == stamp, where=(remaining != 0) & ~unit.started)
     b.always(unit.started == b.past(starts), where=b.past(1))
-    b.always(stamp == b.last(coarse * QUARTERS + first * QUARTERS // phases), where=unit.started & edges.fresh_3)
+    b.always(
+        stamp == b.last(coarse * QUARTERS + first * QUARTERS // phases),
+        where=unit.started & edges.fresh_3,
+    )
     b.always(unit.step_4 == b.last(unit.step), where=b.past(1) & unit.started)
     b.always(remaining == 0, where=wrap)
     b.always(remaining + guarded <= 4, where=remaining != 0)

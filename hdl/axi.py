@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parts of AXI4-Lite and AXI4-Stream that the sensor's ports need. Members have the bus's own names in lower case."""
+"""The parts of AXI4-Lite and AXI4-Stream that the sensor's ports need.
+
+Members have the bus's own names in lower case.
+"""
 
 from amaranth.lib.wiring import In, Out, Signature
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layouts of the signals between the blocks: timing, settings, events. `model/contract/latency.py` gives their timing."""
+"""Layouts of the signals between the blocks: timing, settings, events. `model/contract/latency.py`
+gives their timing.
+"""
 
 from enum import unique
 
@@ -13,23 +15,39 @@ from ..model.contract.table import Kind
 
 SUBGROUP_BITS = HEADER["subgroup"][1]
 PULSE_BITS = HEADER["pulse"][1]
-WORD_BITS = bits_for(SUBGROUP_STRIDE // 4 - 1)  # width of a word's number within a subgroup's register block
+# Width of a word's number within a subgroup's register block.
+WORD_BITS = bits_for(SUBGROUP_STRIDE // 4 - 1)
 FRAME_SETTINGS = ("format", "minigroup_records", "mg_threshold", "mg_window")
-PLAN_SETTINGS = ("period", "pulses", "gate_step", "gate_every", "gate_steps", "dither_bits", "dither_seed")
+PLAN_SETTINGS = (
+    "period",
+    "pulses",
+    "gate_step",
+    "gate_every",
+    "gate_steps",
+    "dither_bits",
+    "dither_seed",
+)
 
 
+# Amaranth's enumeration, with a shape.
 @unique
-class Operation(enum.Enum, shape=4):  # type: ignore[call-arg]  # Amaranth's enumeration, with a shape
-    """Commands of the configuration bus to every subgroup. All codes have even parity, so an upset code does nothing."""
+class Operation(enum.Enum, shape=4):  # type: ignore[call-arg]
+    """Commands of the configuration bus to every subgroup.
+
+    All codes have even parity, so an upset code does nothing.
+    """
 
     IDLE = 0b0000
     WRITE = 0b0011  # write data to a word of one subgroup
     TAKE = 0b0101  # the programmed settings take effect for the frame
-    BUDGET = 0b0110  # data is the budget of the stream that begins with this subgroup; earlier streams ignore it
+    # Data is the budget of the stream that begins with this subgroup; earlier streams ignore it.
+    BUDGET = 0b0110
     LIMIT = 0b1111  # likewise, data is its limit
     COMPARE = 0b1001  # data is a bound of the threshold controller
-    ACCESS = 0b1100  # an access to the registers is in progress: wake up, and show the word if it is this subgroup's
-    BEGIN = 0b1010  # begin the frame: clear the counters, set the threshold; data is the controller's lowest threshold
+    # The registers are accessed: wake up, and show the word if it is this subgroup's.
+    ACCESS = 0b1100
+    # Begin the frame: clear the counters, set the threshold; data is the controller's lowest one.
+    BEGIN = 0b1010
 
 
 @unique
@@ -43,21 +61,37 @@ class Send(enum.Enum, shape=2):  # type: ignore[call-arg]
 
 # parity: of a write's data when they arrived at the register port.
 CONFIG_BUS = data.StructLayout(
-    {"operation": Operation, "subgroup": SUBGROUP_BITS, "word": WORD_BITS, "data": DATA_BITS, "parity": 1}
+    {
+        "operation": Operation,
+        "subgroup": SUBGROUP_BITS,
+        "word": WORD_BITS,
+        "data": DATA_BITS,
+        "parity": 1,
+    }
 )
-# A beat of counters on its way out. `controlled`: the threshold controller sets the threshold of its subgroup.
+# A beat of counters on its way out. `controlled`: the threshold controller sets the threshold of
+# its subgroup.
 COUNTED = data.StructLayout({"valid": 1, "beat": BEAT_BITS, "controlled": 1})
 
-STROBES = ("running", "start", "wrap", "may_open")  # of the time layout; the shift changes with `start`
+# Of the time layout; the shift changes with `start`.
+STROBES = (
+    "running",
+    "start",
+    "wrap",
+    "may_open",
+)
 
 
 def time_layout(sensor: Sensor) -> data.StructLayout:
     """The sequencer's word for one cycle, three cycles ahead of the ports.
 
-    running: the cycle belongs to a frame. start: it is the first of a period. wrap: the previous cycle was the last of
-    a period. may_open: windows may open. shift: shift of the progressive gate in cycles, saturated at 2^coarse_bits.
+    running: the cycle belongs to a frame. start: it is the first of a period. wrap: the previous
+    cycle was the last of a period. may_open: windows may open. shift: shift of the progressive gate
+    in cycles, saturated at 2^coarse_bits.
     """
-    return data.StructLayout({"running": 1, "start": 1, "wrap": 1, "may_open": 1, "shift": sensor.coarse_bits + 1})
+    return data.StructLayout(
+        {"running": 1, "start": 1, "wrap": 1, "may_open": 1, "shift": sensor.coarse_bits + 1}
+    )
 
 
 def frame_layout(sensor: Sensor) -> data.StructLayout:
@@ -79,7 +113,9 @@ def settings_layout(sensor: Sensor) -> data.StructLayout:
     """The settings of a subgroup; the switch of a block that is not built has no bit."""
     return data.StructLayout(
         {
-            name: sensor.pixels if setting.kind is Kind.MASK else setting.limits(sensor)[1].bit_length()
+            name: sensor.pixels
+            if setting.kind is Kind.MASK
+            else setting.limits(sensor)[1].bit_length()
             for name, setting in SUBGROUP.items()
         }
     )
@@ -88,7 +124,12 @@ def settings_layout(sensor: Sensor) -> data.StructLayout:
 def window_layout(sensor: Sensor) -> data.StructLayout:
     """A closed coincidence window."""
     return data.StructLayout(
-        {"stamp": sensor.stamp_bits, "count": sensor.count_bits, "winner": sensor.winner_bits, "hits": sensor.pixels}
+        {
+            "stamp": sensor.stamp_bits,
+            "count": sensor.count_bits,
+            "winner": sensor.winner_bits,
+            "hits": sensor.pixels,
+        }
     )
 
 
@@ -100,7 +141,9 @@ def offsets_layout(sensor: Sensor) -> data.ArrayLayout:
 def event_layout(sensor: Sensor) -> data.StructLayout:
     """An event as the FIFO stores it; it has offsets only if they are built."""
     offsets = {"offsets": offsets_layout(sensor)} if sensor.offsets else {}
-    return data.StructLayout({"window": window_layout(sensor), **offsets, "pulse": PULSE_BITS, "overrun": 1})
+    return data.StructLayout(
+        {"window": window_layout(sensor), **offsets, "pulse": PULSE_BITS, "overrun": 1}
+    )
 
 
 def entry_layout(sensor: Sensor) -> data.StructLayout:

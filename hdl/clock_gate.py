@@ -1,12 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clock gate: stops the clock of the blocks behind it.
 
-In simulation and on FPGAs it lets every edge pass. An edge changes nothing in the blocks behind it while the gate is
-closed; `formal/clock_gate.py` proves this. In silicon, a module with a latch and an AND, or the library's cell with both,
-has the same name. The paper does not mention clock gates; they are our choice.
+In simulation and on FPGAs it lets every edge pass. An edge changes nothing in the blocks behind it
+while the gate is closed; `formal/clock_gate.py` proves this. In silicon, a module with a latch and
+an AND, or the library's cell with both, has the same name. The paper does not mention clock gates;
+they are our choice.
 """
 
-from amaranth.hdl import ClockDomain, ClockSignal, DomainRenamer, Elaboratable, Module, ResetSignal, Signal, Value
+from amaranth.hdl import (
+    ClockDomain,
+    ClockSignal,
+    DomainRenamer,
+    Elaboratable,
+    Module,
+    ResetSignal,
+    Signal,
+    Value,
+)
 from amaranth.lib.wiring import In, Out
 
 from .unit import Export, Unit, place
@@ -21,7 +31,8 @@ class ClockGate(Unit):
 
     Ports
     -----
-    enable : in, the clock's next edge is needed; it may come from logic that settles before the end of the cycle
+    enable : in, the clock's next edge is needed; it may come from logic that settles before the end
+        of the cycle
     gated : out, the clock behind the gate
     """
 
@@ -35,7 +46,9 @@ class ClockGate(Unit):
         return m
 
     def for_cells(self) -> str:
-        """Return the block's Verilog for standard cells: the latch is open in the second half of a cycle."""
+        """Return the block's Verilog for standard cells: the latch is open in the second half of a
+        cycle.
+        """
         return f"""\
 module {self.unit_name} (clk, rst, enable, gated);
   input clk, rst, enable;
@@ -48,9 +61,12 @@ endmodule
 
 
 def stopped(m: Module, platform, gate: ClockGate, enable: Value, domain: str = "sync") -> str:
-    """Put a gate of a domain's clock into `m`, and return the domain behind it. A reset opens the gate.
+    """Put a gate of a domain's clock into `m`, and return the domain behind it.
 
-    Amaranth's own simulator sees the edges of a clock behind a gate later than the others, so there both domains are `sync`.
+    A reset opens the gate.
+
+    Amaranth's own simulator sees the edges of a clock behind a gate later than the others, so there
+    both domains are `sync`.
     """
     exported = isinstance(platform, Export)
     domain = domain if exported else "sync"

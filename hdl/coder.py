@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coder of a stream: takes the events from the output buffer, and turns them into the parts of groups for the packer.
+"""Coder of a stream: takes the events from the output buffer, and turns them into the parts of
+groups for the packer.
 
-The paper leaves the readout open; the form of the groups is our choice (`docs/compact.md`). A stream carries one beat per
-cycle, so it needs only one coder, and the subgroups do not change. The coder packs an event while it takes the next one.
+The paper leaves the readout open; the form of the groups is our choice (`docs/compact.md`). A
+stream carries one beat per cycle, so it needs only one coder, and the subgroups do not change. The
+coder packs an event while it takes the next one.
 """
 
 from typing import Any
@@ -12,13 +14,23 @@ from amaranth.lib import enum
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import groups
-from ..model.contract.packet import BEAT_BITS, FORMATS, FRAME_END, KIND_LSB, OFFSETS, RECORD, layout, parts_of
+from ..model.contract.packet import (
+    BEAT_BITS,
+    FORMATS,
+    FRAME_END,
+    KIND_LSB,
+    OFFSETS,
+    RECORD,
+    layout,
+    parts_of,
+)
 from ..model.contract.parameters import Sensor, bits_for
 from .logic import any_of, counted, lowest, up_to
 from .unit import Unit
 
 GROUPED = tuple(packet for packet in FORMATS.values() if packet.grouped)
-LONGEST = max(GROUPED, key=lambda packet: len(packet.fields))  # holds the fields of the others, at the same places
+# Holds the fields of the others, at the same places.
+LONGEST = max(GROUPED, key=lambda packet: len(packet.fields))
 
 
 class Phase(enum.Enum, shape=2):  # type: ignore[call-arg]  # Amaranth's enumeration, with a shape
@@ -30,7 +42,9 @@ class Phase(enum.Enum, shape=2):  # type: ignore[call-arg]  # Amaranth's enumera
 
 
 class Ends:
-    """The lowest and the highest one of some bits, one-hot; whether there are at least one, two and three; the bits in between."""
+    """The lowest and the highest one of some bits, one-hot; whether there are at least one, two and
+    three; the bits in between.
+    """
 
     def __init__(self, m: Module, bits: Value, name: str):
         self.bits = bits
@@ -42,23 +56,37 @@ class Ends:
         self.one, self.two, self.more = counted(m, bits, f"{name}_count")
         above = up_to(m, bits, f"{name}_up") << 1  # places above the lowest one
         below = up_to(m, bits[::-1], f"{name}_down")[::-1] >> 1
-        m.d.comb += [self.low.eq(bits & ~above), self.high.eq(bits & ~below), self.between.eq(bits & above & below)]
+        m.d.comb += [
+            self.low.eq(bits & ~above),
+            self.high.eq(bits & ~below),
+            self.between.eq(bits & above & below),
+        ]
 
     def places(self, m: Module, width: int) -> Value:
-        """Return the numbers of the lowest and of the highest one; they do not wait for the one-hot forms."""
+        """Return the numbers of the lowest and of the highest one; they do not wait for the one-hot
+        forms.
+        """
         padded = Cat(self.bits, Const(0, (1 << width) - len(self.bits)))
-        return Cat(lowest(m, padded, f"{self.name}_first"), ~lowest(m, padded[::-1], f"{self.name}_last"))
+        return Cat(
+            lowest(m, padded, f"{self.name}_first"), ~lowest(m, padded[::-1], f"{self.name}_last")
+        )
 
     def values(self, m: Module, items: list[Value], name: str) -> Value:
         """Return the items at the places of the lowest and of the highest one."""
         return Cat(
-            any_of(m, [item & here.replicate(len(item)) for item, here in zip(items, one_hot)], f"{name}_{end}")
+            any_of(
+                m,
+                [item & here.replicate(len(item)) for item, here in zip(items, one_hot)],
+                f"{name}_{end}",
+            )
             for end, one_hot in enumerate((self.low, self.high))
         )
 
 
 class Next:
-    """Registers: up to two items of `width` bits that are packed next, and whether there are at least one, two and three."""
+    """Registers: up to two items of `width` bits that are packed next, and whether there are at
+    least one, two and three.
+    """
 
     def __init__(self, width: int, name: str):
         self.width = width
@@ -69,7 +97,12 @@ class Next:
 
     def takes(self, ends: Ends, items: Value) -> list[Any]:
         """Return the statements that put the items at both ends of some bits here."""
-        return [self.items.eq(items), self.one.eq(ends.one), self.two.eq(ends.two), self.more.eq(ends.more)]
+        return [
+            self.items.eq(items),
+            self.one.eq(ends.one),
+            self.two.eq(ends.two),
+            self.more.eq(ends.more),
+        ]
 
     def shown(self) -> Value:
         """Return the items, with 0 for a missing one."""
@@ -98,14 +131,17 @@ class Coder(Unit):
     Ports
     -----
     grouped, with_offsets : in, of the frame's format; period : in, laser period in cycles
-    valid, beat, last : in, the output buffer's next beat; head : in, `is_event_head` of it; take : out, it is taken or passes
+    valid, beat, last : in, the output buffer's next beat; head : in, `is_event_head` of it; take :
+        out, it is taken or passes
     offer, part, bits, close : out, to the packer, from registers; free : in, from it
-    passes : out, the beat belongs to no event, and no group is open; passed : in, the receiver takes it
+    passes : out, the beat belongs to no event, and no group is open; passed : in, the receiver
+        takes it
     frame_begin : in, forget everything
 
-    A group ends before an event whose pulse does not fit, and before any other packet. An event takes at least one cycle
-    per beat, and one per part. A beat with `last` never counts as part of an event, so an upset cannot hold back
-    the end of a frame. Inputs come from registers or through little logic. Reset forgets everything.
+    A group ends before an event whose pulse does not fit, and before any other packet. An event
+    takes at least one cycle per beat, and one per part. A beat with `last` never counts as part of
+    an event, so an upset cannot hold back the end of a frame. Inputs come from registers or through
+    little logic. Reset forgets everything.
     """
 
     unit_name = "coincid_coder"
@@ -218,7 +254,9 @@ class Coder(Unit):
         """Take the beats of events. All other beats pass when no event and no group is left."""
         lengths = layout(self.sensor)
         kind = self.beat[KIND_LSB:]
-        last = Mux(self.with_offsets, lengths.length(LONGEST), min(map(lengths.length, GROUPED))) - 1
+        last = (
+            Mux(self.with_offsets, lengths.length(LONGEST), min(map(lengths.length, GROUPED))) - 1
+        )
         idle = ~self.full & ~self.busy & ~self.open & ~self.offer & ~self.close
         m.d.comb += [
             self.is_event.eq((self.in_event | (self.head & self.may_begin)) & ~self.last),
@@ -230,8 +268,12 @@ class Coder(Unit):
         m.d.comb += goes_on.eq(self.in_other)
         with m.If(self.passes & self.passed):
             with m.If(~self.in_other):
-                m.d.comb += goes_on.eq(((kind == FRAME_END.code) | (kind == RECORD.code)) & ~self.last)
-                m.d.sync += self.record_left.eq(Mux(kind == RECORD.code, lengths.length(RECORD) - 1, 0))
+                m.d.comb += goes_on.eq(
+                    ((kind == FRAME_END.code) | (kind == RECORD.code)) & ~self.last
+                )
+                m.d.sync += self.record_left.eq(
+                    Mux(kind == RECORD.code, lengths.length(RECORD) - 1, 0)
+                )
             with m.Else():
                 m.d.comb += goes_on.eq((self.record_left != 1) & ~self.last)
                 m.d.sync += self.record_left.eq(self.record_left - (self.record_left != 0))
@@ -253,9 +295,11 @@ class Coder(Unit):
         return Cat(self.words[part.beat][part.lsb : part.lsb + part.width] for part in parts)
 
     def _group(self, m):
-        """Open a group for an event that has none; close it before an event that does not fit, and before another packet.
+        """Open a group for an event that has none; close it before an event that does not fit, and
+        before another packet.
 
-        Whether the next event fits is computed while it is taken, and so is the place of its winner.
+        Whether the next event fits is computed while it is taken, and so is the place of its
+        winner.
         """
         first = Signal()  # the first part of the event at work comes next
         other = Signal()  # a beat of another packet comes next
@@ -318,12 +362,22 @@ class Coder(Unit):
                 self.low_bits.eq(Mux(same, self.stamp_bits, self.stamp_bits + groups.AGE_BITS)),
             ]
         with m.Elif(self.forms & self.opening):
-            m.d.sync += [self.age.eq(0), self.same.eq(1), self.fits.eq(1), self.low_bits.eq(self.stamp_bits)]
+            m.d.sync += [
+                self.age.eq(0),
+                self.same.eq(1),
+                self.fits.eq(1),
+                self.low_bits.eq(self.stamp_bits),
+            ]
         with m.Elif(self.forms & ~self.closing):
-            m.d.sync += [self.busy.eq(~self.ends), self.phase.eq(Mux(to_pixels, Phase.PIXELS, Phase.OFFSETS))]
+            m.d.sync += [
+                self.busy.eq(~self.ends),
+                self.phase.eq(Mux(to_pixels, Phase.PIXELS, Phase.OFFSETS)),
+            ]
 
     def _pixels(self, m):
-        """Choose the next two pixels or the next part of the map, for a new event and for the one at work side by side."""
+        """Choose the next two pixels or the next part of the map, for a new event and for the one
+        at work side by side.
+        """
         sensor = self.sensor
         hits = self._taken("map")
         own = self.pixels
@@ -355,7 +409,10 @@ class Coder(Unit):
         m.d.comb += hit.eq(Cat(Cat(hits[i] for i in sensor.members(g)).any() for g in count))
         of_taken = Ends(m, hit, "hit")
         of_rest = Ends(m, self.minigroups, "minigroups")
-        taken = [self._taken("offsets").word_select(g, OFFSETS.width)[: sensor.offset_bits] for g in count]
+        taken = [
+            self._taken("offsets").word_select(g, OFFSETS.width)[: sensor.offset_bits]
+            for g in count
+        ]
         kept = [self.offsets.word_select(g, sensor.offset_bits) for g in count]
         with m.If(self.to_work):
             m.d.sync += self.offset_pair.takes(of_taken, of_taken.values(m, taken, "taken_offset"))
@@ -365,7 +422,9 @@ class Coder(Unit):
             m.d.sync += self.minigroups.eq(of_rest.between)
 
     def _form(self, m):
-        """Form what comes next: the group's head or end, the event's numbers with the first pixels, pixels, or offsets."""
+        """Form what comes next: the group's head or end, the event's numbers with the first pixels,
+        pixels, or offsets.
+        """
         sensor = self.sensor
         widths = self.widths
         cycles = Signal(sensor.coarse_bits)
@@ -379,11 +438,15 @@ class Coder(Unit):
         m.d.comb += [
             self.forms.eq((self.busy | self.closing) & self.free),
             self.next_part.eq(Cat(self.numbers, self.same, low | (pixels << self.low_bits))),
-            self.next_bits.eq(widths.fixed_bits + sensor.winner_bits + self.low_bits + self.pixels.bits()),
+            self.next_bits.eq(
+                widths.fixed_bits + sensor.winner_bits + self.low_bits + self.pixels.bits()
+            ),
         ]
         with m.If(self.opening):
             m.d.comb += [
-                self.next_part.eq(Cat(self.event_pulse, self.number, self.stamp_bits, self.with_offsets)),
+                self.next_part.eq(
+                    Cat(self.event_pulse, self.number, self.stamp_bits, self.with_offsets)
+                ),
                 self.next_bits.eq(groups.HEAD_BITS),
             ]
         with m.Elif((self.phase == Phase.PIXELS) & self.mapped):

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threshold controller of a stream ("fill the stream"): the budget that its subgroups share, and their limit.
+"""Threshold controller of a stream ("fill the stream"): the budget that its subgroups share, and
+their limit.
 
-The paper gives every subgroup a threshold of its own and does not say how it is found. Our choice is a controller that
-shares the capacity of a stream; `docs/contract.md` states its rule. The thresholds themselves are in the subgroups
-(`dpcu.py`), which receive budget and limit when the next frame begins.
+The paper gives every subgroup a threshold of its own and does not say how it is found. Our choice
+is a controller that shares the capacity of a stream; `docs/contract.md` states its rule. The
+thresholds themselves are in the subgroups (`dpcu.py`), which receive budget and limit when the next
+frame begins.
 """
 
 from amaranth.hdl import Cat, Module, Mux, Signal
@@ -20,10 +22,14 @@ from .unit import Unit
 from .voted import Voted
 
 # Beat and word of these counters in the packet; the sums wait for the later counter.
-COMMITTED, LOWER = (divmod(COUNTER_NAMES.index(name), BEAT_BITS // COUNTER_BITS) for name in ("committed", "lower"))
+COMMITTED, LOWER = (
+    divmod(COUNTER_NAMES.index(name), BEAT_BITS // COUNTER_BITS) for name in ("committed", "lower")
+)
 STEPS = 1 + len(BUDGET_GROWTHS)  # candidates for the next budget
 SUMS = 1 + STEPS  # of the committed events, and of those that each candidate would let through
-FILLED = 5  # cycles from the beginning of a frame to the first candidate: one for the first share, four to compute it
+# Cycles from the beginning of a frame to the first candidate: one for the first share, four to
+# compute it.
+FILLED = 5
 SETTLED = SUMS + 5  # cycles from the last beat of counters in a frame to the new budget and limit
 
 
@@ -35,8 +41,10 @@ class Controller(Unit):
     command : in, configuration bus
     capacity, share : in, as programmed; they take effect at TAKE
     counted : in, from the readout: the counters as they leave at the end of the frame
-    done : in, strobe: the frame has been delivered, at least `SETTLED` cycles after its last counters
-    budget, limit : out, events up to which a subgroup lowers its threshold, and beyond which it raises it; they change with
+    done : in, strobe: the frame has been delivered, at least `SETTLED` cycles after its last
+        counters
+    budget, limit : out, events up to which a subgroup lowers its threshold, and beyond which it
+        raises it; they change with
     `done`. Before the first frame they equal the share
 
     Reset clears budget and limit.
@@ -46,7 +54,8 @@ class Controller(Unit):
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        assert layout(sensor).counter_beats >= SUMS  # the sums are done with a subgroup before the next one comes
+        # The sums are done with a subgroup before the next one comes.
+        assert layout(sensor).counter_beats >= SUMS
         super().__init__(
             command=In(bus.CONFIG_BUS),
             capacity=In(DATA_BITS),
@@ -104,7 +113,8 @@ class Controller(Unit):
         return m
 
     def _candidates(self, m):
-        """Compute the candidates for the next budget when a frame begins: as it is, and grown by several steps.
+        """Compute the candidates for the next budget when a frame begins: as it is, and grown by
+        several steps.
 
         None is above the capacity or below the share. They are computed one after the other.
         """
@@ -123,7 +133,9 @@ class Controller(Unit):
         ]
 
     def _counters(self, m):
-        """Wait for both counters of a subgroup; then they are at work until those of the next one are complete."""
+        """Wait for both counters of a subgroup; then they are at work until those of the next one
+        are complete.
+        """
         beats = layout(self.sensor).counter_beats
         complete = Signal()
         m.d.comb += complete.eq(self.counted.valid & (self.beat == LOWER[0]))
@@ -147,10 +159,12 @@ class Controller(Unit):
         ]
 
     def _sums(self, m):
-        """Sum up the events of all subgroups: as committed, and as expected with each candidate for the budget.
+        """Sum up the events of all subgroups: as committed, and as expected with each candidate for
+        the budget.
 
-        A subgroup's threshold would fall if the windows at the next lower threshold fit the budget. At a threshold of 1,
-        `lower` equals `committed`. The sums saturate at twice the highest capacity.
+        A subgroup's threshold would fall if the windows at the next lower threshold fit the budget.
+        At a threshold of 1, `lower` equals `committed`. The sums saturate at twice the highest
+        capacity.
         """
         falls = self.controlled & ~self.slot[0] & (self.then <= self.steps[0])
         m.d.sync += self.part.eq(Mux(falls, self.then, self.now))
@@ -170,7 +184,9 @@ class Controller(Unit):
             m.d.sync += [one.eq(0) for one in self.sums]
 
     def _limits(self, m):
-        """Compute two candidates for the next limit: one below the highest count that the controller can lower, and one not below it."""
+        """Compute two candidates for the next limit: one below the highest count that the
+        controller can lower, and one not below it.
+        """
         with m.If(self.slot[0] & self.controlled & (self.now > self.most)):
             m.d.sync += self.most.eq(self.now)
         with m.If(self.take):
@@ -180,12 +196,16 @@ class Controller(Unit):
         m.d.sync += [
             self.top.eq(Mux(self.most < self.limit, self.most, self.limit)),
             self.dropped.eq(carry_select(m, Cat(1, self.top), Cat(1, drop), "dropped_sum")[1:]),
-            self.lower_limit.eq(Mux(self.dropped > self.share_taken, self.dropped, self.share_taken)),
+            self.lower_limit.eq(
+                Mux(self.dropped > self.share_taken, self.dropped, self.share_taken)
+            ),
             self.higher_limit.eq(Mux(self.fitting > self.top, self.fitting, self.top)),
         ]
 
     def _results(self, m):
-        """Take the highest candidate that fits, if the stream could carry the frame; begin with the first share."""
+        """Take the highest candidate that fits, if the stream could carry the frame; begin with the
+        first share.
+        """
         self.budget_kept = budget = Voted(m, "budget_kept", DATA_BITS)
         m.d.comb += self.budget.eq(budget.value)
         fitting = self.share_taken

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Deserialiser: SPAD levels to edge words, for FPGAs.
 
-The paper has no FPGA; this block is our choice. Each line is sampled at `phases` equidistant moments of the cycle by
-plain flip-flops, on both edges of `phases` / 2 clocks. Every FPGA can do this: 1 Gsample/s is beyond the input gearing
-of the smaller ones, but shifted clocks of 125 MHz are not. One PLL makes the clocks. The PLLs of the smaller families
-make four, so this front end supports up to 8 phases.
+The paper has no FPGA; this block is our choice. Each line is sampled at `phases` equidistant
+moments of the cycle by plain flip-flops, on both edges of `phases` / 2 clocks. Every FPGA can do
+this: 1 Gsample/s is beyond the input gearing of the smaller ones, but shifted clocks of 125 MHz are
+not. One PLL makes the clocks. The PLLs of the smaller families make four, so this front end
+supports up to 8 phases.
 """
 
 from amaranth.hdl import Cat, ClockDomain, ClockSignal, Module, Signal
@@ -22,14 +23,16 @@ class Deserialiser(Unit):
 
     Ports
     -----
-    lines : in, pixels, levels of the SPADs, asynchronous: high for more than a tick from the avalanche on, and low for
-        more than a tick before it
-    clocks : in, phases / 2 - 1; clock j (from 1) rises j ticks after the system clock, which is clock 0
-    words : out, pixels * phases, edge words: bit k of a pixel = its line rose in tick k of the cycle `CYCLES` before
+    lines : in, pixels, levels of the SPADs, asynchronous: high for more than a tick from the
+        avalanche on, and low for more than a tick before it
+    clocks : in, phases / 2 - 1; clock j (from 1) rises j ticks after the system clock, which is
+        clock 0
+    words : out, pixels * phases, edge words: bit k of a pixel = its line rose in tick k of the
+        cycle `CYCLES` before
 
-    Sample j of a cycle (1 to `phases`) is taken j ticks after the cycle begins. It reaches the system clock in hops of
-    at least half a cycle and passes two flip-flops before any logic sees it. There is no reset, because the state of
-    the lines is valid at any time.
+    Sample j of a cycle (1 to `phases`) is taken j ticks after the cycle begins. It reaches the
+    system clock in hops of at least half a cycle and passes two flip-flops before any logic sees
+    it. There is no reset, because the state of the lines is valid at any time.
     """
 
     unit_name = "coincid_deserialiser"
@@ -37,7 +40,9 @@ class Deserialiser(Unit):
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
         super().__init__(
-            lines=In(sensor.pixels), clocks=In(sensor.phases // 2 - 1), words=Out(sensor.pixels * sensor.phases)
+            lines=In(sensor.pixels),
+            clocks=In(sensor.phases // 2 - 1),
+            words=Out(sensor.pixels * sensor.phases),
         )
 
     def elaborate(self, platform):
@@ -60,12 +65,18 @@ class Deserialiser(Unit):
         def rising(j):
             return f"pos_{j}" if j else "sync"
 
-        levels = []  # a cycle's samples 1 to `phases`, all registered by the system clock two cycles after the cycle begins
+        # A cycle's samples 1 to `phases`, all registered by the system clock two cycles after the
+        # cycle begins.
+        levels = []
         for j in range(1, phases + 1):
             if j < half:
                 held = flop(flop(self.lines, rising(j), f"sample_{j}"), "sync", f"held_{j}")
             elif j < phases:
-                held = flop(flop(self.lines, f"neg_{j - half}", f"sample_{j}"), rising(j - half), f"held_{j}")
+                held = flop(
+                    flop(self.lines, f"neg_{j - half}", f"sample_{j}"),
+                    rising(j - half),
+                    f"held_{j}",
+                )
             else:
                 held = flop(self.lines, "sync", f"sample_{j}")
             levels.append(flop(held, "sync", f"level_{j}"))

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """DPCU: compares every closed window with the threshold, sets the subgroup's threshold, and counts.
 
-The paper (III-A): based on the chosen mode "a valid signal is generated when the mode-dependent condition is
-satisfied in order to write the data into the FIFO register"; the DPCUs "keep track of the number of photons detected
-within a coincidence window, allowing us to set different thresholds in every subgroup". Our own choices are the loss
-counters and the way the thresholds are found (`controller.py`; the part of each subgroup is here).
+The paper (III-A): based on the chosen mode "a valid signal is generated when the mode-dependent
+condition is satisfied in order to write the data into the FIFO register"; the DPCUs "keep track of
+the number of photons detected within a coincidence window, allowing us to set different thresholds
+in every subgroup". Our own choices are the loss counters and the way the thresholds are found
+(`controller.py`; the part of each subgroup is here).
 """
 
 from amaranth.hdl import Cat, Module, Mux, Signal
@@ -21,7 +22,9 @@ from .unit import Unit
 
 
 def counter_bits(name: str, sensor: Sensor) -> int:
-    """Return the width of a counter; 0: not built. Only the count of photons can exceed the number of cycles in a frame."""
+    """Return the width of a counter; 0: not built. Only the count of photons can exceed the number
+    of cycles in a frame.
+    """
     periods = BY_NAME["pulses"].high(sensor)
     match name:
         case "threshold_used":
@@ -43,17 +46,19 @@ class Dpcu(Unit):
     Ports
     -----
     settings : in, of the frame; operation, data : in, the configuration bus, registered
-    in_stream : in, a budget or limit on the bus is for this subgroup's stream, or for an earlier one, which is replaced
-        later; data and in_stream are unused without the threshold controller
+    in_stream : in, a budget or limit on the bus is for this subgroup's stream, or for an earlier
+        one, which is replaced later; data and in_stream are unused without the threshold controller
     window_ticks : out, the window in force (1 if coincidence is off)
     start : in, first cycle of a period, two cycles ahead of the ports
-    closed, window : in, from the tree (stage 7); commit, event : out, to the FIFO one cycle later (stage 8: the commit cycle)
+    closed, window : in, from the tree (stage 7); commit, event : out, to the FIFO one cycle later
+        (stage 8: the commit cycle)
     blind, stored, dropped, mg_stored, mg_dropped : in, strobes to count
     pulse : out, the period's number in the frame (stage 8)
     counters : out, in the order of the register table; settled a few cycles after the last window
     controlled : out, the threshold controller sets the threshold
 
-    Reset clears the counters. A gate stops the clock while no operation, strobe, window or loss comes.
+    Reset clears the counters. A gate stops the clock while no operation, strobe, window or loss
+    comes.
     """
 
     unit_name = "coincid_dpcu"
@@ -108,21 +113,38 @@ class Dpcu(Unit):
         self._pulses(m)
         self._counters(m)
         self._threshold(m)
-        events = Cat(self.closed, self.judged, self.commit, self.meets_lower, self.blind, self.stored, self.dropped)
+        events = Cat(
+            self.closed,
+            self.judged,
+            self.commit,
+            self.meets_lower,
+            self.blind,
+            self.stored,
+            self.dropped,
+        )
         records = Cat(self.mg_stored, self.mg_dropped)
         awake = self.awake | self.start | self.coming.any() | events.any() | records.any()
         return behind(m, platform, self.clock_gate, awake)
 
     def _told(self, m):
-        """Wake threshold and window after an operation of the bus. They do not change during a frame."""
+        """Wake threshold and window after an operation of the bus.
+
+        They do not change during a frame.
+        """
         told = Signal(2, init=-1)  # an operation came one and two cycles ago
         tells = Signal()
-        m.d.comb += [tells.eq(self.operation != bus.Operation.IDLE), self.awake.eq(tells | told.any())]
+        m.d.comb += [
+            tells.eq(self.operation != bus.Operation.IDLE),
+            self.awake.eq(tells | told.any()),
+        ]
         with m.If(self.awake):
             m.d.sync += told.eq(Cat(tells, told))
 
     def _judgement(self, m):
-        """Commit the windows that meet the threshold. Without coincidence, the window is one tick and the threshold one."""
+        """Commit the windows that meet the threshold.
+
+        Without coincidence, the window is one tick and the threshold one.
+        """
         enough = Signal()
         with m.If(self.awake):
             m.d.sync += [
@@ -135,7 +157,9 @@ class Dpcu(Unit):
         if self.sensor.controller:
             with m.If(self.awake):
                 m.d.sync += self.lower_threshold.eq(self.threshold - 1)
-            m.d.sync += self.meets_lower.eq(self.closed & (self.window.count >= self.lower_threshold))
+            m.d.sync += self.meets_lower.eq(
+                self.closed & (self.window.count >= self.lower_threshold)
+            )
         else:
             m.d.comb += self.meets_lower.eq(0)
         with m.If(commits):
@@ -151,7 +175,9 @@ class Dpcu(Unit):
             m.d.sync += self.pulse.eq(self.pulse + 1)
 
     def _counters(self, m):
-        """Count one stage behind the counted signals, so that no adder is in the path of the commit."""
+        """Count one stage behind the counted signals, so that no adder is in the path of the
+        commit.
+        """
         count = self.count
         judged = self.judged
         judged_count = Signal.like(self.window.count)
@@ -176,7 +202,9 @@ class Dpcu(Unit):
             saturating_add(m, count["photons"], judged_count)
 
     def _threshold(self, m):
-        """Set the frame's threshold: the programmed one, or the controller's; clear the frame's counters."""
+        """Set the frame's threshold: the programmed one, or the controller's; clear the frame's
+        counters.
+        """
         count = self.count
         if self.sensor.controller:
             threshold = self._controlled(m)
@@ -188,7 +216,9 @@ class Dpcu(Unit):
             m.d.sync += [count["threshold_used"].eq(threshold), self.pulse.eq(~0)]
 
     def _controlled(self, m):
-        """Return the threshold of a frame that begins: the programmed one, or one step from the last frame's."""
+        """Return the threshold of a frame that begins: the programmed one, or one step from the
+        last frame's.
+        """
         count = self.count
         settings = self.settings
         raised = Signal.like(self.ceiling)
@@ -201,9 +231,13 @@ class Dpcu(Unit):
         ]
         with m.If(self.awake):
             m.d.sync += [
-                self.reached.eq((self.operation == bus.Operation.COMPARE) & (count["opened"] >= self.data)),
+                self.reached.eq(
+                    (self.operation == bus.Operation.COMPARE) & (count["opened"] >= self.data)
+                ),
                 self.ceiling.eq(raised),
-                self.stepped.eq(_step(count["threshold_used"][: self.sensor.count_bits], self.rises, self.falls)),
+                self.stepped.eq(
+                    _step(count["threshold_used"][: self.sensor.count_bits], self.rises, self.falls)
+                ),
             ]
         with m.Switch(self.operation):
             with m.Case(bus.Operation.TAKE):
@@ -214,11 +248,15 @@ class Dpcu(Unit):
             with m.Case(bus.Operation.LIMIT):
                 with m.If(self.in_stream):
                     m.d.sync += self.rises.eq(count["committed"] > self.data)
-        return Mux(self.controlled & self.stays, Mux(bounded < floor, floor, bounded), settings.threshold)
+        own = Mux(bounded < floor, floor, bounded)
+        return Mux(self.controlled & self.stays, own, settings.threshold)
 
 
 def _step(threshold, rises, falls):
-    """Return the threshold after one step, from 1 to `THRESHOLD_MAX`. A programmed threshold may have been higher."""
+    """Return the threshold after one step, from 1 to `THRESHOLD_MAX`.
+
+    A programmed threshold may have been higher.
+    """
     threshold = threshold | (threshold == 0)  # only an upset makes it 0
     up = Mux(threshold < THRESHOLD_MAX, threshold + 1, THRESHOLD_MAX)
     down = Mux(threshold > THRESHOLD_MAX, THRESHOLD_MAX, threshold - (threshold > 1))

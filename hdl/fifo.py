@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Event FIFO: stores the committed events of a subgroup until the readout takes them.
 
-The paper (III-A) names a FIFO register that valid data is written into. Our choices are its depth, the overrun flag,
-and that a new event is dropped when the FIFO is full.
+The paper (III-A) names a FIFO register that valid data is written into. Our choices are its depth,
+the overrun flag, and that a new event is dropped when the FIFO is full.
 """
 
 from amaranth.hdl import Module, Mux, Signal
@@ -24,8 +24,9 @@ class EventFifo(Unit):
     head : out, the oldest event, read from its row in the same cycle; take : in, frees its place
     frame_begin : in, clears the overrun memory
 
-    The first event after a drop carries `overrun`. The FIFO is empty when a frame begins, because the previous frame was
-    read out completely; `frame_begin` also clears anything that an upset left. Reset empties the FIFO.
+    The first event after a drop carries `overrun`. The FIFO is empty when a frame begins, because
+    the previous frame was read out completely; `frame_begin` also clears anything that an upset
+    left. Reset empties the FIFO.
     """
 
     unit_name = "coincid_fifo"
@@ -57,7 +58,15 @@ class EventFifo(Unit):
         room = Signal()
         write = Signal()
         event = Signal(bus.event_layout(self.sensor))
-        place(m, "storage", rows, platform, write=write, data=event, **rows.at(to=self.to, row=self.row))
+        place(
+            m,
+            "storage",
+            rows,
+            platform,
+            write=write,
+            data=event,
+            **rows.at(to=self.to, row=self.row),
+        )
         m.d.comb += [
             room.eq(self.level != depth),
             event.window.eq(self.event),
@@ -88,7 +97,8 @@ class RecordBuffer(Unit):
 
     Ports
     -----
-    due : in, a period has ended; latched, entries : in, its minigroup records; pulse : in, its number
+    due : in, a period has ended; latched, entries : in, its minigroup records; pulse : in, its
+        number
     stored, dropped : out, the fate of the record, one cycle later
     record : out, valid from one cycle after it was stored; take, frame_begin : in, free the buffer
 

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two views of the front end behind one interface. Everything behind the front end is common to both.
+"""The two views of the front end behind one interface.
 
-A view provides the units of its front end and its TDC, the width of a subgroup's SPAD port, and the Verilog that is not
-generated: cells (behaviour) and macros (black boxes).
+Everything behind the front end is common to both.
+
+A view provides the units of its front end and its TDC, the width of a subgroup's SPAD port, and the
+Verilog that is not generated: cells (behaviour) and macros (black boxes).
 """
 
 from pathlib import Path
@@ -23,7 +25,9 @@ from .tree import CoincidenceTree
 
 @frozen
 class Polyphase:
-    """Synchronous view: a SPAD gives one word of `phases` bits per cycle. For simulation, formal proof and FPGA."""
+    """Synchronous view: a SPAD gives one word of `phases` bits per cycle. For simulation, formal
+    proof and FPGA.
+    """
 
     name = "polyphase"
     prefix = "coincid_"
@@ -32,7 +36,10 @@ class Polyphase:
     macros: ClassVar[tuple[Path, ...]] = ()
 
     def at(self, clock_mhz: float) -> "Polyphase":
-        """Return the view at a system clock. It depends only on cycles, so it is the same at any clock."""
+        """Return the view at a system clock.
+
+        It depends only on cycles, so it is the same at any clock.
+        """
         return self
 
     def spad_bits(self, sensor: Sensor) -> int:
@@ -50,7 +57,10 @@ class Polyphase:
 
     def from_spads(self, words: Value, gating: Gating) -> dict[str, Value]:
         """Return drivers of the front end's inputs that depend on the view."""
-        return dict(words=words, accept=gating.accept)
+        return dict(
+            words=words,
+            accept=gating.accept,
+        )
 
 
 @frozen
@@ -83,7 +93,10 @@ class Asynchronous:
 
     def from_spads(self, words: Value, gating: Gating) -> dict[str, Value]:
         """Return drivers of the front end's inputs that depend on the view."""
-        return dict(spad=words, gate=gating.spad_gate)
+        return dict(
+            spad=words,
+            gate=gating.spad_gate,
+        )
 
 
 View: TypeAlias = Polyphase | Asynchronous
@@ -92,5 +105,10 @@ VIEWS: dict[str, View] = {"polyphase": POLYPHASE, "async": Asynchronous()}
 
 
 def view_at(view: str | View, clock_mhz: float) -> View:
-    """Return a view, or the one of `VIEWS` with this name, at a system clock. Raises `InputError`."""
-    return (VIEWS[check_choice("view", view, tuple(VIEWS))] if isinstance(view, str) else view).at(clock_mhz)
+    """Return a view, or the one of `VIEWS` with this name, at a system clock.
+
+    Raises `InputError`.
+    """
+    return (VIEWS[check_choice("view", view, tuple(VIEWS))] if isinstance(view, str) else view).at(
+        clock_mhz
+    )

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gating: selects the cycles in which a subgroup's edges count and its SPADs are on.
 
-The paper (III-A): every subgroup is "modelled to optionally operate under time-gating set electrically around the
-desired target range". Progressive gating (the shift) is our choice.
+The paper (III-A): every subgroup is "modelled to optionally operate under time-gating set
+electrically around the desired target range". Progressive gating (the shift) is our choice.
 """
 
 from amaranth.hdl import Module, Mux, Signal
@@ -21,7 +21,8 @@ class Gating(Unit):
     -----
     timing : in, registered in the module: two cycles ahead of the ports
     settings : in
-    spad_gate : out, the gate is open, or gating is off (stage 0: the cycle in which the edges are at the ports)
+    spad_gate : out, the gate is open, or gating is off (stage 0: the cycle in which the edges are
+        at the ports)
     accept : out, a frame is running and the gate lets edges through (stage 1)
 
     Reset closes the gate. If gating is off, `spad_gate` opens one cycle later.
@@ -48,7 +49,10 @@ class Gating(Unit):
         first = Signal(coarse_bits + 2)
         with m.If(self.timing.start):
             m.d.sync += first.eq(self.settings.gate_start[:coarse_bits] + self.timing.shift)
-        m.d.sync += [self.start.eq(self.timing.start), self.running.eq((self.running << 1) | self.timing.running)]
+        m.d.sync += [
+            self.start.eq(self.timing.start),
+            self.running.eq((self.running << 1) | self.timing.running),
+        ]
         until = Signal.like(first)  # cycles until the gate opens, then cycles until it closes
         left = Signal(GATE_BITS)
         inside = Signal()

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Combinational helpers, mostly of logarithmic depth. Each names its intermediate values, so nothing is emitted twice."""
+"""Combinational helpers, mostly of logarithmic depth.
+
+Each names its intermediate values, so nothing is emitted twice.
+"""
 
 from collections.abc import Callable
 
@@ -10,7 +13,9 @@ LOW_BITS = 4  # of a counter: the other bits, and their clock, rest in 15 of 16 
 SUM_PART = 11  # bits through which a carry of `carry_select` ripples
 
 
-def tree(m: Module, items: list[Value], combine: Callable[[Value, Value], Value], name: str) -> Value:
+def tree(
+    m: Module, items: list[Value], combine: Callable[[Value, Value], Value], name: str
+) -> Value:
     """Combine `items` pairwise until one is left; the depth is log2 of their number."""
     items = [Value.cast(item) for item in items]
     level = 0
@@ -56,8 +61,8 @@ def up_to(m: Module, bits: Value, name: str) -> Signal:
 def counted(m: Module, bits: Value, name: str) -> list[Value]:
     """Return whether at least one, two and three of some bits are ones.
 
-    Bit i of a step's words covers the 2 ** k bits from i on. Whole words cost simulators little. Only the gates of bit 0 of
-    the last words remain after synthesis.
+    Bit i of a step's words covers the 2 ** k bits from i on. Whole words cost simulators little.
+    Only the gates of bit 0 of the last words remain after synthesis.
     """
     found = [bits, Const(0, len(bits)), Const(0, len(bits))]
     step = 1
@@ -76,7 +81,8 @@ def counted(m: Module, bits: Value, name: str) -> list[Value]:
 
 
 def lowest(m: Module, bits: Value, name: str) -> Value:
-    """Return the index of the lowest one of `bits`, a power of two of them; if there is none, the last index.
+    """Return the index of the lowest one of `bits`, a power of two of them; if there is none, the
+    last index.
 
     It is faster than `first_one`. It computes with whole words, as `counted` does.
     """
@@ -88,14 +94,19 @@ def lowest(m: Module, bits: Value, name: str) -> Value:
         numbers = [(found & number) | (~found & (number >> step)) for number in numbers] + [~found]
         signals = [Signal(size, name=f"{name}_{step}_{b}") for b in range(k + 1)]
         here = Signal(size, name=f"{name}_{step}")
-        m.d.comb += [*(signal.eq(number) for signal, number in zip(signals, numbers)), here.eq(found | (found >> step))]
+        m.d.comb += [
+            *(signal.eq(number) for signal, number in zip(signals, numbers)),
+            here.eq(found | (found >> step)),
+        ]
         found = here
         numbers = signals
     return Cat(number[0] for number in numbers)
 
 
 def first_one(m: Module, bits: Value, name: str) -> tuple[Value, Value]:
-    """Return whether `bits`, a power of two of them, holds a one, and the index of the lowest (if none, the last index)."""
+    """Return whether `bits`, a power of two of them, holds a one, and the index of the lowest (if
+    none, the last index).
+    """
     index: list[Value] = []
     part = bits
     while len(part) > 1:
@@ -109,7 +120,10 @@ def first_one(m: Module, bits: Value, name: str) -> tuple[Value, Value]:
 
 
 def carry_select(m: Module, a: Value, b: Value, name: str) -> Value:
-    """Return a + b with a carry out. Parts of `SUM_PART` bits are added for both carries; then the real carry selects."""
+    """Return a + b with a carry out.
+
+    Parts of `SUM_PART` bits are added for both carries; then the real carry selects.
+    """
     parts = []
     carry = Value.cast(0)
     for begin in range(0, max(len(a), len(b)), SUM_PART):
@@ -141,12 +155,17 @@ def saturating_add(m: Module, counter: Signal, amount: Value) -> None:
     total = Signal(len(counter) + 1, name=f"{counter.name}_next")
     amount = Value.cast(amount)
     wide = 2 * len(amount) > len(counter)
-    m.d.comb += total.eq(carry_select(m, counter, amount, f"{counter.name}_sum") if wide else counter + amount)
+    m.d.comb += total.eq(
+        carry_select(m, counter, amount, f"{counter.name}_sum") if wide else counter + amount
+    )
     m.d.sync += counter.eq(Mux(total[-1], ~0, total))
 
 
 def count_up(m: Module, counter: Signal, strobe: Value) -> None:
-    """Add `strobe` to `counter` at the clock, and saturate. The low and the high bits have separate enables."""
+    """Add `strobe` to `counter` at the clock, and saturate.
+
+    The low and the high bits have separate enables.
+    """
     low = counter[:LOW_BITS]
     high = counter[LOW_BITS:]
     counts = Signal(name=f"{counter.name}_counts")

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Minigroup: the leaf of the coincID tree, and the minigroup's own stamping circuit.
 
-The paper (III-A): the subgroup is clustered into minigroups; every minigroup "provides a coarse timestamp along with
-generating the spatial address/ID of the contributing events". Our choices are the collection that latches a record, its
-stamp in quarters of a cycle, and the step of the coarse offsets.
+The paper (III-A): the subgroup is clustered into minigroups; every minigroup "provides a coarse
+timestamp along with generating the spatial address/ID of the contributing events". Our choices are
+the collection that latches a record, its stamp in quarters of a cycle, and the step of the coarse
+offsets.
 """
 
 from typing import Any
@@ -20,10 +21,11 @@ from .unit import Unit, place
 
 
 class Recorder(Unit):
-    """What minigroups have in common in both views: coarse offsets, and the minigroup's own stamping circuit.
+    """What minigroups have in common in both views: coarse offsets, and the minigroup's own
+    stamping circuit.
 
-    own: further ports. `Minigroup` describes the common ones. A method that forms one of the circuits returns the
-    condition under which the circuit's registers may change.
+    own: further ports. `Minigroup` describes the common ones. A method that forms one of the
+    circuits returns the condition under which the circuit's registers may change.
     """
 
     def __init__(self, sensor: Sensor, **own: Any):
@@ -58,11 +60,16 @@ class Recorder(Unit):
         if self.sensor.records:
             moves.append(self._record(m, platform, active, step_4))
         else:
-            m.d.comb += [self.latched.eq(0), self.entry.eq(Const({}, self.entry.shape()))]
+            m.d.comb += [
+                self.latched.eq(0),
+                self.entry.eq(Const({}, self.entry.shape())),
+            ]
         return moves
 
     def _offset(self, m, begins, step_4) -> Value:
-        """Stages 5 to 8: form the offset of a window's first edge. A strobe and a step travel along, because they have fewer bits.
+        """Stages 5 to 8: form the offset of a window's first edge.
+
+        A strobe and a step travel along, because they have fewer bits.
 
         begins: the edge is the minigroup's first in the window (stage 4).
         """
@@ -82,7 +89,8 @@ class Recorder(Unit):
     def _record(self, m, platform, active, step_4) -> Value:
         """Stage 3: the record collection, which is the minigroup's own stamping circuit.
 
-        active: pixels with an edge in the cycle; step_4: step of the first of these edges, one cycle later.
+        active: pixels with an edge in the cycle; step_4: step of the first of these edges, one
+        cycle later.
         """
         pixels = len(active)
         left = self.left
@@ -132,28 +140,33 @@ class Recorder(Unit):
 class Minigroup(Recorder):
     """Leaf of the tree with `minigroup_pixels` SPADs.
 
-    Stages count from the port: edges at 1, the window at 2, hits and record at 3, map at 5, offset at 8.
+    Stages count from the port: edges at 1, the window at 2, hits and record at 3, map at 5, offset
+    at 8.
 
     Ports
     -----
     words : in, pixels * phases bits, the SPADs' edge words; mask : in, pixels (stage 0)
-    root : out, phases, OR of the words of the unmasked pixels (stage 0: straight from the port to a register of the tree)
+    root : out, phases, OR of the words of the unmasked pixels (stage 0: straight from the port to a
+        register of the tree)
     accept : in, the gate is open and a frame is running (stage 1)
-    whole : in, the window covers the cycle; part : in, it covers the phases before `end`; first : in, the cycle's first phase (stage 2)
+    whole : in, the window covers the cycle; part : in, it covers the phases before `end`; first :
+        in, the cycle's first phase (stage 2)
     at_first : out, pixels, the pixel's edge is at that phase (stage 2)
     blind : out, an accepted edge lies outside the window (stage 3)
     opening : in, the window opened in this cycle (stage 4)
     hits : out, pixels, the window's map (stage 5)
     elapsed : in, cycles since the window opened (stage 7)
-    offset : out, coarse offset of the first counted edge, valid if hits was not 0 (stage 8, at which the FIFO takes it)
-    frame : in, settings; may_open, wrap : in (stage 3); coarse : in, coarse count of the TDC (stage 4)
+    offset : out, coarse offset of the first counted edge, valid if hits was not 0 (stage 8, at
+        which the FIFO takes it)
+    frame : in, settings; may_open, wrap : in (stage 3); coarse : in, coarse count of the TDC (stage
+        4)
     latched, entry : out, the record of the period, to be taken during `wrap` (stage 3)
 
-    Reset clears the record circuit. The rest needs no reset, because nothing is accepted outside a frame and every
-    window starts from an empty map.
+    Reset clears the record circuit. The rest needs no reset, because nothing is accepted outside a
+    frame and every window starts from an empty map.
 
-    The registers of stages 1, 3 and 5, and of the stages behind each, change only while they hold or get something valid.
-    Otherwise a gate stops the minigroup's clock.
+    The registers of stages 1, 3 and 5, and of the stages behind each, change only while they hold
+    or get something valid. Otherwise a gate stops the minigroup's clock.
     """
 
     unit_name = "coincid_minigroup"
@@ -198,13 +211,19 @@ class Minigroup(Recorder):
         m = Module()
         self._edges(m)
         self._hits(m)
-        awake = [self.awake_1, self.awake_3, *self._map(m, platform)]
+        awake = [
+            self.awake_1,
+            self.awake_3,
+            *self._map(m, platform),
+        ]
         return behind(m, platform, self.clock_gate, Cat(awake).any())
 
     def _edges(self, m):
-        """Stages 1 and 2: encode each pixel's word at the port: is there an edge, and at which phase is the first one?
+        """Stages 1 and 2: encode each pixel's word at the port: is there an edge, and at which
+        phase is the first one?
 
-        The words themselves are not registered: at 32 phases, that register would be the largest part of the sensor.
+        The words themselves are not registered: at 32 phases, that register would be the largest
+        part of the sensor.
         """
         sensor = self.sensor
         pixels = sensor.minigroup_pixels
@@ -232,7 +251,8 @@ class Minigroup(Recorder):
             ]
 
     def _hits(self, m):
-        """Stages 2 and 3: find the pixels with an edge, those that the window counts, and the step of the first edge.
+        """Stages 2 and 3: find the pixels with an edge, those that the window counts, and the step
+        of the first edge.
 
         A pixel without an edge has the last phase, so it is never earlier than one with an edge.
         """
@@ -255,7 +275,8 @@ class Minigroup(Recorder):
     def _map(self, m, platform) -> list[Value]:
         """Stages 4 and 5: collect the hits in the map, and what a window and a record get of them.
 
-        In a cycle, the window counts the earlier edges and not the later ones. So the first edge is a counted one.
+        In a cycle, the window counts the earlier edges and not the later ones. So the first edge is
+        a counted one.
         """
         pixels = self.sensor.minigroup_pixels
         hits = Signal(pixels, reset_less=True)
@@ -268,4 +289,7 @@ class Minigroup(Recorder):
             ]
         m.d.comb += self.hits.eq(hits)
         begins = self.hit_4.any() & (self.opening | ~hits.any())
-        return [moves, *self._stamps(m, platform, self.active, begins, self.step_4)]
+        return [
+            moves,
+            *self._stamps(m, platform, self.active, begins, self.step_4),
+        ]

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packetizer: sends a subgroup's events, minigroup records and counters as beats when the readout grants them.
+"""Packetizer: sends a subgroup's events, minigroup records and counters as beats when the readout
+grants them.
 
 The word formats are our choice; the paper only says that stamps and IDs leave the subgroup.
 """
@@ -30,18 +31,27 @@ from .unit import Unit
 
 
 def numbers(m, sensor: Sensor, packets: Collection[Packet], kind, **values) -> dict[str, Value]:
-    """Return the kind and the numbers of packets as signals of their fields' widths; fields that are not given are 0."""
+    """Return the kind and the numbers of packets as signals of their fields' widths; fields that
+    are not given are 0.
+    """
     widths: dict[str, int] = {}
     for field in (field for packet in packets for field in packet.fields if not field.aligned):
         widths[field.name] = max(widths.get(field.name, 0), field.bits(sensor))
     widths["kind"] = KIND_BITS
     signals = {name: Signal(width, name=f"field_{name}") for name, width in widths.items()}
-    m.d.comb += [signal.eq((values | {"kind": kind}).get(name, 0)) for name, signal in signals.items()]
+    m.d.comb += [
+        signal.eq((values | {"kind": kind}).get(name, 0)) for name, signal in signals.items()
+    ]
     return signals
 
 
-def formed(sensor: Sensor, packets: Collection[Packet], fields: dict[str, Value]) -> dict[Packet, list[Value]]:
-    """Return the beats of packets with these fields at the places of the table. Equal beats are the same object."""
+def formed(
+    sensor: Sensor, packets: Collection[Packet], fields: dict[str, Value]
+) -> dict[Packet, list[Value]]:
+    """Return the beats of packets with these fields at the places of the table.
+
+    Equal beats are the same object.
+    """
     made: dict[tuple[Part, ...], Value] = {}
     beats: dict[Packet, list[Value]] = {packet: [] for packet in packets}
     for packet in packets:
@@ -79,11 +89,13 @@ class Packetizer(Unit):
 
     Ports
     -----
-    grant, send : in, registered: a packet of this kind begins now. The next grant comes after the packet's last beat
+    grant, send : in, registered: a packet of this kind begins now. The next grant comes after the
+        packet's last beat
     frame : in, settings; subgroup : in, number of this subgroup
     head, record, counters : in; take_event, take_record : out, with the last beat of the packet
     controlled : in, the threshold controller sets the threshold of this subgroup
-    valid, beat, beat_controlled : out, one cycle later; 0 while nothing is sent, so that the beats of all subgroups can be ORed
+    valid, beat, beat_controlled : out, one cycle later; 0 while nothing is sent, so that the beats
+        of all subgroups can be ORed
 
     Reset ends a packet.
     """
@@ -155,7 +167,8 @@ class Packetizer(Unit):
                 self.sending.eq(~ends),
                 self.send_before.eq(self.sent),
                 self.index_before.eq(self.index + 1),
-                self.at_last.eq(self.index + 1 >= self._last(self.sent)),  # beyond it only after an upset
+                # Beyond the last beat only after an upset.
+                self.at_last.eq(self.index + 1 >= self._last(self.sent)),
             ]
 
     def _last(self, send):
@@ -163,7 +176,11 @@ class Packetizer(Unit):
         lengths = layout(self.sensor)
         of_event = of_format(self.frame.format, lambda packet: lengths.length(packet) - 1)
         of_record = lengths.length(RECORD) - 1
-        return Mux(send == bus.Send.EVENT, of_event, Mux(send == bus.Send.RECORD, of_record, lengths.counter_beats - 1))
+        return Mux(
+            send == bus.Send.EVENT,
+            of_event,
+            Mux(send == bus.Send.RECORD, of_record, lengths.counter_beats - 1),
+        )
 
     def _event_beats(self, m):
         window = self.head.window
@@ -193,13 +210,22 @@ class Packetizer(Unit):
         return [self._of_formats(k, beats, longest[k]) for k in range(len(longest))]
 
     def _of_formats(self, k, beats, beat):
-        """Return beat `k` of an event in the frame's format. In formats with fewer beats it does not matter, and is `beat`."""
+        """Return beat `k` of an event in the frame's format.
+
+        In formats with fewer beats it does not matter, and is `beat`.
+        """
         of_packet = {packet: each[k] if k < len(each) else beat for packet, each in beats.items()}
         same = all(each is beat for each in of_packet.values())
-        return beat if same else of_format(self.frame.format, lambda packet: of_packet.get(packet, beat))
+        return (
+            beat
+            if same
+            else of_format(self.frame.format, lambda packet: of_packet.get(packet, beat))
+        )
 
     def _record_beats(self, m):
-        fields = numbers(m, self.sensor, [RECORD], RECORD.code, subgroup=self.subgroup, pulse=self.record.pulse)
+        fields = numbers(
+            m, self.sensor, [RECORD], RECORD.code, subgroup=self.subgroup, pulse=self.record.pulse
+        )
         entries = []
         for g in range(self.sensor.minigroups):
             entry = Signal(self.sensor.record_bits, name=f"entry_{g}")

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readout of a stream: round robin over its subgroups, one packet at a time; frame start and end packets; output buffer.
+"""Readout of a stream: round robin over its subgroups, one packet at a time; frame start and end
+packets; output buffer.
 
-The paper leaves the readout open. Round robin, credits and the buffer are our choice: the subgroups report what they
-have stored, and the readout counts it and grants packets of known length. So their beats come back in order, without
-gaps, after a fixed time.
+The paper leaves the readout open. Round robin, credits and the buffer are our choice: the subgroups
+report what they have stored, and the readout counts it and grants packets of known length. So their
+beats come back in order, without gaps, after a fixed time.
 """
 
 from amaranth.hdl import Cat, Const, Module, Mux, ResetInserter, Signal
@@ -32,18 +33,20 @@ class Readout(Unit):
     stored, record_stored : in, one bit per subgroup: an event or record has been stored
     grant : out, one-hot; send : out, what the granted subgroup sends
     valid, beat, beat_controlled : in, OR of the subgroups' beats
-    frame, plan : in, settings; number : in, frame number; frame_begin : in, strobe; finish : in, nothing more will be stored
+    frame, plan : in, settings; number : in, frame number; frame_begin : in, strobe; finish : in,
+        nothing more will be stored
     delivered : out, the end packet has left
     counted : out, the counters of the end packet as they pass, for the threshold controller
     m_axis : AXI4-Stream master, `tlast` ends the frame
 
-    The next grant goes to the first subgroup at or after the pointer that has something to send. The pointer then moves
-    behind it. A record goes before events, because among events it would never find a gap. Latency:
-    `model/contract/latency.py`. Reset empties everything. The beginning of a frame does the same, although nothing can
-    be left by then except after an upset.
+    The next grant goes to the first subgroup at or after the pointer that has something to send.
+    The pointer then moves behind it. A record goes before events, because among events it would
+    never find a gap. Latency: `model/contract/latency.py`. Reset empties everything. The beginning
+    of a frame does the same, although nothing can be left by then except after an upset.
 
-    No upset makes the readout wait for ever. Places that it wrongly took for occupied are free again when nothing has
-    moved for `CALM_CYCLES`; a frame whose last beat was lost ends with a frame end packet without counters.
+    No upset makes the readout wait for ever. Places that it wrongly took for occupied are free
+    again when nothing has moved for `CALM_CYCLES`; a frame whose last beat was lost ends with a
+    frame end packet without counters.
     """
 
     def __init__(self, sensor: Sensor, subgroups: int):
@@ -52,7 +55,8 @@ class Readout(Unit):
         self.parts = layout(sensor)
         # Beats of the longest word, and of counters.
         self.rooms = (self.parts.longest_word, self.parts.counter_beats)
-        self.depth = latency.output_depth(self.parts.longest)  # depth of the output buffer, in beats
+        # Depth of the output buffer, in beats.
+        self.depth = latency.output_depth(self.parts.longest)
         self.unit_name = f"coincid_readout_{subgroups}"
         super().__init__(
             stored=In(subgroups),
@@ -97,14 +101,17 @@ class Readout(Unit):
         self.event_last = Signal(range(longest))  # the same - 1
         # If there is more space than this, an event leaves room for a word, or for counters.
         self.event_exceeds = [
-            Signal(range(2 * longest), init=beats - 1, name=f"event_exceeds_{beats}") for beats in self.rooms
+            Signal(range(2 * longest), init=beats - 1, name=f"event_exceeds_{beats}")
+            for beats in self.rooms
         ]
 
     def _waiting_events(self):
         """Signals of the arbiter; each has one bit per subgroup."""
         n = self.subgroups
         # Bits of the number of events that wait in each subgroup, the lowest bit first.
-        self.planes = [Signal(n, name=f"planes_{b}") for b in range(bits_for(self.sensor.fifo_depth))]
+        self.planes = [
+            Signal(n, name=f"planes_{b}") for b in range(bits_for(self.sensor.fifo_depth))
+        ]
         self.some_events = Signal(n)  # this number is not 0
         self.records = Signal(n)  # a record waits
         self.waiting = Signal(n)  # an event or a record waits
@@ -153,7 +160,10 @@ class Readout(Unit):
         return m
 
     def _inputs(self, m):
-        """Register the inputs. Outside a frame they are ignored: after a reset, the modules may still report old data."""
+        """Register the inputs.
+
+        Outside a frame they are ignored: after a reset, the modules may still report old data.
+        """
         n = self.subgroups
         m.d.sync += [
             self.stored_in.eq(self.stored & self.in_frame.replicate(n)),
@@ -164,10 +174,15 @@ class Readout(Unit):
             self.beat_in.eq(self.beat),
             self.beat_controlled_in.eq(self.beat_controlled),
             self.grouped.eq(of_format(self.frame.format, lambda packet: int(packet.grouped))),
-            self.with_offsets.eq(of_format(self.frame.format, lambda packet: int(packet.has("offsets")))),
+            self.with_offsets.eq(
+                of_format(self.frame.format, lambda packet: int(packet.has("offsets")))
+            ),
             self.event_length.eq(of_format(self.frame.format, self.parts.length)),
             self.event_last.eq(self._event_and(-1)),
-            *(beyond.eq(self._event_and(beats - 1)) for beats, beyond in zip(self.rooms, self.event_exceeds)),
+            *(
+                beyond.eq(self._event_and(beats - 1))
+                for beats, beyond in zip(self.rooms, self.event_exceeds)
+            ),
         ]
 
     def _event_and(self, beats):
@@ -175,7 +190,8 @@ class Readout(Unit):
         return of_format(self.frame.format, lambda packet: self.parts.length(packet) + beats)
 
     def _arbiter(self, m):
-        """Choose the next subgroup: the lowest waiting one at or after the pointer, otherwise the lowest of all.
+        """Choose the next subgroup: the lowest waiting one at or after the pointer, otherwise the
+        lowest of all.
 
         Each subgroup has a counter of waiting events, and a bit for a waiting record.
         """
@@ -184,7 +200,10 @@ class Readout(Unit):
         m.d.sync += self.records.eq((self.records & ~self.take_record) | self.record_stored_in)
         with m.If(self.frame_begin_in):
             m.d.sync += [plane.eq(0) for plane in (*self.planes, self.records)]
-        m.d.comb += [self.waiting.eq(self.some_events | self.records), ahead.eq(self.waiting & self.at_or_after)]
+        m.d.comb += [
+            self.waiting.eq(self.some_events | self.records),
+            ahead.eq(self.waiting & self.at_or_after),
+        ]
         from_ahead = up_to(m, ahead, "from_ahead")
         from_all = up_to(m, self.waiting, "from_all")
         m.d.comb += [
@@ -194,7 +213,10 @@ class Readout(Unit):
         ]
 
     def _credits(self, m, up, down):
-        """Count the events of each subgroup, in bit planes. Further registers know which counters are not 0."""
+        """Count the events of each subgroup, in bit planes.
+
+        Further registers know which counters are not 0.
+        """
         planes = self.planes
         some = self.some_events
         carries = Signal(self.subgroups)
@@ -213,13 +235,16 @@ class Readout(Unit):
     def _room(self, m):
         """Decide when a packet may begin.
 
-        All beats of the previous one must be granted, and the buffer must have room for any word, or for the counters. Two
-        registers know whether it has, so no grant waits for a comparison.
+        All beats of the previous one must be granted, and the buffer must have room for any word,
+        or for the counters. Two registers know whether it has, so no grant waits for a comparison.
         """
         m.d.comb += [
             self.free.eq((self.left == 0) & self.room[0]),
             self.free_for_counters.eq((self.left == 0) & self.room[1]),
-            *(after.eq(self._space_exceeds(beats - 1)) for after, beats in zip(self.room_next, self.rooms)),
+            *(
+                after.eq(self._space_exceeds(beats - 1))
+                for after, beats in zip(self.room_next, self.rooms)
+            ),
             self.gone.eq(Mux(self.grouped, self.taken, self.buffer.r_rdy & self.m_axis.tready)),
             self.left_next.eq(self.left - (self.left != 0)),
             self.space_next.eq(Mux(self.gone, self.space + 1, self.space)),
@@ -238,14 +263,17 @@ class Readout(Unit):
             m.d.sync += [room.eq(1) for room in self.room]
 
     def _space_exceeds(self, beats):
-        """Return whether there is space for more than `beats`, including the place of a beat that leaves now.
+        """Return whether there is space for more than `beats`, including the place of a beat that
+        leaves now.
 
         No carry waits for the stream's `tready`; it only selects.
         """
         return Mux(self.gone, self.space >= beats, self.space > beats)
 
     def _book(self, m, length, name, free):
-        """Book room for a packet that may begin. The remaining space is computed for each length before the grant is known.
+        """Book room for a packet that may begin.
+
+        The remaining space is computed for each length before the grant is known.
 
         length: None for an event.
         """
@@ -262,7 +290,9 @@ class Readout(Unit):
             m.d.comb += [room.eq(left) for room, left in zip(self.room_next, leaves)]
 
     def _packets(self, m):
-        """Send a frame's packets in order: start, events and records, end, counters of every subgroup."""
+        """Send a frame's packets in order: start, events and records, end, counters of every
+        subgroup.
+        """
         m.d.sync += [self.grant.eq(0), self.delivered.eq(0)]
         with m.FSM() as self.machine:
             with m.State("idle"):
@@ -311,7 +341,7 @@ class Readout(Unit):
         m.d.comb += self.in_frame.eq(~self.machine.ongoing("idle"))
 
     def _begin_again(self, m):
-        """Begin a frame although the previous one has not ended, which happens only after an upset."""
+        """Begin a frame although the previous one has not ended; only after an upset."""
         with m.If(self.frame_begin_in):
             m.next = "head"
 
@@ -333,13 +363,18 @@ class Readout(Unit):
             ]
 
     def _output(self, m):
-        """Buffer the stream. Beats come back in the order of the grants; the readout's own beats take the same time."""
+        """Buffer the stream.
+
+        Beats come back in the order of the grants; the readout's own beats take the same time.
+        """
         counter_beats = self.parts.counter_beats
         own = self.own
         to_end = self.to_end
         m.d.sync += [later.eq(now) for now, later in zip([self.own_kind, *own], own)]
         starts = own[-1] == FRAME_START.code
-        fields = numbers(m, self.sensor, [FRAME_START], own[-1], pulse=self.number, count=starts & self.grouped)
+        fields = numbers(
+            m, self.sensor, [FRAME_START], own[-1], pulse=self.number, count=starts & self.grouped
+        )
         (own_beat,) = formed(self.sensor, [FRAME_START], fields)[FRAME_START]
         is_own = own[-1].any()
         with m.If((own[-1] == FRAME_END.code) & ~self.filling):
@@ -360,7 +395,9 @@ class Readout(Unit):
             m.d.sync += [self.owes.eq(0), self.filling.eq(0)]
         m.d.comb += [
             self.buffer.w_en.eq(self.valid_in | is_own),
-            self.buffer.w_data.eq(Cat(Mux(is_own, own_beat, self.beat_in), last, is_event_head(self.beat_in))),
+            self.buffer.w_data.eq(
+                Cat(Mux(is_own, own_beat, self.beat_in), last, is_event_head(self.beat_in))
+            ),
         ]
 
     def _port(self, m, platform):

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Register front: AXI4-Lite slave, range checks, global registers, start of a frame; map in `model/contract/registers.py`."""
+"""Register front: AXI4-Lite slave, range checks, global registers, start of a frame; map in
+`model/contract/registers.py`.
+"""
 
 from typing import Any
 
@@ -10,7 +12,14 @@ from amaranth.lib.wiring import In, Out
 from ..model.contract import registers
 from ..model.contract.packet import FORMATS, built_formats
 from ..model.contract.parameters import Sensor, bits_for
-from ..model.contract.registers import BY_NAME, DATA_BITS, SUBGROUP_BASE, SUBGROUP_STRIDE, WRITABLE, Access
+from ..model.contract.registers import (
+    BY_NAME,
+    DATA_BITS,
+    SUBGROUP_BASE,
+    SUBGROUP_STRIDE,
+    WRITABLE,
+    Access,
+)
 from ..model.contract.settings import AUTO_BOUNDS
 from . import bus
 from .axi import LITE, OKAY, SLVERR
@@ -19,16 +28,27 @@ from .unit import Unit
 from .voted import Voted
 
 DECODE_CYCLES = 2  # from an address in its register to the result of its decoding
-READ_CYCLES = 5  # from a word's name on the configuration bus to its data in this block's input register
-CHECK_CYCLES = 7  # from decoding a start until the start checks of all subgroups have seen the write before it
+READ_CYCLES = (
+    5  # from a word's name on the configuration bus to its data in this block's input register
+)
+CHECK_CYCLES = (
+    7  # from decoding a start until the start checks of all subgroups have seen the write before it
+)
 BLOCK_BITS = bits_for(SUBGROUP_STRIDE - 1)  # width of an address inside a subgroup's block
-RESTING_CYCLES = 15  # if the sequencer has rested for so long, a frame that was started has been lost
+RESTING_CYCLES = (
+    15  # if the sequencer has rested for so long, a frame that was started has been lost
+)
 CONTROL, STATUS = BY_NAME["control"], BY_NAME["status"]
 
 
 def _controller_ports(sensor: Sensor) -> dict[str, Any]:
     per_stream = data.ArrayLayout(DATA_BITS, sensor.streams)
-    return {"capacity": Out(DATA_BITS), "share": Out(per_stream), "budget": In(per_stream), "limit": In(per_stream)}
+    return {
+        "capacity": Out(DATA_BITS),
+        "share": Out(per_stream),
+        "budget": In(per_stream),
+        "limit": In(per_stream),
+    }
 
 
 class Registers(Unit):
@@ -36,19 +56,22 @@ class Registers(Unit):
 
     Ports
     -----
-    s_axi : AXI4-Lite slave, 32-bit data. One access at a time; address and data of a write may come in any order. A
-        write that is refused is answered with SLVERR, changes nothing and sets a sticky bit; a read of an unmapped
-        address is answered with SLVERR and 0.
+    s_axi : AXI4-Lite slave, 32-bit data. One access at a time; address and data of a write may come
+        in any order. A write that is refused is answered with SLVERR, changes nothing and sets a
+        sticky bit; a read of an unmapped address is answered with SLVERR and 0.
     command : out, configuration bus to all subgroups; data : in, OR of their answers
     gate_late, settings_upset : in, OR of the subgroups' start checks
-    period : out, as programmed; frame : out, settings of the running frame; plan : out, settings of the sequencer
-    start_frame, abort_frame : out, strobes; done : in, strobe; resting : in, the sequencer has no frame
-    capacity, share : out, as programmed, to the threshold controllers; budget, limit : in, from them; one word per stream; only
-        if the controllers are built
+    period : out, as programmed; frame : out, settings of the running frame; plan : out, settings of
+        the sequencer
+    start_frame, abort_frame : out, strobes; done : in, strobe; resting : in, the sequencer has no
+        frame
+    capacity, share : out, as programmed, to the threshold controllers; budget, limit : in, from
+        them; one word per stream; only if the controllers are built
 
-    Reset loads the reset values of the table and drops accesses in progress. An upset may delay or refuse an access,
-    but none makes it wait for ever; the handshake with the master is voted. Each setting keeps the parity that its
-    value had at the port, and a start is refused if a parity does not match.
+    Reset loads the reset values of the table and drops accesses in progress. An upset may delay or
+    refuse an access, but none makes it wait for ever; the handshake with the master is voted. Each
+    setting keeps the parity that its value had at the port, and a start is refused if a parity does
+    not match.
     """
 
     unit_name = "coincid_registers"
@@ -96,7 +119,9 @@ class Registers(Unit):
         # The programmed settings of the global block, by name and index.
         self.setting = {
             (register.name, index): Signal(
-                bits_for(register.high(sensor)), init=register.reset(sensor), name=f"{register.name}_{index}"
+                bits_for(register.high(sensor)),
+                init=register.reset(sensor),
+                name=f"{register.name}_{index}",
             )
             for _, register, index in registers.words(registers.GLOBAL, sensor)
             if register.access is Access.SETTING
@@ -131,7 +156,13 @@ class Registers(Unit):
         self.held_read = Voted(m, "held_read")
         self.answered_write = Voted(m, "answered_write")
         self.answered_read = Voted(m, "answered_read")
-        self.voted = [held_address, held_data, self.held_read, self.answered_write, self.answered_read]
+        self.voted = [
+            held_address,
+            held_data,
+            self.held_read,
+            self.answered_write,
+            self.answered_read,
+        ]
         m.d.comb += [
             axi.awready.eq(~held_address.value),
             axi.wready.eq(~held_data.value),
@@ -143,9 +174,17 @@ class Registers(Unit):
             m.d.sync += self.write_address.eq(axi.awaddr)
         with m.If(axi.wvalid & axi.wready):
             m.d.comb += held_data.next.eq(1)
-            m.d.sync += [self.value.eq(axi.wdata), self.whole.eq(axi.wstrb.all()), self.parity.eq(axi.wdata.xor())]
+            m.d.sync += [
+                self.value.eq(axi.wdata),
+                self.whole.eq(axi.wstrb.all()),
+                self.parity.eq(axi.wdata.xor()),
+            ]
         with m.If(axi.bvalid & axi.bready):
-            m.d.comb += [self.answered_write.next.eq(0), held_address.next.eq(0), held_data.next.eq(0)]
+            m.d.comb += [
+                self.answered_write.next.eq(0),
+                held_address.next.eq(0),
+                held_data.next.eq(0),
+            ]
 
     def _read_channel(self, m):
         """Hold the address of a read until the read is answered."""
@@ -165,15 +204,17 @@ class Registers(Unit):
             m.d.comb += [self.capacity.eq(self.setting["capacity", 0]), self.share.eq(shares)]
 
     def _decode(self, m):
-        """Decode the address: is it in a subgroup's block, mapped, writable, and is the value legal?
+        """Decode the address: is it in a subgroup's block, mapped, writable, and is the value
+        legal?
 
-        The first register behind the address says which word it is, and which ranges hold the value. The second one holds
-        the entries of the table for this word.
+        The first register behind the address says which word it is, and which ranges hold the
+        value. The second one holds the entries of the table for this word.
         """
         sensor = self.sensor
         in_block = Signal()
         m.d.comb += in_block.eq(
-            (self.address >= SUBGROUP_BASE) & (self.address < SUBGROUP_BASE + SUBGROUP_STRIDE * sensor.subgroups)
+            (self.address >= SUBGROUP_BASE)
+            & (self.address < SUBGROUP_BASE + SUBGROUP_STRIDE * sensor.subgroups)
         )
         mapped, writable, legal = [], [], []
         in_range = self._ranges(m)
@@ -193,7 +234,9 @@ class Registers(Unit):
                     refused = unbuilt & (register.name == "format")
                     if table is registers.SUBGROUP and not sensor.held:
                         refused = self.flag["busy"]
-                    legal.append(word & in_range[register.low(sensor), register.high(sensor)] & ~refused)
+                    legal.append(
+                        word & in_range[register.low(sensor), register.high(sensor)] & ~refused
+                    )
         m.d.sync += [
             self.in_subgroup.eq(in_block),
             self.mapped.eq(Cat(mapped).any()),
@@ -202,11 +245,21 @@ class Registers(Unit):
         ]
 
     def _ranges(self, m):
-        """Return a registered "value is in range" for each (low, high) of the writable registers; many share a range."""
-        limits = {(r.low(self.sensor), r.high(self.sensor)) for r in BY_NAME.values() if r.access in WRITABLE}
-        in_range = {(low, high): Signal(name=f"from_{low}_to_{high}") for low, high in sorted(limits)}
+        """Return a registered "value is in range" for each (low, high) of the writable registers;
+        many share a range.
+        """
+        limits = {
+            (r.low(self.sensor), r.high(self.sensor))
+            for r in BY_NAME.values()
+            if r.access in WRITABLE
+        }
+        in_range = {
+            (low, high): Signal(name=f"from_{low}_to_{high}") for low, high in sorted(limits)
+        }
         value = self.value
-        m.d.sync += [inside.eq((value >= low) & (value <= high)) for (low, high), inside in in_range.items()]
+        m.d.sync += [
+            inside.eq((value >= low) & (value <= high)) for (low, high), inside in in_range.items()
+        ]
         return in_range
 
     def _select(self, m):
@@ -214,7 +267,11 @@ class Registers(Unit):
         content = self.setting | {("status", 0): Cat(self.flag[bits.name] for bits in STATUS.bits)}
         if self.sensor.controller:
             of_streams = {"budget": self.budget, "limit": self.limit}
-            content |= {(name, k): word for name, words in of_streams.items() for k, word in enumerate(words)}
+            content |= {
+                (name, k): word
+                for name, words in of_streams.items()
+                for k, word in enumerate(words)
+            }
         for _, register, index in registers.words(registers.GLOBAL, self.sensor):
             if register.access is Access.CONSTANT:
                 content[register.name, index] = Const(register.reset(self.sensor), DATA_BITS)
@@ -235,7 +292,9 @@ class Registers(Unit):
             descends.eq(Cat(low > high for low, high in zip(bounds, bounds[1:]))),
             bounds_descend.eq(descends.any()),
             gate_late.eq(self.gate_late),
-            own_upset.eq(Cat(word.xor() ^ self.setting_parity[key] for key, word in self.setting.items())),
+            own_upset.eq(
+                Cat(word.xor() ^ self.setting_parity[key] for key, word in self.setting.items())
+            ),
             settings_upset.eq(self.settings_upset | own_upset.any()),
         ]
         self.failed = {
@@ -302,17 +361,30 @@ class Registers(Unit):
             with m.State("begin"):
                 m.next = "idle"
                 with m.If(self.held_write & self.flag["busy"]):
-                    m.d.sync += [self.command.operation.eq(bus.Operation.BEGIN), self.start_frame.eq(1)]
+                    m.d.sync += [
+                        self.command.operation.eq(bus.Operation.BEGIN),
+                        self.start_frame.eq(1),
+                    ]
                     if self.sensor.controller:
                         m.d.sync += self.command.data.eq(self.setting["threshold_floor", 0])
                     self._respond(m, OKAY)
-            with m.State("lost"):  # a code that is not a state: after an upset, the bus must not hang
+            with m.State(
+                "lost"
+            ):  # a code that is not a state: after an upset, the bus must not hang
                 m.next = "idle"
-        with m.If(~(self.flag["busy"] & self.resting & (self.machine.ongoing("idle") | self.machine.ongoing("read")))):
+        with m.If(
+            ~(
+                self.flag["busy"]
+                & self.resting
+                & (self.machine.ongoing("idle") | self.machine.ongoing("read"))
+            )
+        ):
             m.d.sync += self.rested.eq(0)
         with m.Elif(self.rested != RESTING_CYCLES):
             m.d.sync += self.rested.eq(self.rested + 1)
-        with m.If(self.done | (self.rested == RESTING_CYCLES)):  # `resting`: an upset took the frame or the strobe
+        with m.If(
+            self.done | (self.rested == RESTING_CYCLES)
+        ):  # `resting`: an upset took the frame or the strobe
             m.d.sync += [self.flag["busy"].eq(0), self.flag["done"].eq(1)]
 
     def _respond(self, m, response):
@@ -322,7 +394,10 @@ class Registers(Unit):
     def _name_word(self):
         """Ask the subgroups for the word at the address."""
         word, block = self.address[2:], self.address[BLOCK_BITS:]
-        return [self.command.subgroup.eq(block - SUBGROUP_BASE // SUBGROUP_STRIDE), self.command.word.eq(word)]
+        return [
+            self.command.subgroup.eq(block - SUBGROUP_BASE // SUBGROUP_STRIDE),
+            self.command.word.eq(word),
+        ]
 
     def _answer_read(self, m):
         axi = self.s_axi
@@ -344,7 +419,9 @@ class Registers(Unit):
             m.d.sync += self.flag["bad_value"].eq(1)
 
     def _write(self, m):
-        """Carry out a write: pass it to the subgroups, or change a global setting. A start waits for its checks."""
+        """Carry out a write: pass it to the subgroups, or change a global setting. A start waits
+        for its checks.
+        """
         value = self.value
         with m.If(self.in_subgroup):
             m.d.sync += [
@@ -373,23 +450,38 @@ class Registers(Unit):
             m.d.sync += self.flag["start_busy"].eq(1)
             self._respond(m, SLVERR)
         with m.Elif(Cat(self.failed.values()).any()):
-            m.d.sync += [self.flag[name].eq(self.flag[name] | bad) for name, bad in self.failed.items()]
+            m.d.sync += [
+                self.flag[name].eq(self.flag[name] | bad) for name, bad in self.failed.items()
+            ]
             self._respond(m, SLVERR)
         with m.Else():
-            m.d.sync += [self.flag["busy"].eq(1), self.sent.eq(0), self.command.operation.eq(bus.Operation.TAKE)]
+            m.d.sync += [
+                self.flag["busy"].eq(1),
+                self.sent.eq(0),
+                self.command.operation.eq(bus.Operation.TAKE),
+            ]
             for taken in (self.frame, self.plan):
-                m.d.sync += [taken[name].eq(self.setting[name, 0]) for name in taken.shape().members]
+                m.d.sync += [
+                    taken[name].eq(self.setting[name, 0]) for name in taken.shape().members
+                ]
             parities = Cat(self.setting_parity[name, 0] for name in self.plan.shape().members)
             m.d.sync += self.plan_parity.eq(parities.xor())
             m.next = "thresholds" if self.sensor.controller else "begin"
 
     def _send_for_thresholds(self, m):
-        """Send the streams' budgets and limits and then the controller's bounds to the subgroups, one per cycle."""
+        """Send the streams' budgets and limits and then the controller's bounds to the subgroups,
+        one per cycle.
+        """
         words = []
         for k in range(self.sensor.streams):
             first = self.sensor.stream_subgroups(k).start
-            words += [(bus.Operation.BUDGET, first, self.budget[k]), (bus.Operation.LIMIT, first, self.limit[k])]
-        words += [(bus.Operation.COMPARE, 0, self.setting["auto_bounds", k]) for k in range(AUTO_BOUNDS)]
+            words += [
+                (bus.Operation.BUDGET, first, self.budget[k]),
+                (bus.Operation.LIMIT, first, self.limit[k]),
+            ]
+        words += [
+            (bus.Operation.COMPARE, 0, self.setting["auto_bounds", k]) for k in range(AUTO_BOUNDS)
+        ]
         with m.Switch(self.sent):
             for k, (operation, first, word) in enumerate(words):
                 with m.Case(k):

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor: an array of modules, a register front, a sequencer, and per stream one readout and one threshold controller."""
+"""The sensor: an array of modules, a register front, a sequencer, and per stream one readout and
+one threshold controller.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -93,10 +95,11 @@ class Core(Unit):
 class SensorTop(Unit):
     """The sensor.
 
-    Ports: `outer_ports`; spad_gate : out, bit s is the gate of subgroup s; spad_s : in, SPADs of subgroup s in the view's
-    form.
+    Ports: `outer_ports`; spad_gate : out, bit s is the gate of subgroup s; spad_s : in, SPADs of
+    subgroup s in the view's form.
 
-    levels: instead of spad_s, line_s : in, levels of the SPADs of subgroup s, which has a deserialiser, and
+    levels: instead of spad_s, line_s : in, levels of the SPADs of subgroup s, which has a
+    deserialiser, and
     phase_clocks : in, its clocks.
     """
 
@@ -106,7 +109,9 @@ class SensorTop(Unit):
         self.sensor, self.view, self.levels = sensor, view, levels
         self.unit_name = FPGA_TOP if levels else TOP
         self.spads = {
-            f"{'line' if levels else 'spad'}_{s}": sensor.pixels if levels else view.spad_bits(sensor)
+            f"{'line' if levels else 'spad'}_{s}": sensor.pixels
+            if levels
+            else view.spad_bits(sensor)
             for s in range(sensor.subgroups)
         }
         clocks = {"phase_clocks": In(sensor.phases // 2 - 1)} if levels else {}
@@ -122,7 +127,12 @@ class SensorTop(Unit):
         ]
         if self.levels:
             words = [
-                put(f"deserialiser_{s}", Deserialiser(self.sensor), lines=lines, clocks=self.phase_clocks).words
+                put(
+                    f"deserialiser_{s}",
+                    Deserialiser(self.sensor),
+                    lines=lines,
+                    clocks=self.phase_clocks,
+                ).words
                 for s, lines in enumerate(words)
             ]
         _, gates = wire_sensor(m, put, self.sensor, self, words, self.view)
@@ -136,7 +146,10 @@ def has_fpga_top(sensor: Sensor) -> bool:
 
 
 def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Sequencer:
-    """Put the blocks of the core into `m`, between `outer_ports` and `inner_ports`. Return the sequencer."""
+    """Put the blocks of the core into `m`, between `outer_ports` and `inner_ports`.
+
+    Return the sequencer.
+    """
     registers = Registers(sensor)
     sequencer = Sequencer(sensor)
     readouts = [Readout(sensor, len(sensor.stream_subgroups(k))) for k in range(sensor.streams)]
@@ -200,7 +213,10 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
             finish=sequencer.finish,
         )
         wiring.connect(m, wiring.flipped(getattr(outer, sensor.stream_name(k))), readout.m_axis)
-        m.d.comb += [stream.grant.eq(readout.grant), stream.send.eq(readout.send)]
+        m.d.comb += [
+            stream.grant.eq(readout.grant),
+            stream.send.eq(readout.send),
+        ]
     return sequencer
 
 
@@ -209,7 +225,8 @@ def wire_sensor(
 ) -> tuple[Sequencer, Cat]:
     """Put the blocks of the sensor into `m`, behind `outer_ports`.
 
-    words: the SPADs of every subgroup, in the view's form. Return the sequencer and the subgroups' gates.
+    words: the SPADs of every subgroup, in the view's form. Return the sequencer and the subgroups'
+    gates.
     """
     inner: Any = Signature(inner_ports(sensor)).create(path=())
     sequencer = wire_core(m, put, sensor, outer, inner)
@@ -252,7 +269,9 @@ def wire_sensor(
     return sequencer, Cat(one.spad_gate for one in subgroups)
 
 
-def _of_line(sensor: Sensor, inner: Any, words: list[ValueLike], line: int, subgroup: int) -> dict[str, ValueLike]:
+def _of_line(
+    sensor: Sensor, inner: Any, words: list[ValueLike], line: int, subgroup: int
+) -> dict[str, ValueLike]:
     """Return the drivers of a module's inputs for one of its lines, which belongs to `subgroup`."""
     number = sensor.stream_of(subgroup)
     stream = StreamPorts(inner, number)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frame sequencer: back-to-back laser periods, progressive gating, and the frame's beginning and end.
+"""Frame sequencer: back-to-back laser periods, progressive gating, and the frame's beginning and
+end.
 
-The paper gives the laser's repetition rate and the laser pulses of a frame; the sequencing is our choice.
+The paper gives the laser's repetition rate and the laser pulses of a frame; the sequencing is our
+choice.
 """
 
 from amaranth.hdl import Cat, Module, Mux, Signal
@@ -19,7 +21,8 @@ from .voted import Voted
 LEAD = 3  # number of cycles that `timing` is ahead of the ports
 HEAD_TO_GRANT = 2  # from `frame_begin` to the readout's earliest grant
 END_TO_GRANT = 1  # from `finish` to the readout's earliest grant of the end packet
-# Cycles from `wrap` after the last period, which comes LEAD + 1 cycles before the first cycle after it, to `finish`.
+# Cycles from `wrap` after the last period, which comes LEAD + 1 cycles before the first cycle after
+# it, to `finish`.
 TO_FINISH = LEAD + 1 + latency.FINISH - END_TO_GRANT
 
 
@@ -29,16 +32,19 @@ class Sequencer(Unit):
     Ports
     -----
     plan : in, the frame's settings; start_frame, abort_frame : in, strobes
-    timing : out, word of the cycle three cycles ahead; laser : out, high in cycle 0 of every period, in step with the ports
-    frame_begin : out, strobe to the readouts; number : out, frame number; finish : out, the last event is on its way
+    timing : out, word of the cycle three cycles ahead; laser : out, high in cycle 0 of every
+        period, in step with the ports
+    frame_begin : out, strobe to the readouts; number : out, frame number; finish : out, the last
+        event is on its way
     delivered : in, all readouts have sent their end packets; done : out, strobe
     resting : out, no frame is in progress
 
-    With dither, the cycles between two periods belong to the frame but to no period, and no edge counts in them. An
-    abort in such a cycle makes the next period the last one.
+    With dither, the cycles between two periods belong to the frame but to no period, and no edge
+    counts in them. An abort in such a cycle makes the next period the last one.
 
-    Reset ends a frame at once and sets the frame number to 0. No upset makes a frame last for ever: a counter beyond its
-    end counts as being at its end, and a frame without a running period ends. A start begins a frame in any state.
+    Reset ends a frame at once and sets the frame number to 0. No upset makes a frame last for ever:
+    a counter beyond its end counts as being at its end, and a frame without a running period ends.
+    A start begins a frame in any state.
     """
 
     unit_name = "coincid_sequencer"
@@ -74,8 +80,8 @@ class Sequencer(Unit):
         self.left = Signal(DITHER_BITS_MAX)  # cycles of this wait
         self.mask = Signal(DITHER_BITS_MAX)  # the bits of `lfsr` that give it
         self.lfsr = Signal(LFSR_BITS)
-        # Progressive gating. `step` and `last_step` are registers, because `pulses` and `steps` change
-        # only at the end of a period.
+        # Progressive gating. `step` and `last_step` are registers, because `pulses` and `steps`
+        # change only at the end of a period.
         self.shift = Signal(sensor.coarse_bits + 1)  # shift of the gate, in cycles
         self.pulses = Signal(GATE_BITS)  # periods since the last step
         self.steps = Signal(GATE_BITS)  # steps since the shift was 0
@@ -116,7 +122,13 @@ class Sequencer(Unit):
             with m.If(self.aborted | self.abort_frame | (self.pulse >= last_pulse)):
                 m.d.sync += self.running.eq(0)
         with m.If(self.restart):
-            m.d.sync += [self.running.eq(1), self.cycle.eq(0), self.pulse.eq(0), self.aborted.eq(0), self.active.eq(1)]
+            m.d.sync += [
+                self.running.eq(1),
+                self.cycle.eq(0),
+                self.pulse.eq(0),
+                self.aborted.eq(0),
+                self.active.eq(1),
+            ]
 
     def _dither(self, m):
         """Count the cycles until the next period. The LFSR steps in every cycle of the periods."""
@@ -128,12 +140,17 @@ class Sequencer(Unit):
         with m.Elif(self.running):
             m.d.sync += self.lfsr.eq(following)
             with m.If(self.ends):
-                m.d.sync += [self.left.eq(following & self.mask), self.waiting.eq((following & self.mask).any())]
+                m.d.sync += [
+                    self.left.eq(following & self.mask),
+                    self.waiting.eq((following & self.mask).any()),
+                ]
         with m.If(self.restart):
             m.d.sync += [self.lfsr.eq(self.plan.dither_seed), self.left.eq(0), self.waiting.eq(0)]
 
     def _shift(self, m):
-        """Progressive gating: compute the gate's shift in this period, saturated at a shift with which no gate opens."""
+        """Progressive gating: compute the gate's shift in this period, saturated at a shift with
+        which no gate opens.
+        """
         settings = self.plan
         coarse_bits = self.sensor.coarse_bits
         beyond = 1 << coarse_bits
@@ -149,12 +166,17 @@ class Sequencer(Unit):
                 with m.If(self.last_step):
                     m.d.sync += [self.steps.eq(0), self.shift.eq(0)]
                 with m.Else():
-                    m.d.sync += [self.steps.eq(self.steps + 1), self.shift.eq(Mux(more >= beyond, beyond, more))]
+                    m.d.sync += [
+                        self.steps.eq(self.steps + 1),
+                        self.shift.eq(Mux(more >= beyond, beyond, more)),
+                    ]
         with m.If(self.restart):
             m.d.sync += [self.shift.eq(0), self.pulses.eq(0), self.steps.eq(0)]
 
     def _timing(self, m):
-        """Form the subgroups' word for the cycle, and the laser and frame strobes, which are in step with the ports."""
+        """Form the subgroups' word for the cycle, and the laser and frame strobes, which are in
+        step with the ports.
+        """
         in_period = Signal()
         last_open = Signal.like(self.cycle)
         m.d.comb += in_period.eq(self.running & ~self.waiting)
@@ -168,12 +190,17 @@ class Sequencer(Unit):
         ]
         laser = Signal(LEAD - 1)
         m.d.sync += [laser.eq((laser << 1) | self.timing.start), self.laser.eq(laser[-1])]
-        # `first` comes one cycle before `timing` shows cycle 0, which is LEAD + 1 cycles before the ports.
+        # `first` comes one cycle before `timing` shows cycle 0, which is LEAD + 1 cycles before the
+        # ports.
         until_begin = Signal(LEAD + latency.FRAME_START - HEAD_TO_GRANT)
-        m.d.sync += [until_begin.eq((until_begin << 1) | self.first), self.frame_begin.eq(until_begin[-1])]
+        m.d.sync += [
+            until_begin.eq((until_begin << 1) | self.first),
+            self.frame_begin.eq(until_begin[-1]),
+        ]
 
     def _end(self, m):
-        """End the frame: wait until nothing more is stored, then until everything is delivered; then `done`.
+        """End the frame: wait until nothing more is stored, then until everything is delivered;
+        then `done`.
 
         It is delivered for `SETTLED` cycles, so that the threshold controllers know their budgets.
         """
@@ -187,11 +214,18 @@ class Sequencer(Unit):
         ]
         with m.If(self.draining & (self.drained < TO_FINISH)):
             m.d.sync += self.drained.eq(self.drained + 1)
-        # In the cycle after the last period both are set; after an upset, it may be only one of them.
+        # In the cycle after the last period both are set; after an upset, it may be only one of
+        # them.
         with m.If((self.active | self.wrap) & ~self.running & ~self.draining):
             m.d.sync += [self.draining.eq(1), self.drained.eq(1)]
         with m.If(self.finish & self.delivered_for[-1]):
-            m.d.sync += [self.finish.eq(0), self.active.eq(0), self.draining.eq(0), self.drained.eq(0), self.done.eq(1)]
+            m.d.sync += [
+                self.finish.eq(0),
+                self.active.eq(0),
+                self.draining.eq(0),
+                self.drained.eq(0),
+                self.done.eq(1),
+            ]
             m.d.comb += number.next.eq(number.value + 1)
         with m.If(self.restart):
             m.d.sync += [self.finish.eq(0), self.draining.eq(0), self.drained.eq(0)]

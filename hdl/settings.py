@@ -23,17 +23,17 @@ class SubgroupSettings(Unit):
 
     Ports
     -----
-    command : in, configuration bus, registered; subgroup : in, number of this subgroup; period : in, the programmed laser
-        period
+    command : in, configuration bus, registered; subgroup : in, number of this subgroup; period :
+        in, the programmed laser period
     settings : out, in force since the last TAKE; in a sensor that does not hold them, as programmed
     counters : in
-    data : out, the word of this subgroup that an operation of the bus named two cycles ago; 0 if it named another
-        subgroup, so the data of all subgroups can be ORed
+    data : out, the word of this subgroup that an operation of the bus named two cycles ago; 0 if it
+        named another subgroup, so the data of all subgroups can be ORed
     gate_late : out, gating is programmed on, and gate_start is not below the period
     upset : out, the parity of a programmed word differs from the one that was written with it
 
-    Reset loads the reset values of the table. A gate stops the clock two cycles after an operation of the bus; `period`
-    changes only together with one.
+    Reset loads the reset values of the table. A gate stops the clock two cycles after an operation
+    of the bus; `period` changes only together with one.
     """
 
     unit_name = "coincid_settings"
@@ -75,7 +75,8 @@ class SubgroupSettings(Unit):
             if register.access is registers.Access.SETTING:
                 field = self._field(programmed, register, index)
                 parity = Signal(
-                    init=register.reset(self.sensor).bit_count() & 1, name=f"parity_of_{register.name}_{index}"
+                    init=register.reset(self.sensor).bit_count() & 1,
+                    name=f"parity_of_{register.name}_{index}",
                 )
                 with m.If(write & (self.command.word == offset // 4)):
                     m.d.sync += [field.eq(self.command.data), parity.eq(self.command.parity)]
@@ -85,12 +86,17 @@ class SubgroupSettings(Unit):
             shown[offset // 4] = field
         values = [Mux(bit, field, 0) for bit, field in zip(named, shown.values())]
         accessed = Signal()  # in the previous cycle
-        m.d.sync += [accessed.eq(self.command.operation != bus.Operation.IDLE), self.upset.eq(Cat(self.upsets).any())]
+        m.d.sync += [
+            accessed.eq(self.command.operation != bus.Operation.IDLE),
+            self.upset.eq(Cat(self.upsets).any()),
+        ]
         with m.If(self.command.operation != bus.Operation.IDLE):
             m.d.sync += named.eq(Cat(selected & (self.command.word == number) for number in shown))
         with m.If(accessed):
             m.d.sync += self.data.eq(any_of(m, values, "shown"))
-        return behind(m, platform, self.clock_gate, (self.command.operation != bus.Operation.IDLE) | accessed)
+        return behind(
+            m, platform, self.clock_gate, (self.command.operation != bus.Operation.IDLE) | accessed
+        )
 
     def _field(self, settings, register, index):
         if register is registers.MODE:
@@ -105,6 +111,8 @@ def _reset(sensor: Sensor) -> dict[str, int]:
     """Return the settings after a reset."""
     frame = frame_defaults(sensor)
     resets = {
-        name: setting.reset_of(sensor, frame) for name, setting in SUBGROUP.items() if setting.kind is not Kind.MASK
+        name: setting.reset_of(sensor, frame)
+        for name, setting in SUBGROUP.items()
+        if setting.kind is not Kind.MASK
     }
     return resets | {"mask": (1 << sensor.pixels) - 1}

@@ -25,7 +25,9 @@ AWAKE_CYCLES = 31  # by then, everything in a subgroup has come to rest
 
 
 def shared_ports(sensor: Sensor) -> dict[str, Any]:
-    """Inputs that all subgroups share: configuration bus, programmed period, frame settings, timing."""
+    """Inputs that all subgroups share: configuration bus, programmed period, frame settings,
+    timing.
+    """
     return {
         "command": In(bus.CONFIG_BUS),
         "period": In(sensor.coarse_bits + 1),
@@ -35,7 +37,7 @@ def shared_ports(sensor: Sensor) -> dict[str, Any]:
 
 
 class OwnPorts:
-    """`own_ports` of one subgroup, as ports of a unit with several: each attribute has the suffix."""
+    """`own_ports` of one subgroup of a unit with several, where their names have a suffix."""
 
     def __init__(self, unit: Unit, suffix: str = ""):
         self._unit = unit
@@ -48,9 +50,10 @@ class OwnPorts:
 def own_ports(sensor: Sensor, view: View = POLYPHASE) -> dict[str, Any]:
     """Ports that each subgroup has for itself.
 
-    words : in, the SPADs in the view's form (polyphase: edge words, pixels * phases); spad_gate : out, low: SPADs are off
-    grant, send : in, from its stream's readout; valid, beat : out; beat_controlled : out, the beat is from a subgroup
-        whose threshold the controller sets
+    words : in, the SPADs in the view's form (polyphase: edge words, pixels * phases); spad_gate :
+        out, low: SPADs are off
+    grant, send : in, from its stream's readout; valid, beat : out; beat_controlled : out, the beat
+        is from a subgroup whose threshold the controller sets
     stored, record_stored : out, an event or record has been stored
     data : out, result of a register read; gate_late, upset : out, start checks
     """
@@ -71,14 +74,17 @@ def own_ports(sensor: Sensor, view: View = POLYPHASE) -> dict[str, Any]:
 
 
 class Subgroup(Unit):
-    """Subgroup. Settings, strobes and grants are registered here, and every output comes from a register.
+    """Subgroup.
 
-    Nothing changes here without a command, a strobe, a grant or a reset, except for `AWAKE_CYCLES` after them. So the clock
-    stops in between, and the inputs that wake it also go to the clock gate.
+    Settings, strobes and grants are registered here, and every output comes from a register.
+
+    Nothing changes here without a command, a strobe, a grant or a reset, except for `AWAKE_CYCLES`
+    after them. So the clock stops in between, and the inputs that wake it also go to the clock
+    gate.
 
     Ports: `shared_ports`, `own_ports`, `subgroup` (in, its number), `line` (its TDC sampling line).
-    view: view of the front end, from `front_end_views.py`.
-    Latency: `model/contract/latency.py`. Reset is registered here, so it acts one cycle later, as stated by each part.
+    view: view of the front end, from `front_end_views.py`. Latency: `model/contract/latency.py`.
+    Reset is registered here, so it acts one cycle later, as stated by each part.
     """
 
     def __init__(self, sensor: Sensor, view=POLYPHASE):
@@ -103,8 +109,8 @@ class Subgroup(Unit):
     def _register_inputs(self, m):
         """Put inputs straight into registers, except the subgroup's number, which never changes.
 
-        These need no reset, because the registers that drive them have one. Most of them change only
-        when something comes.
+        These need no reset, because the registers that drive them have one. Most of them change
+        only when something comes.
         """
         self.command_taken = Signal.like(self.command, reset_less=True)
         self.timing_taken = Signal.like(self.timing, reset_less=True)
@@ -122,7 +128,10 @@ class Subgroup(Unit):
         strobes = Cat(self.timing[name] for name in bus.STROBES)
         strobes_taken = Cat(self.timing_taken[name] for name in bus.STROBES)
         with m.If(Cat(strobes_taken != strobes, self.grant_taken, self.grant).any()):
-            m.d[self._gated] += [strobes_taken.eq(strobes), self.grant_taken.eq(self.grant)]
+            m.d[self._gated] += [
+                strobes_taken.eq(strobes),
+                self.grant_taken.eq(self.grant),
+            ]
         with m.If(self.timing.start):
             m.d[self._gated] += self.timing_taken.shift.eq(self.timing.shift)
         with m.If(self.grant):
@@ -170,7 +179,12 @@ class Subgroup(Unit):
             period=self.period_taken,
             counters=dpcu.counters,
         )
-        put("gating", gating, timing=self.timing_taken, settings=settings.settings)
+        put(
+            "gating",
+            gating,
+            timing=self.timing_taken,
+            settings=settings.settings,
+        )
         put(
             "tree",
             tree,
@@ -233,7 +247,9 @@ class Subgroup(Unit):
         ]
 
     def _clock(self, m, platform, reset):
-        """Return the domain whose clock stops `AWAKE_CYCLES` after the last command, strobe, grant or reset."""
+        """Return the domain whose clock stops `AWAKE_CYCLES` after the last command, strobe, grant
+        or reset.
+        """
         left = Signal(range(AWAKE_CYCLES + 1), reset_less=True)
         asked = Signal()
         m.d.comb += asked.eq(

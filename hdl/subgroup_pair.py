@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Module: subgroups 2k and 2k + 1 and the always-on TDC that they share (paper, Fig. 3: generic block of the sensor)."""
+"""Module: subgroups 2k and 2k + 1 and the always-on TDC that they share (paper, Fig. 3: generic
+block of the sensor).
+"""
 
 from amaranth.hdl import Cat, Module, Signal, ValueLike
 from amaranth.lib import wiring
@@ -18,17 +20,21 @@ class SensorModule(Unit):
 
     Ports
     -----
-    `shared_ports` of the subgroups; for line k `own_ports` with the suffix _k; number : in, the module's number.
-    Every input goes straight into a register, and every output comes from one.
+    `shared_ports` of the subgroups; for line k `own_ports` with the suffix _k; number : in, the
+    module's number. Every input goes straight into a register, and every output comes from one.
 
-    view: view of the front end, from `front_end_views.py`. `lines` = 1: the last module of an odd number of subgroups.
-    Reset is registered, here and in each subgroup, so it acts one cycle later.
+    view: view of the front end, from `front_end_views.py`. `lines` = 1: the last module of an odd
+    number of subgroups. Reset is registered, here and in each subgroup, so it acts one cycle later.
     """
 
     def __init__(self, sensor: Sensor, lines: int = 2, view=POLYPHASE):
         self.sensor, self.lines, self.view = sensor, lines, view
         self.unit_name = f"{view.prefix}module" if lines == 2 else f"{view.prefix}module_{lines}"
-        own = {f"{name}_{k}": member for k in range(lines) for name, member in own_ports(sensor, view).items()}
+        own = {
+            f"{name}_{k}": member
+            for k in range(lines)
+            for name, member in own_ports(sensor, view).items()
+        }
         super().__init__(**shared_ports(sensor), **own, number=In(bus.SUBGROUP_BITS - 1))
 
     def elaborate(self, platform):
@@ -40,17 +46,21 @@ class SensorModule(Unit):
 
 
 class Slice(Unit):
-    """One subgroup with its line of the TDC, which a bit-sliced simulation plays once for all subgroups of the array.
+    """One subgroup with its line of the TDC, which a bit-sliced simulation plays once for all
+    subgroups of the array.
 
-    Ports: `shared_ports` and `own_ports` of the subgroup; number : in, the subgroup's. The lines of a module's TDC are
-    independent, and both use the same registered start and reset. So an array of slices equals an array of modules.
+    Ports: `shared_ports` and `own_ports` of the subgroup; number : in, the subgroup's. The lines of
+    a module's TDC are independent, and both use the same registered start and reset. So an array of
+    slices equals an array of modules.
     """
 
     unit_name = "coincid_slice"
 
     def __init__(self, sensor: Sensor, view=POLYPHASE):
         self.sensor, self.view = sensor, view
-        super().__init__(**shared_ports(sensor), **own_ports(sensor, view), number=In(bus.SUBGROUP_BITS))
+        super().__init__(
+            **shared_ports(sensor), **own_ports(sensor, view), number=In(bus.SUBGROUP_BITS)
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -58,8 +68,13 @@ class Slice(Unit):
         return m
 
 
-def _put_lines(m: Module, platform, unit: Unit, numbers: list[ValueLike], own: list[OwnPorts]) -> None:
-    """Put a TDC and its subgroups into `m`. numbers: of the subgroups; own: the unit's ports of each."""
+def _put_lines(
+    m: Module, platform, unit: Unit, numbers: list[ValueLike], own: list[OwnPorts]
+) -> None:
+    """Put a TDC and its subgroups into `m`.
+
+    numbers: of the subgroups; own: the unit's ports of each.
+    """
     sensor = unit.sensor
     view = unit.view
     start = Signal(reset_less=True)

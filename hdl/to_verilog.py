@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """From Yosys's own language to Verilog, with the passes of Amaranth's back end.
 
-Every design gets a fresh Yosys, because the order of the output depends on what Yosys has read before.
+Every design gets a fresh Yosys, because the order of the output depends on what Yosys has read
+before.
 """
 
 import tempfile
@@ -9,7 +10,14 @@ from pathlib import Path
 
 from ..tools.wheels import run_yosys
 
-ATTRIBUTES = ("generator", "top", "src", "amaranth.hierarchy", "amaranth.decoding")  # that the Verilog leaves out
+# That the Verilog leaves out.
+ATTRIBUTES = (
+    "generator",
+    "top",
+    "src",
+    "amaranth.hierarchy",
+    "amaranth.decoding",
+)
 LEFT_OUT = " ".join(f"-remove {attribute}" for attribute in ATTRIBUTES)
 DESIGN, VERILOG = "design.il", "design.v"
 SCRIPT = (

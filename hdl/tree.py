@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CoincID tree: combines the minigroups into the subgroup's root, runs the coincidence window, and identifies its pixels.
+"""CoincID tree: combines the minigroups into the subgroup's root, runs the coincidence window, and
+identifies its pixels.
 
-The paper (III-A): the tree is "modelled to propagate events and perform coincidence along with generating the address
-or ID of the SPADs which contributed to an event"; after every detection it "resets itself, making it available for
-the successive detection". Window arithmetic, the lowest index as winner, and the guard at a period's end are our
-choice.
+The paper (III-A): the tree is "modelled to propagate events and perform coincidence along with
+generating the address or ID of the SPADs which contributed to an event"; after every detection it
+"resets itself, making it available for the successive detection". Window arithmetic, the lowest
+index as winner, and the guard at a period's end are our choice.
 """
 
 from typing import Any
@@ -22,7 +23,8 @@ from .unit import Unit, place
 
 
 class FrontEnd(Unit):
-    """What the front ends of both views have in common: their leaves, and the count of a closed window.
+    """What the front ends of both views have in common: their leaves, and the count of a closed
+    window.
 
     line: the sampling line. own: ports towards the SPADs. `CoincidenceTree` describes the others.
     """
@@ -51,7 +53,9 @@ class FrontEnd(Unit):
         self.half = Signal(bus.window_layout(sensor), reset_less=True)
         part = 1 << (bits_for(sensor.pixels - 1) + 1) // 2
         self.parts = [self.hits[k : k + part] for k in range(0, sensor.pixels, part)]
-        self.counts = [Signal(range(len(part) + 1), name=f"counts_{k}") for k, part in enumerate(self.parts)]
+        self.counts = [
+            Signal(range(len(part) + 1), name=f"counts_{k}") for k, part in enumerate(self.parts)
+        ]
 
     def _leaf(self, m, g: int, leaf: Recorder) -> None:
         """Collect what minigroup `g` gives."""
@@ -70,20 +74,25 @@ class FrontEnd(Unit):
         return Cat(bits.word_select(i, width) for i in self.sensor.members(g))
 
     def _elapse(self, m, opened):
-        """Stage 7: count the cycles since the window opened, for the leaves' offsets. opened: stage 6."""
+        """Stage 7: count the cycles since the window opened, for the leaves' offsets. opened: stage
+        6.
+        """
         elapsed = self.elapsed
         with m.If(opened | ~elapsed.all()):
             m.d.sync += elapsed.eq(Mux(opened, 0, elapsed + 1))
 
     def _closed(self, m, stamp, winner, clock="sync"):
-        """Stages 6 and 7: count a closed window in two steps of equal depth. clock: domain of the strobes."""
+        """Stages 6 and 7: count a closed window in two steps of equal depth. clock: domain of the
+        strobes.
+        """
         half = self.half
         counts = self.counts
         m.d[clock] += [self.closed_6.eq(self.closed_5), self.closed.eq(self.closed_6)]
         with m.If(self.closed_5):
             m.d.sync += [half.stamp.eq(stamp), half.hits.eq(self.hits), half.winner.eq(winner)]
             m.d.sync += [
-                count.eq(popcount(m, part, f"ones_{k}")) for k, (count, part) in enumerate(zip(counts, self.parts))
+                count.eq(popcount(m, part, f"ones_{k}"))
+                for k, (count, part) in enumerate(zip(counts, self.parts))
             ]
         with m.If(self.closed_6):
             m.d.sync += [
@@ -97,7 +106,8 @@ class FrontEnd(Unit):
 class CoincidenceTree(FrontEnd):
     """Tree of a subgroup with its coincidence window.
 
-    Stages count from the port, as in `Minigroup`. A window that closes in cycle c leaves at stage 7, in cycle c + 7.
+    Stages count from the port, as in `Minigroup`. A window that closes in cycle c leaves at stage
+    7, in cycle c + 7.
 
     Ports
     -----
@@ -105,11 +115,13 @@ class CoincidenceTree(FrontEnd):
     window_ticks : in, the coincidence window (1 if coincidence is off); frame : in, settings
     timing : in, registered in the module, two cycles ahead of the ports
     line : the subgroup's TDC sampling line
-    closed : out, a window has closed, and `window` holds it (stage 7); offsets : out, its minigroups' offsets (stage 8)
+    closed : out, a window has closed, and `window` holds it (stage 7); offsets : out, its
+        minigroups' offsets (stage 8)
     blind : out, a cycle with an edge while the tree was not armed (stage 5)
     record_due : out, a period has ended; latched, entries : out, its minigroups' records (stage 3)
 
-    Reset arms the tree. Two windows of one subgroup may follow each other without a gap: the pipeline takes one per cycle.
+    Reset arms the tree. Two windows of one subgroup may follow each other without a gap: the
+    pipeline takes one per cycle.
     """
 
     unit_name = "coincid_tree"
@@ -153,8 +165,8 @@ class CoincidenceTree(FrontEnd):
         self.winner_3 = Signal(sensor.winner_bits)  # pixel of the opening edge
         self.winner_4 = Signal(sensor.winner_bits)
         self.winner_5 = Signal(sensor.winner_bits)
-        # Everything that moves on in every cycle, until it is out; a gate of its own drives its clock
-        # domain, `clock`.
+        # Everything that moves on in every cycle, until it is out; a gate of its own drives its
+        # clock domain, `clock`.
         self.strobes = [
             self.opening_3,
             self.opening_4,
@@ -205,12 +217,16 @@ class CoincidenceTree(FrontEnd):
         m.d.comb += self.record_due.eq(self.wrap[-1])
 
     def _window(self, m):
-        """Stage 2: the window, and the part of the cycle that it covers. Only (open, left, rearm) loop within one cycle."""
+        """Stage 2: the window, and the part of the cycle that it covers. Only (open, left, rearm)
+        loop within one cycle.
+        """
         phases = self.sensor.phases
         live = Signal()  # a window is open in the cycle
         to_border = Signal()  # it would reach the cycle's end
         m.d.comb += [
-            self.opening.eq(~self.window_open & (self.rearm == 0) & self.may_open[-2] & self.line.any),
+            self.opening.eq(
+                ~self.window_open & (self.rearm == 0) & self.may_open[-2] & self.line.any
+            ),
             live.eq(self.opening | self.window_open),
             self.end.eq(Mux(self.window_open, self.left, self.line.phase + self.window_ticks)),
             self.closing.eq(live & (self.end <= phases)),
@@ -245,9 +261,15 @@ class CoincidenceTree(FrontEnd):
                 self.winner_3.eq(lowest(m, one_of, "winner")),
             ]
         with m.If(self.opening_3):
-            m.d.sync += [self.stamp_4.eq(self.stamp_3), self.winner_4.eq(self.winner_3)]
+            m.d.sync += [
+                self.stamp_4.eq(self.stamp_3),
+                self.winner_4.eq(self.winner_3),
+            ]
         with m.If(self.opening_4):
-            m.d.sync += [self.stamp_5.eq(self.stamp_4), self.winner_5.eq(self.winner_4)]
+            m.d.sync += [
+                self.stamp_5.eq(self.stamp_4),
+                self.winner_5.eq(self.winner_4),
+            ]
 
     def _leaves(self, m, platform):
         """Place the minigroups."""

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units: blocks that are emitted once and instantiated, so the Verilog has the hierarchy of the sensor."""
+"""Units: blocks that are emitted once and instantiated, so the Verilog has the hierarchy of the
+sensor.
+"""
 
 from typing import Any
 
@@ -34,7 +36,9 @@ class Port:
 
 
 class Unit(wiring.Component):
-    """A block with a stable Verilog name. Variants that differ by more than the sensor need different `unit_name`s.
+    """A block with a stable Verilog name.
+
+    Variants that differ by more than the sensor need different `unit_name`s.
 
     Inner signals and registers that several functions or a proof read are attributes.
     """
@@ -42,7 +46,9 @@ class Unit(wiring.Component):
     unit_name: str
     clocked = True  # has the ports clk and rst
     separator = "__"  # in the Verilog, between the names of an interface and of its members
-    _MustUse__silence = True  # an instance may replace a unit; Amaranth would warn of the unused unit
+    _MustUse__silence = (
+        True  # an instance may replace a unit; Amaranth would warn of the unused unit
+    )
 
     def __init__(self, **ports: Any):
         super().__init__(ports)
@@ -62,16 +68,22 @@ class Unit(wiring.Component):
 
     def outputs(self) -> dict[str, Signal]:
         """Return the outputs by name."""
-        return {name: signal for name, (flow, signal) in self.flat_ports().items() if flow is wiring.Out}
+        return {
+            name: signal for name, (flow, signal) in self.flat_ports().items() if flow is wiring.Out
+        }
 
     def ports(self) -> list[Port]:
         """Return the ports in the Verilog, without clock and reset."""
-        return [Port(name, len(value), flow is wiring.In) for name, (flow, value) in self.flat_ports().items()]
+        return [
+            Port(name, len(value), flow is wiring.In)
+            for name, (flow, value) in self.flat_ports().items()
+        ]
 
 
 @frozen
 class Export:
-    """Elaboration platform that turns units into instances and collects them, to be emitted separately.
+    """Elaboration platform that turns units into instances and collects them, to be emitted
+    separately.
 
     units: by their name in the Verilog. placed: by their name inside the unit that is elaborated.
     pads: inputs of the emitted unit that go straight to an instance. Amaranth numbers the bits of
@@ -88,13 +100,20 @@ class Export:
 
 
 def place(
-    m: Module, name: str, unit: Unit, platform, reset=None, domain: str = "sync", **inputs: ValueLike | IOPort
+    m: Module,
+    name: str,
+    unit: Unit,
+    platform,
+    reset=None,
+    domain: str = "sync",
+    **inputs: ValueLike | IOPort,
 ) -> Unit:
     """Put `unit` into `m`, as a submodule or, under an `Export` platform, as an instance.
 
-    reset: instead of the domain's; domain: of the unit's clock. inputs: a driver, in full width, for
-    every input. The caller connects interfaces with `wiring.connect` and reads outputs as attributes
-    of the unit. Raises `ConnectionError` for an input that does not exist or has no driver.
+    reset: instead of the domain's; domain: of the unit's clock. inputs: a driver, in full width,
+    for every input. The caller connects interfaces with `wiring.connect` and reads outputs as
+    attributes of the unit. Raises `ConnectionError` for an input that does not exist or has no
+    driver.
     """
     ports = unit.flat_ports()
     given = {port: _driver(value) for port, value in inputs.items()}
@@ -144,7 +163,8 @@ def _instance(unit: Unit, given: dict[str, Value | IOValue], reset, domain: str)
 
 
 def check_drivers(unit: Unit, design: Design, placed: dict[str, Unit]) -> None:
-    """Check that something drives all that an elaborated unit and the units inside it read, and its outputs.
+    """Check that something drives all that an elaborated unit and the units inside it read, and its
+    outputs.
 
     Amaranth would make what nothing drives a constant, without a word. Raises `ConnectionError`.
     """

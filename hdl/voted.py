@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers that tolerate the upset of one flip-flop: three copies and a majority vote; a reset in two."""
+"""Registers that tolerate the upset of one flip-flop: three copies and a majority vote; a reset in
+two.
+"""
 
 from amaranth.hdl import Module, ResetSignal, Signal
 
@@ -7,11 +9,15 @@ from .logic import any_of
 
 
 class Voted:
-    """A register in three copies. All of them load the majority, so an upset is gone after one cycle.
+    """A register in three copies.
 
-    The copies store different codes, so that synthesis does not merge them: true, inverted, and alternating.
+    All of them load the majority, so an upset is gone after one cycle.
 
-    value : Signal, the register's value; next : Signal, its next value, assigned in the domain `comb` (default: `value`)
+    The copies store different codes, so that synthesis does not merge them: true, inverted, and
+    alternating.
+
+    value : Signal, the register's value; next : Signal, its next value, assigned in the domain
+        `comb` (default: `value`)
     agree : Signal, the copies agree
     """
 
@@ -27,7 +33,9 @@ class Voted:
         third = Signal(width, name=f"{name}_third")
         m.d.comb += [
             third.eq(by_turns ^ turn.replicate(width)),
-            self.value.eq(any_of(m, [plain & ~inverse, plain & third, ~inverse & third], f"{name}_two")),
+            self.value.eq(
+                any_of(m, [plain & ~inverse, plain & third, ~inverse & third], f"{name}_two")
+            ),
             self.next.eq(self.value),
             self.agree.eq((plain == ~inverse) & (plain == third)),
         ]
@@ -40,7 +48,10 @@ class Voted:
 
 
 def agreed_reset(m: Module) -> Signal:
-    """Return the reset, one cycle later. Two registers of opposite polarity must agree on it, so an upset in one resets nothing."""
+    """Return the reset, one cycle later.
+
+    Two registers of opposite polarity must agree on it, so an upset in one resets nothing.
+    """
     resets = Signal(init=1, reset_less=True)
     rests = Signal(reset_less=True)
     reset = Signal()

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial bridge: access to the emulator's address space over two pins; protocol in `model/contract/serial_link.py`."""
+"""Serial bridge: access to the emulator's address space over two pins; protocol in
+`model/contract/serial_link.py`.
+"""
 
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.fifo import SyncFIFOBuffered
@@ -25,11 +27,13 @@ class SerialBridge(Unit):
 
     Ports
     -----
-    rx : in, tx : out, the serial line; access : out, to the control; errors : out, number of damaged frames
+    rx : in, tx : out, the serial line; access : out, to the control; errors : out, number of
+        damaged frames
 
-    The bytes of a request wait in a memory until their CRC has been checked; nothing is executed before that. Damaged
-    requests are dropped, and so is everything that arrives while a request is being executed: the host then asks again.
-    The bridge waits for the host only between requests. Reset clears the sequence number.
+    The bytes of a request wait in a memory until their CRC has been checked; nothing is executed
+    before that. Damaged requests are dropped, and so is everything that arrives while a request is
+    being executed: the host then asks again. The bridge waits for the host only between requests.
+    Reset clears the sequence number.
     """
 
     unit_name = "coincid_serial_bridge"
@@ -43,7 +47,8 @@ class SerialBridge(Unit):
         self.operation = self.head[8:16]
         self.count = self.head[16:24]
         self.length = Signal(link.BODY_BYTES_MAX.bit_length())  # its bytes
-        self.at = Signal(range(link.BODY_BYTES_MAX + 1))  # place of the byte that is fetched from it
+        # Place of the byte that is fetched from it.
+        self.at = Signal(range(link.BODY_BYTES_MAX + 1))
         self.waited = Signal(range(FETCH_CYCLES + 1))  # cycles of the fetch
         self.byte = Signal(8)  # the byte that was fetched
         self.hold = Signal()  # ignore what arrives
@@ -75,7 +80,9 @@ class SerialBridge(Unit):
         receiver = Receiver(clocks)
         deframer = Deframer()
         framer = Framer()
-        m.submodules.answer = answer = SyncFIFOBuffered(width=len(framer.byte) + 1, depth=ANSWER_DEPTH)
+        m.submodules.answer = answer = SyncFIFOBuffered(
+            width=len(framer.byte) + 1, depth=ANSWER_DEPTH
+        )
         place(m, "receiver", receiver, platform, rx=self.rx)
         place(
             m,
@@ -88,7 +95,14 @@ class SerialBridge(Unit):
             hold=self.hold,
         )
         transmitter = Transmitter(clocks)
-        place(m, "transmitter", transmitter, platform, valid=framer.out_valid, byte=framer.out_byte)
+        place(
+            m,
+            "transmitter",
+            transmitter,
+            platform,
+            valid=framer.out_valid,
+            byte=framer.out_byte,
+        )
         place(
             m,
             "framer",
@@ -99,7 +113,9 @@ class SerialBridge(Unit):
             last=answer.r_data[8],
             out_ready=transmitter.ready,
         )
-        m.submodules.request = memory = Memory(shape=8, depth=1 << (link.BODY_BYTES_MAX - 1).bit_length(), init=[])
+        m.submodules.request = memory = Memory(
+            shape=8, depth=1 << (link.BODY_BYTES_MAX - 1).bit_length(), init=[]
+        )
         put = memory.write_port()
         get = memory.read_port()
         m.d.comb += [
@@ -128,7 +144,10 @@ class SerialBridge(Unit):
             self.follows.eq(self.sequence == (self.last + 1)[:8]),
             self.is_last.eq(self.words + 1 == self.count),
             self.is_read.eq(
-                (self.operation == Operation.READ) & alone & (self.count != 0) & (self.count <= link.READ_WORDS_MAX)
+                (self.operation == Operation.READ)
+                & alone
+                & (self.count != 0)
+                & (self.count <= link.READ_WORDS_MAX)
             ),
             self.is_write.eq(
                 (self.operation == Operation.WRITE)
@@ -142,7 +161,11 @@ class SerialBridge(Unit):
         """Read a request whose CRC was right, execute it, and send the answer."""
         access = self.access
         self._weigh(m)
-        m.d.comb += [access.address.eq(self.address), access.data.eq(self.word), access.write.eq(self.is_write)]
+        m.d.comb += [
+            access.address.eq(self.address),
+            access.data.eq(self.word),
+            access.write.eq(self.is_write),
+        ]
         m.d.comb += self.hold.eq(1)
         m.d.sync += access.valid.eq(0)
         with m.FSM():
@@ -165,7 +188,11 @@ class SerialBridge(Unit):
         with m.State("head"):
             m.d.sync += self.waited.eq(self.waited + 1)
             with m.If(self.waited == FETCH_CYCLES):
-                m.d.sync += [self.head.eq(Cat(self.head[8:], self.byte)), self.at.eq(self.at + 1), self.waited.eq(0)]
+                m.d.sync += [
+                    self.head.eq(Cat(self.head[8:], self.byte)),
+                    self.at.eq(self.at + 1),
+                    self.waited.eq(0),
+                ]
                 with m.If(self.at == link.HEAD_BYTES - 1):
                     m.next = "weigh"
 
@@ -226,7 +253,9 @@ class SerialBridge(Unit):
         access = self.access
         with m.State("number"), self._sending(m, answer, self.sequence):
             m.next = "status"
-            with m.If(self.is_write & ((self.status == Answer.OKAY) | (self.status == Answer.REFUSED))):
+            with m.If(
+                self.is_write & ((self.status == Answer.OKAY) | (self.status == Answer.REFUSED))
+            ):
                 m.next = "written"
             with m.Elif(self.is_read & (self.status == Answer.OKAY)):
                 m.next = "read"
@@ -235,7 +264,10 @@ class SerialBridge(Unit):
         with m.State("read"):
             m.d.sync += access.valid.eq(~access.done)
             with m.If(access.done):
-                m.d.sync += [self.address.eq(self.address + link.WORD_BYTES), self.word.eq(access.value)]
+                m.d.sync += [
+                    self.address.eq(self.address + link.WORD_BYTES),
+                    self.word.eq(access.value),
+                ]
                 m.next = "word"
                 with m.If(access.refused):
                     m.d.sync += self.status.eq(Answer.REFUSED)

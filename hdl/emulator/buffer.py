@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frame buffer: takes the sensor's beats at full speed and keeps them until the host removes them; it may read them often.
+"""Frame buffer: takes the sensor's beats at full speed and keeps them until the host removes them;
+it may read them often.
 
 Between the two there is a register slice, because on an FPGA they are far apart.
 """
@@ -22,8 +23,8 @@ class StreamSlice(Unit):
     -----
     s_axis : in, a stream; m_axis : out, its beats, one cycle later, without `tlast`, which stays 0
 
-    It can take a beat in every cycle. A second register keeps the beat that arrives before `tready` can fall because the
-    output waits. Reset empties both.
+    It can take a beat in every cycle. A second register keeps the beat that arrives before `tready`
+    can fall because the output waits. Reset empties both.
     """
 
     unit_name = "coincid_stream_slice"
@@ -55,7 +56,11 @@ class StreamSlice(Unit):
         with m.If(waits):
             m.d.sync += kept.eq(kept | comes)
         with m.Else():
-            m.d.sync += [valid.eq(kept | comes), kept.eq(0), data.eq(Mux(kept, spare, self.s_axis.tdata))]
+            m.d.sync += [
+                valid.eq(kept | comes),
+                kept.eq(0),
+                data.eq(Mux(kept, spare, self.s_axis.tdata)),
+            ]
         return m
 
 
@@ -67,11 +72,12 @@ class FrameBuffer(Unit):
     s_axis : in, the sensor's stream; `tready` is low only while the buffer is full
     level, first : out, number of beats in the buffer, and address of the first
     take : in, strobe: remove beats; amount : in, their number, at most `level`
-    address : in, number of the 32-bit word to read, low half of a beat first; word : out, four cycles later
+    address : in, number of the 32-bit word to read, low half of a beat first; word : out, four
+        cycles later
     stalls : out, number of cycles in which a beat waited; saturates
 
-    A beat is in the memory two cycles after it has been taken from the stream. Reset empties the buffer; the memory
-    keeps its contents.
+    A beat is in the memory two cycles after it has been taken from the stream. Reset empties the
+    buffer; the memory keeps its contents.
     """
 
     unit_name = "coincid_frame_buffer"
@@ -102,7 +108,8 @@ class FrameBuffer(Unit):
         stored = Signal(BEAT_BITS, reset_less=True)
         beat = Signal(BEAT_BITS, reset_less=True)
         place = Signal.like(behind, reset_less=True)
-        room = Signal(init=1)  # a register beside the level, so that the sensor does not wait for a comparison
+        # A register beside the level, so that the sensor does not wait for a comparison.
+        room = Signal(init=1)
         taken = Signal()
         m.d.comb += [
             self.s_axis.tready.eq(room),
@@ -113,8 +120,12 @@ class FrameBuffer(Unit):
             write.data.eq(stored),
         ]
         m.d.sync += [
-            room.eq((room & ~(self.s_axis.tvalid & (self.level == self.depth - 1))) | (self.take & self.amount.any())),
-            place.eq(behind),  # the block RAMs are far apart, so there are registers in front of and behind them
+            room.eq(
+                (room & ~(self.s_axis.tvalid & (self.level == self.depth - 1)))
+                | (self.take & self.amount.any())
+            ),
+            # The block RAMs are far apart, so there are registers in front of and behind them.
+            place.eq(behind),
             stored.eq(self.s_axis.tdata),
             write.en.eq(taken),
             row.eq(self.address[1:]),
@@ -122,7 +133,9 @@ class FrameBuffer(Unit):
             beat.eq(read.data),
             self.word.eq(beat.word_select(high[-1], DATA_BITS)),
             behind.eq(behind + taken),
-            self.level.eq(self.level + taken - (self.amount & self.take.replicate(len(self.amount)))),
+            self.level.eq(
+                self.level + taken - (self.amount & self.take.replicate(len(self.amount)))
+            ),
         ]
         with m.If(self.take):
             m.d.sync += self.first.eq(self.first + self.amount)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Control of the emulator: routes each access to the sensor, the photon sources or the frame buffer, or answers it."""
+"""Control of the emulator: routes each access to the sensor, the photon sources or the frame
+buffer, or answers it.
+"""
 
 from functools import reduce
 from operator import or_
@@ -17,8 +19,8 @@ from ..unit import Unit, place
 from .buffer import FrameBuffer, StreamSlice
 from .source import COMMON, SEED_BUS, Seeder, write_bus
 
-# `valid` stays high until `done`, a strobe. `refused`: nothing was changed. `value`: the word that was read. The next
-# access may begin two cycles later.
+# `valid` stays high until `done`, a strobe. `refused`: nothing was changed. `value`: the word that
+# was read. The next access may begin two cycles later.
 ACCESS = Signature(
     {
         "valid": Out(1),
@@ -31,7 +33,12 @@ ACCESS = Signature(
     }
 )
 LOCAL_CYCLES = 4  # from an access to the answer, for registers and memories
-REGIONS = {"sensor": chip.SENSOR_BASE, "own": chip.OWN_BASE, "source": chip.SOURCE_BASE, "buffer": chip.BUFFER_BASE}
+REGIONS = {
+    "sensor": chip.SENSOR_BASE,
+    "own": chip.OWN_BASE,
+    "source": chip.SOURCE_BASE,
+    "buffer": chip.BUFFER_BASE,
+}
 BLOCK_BITS = (chip.SOURCE_STRIDE - 1).bit_length()
 
 
@@ -45,9 +52,9 @@ class EmulatorControl(Unit):
     number : in, number of the sensor's frame; frame_done : in, strobe
     seed, write, common : out, to the photon sources; link_errors : in, from the serial link
 
-    An access to the sensor waits while the sources are being seeded, so no frame begins before they are ready. Every
-    access is answered; an illegal one with `refused`. Reset drops an access in progress. The settings of the sources
-    are not reset (an FPGA powers up with 0).
+    An access to the sensor waits while the sources are being seeded, so no frame begins before they
+    are ready. Every access is answered; an illegal one with `refused`. Reset drops an access in
+    progress. The settings of the sources are not reset (an FPGA powers up with 0).
     """
 
     unit_name = "coincid_emulator_control"
@@ -103,7 +110,15 @@ class EmulatorControl(Unit):
             amount=self.access.data[: len(buffer.amount)],
             address=self.access.address[2 : chip.REGION_BITS][: len(buffer.address)],
         )
-        place(m, "seeder", seeder, platform, seed=self.setting["seed"], number=self.number, begin=self.begin)
+        place(
+            m,
+            "seeder",
+            seeder,
+            platform,
+            seed=self.setting["seed"],
+            number=self.number,
+            begin=self.begin,
+        )
         place(m, "slice", between, platform)
         connect(m, flipped(self.s_axis), between.s_axis)
         connect(m, between.m_axis, buffer.s_axis)
@@ -131,7 +146,9 @@ class EmulatorControl(Unit):
         access, sensor = self.access, self.emulator.sensor
         inside = access.address[: chip.REGION_BITS]
         for name, base in REGIONS.items():
-            m.d.sync += self.region[name].eq(access.address[chip.REGION_BITS :] == base >> chip.REGION_BITS)
+            m.d.sync += self.region[name].eq(
+                access.address[chip.REGION_BITS :] == base >> chip.REGION_BITS
+            )
         for r in chip.OWN:
             m.d.sync += self.named[r.name].eq(inside == r.offset)
         block = inside[:BLOCK_BITS]
@@ -139,7 +156,11 @@ class EmulatorControl(Unit):
         self.pixel = (block - chip.ECHO_OFFSET)[2:]
         exists = self.subgroup < sensor.subgroups
         m.d.sync += [
-            self.is_echo.eq(exists & (block >= chip.ECHO_OFFSET) & (block < chip.ECHO_OFFSET + 4 * sensor.pixels)),
+            self.is_echo.eq(
+                exists
+                & (block >= chip.ECHO_OFFSET)
+                & (block < chip.ECHO_OFFSET + 4 * sensor.pixels)
+            ),
             self.is_background.eq(exists & (block == 0)),
             self.aligned.eq(access.address[:2] == 0),
         ]
@@ -147,7 +168,9 @@ class EmulatorControl(Unit):
     def _own(self, m, buffer, seeder):
         """Register the word that is read at an address of the emulator's own registers."""
         content = {
-            r.name: Const(r.reset(self.emulator.sensor), DATA_BITS) for r in chip.OWN if r.access is Access.CONSTANT
+            r.name: Const(r.reset(self.emulator.sensor), DATA_BITS)
+            for r in chip.OWN
+            if r.access is Access.CONSTANT
         }
         content |= self.setting | {
             "buffer_beats": Const(self.emulator.buffer_beats, DATA_BITS),
@@ -157,15 +180,23 @@ class EmulatorControl(Unit):
             "link_errors": self.link_errors,
             "seeding": seeder.busy,
         }
-        words = [Mux(self.named[r.name], content.get(r.name, Const(0, DATA_BITS)), 0) for r in chip.OWN]
+        words = [
+            Mux(self.named[r.name], content.get(r.name, Const(0, DATA_BITS)), 0) for r in chip.OWN
+        ]
         m.d.sync += self.own.eq(reduce(or_, words))
 
     def _sources(self, m):
-        """Keep a copy of the sources' settings, which cannot be read back themselves, and register the word that is read."""
+        """Keep a copy of the sources' settings, which cannot be read back themselves, and register
+        the word that is read.
+        """
         access, sensor = self.access, self.emulator.sensor
         places = 1 << (sensor.pixels - 1).bit_length()
-        m.submodules.echoes = echoes = Memory(shape=self.echo_bits, depth=sensor.subgroups * places, init=[])
-        m.submodules.backgrounds = backgrounds = Memory(shape=chip.RATE_BITS, depth=max(2, sensor.subgroups), init=[])
+        m.submodules.echoes = echoes = Memory(
+            shape=self.echo_bits, depth=sensor.subgroups * places, init=[]
+        )
+        m.submodules.backgrounds = backgrounds = Memory(
+            shape=chip.RATE_BITS, depth=max(2, sensor.subgroups), init=[]
+        )
         self.echo_write = echoes.write_port()
         self.background_write = backgrounds.write_port()
         echo_read = echoes.read_port()
@@ -176,11 +207,18 @@ class EmulatorControl(Unit):
             (self.echo_write, echo_read, at_echo),
             (self.background_write, background_read, self.subgroup),
         ):
-            m.d.comb += [write.addr.eq(at), write.data.eq(access.data), read.addr.eq(at), read.en.eq(1)]
+            m.d.comb += [
+                write.addr.eq(at),
+                write.data.eq(access.data),
+                read.addr.eq(at),
+                read.en.eq(1),
+            ]
         m.d.sync += self.sources.eq(Mux(self.is_echo, echo_read.data, background_read.data))
 
     def _checks(self, m, buffer):
-        """Check a write's value: first against the range of each register, then for the addressed one. Check a read's address."""
+        """Check a write's value: first against the range of each register, then for the addressed
+        one. Check a read's address.
+        """
         access, sensor = self.access, self.emulator.sensor
         fits = {
             r.name: (access.data >= r.low(sensor)) & (access.data <= r.high(sensor))
@@ -210,7 +248,13 @@ class EmulatorControl(Unit):
         """Carry out one access at a time."""
         access, axi = self.access, self.m_axi
         wait = Signal(range(LOCAL_CYCLES + 1))
-        m.d.comb += [axi.bready.eq(1), axi.rready.eq(1), axi.wstrb.eq(0b1111), axi.awprot.eq(0), axi.arprot.eq(0)]
+        m.d.comb += [
+            axi.bready.eq(1),
+            axi.rready.eq(1),
+            axi.wstrb.eq(0b1111),
+            axi.awprot.eq(0),
+            axi.arprot.eq(0),
+        ]
         m.d.sync += [access.done.eq(0), self.reseed.eq(0), self.write.valid.eq(0), self.take.eq(0)]
         m.d.sync += [
             self.write.subgroup.eq(self.subgroup),
@@ -226,7 +270,9 @@ class EmulatorControl(Unit):
             with m.State("idle"):
                 m.d.sync += wait.eq(0)
                 with m.If(access.valid & ~access.done):
-                    with m.If(access.address[chip.REGION_BITS :] == chip.SENSOR_BASE >> chip.REGION_BITS):
+                    with m.If(
+                        access.address[chip.REGION_BITS :] == chip.SENSOR_BASE >> chip.REGION_BITS
+                    ):
                         with m.If(~seeder.busy & ~self.begin):
                             m.d.sync += [
                                 axi.awaddr.eq(access.address),
@@ -255,21 +301,33 @@ class EmulatorControl(Unit):
                         access.done.eq(1),
                         access.refused.eq(~Mux(access.write, self.legal, self.mapped)),
                         access.value.eq(
-                            Mux(self.region["own"], self.own, Mux(self.region["source"], self.sources, buffer.word))
+                            Mux(
+                                self.region["own"],
+                                self.own,
+                                Mux(self.region["source"], self.sources, buffer.word),
+                            )
                         ),
                     ]
                     with m.If(access.write & self.legal):
                         self._write(m)
-            with m.State("lost"):  # the one code that is not a state: after an upset, the bus must not hang
+            with m.State(
+                "lost"
+            ):  # the one code that is not a state: after an upset, the bus must not hang
                 m.next = "idle"
 
     def _write(self, m):
         access = self.access
         with m.If(self.region["source"]):
             m.d.sync += self.write.valid.eq(1)
-            m.d.comb += [self.echo_write.en.eq(self.is_echo), self.background_write.en.eq(self.is_background)]
+            m.d.comb += [
+                self.echo_write.en.eq(self.is_echo),
+                self.background_write.en.eq(self.is_background),
+            ]
         with m.Else():
             for name, setting in self.setting.items():
                 with m.If(self.named[name]):
                     m.d.sync += setting.eq(access.data)
-            m.d.sync += [self.reseed.eq(self.named["seed"]), self.take.eq(self.named["buffer_take"])]
+            m.d.sync += [
+                self.reseed.eq(self.named["seed"]),
+                self.take.eq(self.named["buffer_take"]),
+            ]

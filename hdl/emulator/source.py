@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photon source: generates the edge words of a subgroup's SPADs on the chip; golden model: `model/light/on_chip.py`.
+"""Photon source: generates the edge words of a subgroup's SPADs on the chip; golden model:
+`model/light/on_chip.py`.
 
-Every pixel has a linear generator of 32 bits that steps once in every cycle of a period. In each cycle, its state decides
-whether there is a background photon, and at which phase. In the first cycle of a period it also decides whether there
-is an echo, and in the second cycle at which tick. The paper has no such block; all of it is our choice.
+Every pixel has a linear generator of 32 bits that steps once in every cycle of a period. In each
+cycle, its state decides whether there is a background photon, and at which phase. In the first
+cycle of a period it also decides whether there is an echo, and in the second cycle at which tick.
+The paper has no such block; all of it is our choice.
 """
 
 from amaranth.hdl import Cat, Module, Mux, Signal
@@ -32,7 +34,10 @@ SEED_BUS = data.StructLayout(
 
 
 def write_bus(sensor: Sensor) -> data.StructLayout:
-    """A write to a setting of a source. echo: to the echo of one pixel; otherwise to the background."""
+    """A write to a setting of a source.
+
+    echo: to the echo of one pixel; otherwise to the background.
+    """
     return data.StructLayout(
         {
             "valid": 1,
@@ -49,23 +54,31 @@ COMMON = data.StructLayout({"spread": chip.SPREAD_MAX, "dead": bits_for(chip.DEA
 
 
 class Seeder(Unit):
-    """Seeder of all generators: computes a frame's states from the seed and the frame number with a block cipher.
+    """Seeder of all generators: computes a frame's states from the seed and the frame number with a
+    block cipher.
 
     Ports
     -----
     seed, number : in, of the source and of the frame; begin : in, strobe: one of them has changed
-    out : out, one seeding step for one lane of a subgroup: one bit for the generator of each of its pixels
+    out : out, one seeding step for one lane of a subgroup: one bit for the generator of each of its
+        pixels
     busy : out, from the cycle after `begin` until all bits have been sent
 
-    A block takes `ROUNDS` + 1 cycles; a subgroup has 32 blocks per 64 pixels. `begin` while busy starts over. Seeding
-    also starts after a reset.
+    A block takes `ROUNDS` + 1 cycles; a subgroup has 32 blocks per 64 pixels. `begin` while busy
+    starts over. Seeding also starts after a reset.
     """
 
     unit_name = "coincid_seeder"
 
     def __init__(self, emulator: Emulator):
         self.emulator = emulator
-        super().__init__(seed=In(HALF), number=In(bus.PULSE_BITS), begin=In(1), out=Out(SEED_BUS), busy=Out(1, init=1))
+        super().__init__(
+            seed=In(HALF),
+            number=In(bus.PULSE_BITS),
+            begin=In(1),
+            out=Out(SEED_BUS),
+            busy=Out(1, init=1),
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -102,22 +115,38 @@ class Seeder(Unit):
                     with m.If(subgroup == subgroups - 1):
                         m.d.sync += [self.busy.eq(0), subgroup.eq(0)]
             with m.Elif(self.busy):
-                m.d.sync += [left.eq(Cat(self.number, subgroup)), right.eq(block), key.eq(self.seed), turn.eq(1)]
+                m.d.sync += [
+                    left.eq(Cat(self.number, subgroup)),
+                    right.eq(block),
+                    key.eq(self.seed),
+                    turn.eq(1),
+                ]
         with m.Else():
             m.d.sync += [
                 left.eq(mixed),
-                right.eq(Cat(right[HALF - chip.ROTATE_LEFT :], right[: HALF - chip.ROTATE_LEFT]) ^ mixed),
+                right.eq(
+                    Cat(right[HALF - chip.ROTATE_LEFT :], right[: HALF - chip.ROTATE_LEFT]) ^ mixed
+                ),
                 key.eq(key + chip.KEY_STEP),
                 turn.eq(Mux(turn == chip.ROUNDS, 0, turn + 1)),
                 done.eq(turn == chip.ROUNDS),
             ]
         with m.If(self.begin):
-            m.d.sync += [self.busy.eq(1), self.out.valid.eq(0), turn.eq(0), done.eq(0), block.eq(0), subgroup.eq(0)]
+            m.d.sync += [
+                self.busy.eq(1),
+                self.out.valid.eq(0),
+                turn.eq(0),
+                done.eq(0),
+                block.eq(0),
+                subgroup.eq(0),
+            ]
         return m
 
 
 class LaneState:
-    """Registers for the generators of a lane: whether they step, and what a step of the seeding does to them."""
+    """Registers for the generators of a lane: whether they step, and what a step of the seeding
+    does to them.
+    """
 
     def __init__(self, lane: int):
         self.enable = Signal(name=f"steps_{lane}", reset_less=True)
@@ -132,13 +161,15 @@ class PhotonSource(Unit):
     Ports
     -----
     subgroup : in, the subgroup's number
-    timing : in, the sequencer's word, three cycles ahead of the ports; seed : in, from the seeder; write : in, a
-        setting of one source; common : in, settings of all sources
-    words : out, pixels * phases: edge words for the sensor's ports, with at most one edge per pixel and cycle
+    timing : in, the sequencer's word, three cycles ahead of the ports; seed : in, from the seeder;
+        write : in, a setting of one source; common : in, settings of all sources
+    words : out, pixels * phases: edge words for the sensor's ports, with at most one edge per pixel
+        and cycle
 
-    Settings take effect at once, but should change only between frames. A pixel's edge is the earlier of its background
-    photon and its echo, unless the pixel is dead. There are three registers from `timing` to the word: timing, draw,
-    word. Reset clears the cycle counter; the settings are not reset (an FPGA powers up with 0).
+    Settings take effect at once, but should change only between frames. A pixel's edge is the
+    earlier of its background photon and its echo, unless the pixel is dead. There are three
+    registers from `timing` to the word: timing, draw, word. Reset clears the cycle counter; the
+    settings are not reset (an FPGA powers up with 0).
     """
 
     unit_name = "coincid_source"
@@ -174,14 +205,21 @@ class PhotonSource(Unit):
         ]
         assert chip.ECHO_FROM == 2  # `is_later` begins in this cycle
         background = Signal(chip.RATE_BITS, reset_less=True)
-        # Inputs and data go into registers that need no reset, because those that drive or use them have one.
+        # Inputs and data go into registers that need no reset, because those that drive or use them
+        # have one.
         mine = Signal(reset_less=True)  # a setting of this source is written
         seeded = Signal(SEED_BUS, reset_less=True)
         seeds = [self._lane(m, lane, seeded) for lane in range(self.emulator.lanes)]
         written = Signal(write_bus(sensor), reset_less=True)
         value = Signal.like(written.data, reset_less=True)
-        m.d.sync += [seeded.eq(self.seed), seeded.valid.eq(self.seed.valid & (self.seed.subgroup == self.subgroup))]
-        m.d.sync += [written.eq(self.write), mine.eq(self.write.valid & (self.write.subgroup == self.subgroup))]
+        m.d.sync += [
+            seeded.eq(self.seed),
+            seeded.valid.eq(self.seed.valid & (self.seed.subgroup == self.subgroup)),
+        ]
+        m.d.sync += [
+            written.eq(self.write),
+            mine.eq(self.write.valid & (self.write.subgroup == self.subgroup)),
+        ]
         m.d.sync += value.eq(written.data)
         with m.If(mine & ~written.echo):
             m.d.sync += background.eq(written.data)
@@ -217,21 +255,29 @@ class PhotonSource(Unit):
     def _generator(self, m, i, step, place):
         """Return the state that the cycle draws from. step: of its lane; place: in the lane.
 
-        Seeding: the first step clears the old state, every step shifts in one bit, and the last step prevents the state 0.
+        Seeding: the first step clears the old state, every step shifts in one bit, and the last
+        step prevents the state 0.
         """
         state = Signal(chip.STATE_BITS, name=f"state_{i}", reset_less=True)
         following = Cat(
-            state[taps[0]] ^ state[taps[1]] ^ (state[taps[2]] if len(taps) > 2 else 0) for taps in chip.TAPS
+            state[taps[0]] ^ state[taps[1]] ^ (state[taps[2]] if len(taps) > 2 else 0)
+            for taps in chip.TAPS
         )
         with m.If(step.enable):
             m.d.sync += state.eq(following)
             with m.If(step.first):
                 m.d.sync += state.eq(0)
-            m.d.sync += state[chip.SEED_BIT].eq((following[chip.SEED_BIT] & ~step.first) ^ step.bits[place] | step.last)
+            m.d.sync += state[chip.SEED_BIT].eq(
+                (following[chip.SEED_BIT] & ~step.first) ^ step.bits[place] | step.last
+            )
         return state
 
-    def _draw(self, m, i, state, echo, background, common, running, is_first, is_second, is_later, cycle):
-        """Decide, with registers, whether the pixel sees a photon in the cycle, and give the phase of the first one."""
+    def _draw(
+        self, m, i, state, echo, background, common, running, is_first, is_second, is_later, cycle
+    ):
+        """Decide, with registers, whether the pixel sees a photon in the cycle, and give the phase
+        of the first one.
+        """
         sensor = self.emulator.sensor
         phase_bits = sensor.phase_bits
         stamp_bits = sensor.stamp_bits
@@ -242,7 +288,9 @@ class PhotonSource(Unit):
         with m.If(is_first):
             m.d.sync += hit.eq(state[chip.LEVEL_LSB : chip.LEVEL_LSB + chip.LEVEL_BITS] < level)
         with m.If(is_second):
-            m.d.sync += arrival.eq(tick + (state[chip.LEVEL_LSB : chip.LEVEL_LSB + chip.SPREAD_MAX] & common.spread))
+            m.d.sync += arrival.eq(
+                tick + (state[chip.LEVEL_LSB : chip.LEVEL_LSB + chip.SPREAD_MAX] & common.spread)
+            )
         by_light = Signal(name=f"by_light_{i}")
         by_echo = Signal(name=f"by_echo_{i}")
         light_phase = state[chip.PHASE_LSB : chip.PHASE_LSB + phase_bits]
@@ -255,7 +303,9 @@ class PhotonSource(Unit):
         ]
         m.d.sync += [
             fires.eq(running & (by_light | by_echo)),
-            phase.eq(Mux(by_light & (~by_echo | (light_phase < echo_phase)), light_phase, echo_phase)),
+            phase.eq(
+                Mux(by_light & (~by_echo | (light_phase < echo_phase)), light_phase, echo_phase)
+            ),
         ]
         return fires, phase
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator's top: sensor, one photon source per subgroup, frame buffer, and a serial line or AXI4-Lite slave."""
+"""The emulator's top: sensor, one photon source per subgroup, frame buffer, and a serial line or
+AXI4-Lite slave.
+"""
 
 from typing import Any
 
@@ -35,8 +37,8 @@ class BusAccess(Unit):
     -----
     s_axi : AXI4-Lite slave, 32-bit data, 24-bit addresses; access : out, to the control
 
-    One access at a time; if both wait, reads and writes take turns. A write of less than a whole word is answered with
-    SLVERR. Reset drops accesses in progress.
+    One access at a time; if both wait, reads and writes take turns. A write of less than a whole
+    word is answered with SLVERR. Reset drops accesses in progress.
     """
 
     unit_name = "coincid_bus_access"
@@ -53,7 +55,11 @@ class BusAccess(Unit):
         whole = Signal()  # all bytes of the word are to be written
         to_write = Signal(ADDRESS_BITS)
         to_read = Signal(ADDRESS_BITS)
-        m.d.comb += [axi.awready.eq(~held_address), axi.wready.eq(~held_data), axi.arready.eq(~held_read)]
+        m.d.comb += [
+            axi.awready.eq(~held_address),
+            axi.wready.eq(~held_data),
+            axi.arready.eq(~held_read),
+        ]
         with m.If(axi.awvalid & axi.awready):
             m.d.sync += [held_address.eq(1), to_write.eq(axi.awaddr)]
         with m.If(axi.wvalid & axi.wready):
@@ -67,7 +73,10 @@ class BusAccess(Unit):
         wrote = Signal()
         can_write = Signal()
         can_read = Signal()
-        m.d.comb += [can_write.eq(held_address & held_data & ~axi.bvalid), can_read.eq(held_read & ~axi.rvalid)]
+        m.d.comb += [
+            can_write.eq(held_address & held_data & ~axi.bvalid),
+            can_read.eq(held_read & ~axi.rvalid),
+        ]
         with m.FSM():
             with m.State("idle"):
                 m.d.sync += access.valid.eq(0)
@@ -90,12 +99,17 @@ class BusAccess(Unit):
                     with m.If(access.write):
                         m.d.sync += [axi.bvalid.eq(1), axi.bresp.eq(response)]
                     with m.Else():
-                        m.d.sync += [axi.rvalid.eq(1), axi.rresp.eq(response), axi.rdata.eq(access.value)]
+                        m.d.sync += [
+                            axi.rvalid.eq(1),
+                            axi.rresp.eq(response),
+                            axi.rdata.eq(access.value),
+                        ]
         return m
 
 
 class LocalReset(Unit):
-    """Reset of one block, in a register close to it: on an FPGA, the reset is an ordinary net with an ordinary delay.
+    """Reset of one block, in a register close to it: on an FPGA, the reset is an ordinary net with
+    an ordinary delay.
 
     Ports
     -----
@@ -147,7 +161,13 @@ class EmulatorTop(Unit):
         sequencer, _ = wire_sensor(m, put, sensor, outer, [source.words for source in sources])
         link, errors = self._link(m, put)
         control = EmulatorControl(self.emulator)
-        put("control", control, number=sequencer.number, frame_done=sequencer.done, link_errors=errors)
+        put(
+            "control",
+            control,
+            number=sequencer.number,
+            frame_done=sequencer.done,
+            link_errors=errors,
+        )
         for s, source in enumerate(sources):
             put(
                 f"source_{s}",
@@ -176,6 +196,8 @@ class EmulatorTop(Unit):
 
 
 def emulator_files(emulator: Emulator, serial: bool = True) -> dict[str, str]:
-    """Return the emulator's Verilog by file name: one file per block, and a file list. It depends only on the parameters."""
+    """Return the emulator's Verilog by file name: one file per block, and a file list. It depends
+    only on the parameters.
+    """
     files = units_files([EmulatorTop(emulator, serial)])
     return files | {EMULATOR_LIST: "".join(f"{file}\n" for file in files)}

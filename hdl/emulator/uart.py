@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial line: bytes as 8N1, and frames of bytes with a CRC; protocol in `model/contract/serial_link.py`."""
+"""Serial line: bytes as 8N1, and frames of bytes with a CRC; protocol in
+`model/contract/serial_link.py`.
+"""
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.cdc import FFSynchronizer
@@ -20,8 +22,8 @@ class Receiver(Unit):
     rx : in, asynchronous, high when idle
     valid : out, strobe; byte : out; broken : out, with `valid`: the stop bit was missing
 
-    Each bit is sampled in its middle, counted from the start bit behind two flip-flops. A line that stays low gives
-    broken bytes. After a reset, the receiver waits for a start bit.
+    Each bit is sampled in its middle, counted from the start bit behind two flip-flops. A line that
+    stays low gives broken bytes. After a reset, the receiver waits for a start bit.
     """
 
     unit_name = "coincid_uart_receiver"
@@ -43,7 +45,11 @@ class Receiver(Unit):
             with m.If(before & ~line):
                 m.d.sync += [left.eq(BITS), count.eq((self.clocks - 1) // 2)]
         with m.Elif(count == 0):
-            m.d.sync += [count.eq(self.clocks - 1), shift.eq(Cat(shift[1:], line)), left.eq(left - 1)]
+            m.d.sync += [
+                count.eq(self.clocks - 1),
+                shift.eq(Cat(shift[1:], line)),
+                left.eq(left - 1),
+            ]
             with m.If((left == BITS) & line):  # a spike, not a start bit
                 m.d.sync += left.eq(0)
             with m.If(left == 1):
@@ -95,13 +101,16 @@ class Deframer(Unit):
 
     Ports
     -----
-    valid, byte, broken : in, from the receiver; hold : in, ignore what arrives; the next frame begins at the next flag
+    valid, byte, broken : in, from the receiver; hold : in, ignore what arrives; the next frame
+        begins at the next flag
     put, data, index : out, a byte of the body, and its place in the body
-    right : out, strobe: a body has ended, and its CRC is right; length : out, with `right`: bytes without the CRC
+    right : out, strobe: a body has ended, and its CRC is right; length : out, with `right`: bytes
+        without the CRC
     wrong : out, strobe: a body has ended that is not right
 
-    A body that is longer than any request is wrong, and so is one with a broken byte. Two flags in a row are not a
-    frame. Outputs refer to the byte of the previous cycle. After a reset, the deframer waits for a flag.
+    A body that is longer than any request is wrong, and so is one with a broken byte. Two flags in
+    a row are not a frame. Outputs refer to the byte of the previous cycle. After a reset, the
+    deframer waits for a flag.
     """
 
     unit_name = "coincid_deframer"
@@ -152,7 +161,12 @@ class Deframer(Unit):
         with m.If(self.came):
             with m.If(self.is_flag):
                 m.d.comb += crc.start.eq(1)
-                m.d.sync += [self.listening.eq(1), self.escaped.eq(0), self.bad.eq(0), self.count.eq(0)]
+                m.d.sync += [
+                    self.listening.eq(1),
+                    self.escaped.eq(0),
+                    self.bad.eq(0),
+                    self.count.eq(0),
+                ]
                 with m.If(self.listening & (self.count != 0)):
                     fine = ~self.bad & ~self.escaped & (self.count > CRC_BYTES) & crc.match_detected
                     m.d.sync += [self.right.eq(fine), self.wrong.eq(~fine)]
@@ -174,18 +188,25 @@ class Framer(Unit):
 
     Ports
     -----
-    valid, byte, last : in; ready : out, a byte of a body is taken in a cycle with both; `last` marks the body's last byte
+    valid, byte, last : in; ready : out, a byte of a body is taken in a cycle with both; `last`
+        marks the body's last byte
     out_valid, out_byte : out, out_ready : in, to the transmitter
 
-    The framer puts flags around the body, appends the CRC, and escapes bytes where necessary. It looks at a byte for one
-    cycle before it sends it. Reset drops a frame in progress.
+    The framer puts flags around the body, appends the CRC, and escapes bytes where necessary. It
+    looks at a byte for one cycle before it sends it. Reset drops a frame in progress.
     """
 
     unit_name = "coincid_framer"
 
     def __init__(self):
         super().__init__(
-            valid=In(1), byte=In(8), last=In(1), ready=Out(1), out_valid=Out(1), out_byte=Out(8), out_ready=In(1)
+            valid=In(1),
+            byte=In(8),
+            last=In(1),
+            ready=Out(1),
+            out_valid=Out(1),
+            out_byte=Out(8),
+            out_ready=In(1),
         )
         self.next_byte = Signal(8)
         self.escaped = Signal()  # its escape has been sent
@@ -198,14 +219,25 @@ class Framer(Unit):
         tail = Signal(32, reset_less=True)
         left = Signal(range(CRC_BYTES + 1))
         m.d.comb += crc.data.eq(self.byte)
-        m.d.sync += [self.special.eq((self.next_byte == FLAG) | (self.next_byte == ESCAPE)), self.weighed.eq(0)]
+        m.d.sync += [
+            self.special.eq((self.next_byte == FLAG) | (self.next_byte == ESCAPE)),
+            self.weighed.eq(0),
+        ]
 
         def send_body(m, comes, sent):
-            """Send `byte` when it `comes`, escaped if necessary; `sent` is high in the cycle in which it has gone."""
+            """Send `byte` when it `comes`, escaped if necessary; `sent` is high in the cycle in
+            which it has gone.
+            """
             m.d.sync += self.weighed.eq(comes & ~sent)
             m.d.comb += [
                 self.out_valid.eq(self.weighed),
-                self.out_byte.eq(Mux(self.special, Mux(self.escaped, self.next_byte ^ FLIP, ESCAPE), self.next_byte)),
+                self.out_byte.eq(
+                    Mux(
+                        self.special,
+                        Mux(self.escaped, self.next_byte ^ FLIP, ESCAPE),
+                        self.next_byte,
+                    )
+                ),
                 sent.eq(self.weighed & self.out_ready & (~self.special | self.escaped)),
             ]
             with m.If(self.weighed & self.out_ready):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator on an ULX3S (ECP5 LFE5U-85F): its clock out of a PLL, a button as reset, the USB bridge's serial line, and lights.
+"""The emulator on an ULX3S (ECP5 LFE5U-85F): its clock out of a PLL, a button as reset, the USB
+bridge's serial line, and lights.
 
 The board's pins are those of its published constraints (emard/ulx3s, version 2.0 and later).
 """
@@ -46,17 +47,29 @@ class Pll:
 
 
 def pll(clock_mhz: float) -> Pll:
-    """Return dividers that make this clock, with the PLL's oscillator near the middle of its range. Raises `InputError` if none do."""
+    """Return dividers that make this clock, with the PLL's oscillator near the middle of its range.
+
+    Raises `InputError` if none do.
+    """
     middle = sum(VCO_MHZ) / 2
     for reference in range(1, REFERENCE_MAX + 1):
         feedback = clock_mhz * reference / OSCILLATOR_MHZ
         output = round(middle / clock_mhz)
-        possible = feedback == int(feedback) and 1 <= feedback <= FEEDBACK_MAX and 1 <= output <= OUTPUT_MAX
+        possible = (
+            feedback == int(feedback)
+            and 1 <= feedback <= FEEDBACK_MAX
+            and 1 <= output <= OUTPUT_MAX
+        )
         low, high = VCO_MHZ
-        if possible and low <= clock_mhz * output <= high and OSCILLATOR_MHZ / reference >= DETECTOR_MHZ:
+        if (
+            possible
+            and low <= clock_mhz * output <= high
+            and OSCILLATOR_MHZ / reference >= DETECTOR_MHZ
+        ):
             return Pll(reference, int(feedback), output)
     raise InputError(
-        f"frame.clock_mhz = {clock_mhz:g}: the board's PLL does not make it of {OSCILLATOR_MHZ} MHz; 80, 100 and 125 are possible"
+        f"frame.clock_mhz = {clock_mhz:g}: the board's PLL does not make it of "
+        f"{OSCILLATOR_MHZ} MHz; 80, 100 and 125 are possible"
     )
 
 
@@ -67,8 +80,8 @@ class Lights(Unit):
     -----
     laser : in; rx, tx : in, the serial line; led : out
 
-    led[0] blinks: the clock runs. The next three are on for `2^HOLD_BITS` cycles after a laser pulse, a byte from the host, a byte to the host.
-    Reset puts them out.
+    led[0] blinks: the clock runs. The next three are on for `2^HOLD_BITS` cycles after a laser
+    pulse, a byte from the host, a byte to the host. Reset puts them out.
     """
 
     unit_name = "coincid_lights"
@@ -100,7 +113,9 @@ class Lights(Unit):
 
 
 def board_verilog(emulator: Emulator, clock_mhz: float) -> str:
-    """Return the board's top: PLL, emulator, lights, and a reset that the button or an unlocked PLL holds. Raises `InputError`."""
+    """Return the board's top: PLL, emulator, lights, and a reset that the button or an unlocked PLL
+    holds. Raises `InputError`.
+    """
     dividers = pll(clock_mhz)
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         licence=SPDX,
@@ -115,7 +130,10 @@ def board_verilog(emulator: Emulator, clock_mhz: float) -> str:
 
 
 def board_files(emulator: Emulator, clock_mhz: float) -> dict[str, str]:
-    """Return the emulator's Verilog for the board by file name, with a file list. Raises `InputError`."""
+    """Return the emulator's Verilog for the board by file name, with a file list.
+
+    Raises `InputError`.
+    """
     files = emulator_files(emulator)
     del files[EMULATOR_LIST]
     files |= units_files([Lights()]) | {f"{BOARD_TOP}.v": board_verilog(emulator, clock_mhz)}
@@ -128,5 +146,8 @@ def board_pins(oscillator_mhz: float = OSCILLATOR_MHZ) -> str:
     for port, (sites, buffer) in PINS.items():
         for k, site in enumerate(sites):
             bit = f"{port}[{k}]" if len(sites) > 1 else port
-            lines += [f'LOCATE COMP "{bit}" SITE "{site}";', f'IOBUF PORT "{bit}" IO_TYPE=LVCMOS33 {buffer};']
+            lines += [
+                f'LOCATE COMP "{bit}" SITE "{site}";',
+                f'IOBUF PORT "{bit}" IO_TYPE=LVCMOS33 {buffer};',
+            ]
     return "\n".join([f"# {SPDX}", *lines, ""])

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Circuits of the asynchronous view: its cells, macros and delays, and the structure that follows from the re-arm gap.
+"""Circuits of the asynchronous view: its cells, macros and delays, and the structure that follows
+from the re-arm gap.
 
-The paper shows no circuit; all of this is our choice. Behaviour of the cells: `async_cells.v`; requirements on the
-macros: docs/async.md.
+The paper shows no circuit; all of this is our choice. Behaviour of the cells: `async_cells.v`;
+requirements on the macros: docs/async.md.
 """
 
 from pathlib import Path
@@ -18,13 +19,17 @@ from ..logic import popcount
 # For simulation: behaviour in femtoseconds. For synthesis: only the cells.
 CELLS = Path(__file__).with_name("async_cells.v")
 MACROS = Path(__file__).with_name("async_macros.v")  # black boxes of the macros, for synthesis
-STEP_FS = PHASES_MAX  # a cycle is a multiple of this, so that its ticks and its sixteenths are integers
+STEP_FS = (
+    PHASES_MAX  # a cycle is a multiple of this, so that its ticks and its sixteenths are integers
+)
 FS_MHZ = 1e9  # femtoseconds in a cycle of 1 MHz
 SLOWEST_MHZ = 1.0  # below it, a cycle in femtoseconds does not fit into Verilog's 32-bit integers
 FASTEST_MHZ = 1000.0  # above it, the delays of the cells are too long
 HIT_FS = 50_000  # from a SPAD's edge to its hit
 LEVEL_FS = 25_000  # delay of one level of the OR tree
-SYNCHRONISER_REARM = 3  # shortest re-arm gap of a single window bank: two synchronising flops are in its clear
+SYNCHRONISER_REARM = (
+    3  # shortest re-arm gap of a single window bank: two synchronising flops are in its clear
+)
 ERROR_BITS = 32  # width of one boundary's mismatch in the generator's parameter
 
 
@@ -32,10 +37,11 @@ ERROR_BITS = 32  # width of one boundary's mismatch in the generator's parameter
 class Circuit:
     """Circuit properties of the asynchronous view. Raises `InputError`.
 
-    clock_mhz: system clock. banks: window banks, 1 or 2; None: one if the re-arm gap allows it. mismatch_fs: error of
-    every phase boundary of the generator (`phases` integers; none: 0). pixel_skew_fs: extra delay of each pixel's path
-    to the tree beyond nominal (`pixels` integers; none: 0). delay_line: the window is a delay line instead of counted
-    phase boundaries; gain_ppm: error of the delay line.
+    clock_mhz: system clock. banks: window banks, 1 or 2; None: one if the re-arm gap allows it.
+    mismatch_fs: error of every phase boundary of the generator (`phases` integers; none: 0).
+    pixel_skew_fs: extra delay of each pixel's path to the tree beyond nominal (`pixels` integers;
+    none: 0). delay_line: the window is a delay line instead of counted phase boundaries; gain_ppm:
+    error of the delay line.
     """
 
     clock_mhz: float = real(CLOCK_MHZ, SLOWEST_MHZ, FASTEST_MHZ)
@@ -56,11 +62,15 @@ class Circuit:
         return clock_fs(self.clock_mhz)
 
     def banks_of(self, sensor: Sensor) -> int:
-        """Return the number of window banks. Raises `InputError` if a single bank cannot keep to the re-arm gap."""
+        """Return the number of window banks.
+
+        Raises `InputError` if a single bank cannot keep to the re-arm gap.
+        """
         banks = self.banks or (1 if sensor.rearm >= SYNCHRONISER_REARM else 2)
         if banks == 1 and sensor.rearm < SYNCHRONISER_REARM:
             raise InputError(
-                f"sensor.rearm = {sensor.rearm}: must be at least {SYNCHRONISER_REARM} with a single window bank"
+                f"sensor.rearm = {sensor.rearm}: must be at least {SYNCHRONISER_REARM} "
+                "with a single window bank"
             )
         return banks
 
@@ -76,11 +86,15 @@ def levels(count: int) -> int:
 
 
 def lag_fs(sensor: Sensor) -> int:
-    """Return the delay from a SPAD's edge to the TDC's sampling flops; a replica delays the phases by the same time."""
+    """Return the delay from a SPAD's edge to the TDC's sampling flops; a replica delays the phases
+    by the same time.
+    """
     return HIT_FS + LEVEL_FS * (levels(sensor.minigroup_pixels) + levels(sensor.minigroups))
 
 
-def hit_flop(m: Module, name: str, edge: Value, arm: Value, clear: Value, delay_fs: int = 0) -> Signal:
+def hit_flop(
+    m: Module, name: str, edge: Value, arm: Value, clear: Value, delay_fs: int = 0
+) -> Signal:
     """Return a flop that `edge` sets while armed; it stays set until it is cleared."""
     hit = Signal(name=name)
     m.submodules[f"flop_{name}"] = Instance(
@@ -99,9 +113,13 @@ def sample(m: Module, name: str, event: Value, data: Value) -> Signal:
 
 
 def johnson_number(m: Module, taps: Value, name: str) -> Value:
-    """Return the part of the cycle that the taps show, counted from 0. One wrong tap changes it by one part."""
+    """Return the part of the cycle that the taps show, counted from 0.
+
+    One wrong tap changes it by one part.
+    """
     half, first_half = len(taps), taps[0]
-    run = Signal(range(half + 1), name=f"{name}_run")  # taps that have changed since the half cycle began
+    # Taps that have changed since the half cycle began.
+    run = Signal(range(half + 1), name=f"{name}_run")
     m.d.comb += run.eq(popcount(m, taps ^ ~first_half.replicate(half), name))
     return (Mux(first_half, 0, half) + run - 1)[: half.bit_length()]
 
@@ -109,7 +127,9 @@ def johnson_number(m: Module, taps: Value, name: str) -> Value:
 def delayed(m: Module, name: str, signal: Value, delay_fs: int) -> Signal:
     """Return `signal` through a matched delay."""
     later = Signal(name=name)
-    m.submodules[f"delay_{name}"] = Instance("coincid_delay", p_DELAY_FS=delay_fs, i_a=signal, o_y=later)
+    m.submodules[f"delay_{name}"] = Instance(
+        "coincid_delay", p_DELAY_FS=delay_fs, i_a=signal, o_y=later
+    )
     return later
 
 
@@ -132,7 +152,8 @@ def or_tree(m: Module, name: str, inputs: list[Value]) -> Value:
 def arbiter_rows(requests: int):
     """Yield the levels of an arbiter tree over requests 0...n-1, each as ([(node, a, b)], alone).
 
-    a, b, alone: a request, or n + a node's number. `alone` has no partner at this level; None if there is no such one.
+    a, b, alone: a request, or n + a node's number. `alone` has no partner at this level; None if
+    there is no such one.
     """
     row, node = list(range(requests)), 0
     while len(row) > 1:

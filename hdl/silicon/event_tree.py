@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Event tree of the asynchronous view: passes the first edge of a cycle on to the TDC and the minigroups.
+"""Event tree of the asynchronous view: passes the first edge of a cycle on to the TDC and the
+minigroups.
 
-The paper (III-A): the tree is "modelled to propagate events"; the propagated event is "passed to a shared TDC to sample
-the internal states", and every minigroup "provides a coarse timestamp". An arbiter tree beside it records which edge
-came first. The circuits are our choice.
+The paper (III-A): the tree is "modelled to propagate events"; the propagated event is "passed to a
+shared TDC to sample the internal states", and every minigroup "provides a coarse timestamp". An
+arbiter tree beside it records which edge came first. The circuits are our choice.
 """
 
 from amaranth.hdl import Cat, Const, Instance, Module
@@ -20,7 +21,9 @@ def code_bits(sensor: Sensor) -> int:
 
 
 def mark_bits(sensor: Sensor) -> int:
-    """Return the number of bits that a minigroup samples: one tap per step of the coarse offsets, and `half`."""
+    """Return the number of bits that a minigroup samples: one tap per step of the coarse offsets,
+    and `half`.
+    """
     return sensor.offset_phases // 2 + 1
 
 
@@ -33,7 +36,8 @@ class EventTree(Unit):
     root : out, some pixel was hit
     code : out, `code_bits` as the first hit sampled them: phases, gray_a, gray_b
     marks : out, `mark_bits` per minigroup, as its first hit sampled them
-    later_first : out, one bit per node of the arbiter tree (`arbiter_rows`): the request of the higher index came first
+    later_first : out, one bit per node of the arbiter tree (`arbiter_rows`): the request of the
+        higher index came first
 
     The tree has no clock. Clearing `hits` returns it to its initial state.
     """
@@ -63,11 +67,18 @@ class EventTree(Unit):
         marks = []
         for g in range(sensor.minigroups):
             leaf = or_tree(m, f"minigroup_{g}", [self.hits[i] for i in sensor.members(g)])
-            later = delayed(m, f"event_{g}", leaf, lag_fs(sensor) - HIT_FS - LEVEL_FS * levels(sensor.minigroup_pixels))
+            later = delayed(
+                m,
+                f"event_{g}",
+                leaf,
+                lag_fs(sensor) - HIT_FS - LEVEL_FS * levels(sensor.minigroup_pixels),
+            )
             leaves.append(leaf)
             marks.append(sample(m, f"mark_{g}", later, mark))
         m.d.comb += [self.root.eq(or_tree(m, "tree", leaves)), self.marks.eq(Cat(marks))]
-        m.d.comb += self.code.eq(sample(m, "line", self.root, Cat(self.phases, self.gray_a, self.gray_b)))
+        m.d.comb += self.code.eq(
+            sample(m, "line", self.root, Cat(self.phases, self.gray_a, self.gray_b))
+        )
 
         requests = dict(enumerate(self.hits))
         for level, (pairs, alone) in enumerate(arbiter_rows(sensor.pixels)):

@@ -1,18 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Front end of the asynchronous view: hit flops that the SPADs clock, event trees, window banks, and synchronisers.
+"""Front end of the asynchronous view: hit flops that the SPADs clock, event trees, window banks,
+and synchronisers.
 
-It replaces `CoincidenceTree` and has the same outputs in the same cycles. The paper (III-A, Fig. 3) draws this tree and
-shows no circuit; flops, banks and synchronisers are our choice, explained in docs/async.md.
+It replaces `CoincidenceTree` and has the same outputs in the same cycles. The paper (III-A, Fig. 3)
+draws this tree and shows no circuit; flops, banks and synchronisers are our choice, explained in
+docs/async.md.
 """
 
-from amaranth.hdl import Cat, ClockDomain, ClockSignal, Const, Instance, Module, Mux, ResetSignal, Signal, Value
+from amaranth.hdl import (
+    Cat,
+    ClockDomain,
+    ClockSignal,
+    Const,
+    Instance,
+    Module,
+    Mux,
+    ResetSignal,
+    Signal,
+    Value,
+)
 from amaranth.lib.wiring import In
 
 from ...model.contract.parameters import QUARTERS, Sensor
 from ..logic import any_of
 from ..tree import FrontEnd
 from ..unit import place
-from .circuit import HIT_FS, Circuit, arbiter_rows, delayed, hit_flop, johnson_number, lag_fs, sample
+from .circuit import (
+    HIT_FS,
+    Circuit,
+    arbiter_rows,
+    delayed,
+    hit_flop,
+    johnson_number,
+    lag_fs,
+    sample,
+)
 from .event_tree import EventTree, mark_bits
 from .minigroup import AsyncMinigroup
 from .tdc import line_signature
@@ -22,23 +44,32 @@ from .window_control import AsyncControl
 class AsyncFrontEnd(FrontEnd):
     """Front end of a subgroup.
 
-    Stages count from the SPADs' edges, as in `CoincidenceTree`: a window that closes in cycle c leaves at stage 7.
+    Stages count from the SPADs' edges, as in `CoincidenceTree`: a window that closes in cycle c
+    leaves at stage 7.
 
     Ports
     -----
-    spad : in, pixels, the rising edge is the avalanche; mask : in; gate : in, the gate is open, or gating is off (stage 0)
-    window_ticks, frame, timing : in; closed, window, offsets, blind, record_due, latched, entries : out, as in
-        `CoincidenceTree`
+    spad : in, pixels, the rising edge is the avalanche; mask : in; gate : in, the gate is open, or
+        gating is off (stage 0)
+    window_ticks, frame, timing : in; closed, window, offsets, blind, record_due, latched, entries :
+        out, as in `CoincidenceTree`
     line : the subgroup's TDC sampling line
 
-    Reset clears every flop that an event sets at once, without waiting for the clock, and arms the tree.
+    Reset clears every flop that an event sets at once, without waiting for the clock, and arms the
+    tree.
     """
 
     unit_name = "coincid_async_front"
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
         self.circuit = circuit
-        super().__init__(sensor, line_signature(sensor), spad=In(sensor.pixels), mask=In(sensor.pixels), gate=In(1))
+        super().__init__(
+            sensor,
+            line_signature(sensor),
+            spad=In(sensor.pixels),
+            mask=In(sensor.pixels),
+            gate=In(1),
+        )
         self.control = AsyncControl(sensor, circuit)
         # Formed at the clock; numbers are those of stages.
         self.window_open = Signal()  # a window goes on (stage 3)
@@ -66,7 +97,8 @@ class AsyncFrontEnd(FrontEnd):
         return m
 
     def _hits(self, m, platform, running, reset):
-        """Two banks of hit flops take turns, one cycle each; one is read and cleared while the other listens.
+        """Two banks of hit flops take turns, one cycle each; one is read and cleared while the
+        other listens.
 
         Return the flops and the trees of both.
         """
@@ -83,7 +115,10 @@ class AsyncFrontEnd(FrontEnd):
         for q in range(2):
             listens = Signal(name=f"listens_{q}")
             clear = Signal(name=f"clear_{q}")
-            m.d.comb += [listens.eq((parity == q) & running & self.gate), clear.eq((line.wipe & (parity != q)) | reset)]
+            m.d.comb += [
+                listens.eq((parity == q) & running & self.gate),
+                clear.eq((line.wipe & (parity != q)) | reset),
+            ]
             flops = []
             for i, spad in enumerate(lines):
                 armed = listens & self.mask[i]
@@ -105,7 +140,8 @@ class AsyncFrontEnd(FrontEnd):
         return banks, trees
 
     def _windows(self, m, platform, may_open, hits, trees, reset):
-        """Window banks: the first root opens the window, counted phases end it, and its end samples the hits.
+        """Window banks: the first root opens the window, counted phases end it, and its end samples
+        the hits.
 
         The hits are delayed by as much as the end itself. Return the samples of each bank.
         """
@@ -116,7 +152,10 @@ class AsyncFrontEnd(FrontEnd):
         banks = control.banks
         late = lag_fs(sensor) + self.circuit.clock_fs // QUARTERS - HIT_FS
         parity_late = sample(m, "parity_late", line.mark, parity)
-        later = (Cat(delayed(m, f"shown_{q}_{i}", hit, late) for i, hit in enumerate(hits[q])) for q in (1, 0))
+        later = (
+            Cat(delayed(m, f"shown_{q}_{i}", hit, late) for i, hit in enumerate(hits[q]))
+            for q in (1, 0)
+        )
         shown = Mux(parity_late, *later)
         pictures = []
         from_banks: dict[str, Value] = {}  # to the control
@@ -127,12 +166,19 @@ class AsyncFrontEnd(FrontEnd):
                 armed.eq(getattr(control, f"armed_{b}")),
                 clear.eq((line.wipe & getattr(control, f"clearing_{b}")) | reset),
             ]
-            if banks == 2:  # nothing opens here once it is known that the other bank's window goes on
+            if (
+                banks == 2
+            ):  # nothing opens here once it is known that the other bank's window goes on
                 m.d.comb += armed.eq(
                     getattr(control, f"armed_{b}")
-                    & ((control.current == b).replicate(2) | Cat(~parity & ~line.shut, parity & ~line.shut))
+                    & (
+                        (control.current == b).replicate(2)
+                        | Cat(~parity & ~line.shut, parity & ~line.shut)
+                    )
                 )
-            opened = Cat(hit_flop(m, f"opened_{b}_{q}", trees[q].root, armed[q], clear) for q in range(2))
+            opened = Cat(
+                hit_flop(m, f"opened_{b}_{q}", trees[q].root, armed[q], clear) for q in range(2)
+            )
             start = Signal(name=f"start_{b}")
             ended = Signal(name=f"ended_{b}")
             m.d.comb += start.eq(opened.any())
@@ -158,7 +204,8 @@ class AsyncFrontEnd(FrontEnd):
         return pictures
 
     def _facts(self, m, hits, trees, pictures):
-        """Read the facts about a cycle half a cycle after it, when all its events have settled; return them at stage 3.
+        """Read the facts about a cycle half a cycle after it, when all its events have settled;
+        return them at stage 3.
 
         They are cleared later. Stages 2 and 3 are the synchroniser.
         """
@@ -174,7 +221,10 @@ class AsyncFrontEnd(FrontEnd):
         m.d.comb += read.clk.eq(ClockSignal())
         active = Signal(sensor.pixels, reset_less=True)
         first = Signal(sensor.pixels - 1, reset_less=True)
-        m.d.read += [active.eq(of_before(hits)), first.eq(of_before([tree.later_first for tree in trees]))]
+        m.d.read += [
+            active.eq(of_before(hits)),
+            first.eq(of_before([tree.later_first for tree in trees])),
+        ]
         facts = {
             "active": active,
             "first": first,
@@ -190,7 +240,10 @@ class AsyncFrontEnd(FrontEnd):
             is_strobe = name in ("opening", "closing")
             stage_2 = Signal(len(value), name=f"{name}_2", reset_less=not is_strobe)
             stage_3[name] = Signal(len(value), name=f"{name}_3", reset_less=not is_strobe)
-            m.d.sync += [stage_2.eq(value), stage_3[name].eq(stage_2)]
+            m.d.sync += [
+                stage_2.eq(value),
+                stage_3[name].eq(stage_2),
+            ]
         return stage_3
 
     def _collect(self, m, platform, at, may_open, wrap):
@@ -200,7 +253,10 @@ class AsyncFrontEnd(FrontEnd):
         hit = Signal(sensor.pixels)
         m.d.comb += [
             self.inside.eq(at["opening"] | self.window_open),
-            hit.eq(Mux(at["closing"], at["picture"], at["active"]) & self.inside.replicate(sensor.pixels)),
+            hit.eq(
+                Mux(at["closing"], at["picture"], at["active"])
+                & self.inside.replicate(sensor.pixels)
+            ),
         ]
         m.d.sync += self.window_open.eq(self.inside & ~at["closing"])
 
@@ -262,9 +318,10 @@ class AsyncFrontEnd(FrontEnd):
     def _stamp(self, m, at, opening_4):
         """Return the stamp of the window that opened last (stage 5, at a register's output).
 
-        The phases give the position of the event in its cycle. Near a cycle boundary, the coarse count may be in
-        transition. In this case the copy that changes half a cycle later is used, because it is stable there. The hit
-        flops have already decided on which side of the boundary the event lies.
+        The phases give the position of the event in its cycle. Near a cycle boundary, the coarse
+        count may be in transition. In this case the copy that changes half a cycle later is used,
+        because it is stable there. The hit flops have already decided on which side of the boundary
+        the event lies.
         """
         sensor = self.sensor
         line = self.line
@@ -292,7 +349,11 @@ class AsyncFrontEnd(FrontEnd):
         lags = Signal()  # the copy still shows the previous cycle
         m.d.comb += lags.eq(coarse_b[0] != parity_4)
         with m.If(opening_4):
-            m.d.sync += [phase.eq(phase_4), coarse.eq(coarse_a), base.eq(base_4)]
+            m.d.sync += [
+                phase.eq(phase_4),
+                coarse.eq(coarse_a),
+                base.eq(base_4),
+            ]
             with m.If((quarter == 0) | (quarter == QUARTERS - 1)):
                 m.d.sync += coarse.eq(coarse_b + lags)
             with m.If((quarter == 0) & ~lags):

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Minigroup of the asynchronous view: its part of the ID map, and its record, from the samples of its events."""
+"""Minigroup of the asynchronous view: its part of the ID map, and its record, from the samples of
+its events.
+"""
 
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In
@@ -15,13 +17,16 @@ class AsyncMinigroup(Recorder):
 
     Ports
     -----
-    active : in, pixels with an edge in the cycle; mark : in, sampled by the first of them; parity : in, of the cycle (stage 3)
+    active : in, pixels with an edge in the cycle; mark : in, sampled by the first of them; parity :
+        in, of the cycle (stage 3)
     hit : in, pixels whose edge is inside the window (stage 3)
     opening : in, a window opened in this cycle; winner : in, its winner, one-hot (stage 4)
     elapsed : in, cycles since the window opened (stage 7)
-    hits : out, the window's map (stage 5); offset : out, the coarse offset of the first counted edge (stage 8)
+    hits : out, the window's map (stage 5); offset : out, the coarse offset of the first counted
+        edge (stage 8)
     blind : out, an edge outside a window (stage 4)
-    frame, may_open, wrap : in; latched, entry : out, as in `Minigroup` (stage 3); coarse : in (stage 4)
+    frame, may_open, wrap : in; latched, entry : out, as in `Minigroup` (stage 3); coarse : in
+        (stage 4)
     """
 
     unit_name = "coincid_async_minigroup"
@@ -29,7 +34,12 @@ class AsyncMinigroup(Recorder):
     def __init__(self, sensor: Sensor):
         pixels = sensor.minigroup_pixels
         super().__init__(
-            sensor, active=In(pixels), mark=In(mark_bits(sensor)), parity=In(1), hit=In(pixels), winner=In(pixels)
+            sensor,
+            active=In(pixels),
+            mark=In(mark_bits(sensor)),
+            parity=In(1),
+            hit=In(pixels),
+            winner=In(pixels),
         )
 
     def elaborate(self, platform):
@@ -41,7 +51,11 @@ class AsyncMinigroup(Recorder):
         hit_4 = Signal(pixels, reset_less=True)
         active_4 = Signal(pixels, reset_less=True)
         step_4 = Signal.like(step, reset_less=True)
-        m.d.sync += [hit_4.eq(self.hit), active_4.eq(self.active), step_4.eq(step)]
+        m.d.sync += [
+            hit_4.eq(self.hit),
+            active_4.eq(self.active),
+            step_4.eq(step),
+        ]
         m.d.comb += self.blind.eq((active_4 & ~hit_4).any())
 
         hits = Signal(pixels, reset_less=True)
@@ -58,8 +72,8 @@ class AsyncMinigroup(Recorder):
     def _sampled_step(self, m):
         """Return the step of the cycle in which the first edge came, from its mark.
 
-        The hit flops have already decided to which cycle the edge belongs. A quarter beyond that cycle's boundary is
-        therefore set to the quarter at the boundary.
+        The hit flops have already decided to which cycle the edge belongs. A quarter beyond that
+        cycle's boundary is therefore set to the quarter at the boundary.
         """
         *taps, half = self.mark
         step = Signal(self.sensor.step_bits)

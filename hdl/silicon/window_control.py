@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Window control of the asynchronous view: selects the window bank in force, arms the banks, and classifies each cycle.
+"""Window control of the asynchronous view: selects the window bank in force, arms the banks, and
+classifies each cycle.
 
-Capture first, then validate. The banks open and end with events. What happened in a cycle is read half a cycle after its
-end, when every event has settled. One flop reads each fact, and only those flops decide. So everything that follows is
-consistent, even if an event at a cycle boundary left a flop in either state. Structure and timing are our choice;
-docs/async.md draws them.
+Capture first, then validate. The banks open and end with events. What happened in a cycle is read
+half a cycle after its end, when every event has settled. One flop reads each fact, and only those
+flops decide. So everything that follows is consistent, even if an event at a cycle boundary left a
+flop in either state. Structure and timing are our choice; docs/async.md draws them.
 """
 
 from amaranth.hdl import ClockDomain, ClockSignal, Module, Mux, ResetSignal, Signal
@@ -22,16 +23,18 @@ class AsyncControl(Unit):
     -----
     parity : out, parity of the current cycle, which selects the listening bank of hit flops
     may_open : in, windows may open in the next cycle
-    opened_b : in, bit q = an edge in a cycle of parity q has opened bank b; ended_b : in, the bank's window has ended
+    opened_b : in, bit q = an edge in a cycle of parity q has opened bank b; ended_b : in, the
+        bank's window has ended
     parity_b : in, parity of the cycle in which it ended
     armed_b : out, bit q = an edge in the cycle of parity q may open bank b
     current : out, the bank whose window is in force; it changes in mid-cycle
     clearing_b : out, bank b is cleared in the last quarter of this cycle
-    opening, closing, bank : out, from mid-cycle on: in the cycle before, a window opened or closed in this bank
+    opening, closing, bank : out, from mid-cycle on: in the cycle before, a window opened or closed
+        in this bank
 
-    With two banks, the other bank also listens from the start of every cycle and is cleared at its end. If the window
-    turns out to have closed in the cycle before, the other bank becomes the current one and has missed nothing (R = 0).
-    With one bank, the clear waits for a synchroniser.
+    With two banks, the other bank also listens from the start of every cycle and is cleared at its
+    end. If the window turns out to have closed in the cycle before, the other bank becomes the
+    current one and has missed nothing (R = 0). With one bank, the clear waits for a synchroniser.
     Reset makes bank 0 the current one, without a window.
     """
 
@@ -39,7 +42,13 @@ class AsyncControl(Unit):
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
         self.sensor, self.banks = sensor, circuit.banks_of(sensor)
-        per_bank = {"opened": In(2), "ended": In(1), "parity": In(1), "armed": Out(2), "clearing": Out(1)}
+        per_bank = {
+            "opened": In(2),
+            "ended": In(1),
+            "parity": In(1),
+            "armed": Out(2),
+            "clearing": Out(1),
+        }
         super().__init__(
             parity=Out(1),
             may_open=In(1),
@@ -47,7 +56,11 @@ class AsyncControl(Unit):
             opening=Out(1),
             closing=Out(1),
             bank=Out(1),
-            **{f"{name}_{b}": member for b in range(self.banks) for name, member in per_bank.items()},
+            **{
+                f"{name}_{b}": member
+                for b in range(self.banks)
+                for name, member in per_bank.items()
+            },
         )
         # The window in force, in mid-cycle.
         self.opens = Signal()  # it opened in the cycle before
@@ -73,9 +86,13 @@ class AsyncControl(Unit):
         before = Signal()
         m.d.comb += [
             before.eq(~self.parity),
-            self.opens.eq(Mux(before, *reversed(self.of_current("opened"))) & ~self.window_open & ~self.read),
+            self.opens.eq(
+                Mux(before, *reversed(self.of_current("opened"))) & ~self.window_open & ~self.read
+            ),
             self.closes.eq(
-                (self.opens | self.window_open) & self.of_current("ended") & (self.of_current("parity") == before)
+                (self.opens | self.window_open)
+                & self.of_current("ended")
+                & (self.of_current("parity") == before)
             ),
         ]
         m.d.fall += [
@@ -96,11 +113,15 @@ class AsyncControl(Unit):
         else:
             first = Signal()  # the synchroniser in front of the clear
             second = Signal()
-            m.d.sync += [first.eq(self.closing), second.eq(first)]
+            m.d.sync += [
+                first.eq(self.closing),
+                second.eq(first),
+            ]
             m.d.fall += self.read.eq((self.read | self.closes) & ~second)
             m.d.comb += self.clearing_0.eq(second)
 
-        # Armed from the start of a cycle; the level stays until the last event of the cycle has passed.
+        # Armed from the start of a cycle; the level stays until the last event of the cycle has
+        # passed.
         for b in range(self.banks):
             now = (self.current == b) & (self.hold == 0) if rearm else 1
             for q in range(2):
