@@ -111,6 +111,7 @@ class AsyncControl(Unit):
                 self.read.eq(0),  # nothing waits for a clear
             ]
         else:
+            m.d.comb += self.current.eq(0)  # there is no other bank
             first = Signal()  # the synchroniser in front of the clear
             second = Signal()
             m.d.sync += [

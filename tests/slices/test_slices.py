@@ -6,13 +6,14 @@ import random
 
 import numpy as np
 import pytest
-from amaranth.back import verilog
+from amaranth.back import rtlil
 from amaranth.hdl import Elaboratable, Module, Signal, Value
 from amaranth.lib.crc.catalog import CRC16_CCITT
 from amaranth.lib.fifo import SyncFIFO, SyncFIFOBuffered
 from amaranth.sim import Simulator
 from pywellen import Waveform
 
+from coincid.hdl.to_verilog import to_verilog
 from coincid.slices.emit import Sparse
 from coincid.slices.library import LANES, PROCESSOR
 from coincid.slices.netlist import NetlistError
@@ -124,7 +125,8 @@ def sliced(name: str) -> Design:
         return Design(name, {"rows.v": ROWS}, name, ["row"], [Sparse("row", "lit", 4)])
     design = make()
     ports = {port: (value, None) for port, value in signals(design, inputs + outputs).items()}
-    return Design(name, {f"{name}.v": verilog.convert(design, name=name, ports=ports)}, name)
+    text = to_verilog(rtlil.convert(design, name=name, ports=ports))
+    return Design(name, {f"{name}.v": text}, name)
 
 
 def stimulus(name: str, lanes: int, seed: int) -> list[dict[str, list[int]]]:
