@@ -190,7 +190,7 @@ def fit_planes(field: Field, blocks: Blocks) -> Planes:
     return planes
 
 
-def widened(down: Numbers, right: Numbers, sigma_ticks: float) -> np.ndarray:
+def widened(down: Numbers, right: Numbers, sigma_ticks: float) -> Numbers:
     """Return the variance of the pulse from a plane over that of the laser's; slopes may be arrays."""
     return 1 + (down**2 + right**2) * (BOX / sigma_ticks) ** 2
 

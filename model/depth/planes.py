@@ -104,7 +104,7 @@ def find_surfaces(
     field = Field.of([levels.level], [first], sigma_ticks, blocks)
     planes = fit_planes(field, blocks)
     slanted = widened(planes.down, planes.right, sigma_ticks) > 4**SLANTED
-    if slanted.mean() > SLANTED_SHARE:
+    if np.mean(slanted) > SLANTED_SHARE:
         wide = _in_perspective(levels.level, middle, again, sigma_ticks, blocks)
         in_space = fit_planes(wide, blocks)
         if np.mean(level_on(wide, in_space) - level_on(field, planes)) > SPREAD_GAIN:

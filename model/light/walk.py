@@ -142,7 +142,7 @@ class _At(NamedTuple):
 
     key: np.uint64  # of its random numbers
     pixel: int
-    index: int  # number of the pulse in the span
+    number: int  # of the pulse in the span
 
 
 @njit(allocates=False, error_model="numpy")
@@ -404,7 +404,7 @@ def _edge(at, fired, t, done, physics, taps, made):
         time = _modulo(_with_jitter(at.key, fired, t, physics), physics.period_ticks)
         tick = _tick(time, physics, taps)
         packing = made.packing
-        made.keys[done] = (((at.index << packing.tick_bits) + tick) << packing.pixel_bits) + at.pixel
+        made.keys[done] = (((at.number << packing.tick_bits) + tick) << packing.pixel_bits) + at.pixel
     return done + 1
 
 
@@ -416,7 +416,7 @@ def _send(at, fired, t, done, physics, made):
         neighbour = _neighbour(at.pixel, side, physics.rows, physics.cols)
         if neighbour >= 0 and uniform(key, CROSSTALK, 4 * fired + side) < physics.crosstalk:
             if done < made.keys.size:
-                made.keys[done] = (neighbour << _PIXEL_LSB) + at.index
+                made.keys[done] = (neighbour << _PIXEL_LSB) + at.number
                 made.times[done] = t
             done += 1
     return done
