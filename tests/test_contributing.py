@@ -108,6 +108,7 @@ def test_a_setting_is_one_entry(extended):
     extended("-c", SETTING)
 
 
+@pytest.mark.long
 def test_a_format_is_one_entry(extended):
     extended("-c", FORMAT)
     extended("-m", "coincid", "formal", "readout", "packetizer")

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+SLOWEST = "plot_10_verilog_area_timing"
 DRAWN = """
 if __name__ == "__main__":
     import matplotlib.pyplot
@@ -18,12 +19,19 @@ if __name__ == "__main__":
 """  # processes started by an example import it, too
 
 
+def examples():
+    """Return the programs; the one that synthesizes takes long."""
+    for path in sorted(EXAMPLES.glob("plot_*.py")):
+        marks = [pytest.mark.long] if path.stem == SLOWEST else []
+        yield pytest.param(path, id=path.stem, marks=marks)
+
+
 def test_every_example_is_listed():
     listed = re.findall(r"\]\((\w+\.py)\)", (EXAMPLES / "README.md").read_text(encoding="utf-8"))
     assert sorted(listed) == sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
-@pytest.mark.parametrize("example", sorted(EXAMPLES.glob("plot_*.py")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("example", list(examples()))
 def test_example_runs(example, tmp_path):
     more = {"MPLBACKEND": "agg", "TMPDIR": str(tmp_path), "PYTHONWARNINGS": "ignore:FigureCanvasAgg"}
     script = tmp_path / example.name

@@ -86,6 +86,7 @@ def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
     assert any("no_such_pin" in line for line in complaints)
 
 
+@pytest.mark.long
 def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path):
     def placed(board, netlist, seed):
         folder = tmp_path / str(seed)

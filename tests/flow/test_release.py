@@ -135,7 +135,7 @@ def test_no_command_of_the_readme_is_forgotten(smallest):
     assert all(command.startswith(COMMANDS) for command in commands)
 
 
-@pytest.mark.parametrize("program", COMMANDS)
+@pytest.mark.parametrize("program", (*COMMANDS[:-1], pytest.param(COMMANDS[-1], marks=pytest.mark.long)))
 def test_commands_of_the_readme(smallest, tmp_path, program):
     """As they stand there, in a clean folder, each for every top."""
     folder = shutil.copytree(smallest, tmp_path / "rtl")

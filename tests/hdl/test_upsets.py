@@ -8,6 +8,7 @@ from coincid.tb.rtl import rtl
 from ..upsets import Campaign, cases, registers_of
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", cases())
 def test_one_upset_heals_itself(name):
     with Campaign(cases()[name]) as campaign:

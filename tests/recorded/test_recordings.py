@@ -284,6 +284,7 @@ def test_channel_maps(tmp_path):
             edges_of(tmp_path / "a.csv", channels=channels)
 
 
+@pytest.mark.long
 def test_recording_replays_alike_through_model_and_rtl(tmp_path):
     """From a scene's photons to a recording and back to edges, on the command line."""
     sensor = "".join(f"{key} = {value}\n" for key, value in SENSORS["tiny"].items())

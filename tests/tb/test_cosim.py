@@ -26,7 +26,12 @@ SAMPLES = {
     "icarus": ["one", "tiny", "narrow"],
     "verilator": ["default"],
 }
-BUILDS = [(sensor, engine) for engine, sensors in SAMPLES.items() for sensor in sensors]
+LONG = {("narrow", "sliced"), ("coarse", "sliced")}  # compiled for nothing else
+BUILDS = [
+    pytest.param(sensor, engine, marks=[pytest.mark.long] if (sensor, engine) in LONG else [])
+    for engine, sensors in SAMPLES.items()
+    for sensor in sensors
+]
 FRAMES = {"sliced": 40, "icarus": 12, "verilator": 12}
 
 
