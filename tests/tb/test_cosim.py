@@ -26,7 +26,7 @@ SAMPLES = {
     "icarus": ["one", "tiny", "narrow"],
     "verilator": ["default"],
 }
-LONG = {("narrow", "sliced"), ("coarse", "sliced")}  # compiled for nothing else
+LONG = {("narrow", "sliced"), ("coarse", "sliced"), ("wide", "sliced")}  # compiled for little else
 BUILDS = [
     pytest.param(sensor, engine, marks=[pytest.mark.long] if (sensor, engine) in LONG else [])
     for engine, sensors in SAMPLES.items()
