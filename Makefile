@@ -88,7 +88,7 @@ gls: ## [numbers of pages] gate-level simulation: netlists of gates and standard
 
 power: ## [numbers of pages] mW of a subgroup and its blocks against the light, from frames on its netlist, into docs/power.md
 	@scripts/setup icarus cells
-	@$(BIN)/coincid power
+	@$(BIN)/python -m docs.studies.power_against_light
 
 layout: ## [numbers of pages] a minigroup placed, routed, checked, timed and simulated with its wires, into docs/layout.md
 	@scripts/setup icarus cells layout
@@ -104,7 +104,8 @@ emulator: ## [numbers of pages] the emulator for an ULX3S: Verilog and bitstream
 
 cost: ## [numbers of pages] area, bits and rates against the paper's parameters, into docs/images/cost.png and .csv
 	@scripts/setup cells
-	@$(BIN)/coincid cost
+	@$(BIN)/python -m docs.studies.cost
+	@$(BIN)/python -m docs.studies.choices
 
 lint: ## style, types, and the Verilog under Verilator's lint
 	@scripts/setup lint
@@ -119,15 +120,15 @@ docs: ## the documentation as a site: build/docs/index.html
 
 figures: ## [numbers of pages] the documentation's figures
 	@scripts/setup rtl explore
-	@$(BIN)/coincid figures
+	@$(BIN)/python -m docs.studies.figures figures
 
 compare: ## [numbers of pages] this sensor and other schemes on the same photons, into build/compare/
 	@scripts/setup rtl
-	@$(BIN)/coincid compare
+	@$(BIN)/python -m docs.studies.figures compare
 
 modes: ## [numbers of pages] coincidence and gating, a target behind glass, 100 m: curves into build/modes/
 	@scripts/setup rtl
-	@$(BIN)/coincid modes --rtl
+	@$(BIN)/python -m docs.studies.figures modes --rtl
 
 pages: ## tables and pictures of the pages (NAMES="depth controller", ONLY=stale; STALE=1 lists what is older than the code)
 	@scripts/setup flow icarus cells

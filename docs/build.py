@@ -14,7 +14,8 @@ from sphinx.cmd.build import build_main
 ROOT = Path(__file__).parents[1]
 SOURCE, SITE, DOCTREES = (ROOT / "build" / name for name in ("docs-source", "docs", "docs-doctrees"))
 TOP = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "NOTICE")
-PAGES = {".md", ".toml", ".svg", ".png", ".csv"}  # of docs/
+PAGES = {".md", ".toml", ".svg", ".png", ".csv"}  # of docs/, without
+STUDIES = ROOT / "docs" / "studies"  # the programs that make pages
 MODULES = {  # page: title, modules
     "model.contract": (
         "Contract: configuration, registers, words, files",
@@ -54,7 +55,9 @@ FORWARD = """<!doctype html>
 def pages() -> dict[str, bytes]:
     """Return the content of each source of the site, by its path."""
     files = [ROOT / name for name in TOP]
-    files += [path for path in (ROOT / "docs").rglob("*") if path.suffix in PAGES]
+    for path in (ROOT / "docs").rglob("*"):
+        if path.suffix in PAGES and STUDIES not in path.parents:
+            files.append(path)
     files += [*(ROOT / "examples").glob("*.py"), ROOT / "examples" / "README.md"]
     made = {str(path.relative_to(ROOT)): path.read_bytes() for path in files}
     # The gallery's programs lie in a folder of their own, whose header is not the README of the examples.

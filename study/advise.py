@@ -7,7 +7,6 @@ the fewest bits on this link.
 """
 
 import os
-import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,7 @@ from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config, toml_text
 from ..model.contract.packet import BEAT_BITS
 from ..model.shared.files import whole_file, write_csv
-from ..model.shared.markdown import COLUMNS
 from ..model.shared.quantities import check_real
-from ..tools.pages import put
 from .palette import ALARM, GREY, SERIES
 from .plot_style import new_figure, save_figure, style
 from .price import um2_per_pixel, uw_per_pixel
@@ -217,10 +214,3 @@ def _draw(path: Path, advice: Advice, heading: str) -> None:
         axis.set_title(f"{heading}: thresholds (numbers) and windows, a link of 8 Gbit/s", loc="left")
         axis.legend()
         save_figure(figure, path)
-
-
-def write_example() -> None:
-    """Write the answer for the five objects into docs/advise.md."""
-    klux = 50.0
-    sentence = advise(Setup.of("five-objects", klux=klux), klux=klux).sentence
-    put("docs/advise.md", "answer", textwrap.fill(sentence, COLUMNS, initial_indent="> ", subsequent_indent="> "))

@@ -27,7 +27,6 @@ from ..model.depth.methods import DEFAULT_METHOD
 from ..model.golden.frame import Golden, Trace
 from ..model.shared import markdown
 from ..model.shared.files import whole_file
-from ..model.shared.folders import build_root
 from ..model.shared.interrupts import worker_processes
 from ..tb import pysim
 from ..tb.engines import SIMULATORS
@@ -35,7 +34,6 @@ from ..tb.frame_record import FrameJob, Recorded
 from ..tb.play import build_sensor, play
 from ..tb.scoreboard import check
 from ..tb.sliced import SlicedSensor, build_library, play_side_by_side
-from ..tools.pages import put
 
 SCENE, KLUX, SEED = "five-objects", 50.0, 1
 REPEATS = 5
@@ -152,11 +150,6 @@ def benchmark(
     with whole_file(out.with_suffix(".md"), "w") as file:
         file.write(table(result))
     return result
-
-
-def make() -> None:
-    """Measure three rounds, and write the table into its page."""
-    put("docs/performance.md", "bench", table(benchmark(build_root() / "bench.json", repeats=3)))
 
 
 def table(result: dict[str, int | float | str]) -> str:

@@ -60,7 +60,7 @@ TOLD = re.compile(
     (?<=run:\ )[^()\n]*[^()\n ,;]
     | \bmake\ ({"|".join(sorted(TARGETS))})\b(\ [A-Z_]+=[^\s)]+)*
     | \bcoincid\ ({"|".join(sorted(COMMANDS))})\b(\ --[\w-]+(=\S+)?)*
-    | \bpython\ -m\ (coincid|tests)(\.\w+)*
+    | \bpython\ -m\ (coincid|docs|tests)(\.\w+)*
     | \bscripts/setup(\ ({"|".join(NEEDS)})\b)+
     | \bpip\ install\ '[^']*'
     """,
@@ -135,10 +135,11 @@ def _strings(tree: ast.Module) -> Iterator[tuple[bool, str]]:
 
 
 def sources() -> Iterator[Path]:
-    """Yield the Python files of the rooms, the examples, and the programs and helpers of the tests."""
+    """Yield the Python files of the rooms, the examples, and the programs and helpers of the pages and tests."""
     for room in (*ROOMS, "examples"):
         for path in sorted((ROOT / room).rglob("*.py")):
             yield path
+    yield from sorted((ROOT / "docs" / "studies").rglob("*.py"))
     yield ROOT / "docs" / "build.py"
     for path in sorted((ROOT / "tests").glob("*.py")):
         if not path.name.startswith("test_") and path != Path(__file__):

@@ -20,7 +20,7 @@ from attrs import frozen
 from coincid.tb.toolchain import build_root
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("model", "tools", "host", "hdl", "slices", "tb", "formal", "flow", "lab", "study")
+PACKAGES = ("model", "tools", "host", "hdl", "slices", "tb", "formal", "flow", "lab", "study", "docs/studies")
 
 
 @frozen
@@ -46,8 +46,10 @@ BUGS = _bugs()
 def copy_of_sources(folder: Path) -> dict[str, str]:
     """Copy packages and tests, and return the environment in which Python finds them before the installed ones."""
     for name in ("src", "tests", *PACKAGES):
-        shutil.copytree(ROOT / name, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "pyproject.toml", folder)
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / name, folder / name, symlinks=True, ignore=ignored, dirs_exist_ok=True)
+    for name in ("pyproject.toml", "docs/__init__.py"):
+        shutil.copy(ROOT / name, folder / name)
     search = os.pathsep.join([str(folder / "src"), str(folder)])
     return os.environ | {"PYTHONPATH": search, "COINCID_BUILD": str(folder / "build")}
 

@@ -32,6 +32,7 @@ ENTRIES = ("test", "called", "ci", "pages", "by_hand")
 DO = "add it to tests/commands.toml, best as a step of a session, which tests/test_documented.py plays"
 CI = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 PROGRAMS_OF_PAGES = ROOT / "docs" / "pages.toml"
+OURS = ("coincid", "docs")  # packages
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +155,7 @@ def test_commands_are_found():
         ("coincid sweep SPEC.toml", "coincid sweep a.toml", False),
         ("make sim", "make sim WAVES=1", False),
         ("python -m tests.soak [--frames N]", "python -m tests.soak --frames 3", True),
-        ("python -m coincid.study.NAME", "python -m coincid.study.returns", True),
+        ("python -m docs.studies.NAME", "python -m docs.studies.returns", True),
         ("python -m coincid.tb.stress EDGES [SEED]", "python -m coincid.tb.stress 100", True),
         ("python -m coincid.tb.stress EDGES [SEED]", "python -m coincid.tb.stress", False),
         ("pip install 'coincid[{}]'", "pip install 'coincid[rtl]'", True),
@@ -167,8 +168,9 @@ def test_a_command_is_played_by_what_it_means(named, line, fits):
 
 def source_of(module):
     """Return the file of a module of this project, or None."""
-    _, *parts = module.split(".")
-    for folder in (ROOT, ROOT / "src" / "coincid"):
+    package, *parts = module.split(".")
+    folders = (ROOT / "docs",) if package == "docs" else (ROOT, ROOT / "src" / "coincid")
+    for folder in folders:
         path = folder.joinpath(*parts)
         for file in (path.with_suffix(".py"), path / "__init__.py"):
             if parts and file.exists():
@@ -179,7 +181,9 @@ def source_of(module):
 def package_of(path):
     """Return the package of a file, as the parts of its name."""
     parts = path.relative_to(ROOT).parts[:-1]
-    return ("coincid", *parts) if parts[0] != "src" else parts[1:]
+    if parts[0] == "src":
+        return parts[1:]
+    return parts if parts[0] == "docs" else ("coincid", *parts)
 
 
 def imported(nodes, path):
@@ -194,7 +198,7 @@ def imported(nodes, path):
         if node.level:
             base = ".".join([*package[: len(package) - node.level + 1], *filter(None, [base])])
         yield base
-        if base.startswith("coincid"):
+        if base.startswith(OURS):
             yield from (f"{base}.{alias.name}" for alias in node.names)
 
 
@@ -225,7 +229,7 @@ def others_behind(modules):
         if name in done:
             continue
         done.add(name)
-        if not name.startswith("coincid"):
+        if not name.startswith(OURS):
             others.add(name.partition(".")[0])
         elif path := source_of(name):
             todo += imported(ast.parse(path.read_text(encoding="utf-8")).body, path)

@@ -15,9 +15,9 @@ from typer.main import get_command
 from coincid.cli import app
 from coincid.model.contract import latency
 from coincid.model.contract.packet import FORMATS, HEADER, header_field
-from coincid.study.drawings import waveform as picture
 from coincid.study.sweep import sweep
 from coincid.study.sweep_spec import read_spec
+from docs.studies.drawings import waveform as picture
 
 from .command import command
 from .commands import BLOCK

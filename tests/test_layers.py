@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from coincid.model.shared.sources import room_files
+from coincid.model.shared.sources import package_files
 
+STUDIES = "docs.studies"  # the one room outside the package `coincid`
 NOT_ROOMS = ("tests", "examples", "docs")  # nothing imports from these
 NEVER = {  # room: packages that it must not even load
     "hdl": ("numba", "scipy", "matplotlib", "cocotb", "coincid.model.golden"),
@@ -33,43 +34,55 @@ def rooms() -> dict[str, list[str]]:
     return {room.replace("/", "."): [name.replace("/", ".") for name in named] for room, named in found.items()}
 
 
-def module_name(path: Path, room: str) -> str:
-    """Return the dotted name of a file of `room`."""
-    inside = path.with_suffix("").parts[-1 - path.parts[::-1].index(room.split(".")[-1]) :][1:]
-    return ".".join(["coincid", room, *(part for part in inside if part != "__init__")])
+def package_of(room: str) -> str:
+    """Return the package that a room is."""
+    return room if room == STUDIES else f"coincid.{room}"
+
+
+def module_name(path: Path, package: str) -> str:
+    """Return the dotted name of a file of a package."""
+    inside = path.with_suffix("").parts[-1 - path.parts[::-1].index(package.split(".")[-1]) :][1:]
+    return ".".join([package, *(part for part in inside if part != "__init__")])
+
+
+@cache
+def files() -> dict[str, Path]:
+    """Return module -> file, for all rooms."""
+    top = dict.fromkeys(room if room == STUDIES else room.partition(".")[0] for room in rooms())
+    found = {}
+    for package in map(package_of, top):
+        for path in package_files(package):
+            if path.suffix == ".py":
+                found[module_name(path, package)] = path
+    return found
 
 
 @cache
 def imports() -> dict[str, set[str]]:
     """Return module -> modules of the project that it imports, for all rooms."""
-    files = {
-        module_name(path, room): path
-        for room in dict.fromkeys(room.partition(".")[0] for room in rooms())
-        for path in room_files(room)
-        if path.suffix == ".py"
-    }
     found: dict[str, set[str]] = {}
-    for name, path in files.items():
+    for name, path in files().items():
         package, found[name] = name if path.stem == "__init__" else name.rpartition(".")[0], set()
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom):
                 base = resolve_name("." * node.level + (node.module or ""), package)
                 inner = {alias.name: f"{base}.{alias.name}" for alias in node.names}
-                found[name] |= {inner[alias] if inner[alias] in files else base for alias in inner}
+                found[name] |= {inner[alias] if inner[alias] in files() else base for alias in inner}
             elif isinstance(node, ast.Import):
                 found[name] |= {alias.name for alias in node.names}
-        found[name] = (found[name] & files.keys()) - {name}
+        found[name] = (found[name] & files().keys()) - {name}
     return found
 
 
 def inside(module: str, room: str) -> bool:
-    return module == f"coincid.{room}" or module.startswith(f"coincid.{room}.")
+    package = package_of(room)
+    return module == package or module.startswith(f"{package}.")
 
 
 @pytest.mark.parametrize("room", rooms())
 def test_rooms_import_only_what_readme_names(room):
     allowed, above = (room, *rooms()[room]), list(rooms())[: list(rooms()).index(room)]
-    assert all(any(inside(f"coincid.{one}", other) for one in above) for other in rooms()[room])
+    assert all(any(inside(package_of(one), other) for one in above) for other in rooms()[room])
     members = {module: targets for module, targets in imports().items() if inside(module, room)}
     assert len(members) > 1
     for module, targets in members.items():

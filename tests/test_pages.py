@@ -143,7 +143,7 @@ def test_comments_and_docstrings_make_nothing_stale(copied):
 
 def test_data_files_and_versions_count(copied):
     assert changed_to(copied, "tb/async_stress.v", "module", "module /* */") <= {"docs/async.md"}
-    assert changed_to(copied, "study/power_page.md", "Power", "power") == {"docs/power.md", "docs/silicon.md"}
+    assert changed_to(copied, "docs/studies/power_page.md", "Power", "power") == {"docs/power.md", "docs/silicon.md"}
     assert "docs/raytrace.md" in changed_to(copied, "requirements-raytrace.lock", "mitsuba==", "mitsuba==1")
     assert changed_to(copied, "requirements-layout.lock", "klayout==", "klayout==1") == {
         "docs/layout.md",

@@ -52,6 +52,7 @@ def test_every_file_of_the_rooms_is_in_the_wheel(wheel):
     files = [path for room in ROOMS for path in (ROOT / room).rglob("*") if path.is_file()]
     inside = {f"coincid/{path.relative_to(ROOT)}" for path in files if "__pycache__" not in path.parts}
     assert len(inside) > 150 and inside <= set(names), inside - set(names)
+    assert {name.partition("/")[0] for name in names if ".dist-info/" not in name} == {"coincid"}
     for part in ("licenses/LICENSE", "licenses/NOTICE", "entry_points.txt"):
         assert any(name.endswith(f".dist-info/{part}") for name in names), part
 
@@ -80,7 +81,7 @@ def test_a_script_beside_the_clone_finds_the_package(tmp_path):
     )
     done = subprocess.run([python, "script.py"], cwd=tmp_path, capture_output=True, text=True, encoding="utf-8")
     assert done.stdout.startswith(str(clone / "src" / "coincid" / "__init__.py")), done.stdout + done.stderr
-    for room in (*ROOMS, "tests"):
+    for room in (*ROOMS, "docs", "tests"):
         alone = subprocess.run(
             [python, "-c", f"import {room}"], cwd=tmp_path, capture_output=True, text=True, encoding="utf-8"
         )

@@ -8,6 +8,8 @@ takes a fraction of a second, and no machine and no installed package changes th
 A module names a data file of its room by a string that is the file's name, the name of the folder in which it lies, or the
 suffix with which it differs from the module's own name. It names a module or a package by a string, too, if the string is
 `coincid.ROOM.NAME`, the file name of a module beside it, or the package's name in a lock file.
+
+The modules are those of the package `coincid`, and the programs that only make pages, `docs.studies.NAME`.
 """
 
 import ast
@@ -25,10 +27,11 @@ from attrs import frozen
 
 from ..model.shared.errors import InputError
 from ..model.shared.files import whole_file
-from ..model.shared.sources import IGNORED, digest
+from ..model.shared.sources import IGNORED, PROJECT, digest
 
-PROJECT = "coincid"
 PACKAGE = Path("src") / PROJECT  # its rooms are links to folders of the checkout
+PAGES = "docs"  # the package of the programs that only make pages, which no installation has
+STUDIES = Path(PAGES) / "studies"
 LOCKS = "requirements*.lock"
 DISTRIBUTIONS = {  # packages by the name that is imported, if it differs from the name in the lock file
     "PIL": "pillow",
@@ -78,14 +81,22 @@ class Sources:
     @cached_property
     def modules(self) -> dict[str, Path]:
         """Return name -> path of all modules of the project."""
-        found = {PROJECT: self.root / PACKAGE / "__init__.py"}
+        found = {PROJECT: self.root / PACKAGE / "__init__.py", PAGES: self.root / PAGES / "__init__.py"}
         for path in (self.root / PACKAGE).glob("[!_]*.py"):
             found[f"{PROJECT}.{path.stem}"] = path
         for folder in self._rooms:
             for path in sorted(folder.rglob("*.py")):
-                parts = [PROJECT, *path.relative_to(self.root).with_suffix("").parts]
-                found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+                found[self._name(path)] = path
         return found
+
+    def _name(self, path: Path) -> str:
+        """Return the name of the module in a file of a room."""
+        parts = [*path.relative_to(self.root).with_suffix("").parts]
+        if parts[0] != PAGES:
+            parts.insert(0, PROJECT)
+        if parts[-1] == "__init__":
+            parts.pop()
+        return ".".join(parts)
 
     @cached_property
     def data(self) -> dict[str, list[Path]]:
@@ -112,11 +123,12 @@ class Sources:
 
     @property
     def _rooms(self) -> list[Path]:
-        return sorted(
-            self.root / path.name
-            for path in (self.root / PACKAGE).iterdir()
-            if path.is_dir() and path.name not in IGNORED
-        )
+        """Return the folders of all modules, except for the package's own."""
+        found = [self.root / STUDIES]
+        for path in (self.root / PACKAGE).iterdir():
+            if path.is_dir() and path.name not in IGNORED:
+                found.append(self.root / path.name)
+        return sorted(found)
 
     def facts(self, module: str) -> Facts:
         """Return what a module says."""
@@ -184,14 +196,14 @@ class Sources:
         imports = set()
         packages = set()
         for base, name in named:
-            if base.split(".")[0] != PROJECT:
+            if base.split(".")[0] not in (PROJECT, PAGES):
                 packages.add(base.split(".")[0])
             elif f"{base}.{name}" in self.modules:
                 imports.add(f"{base}.{name}")
             else:
                 imports.add(base)
         texts = frozenset(_texts(tree))
-        imports |= texts & self.modules.keys() - {PROJECT}
+        imports |= texts & self.modules.keys() - {PROJECT, PAGES}
         beside = {f"{package}.{text.removesuffix('.py')}" for text in texts if text.endswith(".py")}
         imports |= beside & self.modules.keys()
         return Facts(frozenset(imports), frozenset(packages), texts, digest(_code(text, tree)))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What programs write into the pages: regions between markers that name the command and carry a stamp.
 
-    <!-- begin surfaces: python -m coincid.study.surfaces; stamp 0123456789ab -->
+    <!-- begin surfaces: python -m docs.studies.surfaces; stamp 0123456789ab -->
     what the command makes
     <!-- end surfaces -->
 

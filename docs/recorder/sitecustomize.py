@@ -9,8 +9,8 @@ import os
 import sys
 
 ROOT = os.path.realpath(os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", ".."))
-# Functions that read whole rooms to name a build; they do not use the contents.
-DIGESTS = {"sources_digest", "_code_digest"}
+# Functions that read whole packages to name a build; they do not use the contents.
+DIGESTS = {"packages_digest"}
 SKIPPED = ("build", ".venv", ".git")
 
 

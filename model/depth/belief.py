@@ -32,7 +32,7 @@ EDGE_SIGMAS = 2.0  # from the gate's edge to a surface that the gate may have cu
 SURE_MIN = 2e-3
 NOISE_M, MIXED_MIN = 0.004, 0.003  # added before logarithms
 OFF_MAX_M, SLOPE_MAX_M = 1.0, 0.5  # from the neighbours, and from subgroup to subgroup: what is more is no slant
-LAW = {  # method: weights of `features` and a constant, set by `python -m coincid.study.confidence`
+LAW = {  # method: weights of `features` and a constant, set by `python -m docs.studies.confidence`
     "maximum": (0.142, 0.301, -2.4, -0.229, 0.00601, 0.0606, -0.587, 0.214, -0.537, -3.83),
     "matched": (0.271, 0.112, -0.294, -0.302, 0.0318, -0.0309, -0.415, 0.0348, -0.688, -5.27),
     "background": (0.228, 0.215, 0.453, -0.307, 0.0528, -0.109, -0.321, -0.0449, -0.65, -5.1),

@@ -2,8 +2,8 @@
 """Numba for this project's kernels: compiled code is kept on disk until one of its possible sources changes.
 
 Numba only checks the file of the compiled function itself, but a kernel includes functions and constants from other
-files. The kernel's room, the contract and this room hold everything that it may use, so the folder of its compiled code
-is named by their digest.
+files. The kernel's package, the contract and this room hold everything that it may use, so the folder of its compiled
+code is named by their digest.
 
 Kernels consist of `part`s, which are compiled into them and never called from Python. So what takes time for each
 compiled function is left out: a wrapper for calls from Python, a file on disk, and one version for each constant that
@@ -21,11 +21,11 @@ from numba.core.registry import CPUDispatcher
 
 from .errors import InputError
 from .folders import build_root
-from .sources import sources_digest
+from .sources import packages_digest
 
 _NUMBA: Any = numba.config  # it reads its settings at import, so type checkers do not know them
 _without_value: Any = types.unliteral  # the type of a constant, without the constant
-_SHARED_BY_ALL = ("model.contract", "model.shared")
+_SHARED_BY_ALL = ("coincid.model.contract", "coincid.model.shared")
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 
 
@@ -62,7 +62,7 @@ def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, 
     if _NUMBA.DISABLE_JIT:
         return function
     kernel = _dispatcher(_Compiled, function, allocates, options)
-    folder = _folder(_room(function.__module__))
+    folder = _folder(_package(function.__module__))
     if folder is None:
         return kernel
     others = _NUMBA.CACHE_DIR  # cache folder of other packages
@@ -106,20 +106,20 @@ def _dispatcher(
 
 
 def is_compiled(module: str) -> bool:
-    """Return whether some process has kept compiled code of the present sources of a module's room."""
-    folder = _folder(_room(module))
+    """Return whether some process has kept compiled code of the present sources of a module's package."""
+    folder = _folder(_package(module))
     return folder is None or any(folder.rglob("*.nbi"))
 
 
-def _room(module: str) -> str:
-    """Return the package below `coincid` that holds `module`."""
-    return module.rpartition(".")[0].partition(".")[2]
+def _package(module: str) -> str:
+    """Return the package that holds `module`."""
+    return module.rpartition(".")[0]
 
 
 @cache
-def _folder(room: str) -> Path | None:
-    """Return the folder for a room's compiled code, or None if it cannot be written: then every process compiles anew."""
+def _folder(package: str) -> Path | None:
+    """Return the folder for a package's compiled code, or None if it cannot be written: then every process compiles anew."""
     try:
-        return build_root() / "numba" / sources_digest(*sorted({room, *_SHARED_BY_ALL}))
+        return build_root() / "numba" / packages_digest(*sorted({package, *_SHARED_BY_ALL}))
     except InputError:
         return None

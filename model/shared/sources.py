@@ -6,10 +6,12 @@ digest in their names. Files are found by walking the rooms, so a moved or new f
 """
 
 import hashlib
+from collections.abc import Iterable
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
+PROJECT = "coincid"
 IGNORED = {"__pycache__"}
 
 
@@ -22,18 +24,35 @@ def digest(*parts: str | bytes) -> str:
     return total.hexdigest()[:12]
 
 
-def room_files(*rooms: str) -> list[Path]:
-    """Return all files of the packages `rooms` below `coincid` ("hdl", "model.contract") and of their packages; sorted."""
+def package_files(*packages: str) -> list[Path]:
+    """Return all files of packages ("coincid.hdl", "coincid.model.contract") and of the packages in them; sorted."""
     files = set()
-    for room in rooms:
-        spec = find_spec(f"coincid.{room}")
-        assert spec is not None and spec.submodule_search_locations, room
+    for package in packages:
+        spec = find_spec(package)
+        assert spec is not None and spec.submodule_search_locations, package
         folder = Path(next(iter(spec.submodule_search_locations)))
         files |= {path for path in folder.rglob("*") if path.is_file() and not IGNORED & set(path.parts)}
     return sorted(files)
 
 
+def room_files(*rooms: str) -> list[Path]:
+    """Return all files of rooms ("hdl", "model.contract"); sorted."""
+    return package_files(*_packages(rooms))
+
+
+def _packages(rooms: Iterable[str]) -> list[str]:
+    return [f"{PROJECT}.{room}" for room in rooms]
+
+
 @cache
+def packages_digest(*packages: str) -> str:
+    """Return the digest of all files of some packages, as they were when this process first asked."""
+    parts: list[str | bytes] = []
+    for path in package_files(*packages):
+        parts += [path.name, path.read_bytes()]
+    return digest(*parts)
+
+
 def sources_digest(*rooms: str) -> str:
     """Return the digest of all files of some rooms, as they were when this process first asked."""
-    return digest(*(part for path in room_files(*rooms) for part in (path.name, path.read_bytes())))
+    return packages_digest(*_packages(rooms))

@@ -133,7 +133,6 @@ ChangesOption = Annotated[
 ]
 ClockOption = Annotated[float | None, option("System clock; default: the configuration's (frame.clock_mhz).")]
 EdgesOutOption = Annotated[Path, option("Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.", "FILE")]
-FiguresOutOption = Annotated[Path, option("Folder of the figures.", "DIR")]
 
 
 @command
@@ -509,20 +508,6 @@ def gls() -> None:
 
 
 @command
-def power(
-    *,
-    out: Annotated[
-        Path | None, option("Markdown page; the picture goes to images/ beside it; default: docs/power.md.", "FILE")
-    ] = None,
-) -> None:
-    """Compute the power of a subgroup in standard cells at several levels of light, from frames simulated on its netlist."""
-    with extra("rtl"):
-        from coincid.study.power_against_light import write_page
-    write_page(out and _file(out), partial(print, flush=True))
-    print(out or "docs/power.md")
-
-
-@command
 def layout(
     *,
     out: Annotated[
@@ -601,16 +586,6 @@ def emulator(
 
 
 @command
-def cost() -> None:
-    """Write area, bits of an event and readout rate against the paper's parameters, and the cost of each choice, into docs/."""
-    with extra("rtl"):
-        from coincid.study import choices, cost
-    cost.make()
-    choices.make()
-    print("docs/cost.md docs/silicon.md")
-
-
-@command
 def lint(*, config: ConfigOption = None, changes: ChangesOption = None, view: ViewOption = "polyphase") -> None:
     """Check the exported Verilog with Verilator's lint, and with Icarus if it is installed."""
     settings = _config(config, changes)
@@ -654,32 +629,6 @@ def budget(
         return
     for name, value, unit, source in result.rows():
         print(f"{name:22} {value if isinstance(value, str) else format(value, '.6g'):>12} {unit:6} {source}")
-
-
-@command
-def figures(
-    *,
-    out: FiguresOutOption = Path("build/figures"),
-    rtl: Annotated[bool, option("Add the RTL as a source to figures 6 and 8.", flag="--rtl")] = False,
-) -> None:
-    """Draw the paper's figures from the analytic model, Monte Carlo and, on request, the RTL."""
-    _drawn("figures", out, rtl)
-
-
-@command
-def compare(*, out: FiguresOutOption = Path("build/compare")) -> None:
-    """Compare the sensor with other schemes on the same photons: plots, their data (CSV) and a page."""
-    _drawn("compare", out)
-
-
-@command
-def modes(
-    *,
-    out: FiguresOutOption = Path("build/modes"),
-    rtl: Annotated[bool, option("Check some frames on the RTL.", flag="--rtl")] = False,
-) -> None:
-    """Compare coincidence and gating over background and distance, behind glass and at 100 m: plots, data (CSV) and a page."""
-    _drawn("modes", out, rtl)
 
 
 @command
@@ -849,15 +798,6 @@ def _progress(cycles: int, what: str) -> "Iterator[Bar]":
     with Bar(console) as bar:
         bar.stage(what, cycles)
         yield bar
-
-
-def _drawn(page: str, out: Path, rtl: bool = False) -> None:
-    """Draw the figures of a page into a folder, and print its path."""
-    from coincid.study.figures import command as figures
-
-    _folder(out)
-    with _progress(0, "frames") as bar:
-        print(figures.write(figures.PAGES[page], out, "sliced" if rtl else None, bar.done)[-1])
 
 
 def _all_clean(found: dict[str, str]) -> None:

@@ -11,7 +11,7 @@ from coincid.model.depth.methods import METHODS
 from coincid.model.depth.quality import TOLERANCE_M
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
-from coincid.study.confidence import NINETY, random_setup, truth_m
+from docs.studies.confidence import NINETY, random_setup, truth_m
 
 SENSOR = {"rows": 16, "cols": 16}
 OFF = {"coincidence": False}

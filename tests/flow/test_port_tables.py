@@ -17,8 +17,8 @@ from coincid.hdl.sensor import FPGA_TOP, SensorTop
 from coincid.model.contract.latency import BEAT_TO_PORT, COMMIT, GRANT_TO_BEAT, STORE_TO_GRANT
 from coincid.model.contract.packet import FORMATS, header_field
 from coincid.model.contract.parameters import TOP
-from coincid.study.drawings import timing_diagrams
 from coincid.tools.pages import regions
+from docs.studies.drawings import timing_diagrams
 
 from ..random_cases import configured
 from ..releases import config, small_releases

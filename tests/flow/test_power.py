@@ -9,8 +9,8 @@ import pytest
 from coincid.flow.liberty import Cell, Energies, Pin, read_cells, supply_v
 from coincid.flow.power import Design, Instance, clock_tree_mw, power, transitions
 from coincid.flow.yosys import CLOCK_BUFFER, LIBERTY, cells_folder
-from coincid.study.power_against_light import group_of
 from coincid.tools.build import ToolchainError
+from docs.studies.power_against_light import group_of
 
 LIBRARY = """
 library (toy) {

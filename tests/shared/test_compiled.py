@@ -11,11 +11,11 @@ from coincid.model.shared.compiled import part
 
 from ..planted import copy_of_sources
 
-# A kernel of `study` that uses the contract's arithmetic: with windows of one cycle, the second photon opens the second
+# A kernel outside the package that uses the contract's arithmetic: with windows of one cycle, the second photon opens the second
 # window.
 PROGRAM = """
 import numba, numpy as np
-from coincid.study import other_schemes
+from docs.studies import other_schemes
 assert not numba.config.CACHE_DIR, "other packages' code would go there, too"
 tick = np.array([0, 32, 64])
 print(other_schemes._windows(np.zeros(3, np.int64), tick, 32, 32)[2].tolist(), sum(other_schemes._windows.stats.cache_hits.values()))

@@ -20,11 +20,11 @@ import pytest
 import coincid
 from coincid.lab.campaign import Processes
 from coincid.lab.outcomes import Run
-from coincid.study import surfaces
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.stages import Explorer
-from coincid.study.figures import four_modes, interference, noisy_spads, reconstruction
 from coincid.study.plot_style import style
+from docs.studies import surfaces
+from docs.studies.figures import four_modes, interference, noisy_spads, reconstruction
 
 from ..command import command
 
