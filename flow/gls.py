@@ -15,7 +15,6 @@ import numpy as np
 
 from ..model.contract.config import Config, parse_config, sensor_table
 from ..model.contract.edges import Edges
-from ..model.contract.emulator import Emulator
 from ..model.contract.packet import built_formats
 from ..model.contract.parameters import TOP, Sensor
 from ..model.golden.frame import Golden
@@ -25,24 +24,13 @@ from ..tb import toolchain
 from ..tb.frame_record import FrameJob
 from ..tb.play import play_in
 from ..tb.rtl import sensor_key
-from ..tb.verilated_emulator import SIMULATED_CLOCKS_PER_BIT, build_line, simulated
 from ..tools.wheels import YOSYS, wheel_folder
-from .boards import ulx3s
-from .pnr import NETLIST_VERILOG
-from .pnr import synthesize as synthesize_board
 from .synth import CELLS, GATES, synthesize
 from .yosys import CELL_MODELS, cells_folder
 
 SENSOR = Sensor(rows=8, cols=8)
 FRAMES = 6
 FLOPS = Path(__file__).with_name("random_flops.v")
-BOARD_BENCH = Path(__file__).with_name("ulx3s_bench.v")
-PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
-FPGA_CELLS = "share/lattice/cells_sim_ecp5.v"
-# For Verilator: accept the `initial` blocks, times and includes of the published models.
-NETLIST_OPTIONS = "-Wno-INITIALDLY", "-Wno-SPECIFYIGN", "-Wno-UNOPTFLAT", "-DNO_INCLUDES"
-NETLIST_OPTIMISE = "-O0"  # because a netlist takes long to compile, and its simulation is short
-NETLIST_BEATS = 256  # size of the frame buffer, which consists of LUTs
 PULSES = 8
 EDGES_A_CYCLE = 0.4  # mean number in each subgroup
 
@@ -78,22 +66,6 @@ def cell_models(target: str = CELLS) -> str:
             rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", text, count=1, flags=re.DOTALL | re.MULTILINE
         )
     return text + own
-
-
-def emulator_netlist(
-    config: Config, buffer_beats: int = NETLIST_BEATS, clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT
-) -> tuple[Emulator, Path]:
-    """Return an emulator and the library of its netlist in the cells of the FPGA, which is compiled once.
-
-    Memories consist of LUTs, because the published models have no block RAM. The netlist starts as the FPGA does: with
-    initial values and without a reset.
-    """
-    emulator = simulated(config.sensor, buffer_beats, clocks_per_bit)
-    netlist = synthesize_board(ulx3s(config, emulator, "-nobram"))
-    cells = wheel_folder(YOSYS) / FPGA_CELLS
-    sources = [netlist / NETLIST_VERILOG, BOARD_BENCH, PLL_MODEL, cells]
-    options = [*NETLIST_OPTIONS, f"-I{cells.parent}"]
-    return emulator, build_line(sources, BOARD_BENCH.stem, options, NETLIST_OPTIMISE)
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:

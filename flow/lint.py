@@ -8,8 +8,6 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ..hdl.emulator.top import EMULATOR_LIST
-from ..hdl.emulator.ulx3s import BOARD_TOP
 from ..hdl.export import FILE_LIST
 from ..hdl.front_end_views import POLYPHASE, View
 from ..hdl.sensor import FPGA_TOP
@@ -20,7 +18,6 @@ from .release import CELLS_LIST, SYNTHESIS_LIST, release_files, tool_options
 from .smoke import FPGA_SMOKE, SMOKE
 from .waivers import CONTROL_FILE, EXACT
 
-PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
 VERILATOR = ("--lint-only", "--timing", "--quiet-stats", f"-D{EXACT}")
 
 
@@ -34,20 +31,14 @@ def lint(config: Config, view: View = POLYPHASE) -> dict[str, str]:
     benches = () if view.macros else (SMOKE, FPGA_TOP, FPGA_SMOKE)
     lists = [(TOP, SYNTHESIS_LIST if view.macros else FILE_LIST), (TOP, CELLS_LIST)]
     lists += [(top, f"{top}.f") for top in benches if f"{top}.f" in files]
-    return _findings(files, [(top, files[names].split()) for top, names in lists], view)
+    return findings(files, [(top, files[names].split()) for top, names in lists], view)
 
 
-def lint_emulator(files: Mapping[str, str], top: str) -> dict[str, str]:
-    """Return the findings in the files of `emulator_release`. Of a board's own cells, only the ports are known."""
-    names = files[EMULATOR_LIST].split()
-    boxes = {PLL_MODEL.name: PLL_MODEL.read_text(encoding="utf-8")} if top == BOARD_TOP else {}
-    return _findings(
-        {name: files[name] for name in (*names, CONTROL_FILE)} | boxes, [(top, [*names, *boxes])], POLYPHASE
-    )
+def findings(files: Mapping[str, str], runs: Sequence[tuple[str, list[str]]], view: View) -> dict[str, str]:
+    """Return tool -> its findings in some tops. files: text by name. runs: of each top, its name and those of its files.
 
-
-def _findings(files: Mapping[str, str], runs: Sequence[tuple[str, list[str]]], view: View) -> dict[str, str]:
-    """Return the findings in some tops. runs: of each, its name and those of its files."""
+    Raises `ToolchainError`.
+    """
     options = [part for option in tool_options(view)["lint"] for part in option.split()]
     found = {"verilator": ""} | ({"icarus": ""} if shutil.which("iverilog") and not view.macros else {})
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:

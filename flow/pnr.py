@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Place and route on an ECP5 with several seeds: bitstream, Fmax, used resources, and the longest path.
 
-`boards.py` defines the designs. The placement of nextpnr, and so Fmax, depends on a seed. The design must reach its clock
+`fpga_module.py` defines a design. The placement of nextpnr, and so Fmax, depends on a seed. The design must reach its clock
 with every one of `SEEDS`.
 """
 

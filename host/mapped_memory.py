@@ -23,7 +23,7 @@ class MemoryTransport:
 
     A processor's store does not wait for the answer of the bus. So the sensor's sticky status bits are read after each
     write or run of writes, and they show a refusal. This transport has no stream, and `receive` returns nothing. A
-    design with a DMA engine overrides it; the emulator's buffer is read through its registers (`emulator_driver.py`).
+    design with a DMA engine overrides it; a design may also have a buffer that is read through registers.
     """
 
     def __init__(self, path: FilePath, base: int = 0, size: int = 1 << ADDRESS_BITS):

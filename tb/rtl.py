@@ -45,9 +45,13 @@ def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
     return files(Core(sensor)), files(Slice(sensor), SensorModule(sensor))
 
 
-def emitted(name: str, parameters: str, files: Callable[[], dict[str, str]]) -> Path:
-    """Return the folder with the `files`, called `name` and keyed by the parameters and the state of the sources."""
-    key = digest(name, parameters, sources_digest("hdl", "model.contract", "model.shared"), Path(__file__).read_bytes())
+def emitted(name: str, parameters: str, files: Callable[[], dict[str, str]], *rooms: str) -> Path:
+    """Return the folder with the `files`, called `name` and keyed by the parameters and the state of the sources.
+
+    rooms: those that the files are made from, besides the RTL's and the contract.
+    """
+    sources = sources_digest("hdl", "model.contract", "model.shared", *rooms)
+    key = digest(name, parameters, sources, Path(__file__).read_bytes())
 
     def emit(directory: Path) -> None:
         for file, text in files().items():

@@ -21,7 +21,7 @@ from coincid.cli import app
 
 ROOT = Path(__file__).parents[1]
 TABLE = Path(__file__).with_name("commands.toml")
-ROOMS = ("src", "model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study")
+ROOMS = ("src", "model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study", "board")
 SWEEPS = sorted((ROOT / "docs").glob("sweep-*.toml"))
 PAGES = [
     ROOT / "README.md",

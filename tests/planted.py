@@ -20,7 +20,7 @@ from attrs import frozen
 from coincid.tb.toolchain import build_root
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("model", "tools", "host", "hdl", "slices", "tb", "formal", "flow", "lab", "study", "docs/studies")
+PACKAGES = ("model", "tools", "host", "hdl", "slices", "tb", "formal", "flow", "lab", "study", "board", "docs/studies")
 
 
 @frozen

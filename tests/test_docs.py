@@ -55,7 +55,7 @@ def blocks(page, language):
 
 
 def test_all_python_blocks_are_tested():
-    """By this file and `tb/test_emulator.py`; a block on another page needs a test, too."""
+    """By this file and `board/test_emulator.py`; a block on another page needs a test, too."""
     tested = {"README.md", "light.md", "explorer.md", "experiments.md", "sweeps.md", "board.md"}
     assert {page.name for page in PAGES if blocks(page, "python")} == tested
 

@@ -12,13 +12,20 @@ from pathlib import Path
 
 import pytest
 
-from coincid.model.shared.sources import package_files
+import coincid
+from coincid.model.shared.sources import package_files, room_files
 
 STUDIES = "docs.studies"  # the one room outside the package `coincid`
 NOT_ROOMS = ("tests", "examples", "docs")  # nothing imports from these
-NEVER = {  # room: packages that it must not even load
-    "hdl": ("numba", "scipy", "matplotlib", "cocotb", "coincid.model.golden"),
-    "host": ("amaranth", "cocotb", "serial", "matplotlib", "coincid.hdl", "coincid.tb"),
+OF_RTL = ("numba", "scipy", "matplotlib", "cocotb", "coincid.model.golden")
+OF_HOST = ("amaranth", "cocotb", "serial", "matplotlib", "coincid.hdl", "coincid.tb")
+NEVER = {  # room, or module: packages that it must not even load
+    "board.driver": OF_HOST,
+    "board.rtl": OF_RTL,
+    "board.serial_transport": OF_HOST,
+    "board.source_model": ("amaranth", "cocotb", "matplotlib", "coincid.hdl", "coincid.tb"),
+    "hdl": OF_RTL,
+    "host": OF_HOST,
     "lab": ("matplotlib", "bokeh"),
     "model": ("amaranth", "cocotb", "matplotlib", "coincid.hdl", "coincid.tb"),
 }
@@ -92,6 +99,18 @@ def test_rooms_import_only_what_readme_names(room):
 def test_every_file_is_in_a_room():
     homeless = {module for module in imports() if not any(inside(module, room) for room in rooms())}
     assert homeless <= {"coincid.model"}
+
+
+def test_only_the_command_knows_the_board():
+    """The board's room is an application: it uses the others, which neither import nor name it."""
+    knowing = {module for module, targets in imports().items() if any(inside(target, "board") for target in targets)}
+    assert len(knowing) > 10
+    assert not [module for module in knowing if not inside(module, "board")]
+    others = {room.partition(".")[0] for room in rooms() if room not in ("board", STUDIES)}
+    files = [path for path in room_files(*others) if path.suffix == ".py"]
+    files.append(Path(coincid.__file__))
+    named = re.compile(r"coincid\.board[. ]|\bboard/")
+    assert not [path for path in files if named.search(path.read_text(encoding="utf-8"))]
 
 
 def test_no_cycle_between_files():

@@ -3,6 +3,7 @@
 
 import pytest
 
+from coincid.board import proofs as proofs  # registers the emulator's proofs
 from coincid.formal import prove as prover
 from coincid.formal.proof_bench import PROOFS
 

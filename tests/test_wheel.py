@@ -12,7 +12,7 @@ import attrs
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study")
+ROOMS = ("model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study", "board")
 PRESETS_AND_SCENES = """
 import coincid
 from coincid.hdl.front_end_views import view_at

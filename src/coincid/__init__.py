@@ -5,7 +5,7 @@ This package has the names that a notebook needs, and imports each of them on it
 it returns; the configuration, scene and light from which a run is made; and functions for its result. Everything else is
 in the rooms, each of which imports only earlier ones: `coincid.model` (contract, golden model, light, scenes, depth; no
 HDL), `coincid.hdl` (RTL in Amaranth), `coincid.tb` (simulators, cocotb, scoreboards), `coincid.flow`, `coincid.formal`,
-`coincid.study`. The command line is `coincid.cli`.
+`coincid.study`, `coincid.board` (the emulator on an FPGA board). The command line is `coincid.cli`.
 """
 
 from importlib import import_module as _import_module

@@ -533,11 +533,12 @@ def pnr(
 ) -> None:
     """Place and route a module of the FPGA preset on an ECP5, with five seeds. Exit code 1: a clock misses its goal."""
     with extra("rtl"):
-        from coincid.flow import boards, pnr
+        from coincid.flow import pnr
+        from coincid.flow.fpga_module import fpga_module
 
     if out is not None:
         _file(out)
-    board = boards.fpga_module()
+    board = fpga_module()
     placements = pnr.place(board)
     pnr.write_page(board, placements, out)
     print(out or board.page)
@@ -562,21 +563,24 @@ def emulator(
     ] = None,
 ) -> None:
     """Build the emulator for a board. Exit code 1: lint found something, or one of five seeds misses a clock."""
-    from coincid.model.contract.emulator import Emulator
+    from coincid.board.parameters import Emulator
 
     with extra("rtl"):
-        from coincid.flow import boards, emulator_release, lint, pnr
-    on_board = kind == emulator_release.BOARD
+        from coincid.board import release
+        from coincid.board.lint import lint_emulator
+        from coincid.board.place import ulx3s
+        from coincid.flow import pnr
+    on_board = kind == release.BOARD
     if page is not None:
         _file(page)
-    usual = "emulator-axi" if kind == emulator_release.AXI else "emulator"
+    usual = "emulator-axi" if kind == release.AXI else "emulator"
     settings = _config(config or usual, changes)
-    files = emulator_release.emulator_release(settings, kind, buffer_beats)
-    written = emulator_release.write_emulator(_folder(out), files)
+    files = release.emulator_release(settings, kind, buffer_beats)
+    written = release.write_emulator(_folder(out), files)
     print(f"{out}: {len(written)} files, {sum(path.stat().st_size for path in written) / 1000:.0f} kB")
-    _all_clean(lint.lint_emulator(files, emulator_release.TOPS[kind]))
+    _all_clean(lint_emulator(files, release.TOPS[kind]))
     if on_board:
-        board = boards.ulx3s(settings, Emulator.of(settings, buffer_beats))
+        board = ulx3s(settings, Emulator.of(settings, buffer_beats))
         placements = pnr.place(board)
         bitstream = out / f"{board.top}.bit"
         bitstream.write_bytes(pnr.fastest(placements).bitstream.read_bytes())
@@ -599,6 +603,7 @@ def lint(*, config: ConfigOption = None, changes: ChangesOption = None, view: Vi
 def formal(*, names: Annotated[list[str] | None, argument("Proofs; default: all.", "NAMES")] = None) -> None:
     """Prove the RTL's properties for all inputs and all time; takes a few minutes."""
     with extra("rtl"):
+        from coincid.board import proofs  # noqa: F401  (registers the emulator's proofs)
         from coincid.formal.prove import HEAD, prove
     print(HEAD)
     verdicts = prove(names or (), tell=print)
@@ -657,12 +662,12 @@ def emulate(
     out: Annotated[Path, option("Folder of the depth picture.", "DIR")] = Path("build/emulate"),
 ) -> None:
     """Run the emulator, on a board or in simulation, and check each of its words against the golden model."""
-    from coincid.host.emulator_driver import EmulatorDriver
-    from coincid.host.serial_transport import SerialPort, SerialTransport
-    from coincid.model.contract.serial_link import BAUD
+    from coincid.board.driver import EmulatorDriver
+    from coincid.board.run import DEPTH
+    from coincid.board.run import emulate as run
+    from coincid.board.serial_link import BAUD
+    from coincid.board.serial_transport import SerialPort, SerialTransport
     from coincid.model.contract.settings import FRAMES_MAX
-    from coincid.study.emulate import DEPTH
-    from coincid.study.emulate import emulate as run
 
     if (port is None) is not simulate:
         raise InputError("port: give either --port DEVICE or --simulate")
@@ -676,8 +681,8 @@ def emulate(
     patience: dict[str, Any] = {}
     if simulate:
         with extra("rtl"):
-            from coincid.flow.gls import emulator_netlist
-            from coincid.tb.verilated_emulator import PATIENCE_S, SIMULATED_CLOCKS_PER_BIT, SimulatedPort, simulated
+            from coincid.board.netlist import emulator_netlist
+            from coincid.board.simulated import PATIENCE_S, SIMULATED_CLOCKS_PER_BIT, SimulatedPort, simulated
         clocks = SIMULATED_CLOCKS_PER_BIT
         if baud is not None:
             clocks = round(settings.clock_mhz * 1e6 / check_integer("baud", baud, 1, BAUD_MAX))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A dead wire in any file of hdl stops the build, with a message that names the port.
+"""A dead wire in any file of hdl or board/rtl stops the build, with a message that names the port.
 
 Wires are cut in copies of the sources, one at a time: a port gets another name in its block's own
 file, or a connection is left out. The blocks are only elaborated, so a cut takes a fraction of a
@@ -23,11 +23,13 @@ from amaranth.lib.wiring import ConnectionError
 from attrs import frozen
 
 import coincid
-from coincid.model.contract.emulator import Emulator
+from coincid.board.parameters import Emulator
 from coincid.model.contract.parameters import Sensor
 
-HDL = Path(coincid.__file__).parent / "hdl"
-PACKAGE = "coincid.hdl"
+ROOMS = Path(coincid.__file__).parent
+HDL = ROOMS / "hdl"
+BOARD = ROOMS / "board" / "rtl"
+PACKAGES = ("coincid.hdl", "coincid.board.rtl")
 SENSOR = Sensor(
     rows=4, cols=8, phases=4, coarse_bits=4, window_max=9, rearm=1, fifo_depth=2, subgroup=(4, 4), minigroup=(2, 2)
 )
@@ -37,8 +39,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*created but never used")  # of
 RENAMED = "renamed"  # the new name of a port
 PORT = re.compile(r"\b(\w+)=(?:In|Out)\(")
 # Ports of the tops, which other blocks do not read.
-OUTER = {(HDL / "emulator" / "top.py", "laser"), (HDL / "sensor.py", "spad_gate")}
-OUTSIDE = {HDL / "emulator" / "ulx3s.py", HDL / "sensor.py"}  # files with such ports only
+OUTER = {(BOARD / "top.py", "laser"), (HDL / "sensor.py", "spad_gate")}
+OUTSIDE = {BOARD / "ulx3s.py", HDL / "sensor.py"}  # files with such ports only
 
 
 @frozen
@@ -50,7 +52,7 @@ class Cut:
     source: str
 
     def __str__(self) -> str:
-        return f"{self.file.relative_to(HDL)}: {self.port}"
+        return f"{self.file.relative_to(ROOMS)}: {self.port}"
 
 
 def renamed_ports(file: Path) -> Iterator[Cut]:
@@ -101,7 +103,7 @@ def missing_outputs(file: Path) -> Iterator[Cut]:
         yield Cut(file, port, text.replace(f"{line}\n", "", 1))
 
 
-SOURCES = sorted(HDL.rglob("*.py"))
+SOURCES = sorted([*HDL.rglob("*.py"), *BOARD.rglob("*.py")])
 STRUCTURE = [HDL / name for name in ("subgroup.py", "subgroup_pair.py", "sensor.py")]
 
 
@@ -126,8 +128,8 @@ class _CutLoader(SourceFileLoader, MetaPathFinder):
     """Loads a cut file instead of the one on the disk."""
 
     def __init__(self, cut: Cut):
-        parts = cut.file.relative_to(HDL).with_suffix("").parts
-        super().__init__(".".join([PACKAGE, *parts]), str(cut.file))
+        parts = cut.file.relative_to(ROOMS).with_suffix("").parts
+        super().__init__(".".join(["coincid", *parts]), str(cut.file))
         self.cut = cut
 
     def find_spec(self, fullname, path=None, target=None):
@@ -141,8 +143,8 @@ class _CutLoader(SourceFileLoader, MetaPathFinder):
 
 @contextmanager
 def _fresh_blocks(cut: Cut | None) -> Iterator[None]:
-    """Import hdl again, with a cut; afterwards the modules are those of before."""
-    kept = {name: module for name, module in sys.modules.items() if name.startswith(PACKAGE)}
+    """Import the blocks again, with a cut; afterwards the modules are those of before."""
+    kept = {name: module for name, module in sys.modules.items() if name.startswith(PACKAGES)}
     finders = [] if cut is None else [_CutLoader(cut)]
     for name in kept:
         del sys.modules[name]
@@ -152,27 +154,29 @@ def _fresh_blocks(cut: Cut | None) -> Iterator[None]:
     finally:
         for finder in finders:
             sys.meta_path.remove(finder)
-        for name in [name for name in sys.modules if name.startswith(PACKAGE)]:
+        for name in [name for name in sys.modules if name.startswith(PACKAGES)]:
             del sys.modules[name]
         sys.modules.update(kept)
-        if PACKAGE in kept:
-            coincid.hdl = kept[PACKAGE]
+        for package in PACKAGES:
+            if package in kept:
+                above, _, name = package.rpartition(".")
+                setattr(sys.modules[above], name, kept[package])
 
 
 def build(cut: Cut | None = None) -> int:
     """Elaborate every block, and return how many there are; first the top to which a cut file belongs."""
     with _fresh_blocks(cut):
-        export = importlib.import_module(f"{PACKAGE}.export")
-        views = importlib.import_module(f"{PACKAGE}.front_end_views")
-        sensor = importlib.import_module(f"{PACKAGE}.sensor")
-        pair = importlib.import_module(f"{PACKAGE}.subgroup_pair")
-        top = importlib.import_module(f"{PACKAGE}.emulator.top")
-        board = importlib.import_module(f"{PACKAGE}.emulator.ulx3s")
+        export = importlib.import_module("coincid.hdl.export")
+        views = importlib.import_module("coincid.hdl.front_end_views")
+        sensor = importlib.import_module("coincid.hdl.sensor")
+        pair = importlib.import_module("coincid.hdl.subgroup_pair")
+        top = importlib.import_module("coincid.board.rtl.top")
+        board = importlib.import_module("coincid.board.rtl.ulx3s")
         emulator = Emulator(sensor=SENSOR)
         tops = {
             "hdl": sensor.SensorTop(SENSOR),
             "silicon": sensor.SensorTop(SENSOR, views.VIEWS["async"]),
-            "emulator": top.EmulatorTop(emulator),
+            "rtl": top.EmulatorTop(emulator),
             "bus": top.EmulatorTop(emulator, serial=False),
             "fpga": sensor.SensorTop(SENSOR, levels=True),
             "core": sensor.Core(SENSOR),

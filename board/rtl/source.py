@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Photon source: generates the edge words of a subgroup's SPADs on the chip; golden model:
-`model/light/on_chip.py`.
+"""Photon source: generates the edge words of a subgroup's SPADs on the chip.
+
+Its golden model is `board/source_model.py`.
 
 Every pixel has a linear generator of 32 bits that steps once in every cycle of a period. In each
 cycle, its state decides whether there is a background photon, and at which phase. In the first
@@ -12,11 +13,11 @@ from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib import data
 from amaranth.lib.wiring import In, Out
 
-from ...model.contract import emulator as chip
-from ...model.contract.emulator import Emulator
+from ...hdl import bus
+from ...hdl.unit import Unit
 from ...model.contract.parameters import Sensor, bits_for
-from .. import bus
-from ..unit import Unit
+from .. import parameters as chip
+from ..parameters import Emulator
 
 SUBGROUP_BITS = 8  # width of a subgroup's number in the emulator
 PIXEL_BITS = 8

@@ -11,24 +11,24 @@ from pathlib import Path
 import numpy as np
 from attrs import define
 
-from ..host.emulator_driver import EmulatorDriver
 from ..host.transport import DeviceResetError, LinkError
 from ..model.contract.config import Config
-from ..model.contract.emulator import DEAD_MAX, LEVEL_BITS, RATE_BITS, SPREAD_MAX
 from ..model.contract.pixels import pixel_table
 from ..model.contract.result import ResultBuilder
 from ..model.depth.estimate import Depth, estimate_depth
 from ..model.golden.frame import Golden
 from ..model.light.light import BACKGROUNDS
-from ..model.light.on_chip import SourceSettings, source_edges
 from ..model.light.spad import Spad
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import Ambient
 from ..model.scenes.scene import Scene, scene_light
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import InputError
+from ..study.pictures import Panel, depth_row
 from ..tb.rtl_errors import Mismatch
-from .pictures import Panel, depth_row
+from .driver import EmulatorDriver
+from .parameters import DEAD_MAX, LEVEL_BITS, RATE_BITS, SPREAD_MAX
+from .source_model import SourceSettings, source_edges
 
 DEPTH = "depth.png"
 REDRAW_S = 1.0  # between two pictures

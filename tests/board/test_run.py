@@ -5,20 +5,19 @@ import numpy as np
 import pytest
 from attrs import evolve
 
-from coincid.host.emulator_driver import EmulatorDriver
-from coincid.host.serial_transport import SerialTransport
+from coincid.board import run, simulated
+from coincid.board.driver import EmulatorDriver
+from coincid.board.run import Session, source_settings
+from coincid.board.serial_transport import SerialTransport
+from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.lab.setup import scene_of
 from coincid.model.contract.config import changes_of_text, load_config
-from coincid.study import emulate
-from coincid.study.emulate import Session, source_settings
-from coincid.tb import verilated_emulator
 from coincid.tb.rtl_errors import Mismatch
-from coincid.tb.verilated_emulator import PATIENCE_S, SimulatedPort
 
 from ..command import command
-from ..tb.test_emulator import EMULATOR
+from .test_emulator import EMULATOR
 
-# Of the emulator that `tb/test_emulator.py` compiles.
+# Of the emulator that `test_emulator.py` compiles.
 SETTINGS = "rows=4 cols=8 phases=8 window_max=16 subgroup=4x4 clock_mhz=100 period=63 pulses=8 window=4".split()
 CONFIG = load_config(None, changes_of_text(SETTINGS))
 
@@ -30,7 +29,7 @@ def driver():
 
 
 def test_a_scene(tmp_path, monkeypatch):
-    monkeypatch.setattr(verilated_emulator, "simulated", lambda sensor, **_: EMULATOR)
+    monkeypatch.setattr(simulated, "simulated", lambda sensor, **_: EMULATOR)
     given = " --set ".join(["", *SETTINGS])
     done = command(f"emulate --simulate --frames 2 --scene flat:5 --out {tmp_path} {given}")
     assert done.exit_code == 0, done.output
@@ -41,9 +40,9 @@ def test_a_scene(tmp_path, monkeypatch):
 def test_the_picture_is_drawn_while_frames_come(driver, tmp_path, monkeypatch):
     """With no time between two pictures: one per frame, each with all frames so far."""
     titles = []
-    monkeypatch.setattr(emulate, "REDRAW_S", 0.0)
-    monkeypatch.setattr(emulate, "depth_row", lambda path, panels, truth_m: titles.append(panels[0].title))
-    emulate.emulate(driver, CONFIG, scene_of(CONFIG, "flat:5"), tmp_path, klux=50.0, frames=3)
+    monkeypatch.setattr(run, "REDRAW_S", 0.0)
+    monkeypatch.setattr(run, "depth_row", lambda path, panels, truth_m: titles.append(panels[0].title))
+    run.emulate(driver, CONFIG, scene_of(CONFIG, "flat:5"), tmp_path, klux=50.0, frames=3)
     assert titles == [f"{n} frames of the emulator" for n in (1, 2, 3)]
 
 

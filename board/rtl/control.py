@@ -10,12 +10,12 @@ from amaranth.hdl import Cat, Const, Module, Mux, Signal
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out, Signature, connect, flipped
 
-from ...model.contract import emulator as chip
-from ...model.contract.emulator import Emulator
+from ...hdl import bus
+from ...hdl.axi import LITE, OKAY, STREAM
+from ...hdl.unit import Unit, place
 from ...model.contract.registers import DATA_BITS, Access
-from .. import bus
-from ..axi import LITE, OKAY, STREAM
-from ..unit import Unit, place
+from .. import parameters as chip
+from ..parameters import Emulator
 from .buffer import FrameBuffer, StreamSlice
 from .source import COMMON, SEED_BUS, Seeder, write_bus
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial bridge: access to the emulator's address space over two pins; protocol in
-`model/contract/serial_link.py`.
+"""Serial bridge: access to the emulator's address space over two pins.
+
+The protocol is in `board/serial_link.py`.
 """
 
 from amaranth.hdl import Cat, Module, Mux, Signal
@@ -8,12 +9,12 @@ from amaranth.lib.fifo import SyncFIFOBuffered
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
 
-from ...model.contract import serial_link as link
-from ...model.contract.emulator import ADDRESS_BITS, Emulator
+from ...hdl.logic import saturating_add
+from ...hdl.unit import Unit, place
 from ...model.contract.registers import DATA_BITS
-from ...model.contract.serial_link import Answer, Operation
-from ..logic import saturating_add
-from ..unit import Unit, place
+from .. import serial_link as link
+from ..parameters import ADDRESS_BITS, Emulator
+from ..serial_link import Answer, Operation
 from .control import ACCESS
 from .uart import Deframer, Framer, Receiver, Transmitter
 

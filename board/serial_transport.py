@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial transport: access to the emulator's address space; protocol in `model/contract/serial_link.py`.
+"""Serial transport: access to the emulator's address space; protocol in `board/serial_link.py`.
 
 There is one request at a time, and it is repeated until its answer arrives. So lost, doubled and damaged bytes only cost
 time.
@@ -12,10 +12,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..model.contract import serial_link as link
-from ..model.contract.serial_link import Answer, Operation
+from ..host.transport import DeviceResetError, LinkError, RefusedError
 from ..model.shared.errors import InputError, extra
-from .transport import DeviceResetError, LinkError, RefusedError
+from . import serial_link as link
+from .serial_link import Answer, Operation
 
 TRIES = 10
 PATIENCE_S = 0.25
@@ -132,7 +132,7 @@ class SerialTransport:
                 raise LinkError(f"write to {at:#08x}: {content!r} of {len(part)} words")
 
     def receive(self, stream: int) -> np.ndarray:
-        """Return no beats; the emulator's beats wait in its buffer (`emulator_driver.py`)."""
+        """Return no beats; the emulator's beats wait in its buffer (`driver.py`)."""
         return np.zeros(0, np.uint64)
 
     def _request(self, operation: Operation, count: int, address: int, data: bytes = b"") -> tuple[Answer, bytes]:

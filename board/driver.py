@@ -5,10 +5,10 @@ import time
 
 import numpy as np
 
-from ..model.contract.emulator import BUFFER_BASE, EMULATOR_ID, EMULATOR_VERSION, OWN_BY_NAME, own_address
+from ..host.driver import WAIT_SECONDS, Driver, Key, Word
+from ..host.transport import HostError, Transport, read_block
 from ..model.contract.parameters import Sensor
-from .driver import WAIT_SECONDS, Driver, Key, Word
-from .transport import HostError, Transport, read_block
+from .parameters import BUFFER_BASE, EMULATOR_ID, EMULATOR_VERSION, OWN_BY_NAME, own_address
 
 WORDS_PER_BEAT = 2
 

@@ -10,12 +10,12 @@ from zlib import crc32
 
 import numpy as np
 
+from coincid.board.simulated import SimulatedPort
+from coincid.board.source_model import SourceSettings, source_edges
 from coincid.model.golden.frame import Golden
-from coincid.model.light.on_chip import SourceSettings, source_edges
-from coincid.tb.verilated_emulator import SimulatedPort
 
 from ..random_cases import configured
-from ..tb.test_emulator import EMULATOR, SENSOR
+from .test_emulator import EMULATOR, SENSOR
 
 FRAMES = 12
 PERIOD, PULSES, WINDOW, THRESHOLD = 50, 5, 4, 2

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The golden model of the photon source: the generator's period, seeds, and the statistics of 10^7 draws.
 
-`tests/tb/test_emulator.py` shows that it equals the RTL.
+`tests/board/test_emulator.py` shows that it equals the RTL.
 """
 
 import numpy as np
@@ -9,8 +9,8 @@ import pytest
 from attrs import evolve
 from scipy import stats
 
-from coincid.model.contract.emulator import LEVEL_BITS, RATE_BITS, SEED_BIT, STATE_BITS, TAPS
-from coincid.model.light.on_chip import SourceSettings, _tables, advance, cipher, seeds, source_edges
+from coincid.board.parameters import LEVEL_BITS, RATE_BITS, SEED_BIT, STATE_BITS, TAPS
+from coincid.board.source_model import SourceSettings, _tables, advance, cipher, seeds, source_edges
 from coincid.model.shared.errors import InputError
 
 from ..random_cases import configured

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial line: bytes as 8N1, and frames of bytes with a CRC; protocol in
-`model/contract/serial_link.py`.
+"""Serial line: bytes as 8N1, and frames of bytes with a CRC.
+
+The protocol is in `board/serial_link.py`.
 """
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal
@@ -8,8 +9,8 @@ from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.crc.catalog import CRC32_ISO_HDLC
 from amaranth.lib.wiring import In, Out
 
-from ...model.contract.serial_link import BODY_BYTES_MAX, CRC_BYTES, ESCAPE, FLAG, FLIP
-from ..unit import Unit
+from ...hdl.unit import Unit
+from ..serial_link import BODY_BYTES_MAX, CRC_BYTES, ESCAPE, FLAG, FLIP
 
 BITS = 10  # per byte on the line: start, eight data bits, stop
 

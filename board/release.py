@@ -7,20 +7,21 @@ AXI4-Lite slave (`axi`).
 
 from pathlib import Path
 
-from ..hdl.emulator.top import BUS_TOP, SERIAL_TOP, emulator_files
-from ..hdl.emulator.ulx3s import BOARD_TOP, board_files, board_pins
+from ..flow.c_driver import c_driver
+from ..flow.register_files import register_files
+from ..flow.waivers import CONTROL_FILE, control_file
 from ..hdl.front_end_views import POLYPHASE
 from ..model.contract.config import Config
-from ..model.contract.emulator import Emulator
 from ..model.shared.errors import InputError
 from ..model.shared.files import whole_file
-from .c_driver import c_driver
-from .register_files import register_files
-from .waivers import CONTROL_FILE, control_file
+from .parameters import Emulator
+from .rtl.top import BUS_TOP, SERIAL_TOP, emulator_files
+from .rtl.ulx3s import BOARD_TOP, board_files, board_pins
 
 BOARD, SERIAL, AXI = "ulx3s", "serial", "axi"
 TOPS = {BOARD: BOARD_TOP, SERIAL: SERIAL_TOP, AXI: BUS_TOP}
 PINS = f"{BOARD_TOP}.lpf"
+WAIVERS = Path(__file__).with_name("waivers.vlt")  # besides those of a sensor
 
 
 def emulator_release(config: Config, kind: str, buffer_beats: int) -> dict[str, str]:
@@ -33,7 +34,7 @@ def emulator_release(config: Config, kind: str, buffer_beats: int) -> dict[str, 
         emulator = Emulator.of(config, buffer_beats)
         files = board_files(emulator, config.clock_mhz) if kind == BOARD else emulator_files(emulator)
     files = files | register_files(config.sensor) | c_driver()
-    files |= {CONTROL_FILE: control_file(POLYPHASE, emulator=True)}
+    files |= {CONTROL_FILE: control_file(POLYPHASE) + WAIVERS.read_text(encoding="utf-8")}
     return files | ({PINS: board_pins()} if kind == BOARD else {})
 
 

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from amaranth.sim import Simulator
 
+from coincid.board.parameters import LANE_PIXELS, SEED_BIT, STATE_BITS, Emulator
+from coincid.board.rtl.source import Seeder
+from coincid.board.rtl.top import BusAccess
+from coincid.board.source_model import _tables, advance, seeds
 from coincid.hdl.axi import OKAY, SLVERR
-from coincid.hdl.emulator.source import Seeder
-from coincid.hdl.emulator.top import BusAccess
-from coincid.model.contract.emulator import LANE_PIXELS, SEED_BIT, STATE_BITS, Emulator
 from coincid.model.contract.parameters import Sensor
-from coincid.model.light.on_chip import _tables, advance, seeds
 
 
 @pytest.mark.parametrize("size", [4, 16])

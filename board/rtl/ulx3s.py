@@ -13,11 +13,11 @@ from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.wiring import In, Out
 from attrs import asdict, frozen
 
-from ...model.contract.emulator import Emulator
+from ...hdl.export import units_files
+from ...hdl.unit import Unit
 from ...model.shared.errors import InputError
 from ...model.shared.licence import SPDX
-from ..export import units_files
-from ..unit import Unit
+from ..parameters import Emulator
 from .top import EMULATOR_LIST, SERIAL_TOP, emulator_files
 
 BOARD_TOP = "coincid_emulator_ulx3s"

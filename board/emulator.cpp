@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The emulator behind its two serial pins, as a library: bytes pass at the speed of the line, bit by bit. See emulator.py.
+// The emulator behind its two serial pins, as a library: bytes pass at the speed of the line, bit by bit. See simulated.py.
 #include <cstdint>
 #include <deque>
 #include "Vemulator.h"

@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coincid.host import serial_transport
-from coincid.host.emulator_driver import EmulatorDriver
-from coincid.host.serial_transport import Deframer, SerialTransport, frame
+from coincid.board import serial_transport
+from coincid.board.driver import EmulatorDriver
+from coincid.board.parameters import BUFFER_BASE, Emulator, background_address, echo_address, own_address
+from coincid.board.run import Session
+from coincid.board.serial_link import ESCAPE, FLAG, Operation
+from coincid.board.serial_transport import Deframer, SerialTransport, frame
+from coincid.board.simulated import PATIENCE_S, SimulatedPort
+from coincid.board.source_model import SourceSettings, source_edges
 from coincid.host.transport import DeviceResetError, HostError, LinkError, RefusedError
-from coincid.model.contract.emulator import BUFFER_BASE, Emulator, background_address, echo_address, own_address
 from coincid.model.contract.parameters import Sensor
-from coincid.model.contract.serial_link import ESCAPE, FLAG, Operation
 from coincid.model.golden.frame import Golden
-from coincid.model.light.on_chip import SourceSettings, source_edges
 from coincid.model.shared.errors import InputError
-from coincid.study.emulate import Session
-from coincid.tb.verilated_emulator import PATIENCE_S, SimulatedPort
 
 from ..random_cases import configured
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Golden model of the emulator's photon source (`hdl/emulator/source.py`): the same edges, bit by bit.
+"""Golden model of the emulator's photon source (`board/rtl/source.py`): the same edges, bit by bit.
 
 The light of a frame is a function of the settings, the seed and the frame number. In every cycle of a period, each pixel
-steps its generator and draws; `contract/emulator.py` names the bits of a draw.
+steps its generator and draws; `board/parameters.py` names the bits of a draw.
 """
 
 from functools import cache
@@ -10,13 +10,13 @@ from functools import cache
 import numpy as np
 from attrs import field, frozen
 
-from ..contract import emulator as chip
-from ..contract.config import Config
-from ..contract.edges import Edges
-from ..contract.parameters import Sensor
-from ..contract.pixels import pixel_table
-from ..shared.compiled import njit
-from ..shared.errors import InputError, check_integer
+from ..model.contract.config import Config
+from ..model.contract.edges import Edges
+from ..model.contract.parameters import Sensor
+from ..model.contract.pixels import pixel_table
+from ..model.shared.compiled import njit
+from ..model.shared.errors import InputError, check_integer
+from . import parameters as chip
 
 MASK = (1 << chip.STATE_BITS) - 1
 

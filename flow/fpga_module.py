@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The designs that are placed and routed: a module of the FPGA preset on a large ECP5, and the emulator on an ULX3S."""
+"""The design that is placed and routed: a module of the FPGA preset on a large ECP5."""
 
 import json
 import re
@@ -8,12 +8,8 @@ from typing import Any
 
 from attrs import evolve
 
-from ..hdl.emulator.top import EMULATOR_LIST, EmulatorTop
-from ..hdl.emulator.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, board_files, board_pins
-from ..hdl.export import FILE_LIST, fpga_files, instantiated, verilog_files
-from ..hdl.subgroup import Subgroup
-from ..model.contract.config import Config, load_config
-from ..model.contract.emulator import Emulator
+from ..hdl.export import FILE_LIST, fpga_files, verilog_files
+from ..model.contract.config import load_config
 from ..model.contract.parameters import TOP
 from ..tools.wheels import wheel_folder
 from .pnr import NEXTPNR, Board, place, write_page
@@ -21,8 +17,6 @@ from .pnr import NEXTPNR, Board, place, write_page
 WRAPPER = Path(__file__).with_name("ecp5.v")
 PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # of the device of `fpga_module`, in the wheel of nextpnr
 PACKAGE = "CABGA756"
-BUFFER_BEATS = 8192  # of the emulator's frame buffer, if nothing else is given
-RESERVE = 1.02  # the router stops when it meets its goal, so its goal is a faster clock than that of the emulator
 
 
 def fpga_module() -> Board:
@@ -67,42 +61,7 @@ def _along_the_edge() -> str:
     return "".join(f'LOCATE COMP "{bit}" SITE "{site}";\n' for bit, site in zip(bits, along, strict=False))
 
 
-def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -> Board:
-    """Return the emulator of a configuration's sensor at its clock, on an ULX3S. Raises `InputError`.
-
-    emulator: None: the one of `Emulator.of`. options: of the synthesis.
-    """
-    emulator = emulator or Emulator.of(config)
-    files = board_files(emulator, config.clock_mhz)
-    del files[EMULATOR_LIST]
-    sensor = config.sensor
-    return Board(
-        title="The emulator on an ULX3S",
-        page="docs/emulator-board.md",
-        command="make emulator",
-        what=(
-            f"the emulator of {sensor.rows} x {sensor.cols} pixels in {sensor.subgroups} subgroups, {sensor.phases} phases, with photon "
-            f"source, a frame buffer of {emulator.buffer_beats} beats, serial line and a PLL"
-        ),
-        chip="ECP5 LFE5U-85F, CABGA381, speed grade 6",
-        top=BOARD_TOP,
-        files=files,
-        pins=board_pins(RESERVE * OSCILLATOR_MHZ),
-        device=tuple("--85k --package CABGA381 --speed 6 --placer static --router router2 --tmg-ripup".split()),
-        goal_mhz=config.clock_mhz,
-        options=options,
-        apart=tuple(sorted({*instantiated(EmulatorTop(emulator)), Subgroup(sensor).unit_name})),
-    )
-
-
 def place_fpga_module() -> None:
     """Place the module of the FPGA preset, and write its page. Raises `ToolchainError`."""
     board = fpga_module()
-    write_page(board, place(board))
-
-
-def place_emulator() -> None:
-    """Place the emulator of the preset `emulator`, and write its page. Raises `ToolchainError`."""
-    config = load_config("emulator")
-    board = ulx3s(config, Emulator.of(config, BUFFER_BEATS))
     write_page(board, place(board))

@@ -8,20 +8,20 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from coincid.flow.boards import ulx3s
-from coincid.flow.emulator_release import PINS, TOPS, emulator_release
-from coincid.flow.gls import emulator_netlist
-from coincid.flow.lint import lint_emulator
-from coincid.hdl.emulator.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, pll
-from coincid.host.emulator_driver import EmulatorDriver
-from coincid.host.serial_transport import SerialTransport
+from coincid.board.driver import EmulatorDriver
+from coincid.board.lint import lint_emulator
+from coincid.board.netlist import emulator_netlist
+from coincid.board.parameters import Emulator
+from coincid.board.place import ulx3s
+from coincid.board.release import PINS, TOPS, emulator_release
+from coincid.board.rtl.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, pll
+from coincid.board.run import Session
+from coincid.board.serial_transport import SerialTransport
+from coincid.board.simulated import PATIENCE_S, SimulatedPort
+from coincid.board.source_model import SourceSettings
 from coincid.model.contract.config import load_config
-from coincid.model.contract.emulator import Emulator
 from coincid.model.contract.parameters import Sensor
-from coincid.model.light.on_chip import SourceSettings
 from coincid.model.shared.errors import InputError
-from coincid.study.emulate import Session
-from coincid.tb.verilated_emulator import PATIENCE_S, SimulatedPort
 
 from ..random_cases import configured
 

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-from ..hdl.emulator.top import EMULATOR_LIST, SERIAL_TOP, emulator_files
-from ..model.contract.emulator import BUFFER_BEATS, Emulator
 from ..model.contract.parameters import Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
+from ..tb import toolchain
+from ..tb.rtl import emitted, listed
+from ..tb.verilated import COMPILER, include, objects_in, run_time, verilated_unit
 from ..tools.build import Compile, compile_once
 from ..tools.libraries import Functions, load
-from . import toolchain
-from .rtl import emitted, listed
-from .verilated import COMPILER, include, objects_in, run_time, verilated_unit
+from .parameters import BUFFER_BEATS, Emulator
+from .rtl.top import EMULATOR_LIST, SERIAL_TOP, emulator_files
 
 SOURCE = Path(__file__).with_name("emulator.cpp")
 LIBRARY = "libemulator.so"
@@ -36,7 +36,7 @@ def simulated(
 def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
     """Return the emulator's Verilog files, emitted once for its parameters and the state of the sources."""
     name = f"emulator-{emulator.sensor.rows}x{emulator.sensor.cols}"
-    folder = emitted(name, repr((emulator, serial)), lambda: emulator_files(emulator, serial))
+    folder = emitted(name, repr((emulator, serial)), lambda: emulator_files(emulator, serial), "board")
     return listed(folder / EMULATOR_LIST)
 
 

@@ -9,11 +9,11 @@ from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
 
-from ...model.contract.emulator import Emulator
+from ...hdl.axi import STREAM
+from ...hdl.unit import Unit
 from ...model.contract.packet import BEAT_BITS
 from ...model.contract.registers import DATA_BITS
-from ..axi import STREAM
-from ..unit import Unit
+from ..parameters import Emulator
 
 
 class StreamSlice(Unit):

@@ -7,14 +7,14 @@ is only a parameter of counters. The pixels of a source are independent, so a pr
 
 from amaranth.hdl import Cat, Const, Mux, Signal
 
-from ..hdl.emulator.buffer import FrameBuffer, StreamSlice
-from ..hdl.emulator.source import PhotonSource
-from ..hdl.emulator.uart import Deframer, Framer
-from ..model.contract.emulator import Emulator
+from ..formal.proof_bench import Bench, proof
+from ..formal.sensors import SMALL
 from ..model.contract.packet import BEAT_BITS
-from ..model.contract.serial_link import BODY_BYTES_MAX, CRC_BYTES, ESCAPE, FLAG
-from .proof_bench import Bench, proof
-from .sensors import SMALL
+from .parameters import Emulator
+from .rtl.buffer import FrameBuffer, StreamSlice
+from .rtl.source import PhotonSource
+from .rtl.uart import Deframer, Framer
+from .serial_link import BODY_BYTES_MAX, CRC_BYTES, ESCAPE, FLAG
 
 EMULATOR = Emulator(sensor=SMALL, buffer_beats=64)
 

@@ -9,12 +9,12 @@ from amaranth.hdl import Const, Module, Mux, ResetSignal, Signal
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out, Signature
 
-from ...model.contract.emulator import ADDRESS_BITS, Emulator
+from ...hdl.axi import LITE, OKAY, SLVERR
+from ...hdl.export import units_files
+from ...hdl.sensor import outer_ports, wire_sensor
+from ...hdl.unit import Unit, place
 from ...model.contract.registers import DATA_BITS
-from ..axi import LITE, OKAY, SLVERR
-from ..export import units_files
-from ..sensor import outer_ports, wire_sensor
-from ..unit import Unit, place
+from ..parameters import ADDRESS_BITS, Emulator
 from .bridge import SerialBridge
 from .control import ACCESS, EmulatorControl
 from .source import PhotonSource

@@ -8,10 +8,10 @@ beats of the frame buffer from `BUFFER_BASE` on.
 
 from attrs import frozen
 
-from ..shared.errors import InputError, check_integer, wrong_value
-from .config import Config
-from .parameters import Sensor
-from .registers import CONSTANT, COUNTER, PULSE, SETTING, Register
+from ..model.contract.config import Config
+from ..model.contract.parameters import Sensor
+from ..model.contract.registers import CONSTANT, COUNTER, PULSE, SETTING, Register
+from ..model.shared.errors import InputError, check_integer, wrong_value
 from .serial_link import BAUD, BAUD_TOLERANCE
 
 ADDRESS_BITS = 24
