@@ -44,7 +44,9 @@ class EmulatorDriver(Driver):
         beats = np.zeros(0, np.uint64)
         while level:
             run = min(level, self.buffer_beats - first)  # up to the end of the ring buffer
-            words = read_block(self.transport, BUFFER_BASE + 4 * WORDS_PER_BEAT * first, WORDS_PER_BEAT * run)
+            words = read_block(
+                self.transport, BUFFER_BASE + 4 * WORDS_PER_BEAT * first, WORDS_PER_BEAT * run
+            )
             beats = np.concatenate([beats, np.array(words, "<u4").view("<u8")])
             self["buffer_take"] = run
             first, level = (first + run) % self.buffer_beats, level - run

@@ -20,7 +20,9 @@ NETLIST_BEATS = 256  # size of the frame buffer, which consists of LUTs
 
 
 def emulator_netlist(
-    config: Config, buffer_beats: int = NETLIST_BEATS, clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT
+    config: Config,
+    buffer_beats: int = NETLIST_BEATS,
+    clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT,
 ) -> tuple[Emulator, Path]:
     """Return an emulator and the library of its netlist in the cells of the FPGA, which is compiled once.
 

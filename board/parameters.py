@@ -66,7 +66,9 @@ class Emulator:
         check_integer("buffer_beats", self.buffer_beats, 64, BUFFER_BEATS_MAX)
         if self.buffer_beats & (self.buffer_beats - 1):
             legal = f"a power of two from 64 to {BUFFER_BEATS_MAX}"
-            raise wrong_value("buffer_beats", self.buffer_beats, legal, low=64, high=BUFFER_BEATS_MAX)
+            raise wrong_value(
+                "buffer_beats", self.buffer_beats, legal, low=64, high=BUFFER_BEATS_MAX
+            )
         check_integer("clocks_per_bit", self.clocks_per_bit, 4, 1 << 16)
 
     @classmethod
@@ -86,16 +88,49 @@ class Emulator:
 
 OWN: tuple[Register, ...] = (
     Register("emulator_id", 0x00, CONSTANT, "EMUL in ASCII.", reset=EMULATOR_ID),
-    Register("emulator_version", 0x04, CONSTANT, "Version of this map: major << 16 | minor.", reset=EMULATOR_VERSION),
+    Register(
+        "emulator_version",
+        0x04,
+        CONSTANT,
+        "Version of this map: major << 16 | minor.",
+        reset=EMULATOR_VERSION,
+    ),
     Register("buffer_beats", 0x08, CONSTANT, "Beats that the frame buffer holds."),
     Register("seed", 0x0C, SETTING, "Seed of the photon source.", high=0xFFFF_FFFF, reset=1),
-    Register("spread", 0x10, SETTING, "An echo is up to 2^spread - 1 ticks late, all equally likely.", high=SPREAD_MAX),
-    Register("dead_cycles", 0x14, SETTING, "Dead time of a pixel in cycles.", low=1, high=DEAD_MAX, reset=1),
-    Register("buffer_level", 0x18, COUNTER, "Number of beats in the frame buffer that have not been taken."),
+    Register(
+        "spread",
+        0x10,
+        SETTING,
+        "An echo is up to 2^spread - 1 ticks late, all equally likely.",
+        high=SPREAD_MAX,
+    ),
+    Register(
+        "dead_cycles",
+        0x14,
+        SETTING,
+        "Dead time of a pixel in cycles.",
+        low=1,
+        high=DEAD_MAX,
+        reset=1,
+    ),
+    Register(
+        "buffer_level",
+        0x18,
+        COUNTER,
+        "Number of beats in the frame buffer that have not been taken.",
+    ),
     Register("buffer_first", 0x1C, COUNTER, "Place of the first of them in the buffer."),
-    Register("buffer_take", 0x20, PULSE, "Takes so many beats out of the buffer, at most buffer_level.", high=1 << 16),
+    Register(
+        "buffer_take",
+        0x20,
+        PULSE,
+        "Takes so many beats out of the buffer, at most buffer_level.",
+        high=1 << 16,
+    ),
     # A frame in which a beat waited may not be as predicted.
-    Register("stalls", 0x24, COUNTER, "Cycles since reset in which a beat waited for the full buffer."),
+    Register(
+        "stalls", 0x24, COUNTER, "Cycles since reset in which a beat waited for the full buffer."
+    ),
     Register("link_errors", 0x28, COUNTER, "Frames of the serial link that arrived damaged."),
     # Accesses to the sensor wait while the source prepares the next frame.
     Register("seeding", 0x2C, COUNTER, "1 while the source prepares the next frame."),

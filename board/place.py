@@ -33,7 +33,9 @@ def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -
         top=BOARD_TOP,
         files=files,
         pins=board_pins(RESERVE * OSCILLATOR_MHZ),
-        device=tuple("--85k --package CABGA381 --speed 6 --placer static --router router2 --tmg-ripup".split()),
+        device=tuple(
+            "--85k --package CABGA381 --speed 6 --placer static --router router2 --tmg-ripup".split()
+        ),
         goal_mhz=config.clock_mhz,
         options=options,
         apart=tuple(sorted({*instantiated(EmulatorTop(emulator)), Subgroup(sensor).unit_name})),

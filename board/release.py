@@ -29,10 +29,14 @@ def emulator_release(config: Config, kind: str, buffer_beats: int) -> dict[str, 
     if kind not in TOPS:
         raise InputError(f"kind = {kind!r}: must be one of {', '.join(TOPS)}")
     if kind == AXI:  # has no serial line, so any clock will do
-        files = emulator_files(Emulator(sensor=config.sensor, buffer_beats=buffer_beats), serial=False)
+        files = emulator_files(
+            Emulator(sensor=config.sensor, buffer_beats=buffer_beats), serial=False
+        )
     else:
         emulator = Emulator.of(config, buffer_beats)
-        files = board_files(emulator, config.clock_mhz) if kind == BOARD else emulator_files(emulator)
+        files = (
+            board_files(emulator, config.clock_mhz) if kind == BOARD else emulator_files(emulator)
+        )
     files = files | register_files(config.sensor) | c_driver()
     files |= {CONTROL_FILE: control_file(POLYPHASE) + WAIVERS.read_text(encoding="utf-8")}
     return files | ({PINS: board_pins()} if kind == BOARD else {})

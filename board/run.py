@@ -38,7 +38,9 @@ RATE_MAX = (1 << RATE_BITS) - 1
 RECOVERIES_MAX = 5  # in a row
 
 
-def source_settings(config: Config, scene: Scene, klux: Ambient, *, spread: int = 1, seed: int = 1) -> SourceSettings:
+def source_settings(
+    config: Config, scene: Scene, klux: Ambient, *, spread: int = 1, seed: int = 1
+) -> SourceSettings:
     """Return the settings of the photon sources for a scene: echoes at the targets' ticks, background by subgroup.
 
     A pixel sees its nearest target. The probability of an echo is that of at least one photon, at most 255/256. The
@@ -46,20 +48,40 @@ def source_settings(config: Config, scene: Scene, klux: Ambient, *, spread: int 
     """
     sensor, timing = config.sensor, Timing.from_config(config)
     light = scene_light(scene, klux, background=BACKGROUNDS[0])
-    distance_m = np.asarray(light.distance_m)[:, 0] if np.ndim(light.distance_m) > 1 else np.asarray(light.distance_m)
+    distance_m = (
+        np.asarray(light.distance_m)[:, 0]
+        if np.ndim(light.distance_m) > 1
+        else np.asarray(light.distance_m)
+    )
     signal = np.asarray(light.signal_per_pulse).reshape(sensor.array_pixels, -1)[:, 0]
-    ticks = np.rint(np.nan_to_num(2 * distance_m / SPEED_OF_LIGHT_M_S / timing.tick_s)).astype(np.int64)
+    ticks = np.rint(np.nan_to_num(2 * distance_m / SPEED_OF_LIGHT_M_S / timing.tick_s)).astype(
+        np.int64
+    )
     in_range = np.isfinite(distance_m) & (ticks < config.period_ticks)
-    level = np.where(in_range, np.minimum(np.rint((1 - np.exp(-signal)) * (1 << LEVEL_BITS)), LEVEL_MAX), 0)
-    rate = np.broadcast_to(light.background_cps, sensor.array_pixels) * config.sensor.phases * timing.tick_s
+    level = np.where(
+        in_range, np.minimum(np.rint((1 - np.exp(-signal)) * (1 << LEVEL_BITS)), LEVEL_MAX), 0
+    )
+    rate = (
+        np.broadcast_to(light.background_cps, sensor.array_pixels)
+        * config.sensor.phases
+        * timing.tick_s
+    )
     table = pixel_table(sensor)
     shape = sensor.subgroups, sensor.pixels
     tick_of, level_of, rate_of = (np.zeros(shape) for _ in range(3))
-    for whole, values in ((tick_of, np.where(in_range, ticks, 0)), (level_of, level), (rate_of, 1 - np.exp(-rate))):
+    for whole, values in (
+        (tick_of, np.where(in_range, ticks, 0)),
+        (level_of, level),
+        (rate_of, 1 - np.exp(-rate)),
+    ):
         whole[table.subgroup, table.inside] = values
-    dead_cycles = int(np.clip(np.ceil(Spad().dead_time_s / (sensor.phases * timing.tick_s)), 1, DEAD_MAX))
+    dead_cycles = int(
+        np.clip(np.ceil(Spad().dead_time_s / (sensor.phases * timing.tick_s)), 1, DEAD_MAX)
+    )
     return SourceSettings(
-        background=np.minimum(np.rint(rate_of.mean(axis=1) * (1 << RATE_BITS)), RATE_MAX).astype(np.int64),
+        background=np.minimum(np.rint(rate_of.mean(axis=1) * (1 << RATE_BITS)), RATE_MAX).astype(
+            np.int64
+        ),
         tick=tick_of.astype(np.int64),
         level=level_of.astype(np.int64),
         spread=min(spread, SPREAD_MAX),
@@ -90,7 +112,9 @@ class Session:
 
     def __init__(self, driver: EmulatorDriver, config: Config, settings: SourceSettings):
         if config.auto.any():
-            raise InputError("subgroup.auto = true: the emulator is checked without the controller, must be false")
+            raise InputError(
+                "subgroup.auto = true: the emulator is checked without the controller, must be false"
+            )
         self.driver, self.config, self.settings = driver, config, settings
         self.golden, self.result, self.tally = Golden(config.sensor), ResultBuilder(config), Tally()
         self._begun: tuple[float, float] | None = None
@@ -128,7 +152,9 @@ class Session:
         self.result.add([beats])
         self.tally.frames += 1
         self.tally.beats += len(beats)
-        self.tally.seconds, self.tally.seconds_on_line = (now - begun for now, begun in zip(self._now(), self._begun))
+        self.tally.seconds, self.tally.seconds_on_line = (
+            now - begun for now, begun in zip(self._now(), self._begun)
+        )
         return beats
 
     def _now(self) -> tuple[float, float]:
@@ -154,7 +180,9 @@ class Session:
         if not np.array_equal(beats, expected):
             short = min(len(beats), len(expected))
             at = int(np.flatnonzero(np.append(beats[:short] != expected[:short], True))[0])
-            shown, want = (f"{int(b[at]):#018x}" if at < len(b) else "nothing" for b in (beats, expected))
+            shown, want = (
+                f"{int(b[at]):#018x}" if at < len(b) else "nothing" for b in (beats, expected)
+            )
             raise Mismatch(f"frame {number}, beat {at}: {shown}, golden model {want}")
 
     def draw(self, path: Path, scene: Scene) -> None:

@@ -21,7 +21,9 @@ TRIES = 10
 PATIENCE_S = 0.25
 BODY_MIN = 2 + link.CRC_BYTES  # sequence number and status
 _FLAG = bytes([link.FLAG])
-_ESCAPES = {bytes([byte]): bytes([link.ESCAPE, byte ^ link.FLIP]) for byte in (link.ESCAPE, link.FLAG)}
+_ESCAPES = {
+    bytes([byte]): bytes([link.ESCAPE, byte ^ link.FLIP]) for byte in (link.ESCAPE, link.FLAG)
+}
 
 
 class Port(Protocol):
@@ -73,7 +75,10 @@ class Deframer:
         for byte, escaped in reversed(_ESCAPES.items()):
             body = body.replace(escaped, byte)
         content, check = body[: -link.CRC_BYTES], body[-link.CRC_BYTES :]
-        right = len(body) >= BODY_MIN and zlib.crc32(content).to_bytes(link.CRC_BYTES, "little") == check
+        right = (
+            len(body) >= BODY_MIN
+            and zlib.crc32(content).to_bytes(link.CRC_BYTES, "little") == check
+        )
         return content if right else None
 
 
@@ -92,7 +97,9 @@ class SerialTransport:
         self._deframer = Deframer()
         self._sequence = 0
         self._greeted, self._used = False, False
-        self._read_words = link.READ_WORDS_MAX  # per request; fewer on a bad line, which damages long answers
+        self._read_words = (
+            link.READ_WORDS_MAX
+        )  # per request; fewer on a bad line, which damages long answers
 
     def read(self, address: int) -> int:
         """Return the word at `address`."""
@@ -106,7 +113,10 @@ class SerialTransport:
         """Return `words` words from `address` on."""
         found: list[int] = []
         while len(found) < words:
-            at, count = address + link.WORD_BYTES * len(found), min(words - len(found), self._read_words)
+            at, count = (
+                address + link.WORD_BYTES * len(found),
+                min(words - len(found), self._read_words),
+            )
             before = self.repeats
             status, content = self._request(Operation.READ, count, at)
             self._read_words = self._read_words * 2 if self.repeats == before else self._read_words
@@ -127,7 +137,9 @@ class SerialTransport:
             data = b"".join(int(value).to_bytes(link.WORD_BYTES, "little") for value in part)
             status, content = self._request(Operation.WRITE, len(part), at, data)
             if status is Answer.REFUSED:
-                raise RefusedError(f"write of {part[content[0]]:#x} to {at + link.WORD_BYTES * content[0]:#08x}")
+                raise RefusedError(
+                    f"write of {part[content[0]]:#x} to {at + link.WORD_BYTES * content[0]:#08x}"
+                )
             if content != bytes([len(part)]):
                 raise LinkError(f"write to {at:#08x}: {content!r} of {len(part)} words")
 
@@ -135,7 +147,9 @@ class SerialTransport:
         """Return no beats; the emulator's beats wait in its buffer (`driver.py`)."""
         return np.zeros(0, np.uint64)
 
-    def _request(self, operation: Operation, count: int, address: int, data: bytes = b"") -> tuple[Answer, bytes]:
+    def _request(
+        self, operation: Operation, count: int, address: int, data: bytes = b""
+    ) -> tuple[Answer, bytes]:
         """Return status (OKAY or REFUSED) and content of the answer."""
         if not self._greeted:
             status, _ = self._exchange(Operation.HELLO, 0, 0)
@@ -153,7 +167,9 @@ class SerialTransport:
             raise LinkError(f"the device answers {status.name}: does another program use the port?")
         return status, content
 
-    def _exchange(self, operation: Operation, count: int, address: int, data: bytes = b"") -> tuple[Answer, bytes]:
+    def _exchange(
+        self, operation: Operation, count: int, address: int, data: bytes = b""
+    ) -> tuple[Answer, bytes]:
         """Repeat the request until its own answer has arrived."""
         self._sequence = (self._sequence + 1) & 0xFF
         for attempt in range(self.tries):
@@ -163,7 +179,9 @@ class SerialTransport:
                     operation is Operation.READ
                 ):  # an answer to an earlier try may still arrive, and has at least as many words
                     count = self._read_words = max(1, count // 2)
-            head = bytes([self._sequence, operation, count]) + address.to_bytes(link.ADDRESS_BYTES, "little")
+            head = bytes([self._sequence, operation, count]) + address.to_bytes(
+                link.ADDRESS_BYTES, "little"
+            )
             self.port.write(frame(head + data))
             answer = self._answer()
             if answer is not None:

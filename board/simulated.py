@@ -36,7 +36,9 @@ def simulated(
 def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
     """Return the emulator's Verilog files, emitted once for its parameters and the state of the sources."""
     name = f"emulator-{emulator.sensor.rows}x{emulator.sensor.cols}"
-    folder = emitted(name, repr((emulator, serial)), lambda: emulator_files(emulator, serial), "board")
+    folder = emitted(
+        name, repr((emulator, serial)), lambda: emulator_files(emulator, serial), "board"
+    )
     return listed(folder / EMULATOR_LIST)
 
 
@@ -45,11 +47,15 @@ def build_emulator(emulator: Emulator) -> Path:
     return build_line(emulator_rtl(emulator), SERIAL_TOP, [toolchain.NOT_INLINED])
 
 
-def build_line(sources: list[Path], top: str, options: Sequence[str] = (), optimise: str = toolchain.OPTIMISE) -> Path:
+def build_line(
+    sources: list[Path], top: str, options: Sequence[str] = (), optimise: str = toolchain.OPTIMISE
+) -> Path:
     """Compile the library of a design with the ports clk, rst, rx and tx, once. options: for Verilator; optimise: of g++."""
     unit = verilated_unit(top, "Vemulator", sources, options, optimise)
     directory = (
-        build_root() / "verilated" / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text(encoding='utf-8'))}"
+        build_root()
+        / "verilated"
+        / f"emulator-{digest(unit.name, *COMPILER, SOURCE.read_text(encoding='utf-8'))}"
     )
 
     def make(_: Path, run: Compile) -> None:

@@ -41,7 +41,10 @@ class SourceSettings:
         check_integer("spread", self.spread, 0, chip.SPREAD_MAX)
         check_integer("dead_cycles", self.dead_cycles, 1, chip.DEAD_MAX)
         check_integer("seed", self.seed, 0, MASK)
-        for name, high in (("background", (1 << chip.RATE_BITS) - 1), ("level", (1 << chip.LEVEL_BITS) - 1)):
+        for name, high in (
+            ("background", (1 << chip.RATE_BITS) - 1),
+            ("level", (1 << chip.LEVEL_BITS) - 1),
+        ):
             values = getattr(self, name)
             if values.size and not 0 <= values.min() <= values.max() <= high:
                 raise InputError(f"{name}: must hold integers from 0 to {high}")
@@ -51,7 +54,10 @@ class SourceSettings:
         ticks = sensor.period_max * sensor.phases
         if self.tick.size and not 0 <= self.tick.min() <= self.tick.max() < ticks:
             raise InputError(f"tick: must hold integers from 0 to {ticks - 1}")
-        writes = [(chip.own_address(name), getattr(self, name)) for name in ("seed", "spread", "dead_cycles")]
+        writes = [
+            (chip.own_address(name), getattr(self, name))
+            for name in ("seed", "spread", "dead_cycles")
+        ]
         for s in range(sensor.subgroups):
             writes.append((chip.background_address(s), int(self.background[s])))
             echoes = self.tick[s].astype(np.int64) << chip.LEVEL_BITS | self.level[s]
@@ -70,10 +76,19 @@ def source_edges(config: Config, settings: SourceSettings, frame: int) -> Edges:
     for s in range(sensor.subgroups):
         states = seeds(settings.seed, frame & 0xFFFF, s, sensor.pixels)
         tick, level = settings.tick[s].astype(np.int64), settings.level[s].astype(np.int64)
-        light = int(settings.background[s]), tick, level, (1 << settings.spread) - 1, settings.dead_cycles
+        light = (
+            int(settings.background[s]),
+            tick,
+            level,
+            (1 << settings.spread) - 1,
+            settings.dead_cycles,
+        )
         parts.append(_walk(states, _tables(), starts, config.period, sensor.phases, *light))
     rows = np.concatenate(
-        [np.column_stack([part[:, :1], pixel_of[s][part[:, 1]], part[:, 2]]) for s, part in enumerate(parts)]
+        [
+            np.column_stack([part[:, :1], pixel_of[s][part[:, 1]], part[:, 2]])
+            for s, part in enumerate(parts)
+        ]
     )
     return Edges(*(np.ascontiguousarray(column) for column in rows.T))
 
@@ -86,7 +101,8 @@ def seeds(seed: int, frame: int, subgroup: int, pixels: int) -> np.ndarray:
     tables = _tables()
     for step in range(chip.STATE_BITS):
         lane_bits = [
-            blocks[lane * chip.STATE_BITS + step] >> np.arange(chip.LANE_PIXELS, dtype=np.uint64) & np.uint64(1)
+            blocks[lane * chip.STATE_BITS + step] >> np.arange(chip.LANE_PIXELS, dtype=np.uint64)
+            & np.uint64(1)
             for lane in range(lanes)
         ]
         bits = np.concatenate(lane_bits)[:pixels].astype(np.uint32)
@@ -115,14 +131,18 @@ def advance(states: np.ndarray, tables: np.ndarray) -> np.ndarray:
 @cache
 def _tables() -> np.ndarray:
     """uint32[4, 256]: contribution of each byte of a generator's state to the next state."""
-    columns = np.zeros(chip.STATE_BITS, np.uint32)  # bit j of the state -> bits of the next state that depend on it
+    columns = np.zeros(
+        chip.STATE_BITS, np.uint32
+    )  # bit j of the state -> bits of the next state that depend on it
     for i, taps in enumerate(chip.TAPS):
         for j in taps:
             columns[j] |= np.uint32(1 << i)
     tables = np.zeros((4, 256), np.uint32)
     for k in range(4):
         for bit in range(8):
-            tables[k] ^= np.where(np.arange(256) >> bit & 1, columns[8 * k + bit], 0).astype(np.uint32)
+            tables[k] ^= np.where(np.arange(256) >> bit & 1, columns[8 * k + bit], 0).astype(
+                np.uint32
+            )
     return tables
 
 
@@ -143,7 +163,9 @@ def _walk(states, tables, starts, period, phases, background, tick, level, sprea
                 if np.int64(state >> np.uint32(chip.RATE_LSB)) < background:
                     phase = np.int64(state >> np.uint32(chip.PHASE_LSB)) & (phases - 1)
                 if cycle == 0:
-                    hit = (np.int64(state >> np.uint32(chip.LEVEL_LSB)) & ((1 << chip.LEVEL_BITS) - 1)) < level[i]
+                    hit = (
+                        np.int64(state >> np.uint32(chip.LEVEL_LSB)) & ((1 << chip.LEVEL_BITS) - 1)
+                    ) < level[i]
                 elif cycle == 1:
                     arrival = tick[i] + (np.int64(state) & spread)
                 elif hit and arrival // phases == cycle and cycle >= chip.ECHO_FROM:
