@@ -14,9 +14,9 @@ PLL_MODEL = Path(__file__).with_name("ecp5_pll.v")
 
 
 def lint_emulator(files: Mapping[str, str], top: str) -> dict[str, str]:
-    """Return tool -> its findings in the files of `emulator_release`, "" if there are none. Raises `ToolchainError`.
+    """Return tool -> its findings in the files of `emulator_release`, "" if there are none.
 
-    Of the PLL, only the ports are known.
+    Of the PLL, only the ports are known. Raises `ToolchainError`.
     """
     names = files[EMULATOR_LIST].split()
     linted = {name: files[name] for name in (*names, CONTROL_FILE)}

@@ -24,10 +24,10 @@ def emulator_netlist(
     buffer_beats: int = NETLIST_BEATS,
     clocks_per_bit: int = SIMULATED_CLOCKS_PER_BIT,
 ) -> tuple[Emulator, Path]:
-    """Return an emulator and the library of its netlist in the cells of the FPGA, which is compiled once.
+    """Return an emulator and the library of its netlist in the FPGA's cells, compiled once.
 
-    Memories consist of LUTs, because the published models have no block RAM. The netlist starts as the FPGA does: with
-    initial values and without a reset.
+    Memories consist of LUTs, because the published models have no block RAM. The netlist starts as
+    the FPGA does: with initial values and without a reset.
     """
     emulator = simulated(config.sensor, buffer_beats, clocks_per_bit)
     netlist = synthesize(ulx3s(config, emulator, "-nobram"))

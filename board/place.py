@@ -9,13 +9,14 @@ from .parameters import BUFFER_BEATS, Emulator
 from .rtl.top import EMULATOR_LIST, EmulatorTop
 from .rtl.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, board_files, board_pins
 
-RESERVE = 1.02  # the router stops when it meets its goal, so its goal is a faster clock than that of the emulator
+# The router stops when it meets its goal, so its goal is a faster clock than that of the emulator.
+RESERVE = 1.02
 
 
 def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -> Board:
-    """Return the emulator of a configuration's sensor at its clock, on an ULX3S. Raises `InputError`.
+    """Return the emulator of a configuration's sensor at its clock, on an ULX3S.
 
-    emulator: None: the one of `Emulator.of`. options: of the synthesis.
+    emulator: None: the one of `Emulator.of`. options: of the synthesis. Raises `InputError`.
     """
     emulator = emulator or Emulator.of(config)
     files = board_files(emulator, config.clock_mhz)
@@ -26,8 +27,9 @@ def ulx3s(config: Config, emulator: Emulator | None = None, options: str = "") -
         page="docs/emulator-board.md",
         command="make emulator",
         what=(
-            f"the emulator of {sensor.rows} x {sensor.cols} pixels in {sensor.subgroups} subgroups, {sensor.phases} phases, with photon "
-            f"source, a frame buffer of {emulator.buffer_beats} beats, serial line and a PLL"
+            f"the emulator of {sensor.rows} x {sensor.cols} pixels in {sensor.subgroups} subgroups, "
+            f"{sensor.phases} phases, with photon source, a frame buffer of "
+            f"{emulator.buffer_beats} beats, serial line and a PLL"
         ),
         chip="ECP5 LFE5U-85F, CABGA381, speed grade 6",
         top=BOARD_TOP,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exported emulator: Verilog with a file list, waivers for lint, the register map of the sensor, and the C driver.
+"""The exported emulator: Verilog, file list, waivers, the sensor's register map, and the C driver.
 
-There are three kinds: for an ULX3S with its pins (`ulx3s`), with a serial line for another board (`serial`), and with an
-AXI4-Lite slave (`axi`).
+There are three kinds: for an ULX3S with its pins (`ulx3s`), with a serial line for another board
+(`serial`), and with an AXI4-Lite slave (`axi`).
 """
 
 from pathlib import Path

@@ -35,9 +35,9 @@ def lint(config: Config, view: View = POLYPHASE) -> dict[str, str]:
 
 
 def findings(files: Mapping[str, str], runs: Sequence[tuple[str, list[str]]], view: View) -> dict[str, str]:
-    """Return tool -> its findings in some tops. files: text by name. runs: of each top, its name and those of its files.
+    """Return tool -> its findings in some tops, "" if there are none.
 
-    Raises `ToolchainError`.
+    files: text by name. runs: of each top, its name and those of its files. Raises `ToolchainError`.
     """
     options = [part for option in tool_options(view)["lint"] for part in option.split()]
     found = {"verilator": ""} | ({"icarus": ""} if shutil.which("iverilog") and not view.macros else {})
