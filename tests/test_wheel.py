@@ -13,6 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study", "board")
+CACHES = {"__pycache__", ".ruff_cache"}  # folders in a room that are no part of it
 PRESETS_AND_SCENES = """
 import coincid
 from coincid.hdl.front_end_views import view_at
@@ -27,7 +28,7 @@ assert all(path.exists() for path in view_at("async", 500).macros)
 def copy_of_the_project(source):
     """Copy what is built, so that the checkout stays unchanged."""
     for name in (*ROOMS, "src"):
-        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns(*CACHES))
     for name in ("pyproject.toml", "README.md", "LICENSE", "NOTICE"):
         shutil.copy(ROOT / name, source / name)
 
@@ -50,7 +51,7 @@ def wheel(tmp_path_factory):
 def test_every_file_of_the_rooms_is_in_the_wheel(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     files = [path for room in ROOMS for path in (ROOT / room).rglob("*") if path.is_file()]
-    inside = {f"coincid/{path.relative_to(ROOT)}" for path in files if "__pycache__" not in path.parts}
+    inside = {f"coincid/{path.relative_to(ROOT)}" for path in files if not CACHES & set(path.parts)}
     assert len(inside) > 150 and inside <= set(names), inside - set(names)
     assert {name.partition("/")[0] for name in names if ".dist-info/" not in name} == {"coincid"}
     for part in ("licenses/LICENSE", "licenses/NOTICE", "entry_points.txt"):
