@@ -92,7 +92,7 @@ def test_lines_of_ci_run_the_command(entry):
             _, _, section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Try it")
             assert command in in_blocks(section), command
         elif command != "make raytrace":
-            assert line.startswith(command.removesuffix("\"")), command
+            assert line.startswith(command.removesuffix('"')), command
 
 
 @pytest.mark.parametrize("entry", table()["called"], ids=lambda entry: entry["by"])

@@ -34,7 +34,9 @@ def test_vector_units_do_not_change_the_depth():
     found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
     old = {"NPY_DISABLE_CPU_FEATURES": " ".join(found), "OPENBLAS_CORETYPE": "Nehalem"}
     environment = os.environ | old
-    elsewhere = subprocess.run([sys.executable, __file__], env=environment, capture_output=True, text=True, check=True)
+    elsewhere = subprocess.run(
+        [sys.executable, __file__], env=environment, capture_output=True, text=True, encoding="utf-8", check=True
+    )
     assert elsewhere.stdout.strip() == depth_digest()
 
 
