@@ -285,7 +285,8 @@ def lint(sensor, view="polyphase"):
     return command(f"lint --set period=100 --view {view} {given}")
 
 
-@pytest.mark.parametrize("name", (*(pytest.param(name, marks=pytest.mark.long) for name in ("fine", "odd")), "tiny"))
+@pytest.mark.long
+@pytest.mark.parametrize("name", ("fine", "odd", "tiny"))
 def test_lint_is_clean(name):
     """Nothing is found except waived warnings."""
     result = lint(SENSORS[name])

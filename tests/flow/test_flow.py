@@ -52,6 +52,7 @@ def test_yosys_errors_are_told(tmp_path):
         run_yosys(tmp_path, "no-such-command")
 
 
+@pytest.mark.long
 def test_blocks_of_a_small_sensor():
     gates, fpga = synthesize(SMALL, GATES), synthesize(SMALL, ECP5)
     minigroup = gates.blocks["coincid_minigroup"]

@@ -38,6 +38,7 @@ TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_S
 ROOT = Path(__file__).parents[2]
 PROGRAMS = "iverilog vvp sh dirname"
 COMMANDS = ("verilator --lint-only", "verilator --binary", "iverilog", "fusesoc")  # of the README
+COMPILED = ("verilator --binary", "fusesoc")  # by Verilator and g++
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +136,9 @@ def test_no_command_of_the_readme_is_forgotten(smallest):
     assert all(command.startswith(COMMANDS) for command in commands)
 
 
-@pytest.mark.parametrize("program", (*COMMANDS[:-1], pytest.param(COMMANDS[-1], marks=pytest.mark.long)))
+@pytest.mark.parametrize(
+    "program", [pytest.param(name, marks=[pytest.mark.long] if name in COMPILED else []) for name in COMMANDS]
+)
 def test_commands_of_the_readme(smallest, tmp_path, program):
     """As they stand there, in a clean folder, each for every top."""
     folder = shutil.copytree(smallest, tmp_path / "rtl")

@@ -36,7 +36,7 @@ def small(**fields):
 def test_a_run_is_the_golden_models_for_edges_in_any_order():
     run = Run(small(klux=20.0))
     assert run.frame().counter("stored").sum() > 0
-    assert "traces" in run.__dict__ and "result" not in run.__dict__  # a stage is computed when it is first asked for
+    assert run._traces is not None and run._result is None  # a stage is computed when it is first asked for
     shuffled = run.edges.take(np.random.default_rng(1).permutation(len(run.edges)))
     other = Run(run.setup.but(edges=shuffled))
     for one in (run, other):
