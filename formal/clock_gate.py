@@ -27,7 +27,7 @@ from .proof_bench import Bench, proof
 from .sensors import SMALL
 
 # How the names of registers begin that hold edges before the gate, or data that go with them.
-EDGE_DATA = ("valid_1", "phase_", "step", "root", "coarse_")
+EDGE_DATA = ("valid_1", "phases_", "step", "root", "coarse_")
 TREE_CYCLES = 12  # without a strobe; then a tree shows nothing
 
 
