@@ -116,10 +116,11 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
 def _instance(sensor: Sensor, levels: bool, view: View) -> str:
     """Return the instance of the sensor in the bench. The SPAD ports of unused subgroups are dark."""
     played = _played(sensor)
-    lit = {
-        f"{'line' if levels else 'spad'}_{s}": f"spad[{played.index(s)}]" if s in played else "{LINES{1'b0}}"
-        for s in range(sensor.subgroups)
-    }
+    port = "line" if levels else "spad"
+    driver = "at_port" if _by_words(levels, view) else "spad"
+    lit = {}
+    for s in range(sensor.subgroups):
+        lit[f"{port}_{s}"] = f"{driver}[{played.index(s)}]" if s in played else "{LINES{1'b0}}"
     for stream in range(sensor.streams):
         name = sensor.stream_name(stream)
         lit |= {f"{name}_{wire}": f"{wire}[{stream}]" for wire in ("tvalid", "tready", "tlast")}
@@ -129,11 +130,16 @@ def _instance(sensor: Sensor, levels: bool, view: View) -> str:
     return f"  {FPGA_TOP if levels else TOP} sensor (\n{pins}\n  );\n"
 
 
+def _by_words(levels: bool, view: View) -> bool:
+    """Return whether the light comes as words of edges, one bit per phase."""
+    return isinstance(view, Polyphase) and not levels
+
+
 def _sizes(config: Config, trace: Trace, accesses: Accesses, levels: bool, view: View) -> str:
     """Return the numbers that the benches use."""
     sensor = config.sensor
     work = config.pulses * config.period + sum(map(len, trace.beats)) + sum(map(len, accesses.values()))
-    by_words = isinstance(view, Polyphase) and not levels
+    by_words = _by_words(levels, view)
     sizes = {
         "STREAMS": sensor.streams,
         "SUBGROUPS": sensor.subgroups,

@@ -8,11 +8,23 @@ module coincid_smoke;
 
   always #2 clk = !clk;
 
-  // Words of edges: a bit is high for a cycle. `flip_time` counts cycles. Words change after the falling edge has counted.
-  always @(negedge clk) begin
+  // Words of edges: a bit is high for a cycle. `flip_time` counts cycles. The ports change at the falling edge that counts,
+  // by nonblocking assignments: in old versions of Verilator the sensor would not see other changes.
+  integer coming;
+  always @(posedge clk) begin
     #SETTLE;
-    while (cycle >= 0 && next < FLIPS && flip_time[next] == {32'd0, cycle}) flip;
+    coming = cycle + 1;
+    while (next < FLIPS && flip_time[next] == {32'd0, coming}) flip;
   end
+
+  reg [LINES-1:0] at_port [0:PORTS-1];
+  genvar p;
+  generate
+    for (p = 0; p < PORTS; p = p + 1) begin : port_words
+      initial at_port[p] = 0;
+      always @(negedge clk) at_port[p] <= spad[p];
+    end
+  endgenerate
 
   `include "smoke_sensor.vh"
 endmodule
