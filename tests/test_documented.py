@@ -38,6 +38,8 @@ SESSIONS = table()["session"]
 CONFIG = "[sensor]\nrows = 8\ncols = 8\n[frame]\nperiod = 60\npulses = 4\n"
 
 
+OUTSIDE_OF_MAKE = {"MAKEFLAGS": "", "MAKEOVERRIDES": ""}  # a make that runs these tests hands its options to no other
+
 QUESTION = "(set-logic QF_BV)\n(declare-const a (_ BitVec 2))\n(assert (distinct a a))\n(check-sat)\n"
 
 
@@ -65,10 +67,14 @@ def make_files(folder):
     pulse = np.array([0, 1, 3])
     write_edges(folder / "edges.npz", Edges(pulse, np.array([5, 6, 7]), tick), timing)
     write_edges(folder / "recording.ptu", Edges(pulse + 2000, np.array([3, 4, 7]), tick), timing)
+    shutil.copy(ROOT / "model" / "scenes" / "ray_scenes" / "corner.xml", folder / "room.xml")
     (folder / "docs").mkdir()
     for path in (ROOT / "docs").glob("sweep-*.toml"):
         (folder / "docs" / path.name).write_text(small_sweep(path), encoding="utf-8")
     shutil.copy(folder / "docs" / "sweep-example.toml", folder / "SPEC.toml")
+
+
+SMALL_VALUES = {"sensor.rows": 8, "sensor.cols": 16, "frame.pulses": 5}
 
 
 def small_sweep(path):
@@ -86,11 +92,10 @@ def small_sweep(path):
     for number, axis in enumerate(axes):
         lines.append("[[axis]]")
         for key, values in flat(axis):
-            if key in ("sensor.rows", "sensor.cols"):
-                values = [8]
-            elif key == "frame.pulses":
-                values = [5]
-            lines.append(f"{key} = {json.dumps(values[: 2 if number == 0 else 1])}")
+            few = values[: 2 if number == 0 else 1]
+            if key in SMALL_VALUES:
+                few = [SMALL_VALUES[key]] * len(few)
+            lines.append(f"{key} = {json.dumps(few)}")
     return "\n".join([*lines, ""])
 
 
@@ -146,7 +151,7 @@ def finished(line, folder, environment):
         as_here(line),
         shell=True,
         cwd=folder,
-        env=os.environ | environment | {"CHECKOUT": str(ROOT)},
+        env=os.environ | OUTSIDE_OF_MAKE | environment | {"CHECKOUT": str(ROOT)},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -212,7 +217,8 @@ def test_session(name, folder):
 def copied(folder):
     """Copy the sources and the pages for programs that write pages; return the environment in which the copy is found."""
     shutil.copytree(ROOT / "docs", folder / "docs")
-    for path in (*ROOT.glob("*.md"), *ROOT.glob("requirements*.lock")):
+    shutil.copytree(ROOT / "scripts", folder / "scripts")
+    for path in (*ROOT.glob("*.md"), *ROOT.glob("requirements*.lock"), ROOT / "CITATION.cff", ROOT / "Makefile"):
         shutil.copy(path, folder)
     return copy_of_sources(folder) | {"COINCID_BUILD": str(build_root())}
 
