@@ -145,7 +145,7 @@ def main() -> None:
             print(f"situation {name!r}: {counts[name]} times, goal {goal}")
     covered = sum(counts[name] >= goal for name, goal in SITUATIONS.items())
     print(f"{covered} of {len(SITUATIONS)} situations")
-    sys.exit(covered < len(SITUATIONS))
+    sys.exit(int(covered < len(SITUATIONS)))
 
 
 if __name__ == "__main__":

@@ -74,7 +74,7 @@ def make_files(folder):
     shutil.copy(folder / "docs" / "sweep-example.toml", folder / "SPEC.toml")
 
 
-SMALL_VALUES = {"sensor.rows": 8, "sensor.cols": 16, "frame.pulses": 5}
+SMALL_VALUES = {"sensor.rows": [8, 8], "sensor.cols": [16, 16], "frame.pulses": [5, 6]}
 
 
 def small_sweep(path):
@@ -94,7 +94,7 @@ def small_sweep(path):
         for key, values in flat(axis):
             few = values[: 2 if number == 0 else 1]
             if key in SMALL_VALUES:
-                few = [SMALL_VALUES[key]] * len(few)
+                few = SMALL_VALUES[key][: len(few)]
             lines.append(f"{key} = {json.dumps(few)}")
     return "\n".join([*lines, ""])
 
