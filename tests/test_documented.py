@@ -3,7 +3,7 @@
 
 The commands of a session run one after the other in a folder that holds the files they name. A target of the Makefile is
 played by the commands that `make -n` prints, except `scripts/setup`, which has run before. Sessions that take long have
-the marker `long`: `make test PYTEST_ARGS="-m long"` plays them.
+the marker `documented`: `make test PYTEST_ARGS="-m documented"` plays them.
 """
 
 import json
@@ -194,7 +194,7 @@ def sessions():
     for name, session in SESSIONS.items():
         marks = [pytest.mark.needs(need) for need in session.get("needs", ())]
         if session.get("long"):
-            marks.append(pytest.mark.long)
+            marks.append(pytest.mark.documented)
         found.append(pytest.param(name, marks=marks))
     return found
 
@@ -247,7 +247,7 @@ def served(line):
 def ways_to_explore():
     """Return the commands that start the explorer; the first is played always."""
     first, *others = table()["explorer"]["commands"]
-    return [first, *(pytest.param(line, marks=pytest.mark.long) for line in others)]
+    return [first, *(pytest.param(line, marks=pytest.mark.documented) for line in others)]
 
 
 @pytest.mark.parametrize("line", ways_to_explore())
@@ -270,7 +270,7 @@ def free_port():
         return one.getsockname()[1]
 
 
-@pytest.mark.long
+@pytest.mark.documented
 def test_sweep_on_a_cluster(folder):
     """The scheduler, a worker and the sweep of the page, on one machine."""
     scheduler, worker, sweep = table()["cluster"]["commands"]
@@ -293,7 +293,7 @@ def extras():
     """Return the commands that install an extra, with what that needs here."""
     found = []
     for line in table()["extras"]["commands"]:
-        marks = [pytest.mark.long]
+        marks = [pytest.mark.documented]
         marks += [pytest.mark.needs(name) for name in NEEDS if f"[{name}]" in line]
         found.append(pytest.param(line, marks=marks))
     return found
