@@ -142,7 +142,7 @@ WITHOUT_RTL = [
     "sim --config small.toml --scene flat:5,0.4 --out sim --engine golden",
     "photons --config small.toml --out photons.npz",
 ]
-WITH_RTL = "verilog lint synth gls power layout pnr cost formal bench".split()
+WITH_RTL = "verilog lint synth gls layout pnr formal bench".split()
 
 
 def test_only_what_has_rtl_needs_its_tools(tmp_path):
