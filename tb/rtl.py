@@ -4,6 +4,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from attrs import evolve
+
 from ..hdl.export import FILE_LIST, units_files, verilog_files
 from ..hdl.front_end_views import POLYPHASE, View
 from ..hdl.sensor import Core
@@ -35,14 +37,22 @@ def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
 def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
     """Return the files of the core (`hdl/sensor.py`), and those of slice and module (`hdl/subgroup_pair.py`).
 
-    `sliced.cpp` wires slices to the core; `slice_proof.py` proves that the module is two slices.
+    `sliced.cpp` wires slices to the core; `slice_proof.py` proves that the module is two slices. Arrays of any size have
+    the same slices.
     """
 
-    def files(*units: Unit) -> list[Path]:
-        name = f"{sensor_key(sensor)}-{units[0].unit_name}"
-        return sorted(emitted(name, repr(sensor), lambda: units_files(list(units))).iterdir())
+    def files(of: Sensor, *units: Unit) -> list[Path]:
+        name = f"{sensor_key(of)}-{units[0].unit_name}"
+        return sorted(emitted(name, repr(of), lambda: units_files(list(units))).iterdir())
 
-    return files(Core(sensor)), files(Slice(sensor), SensorModule(sensor))
+    one = of_one_subgroup(sensor)
+    return files(sensor, Core(sensor)), files(one, Slice(one), SensorModule(one))
+
+
+def of_one_subgroup(sensor: Sensor) -> Sensor:
+    """Return the smallest sensor whose subgroups are those of `sensor`."""
+    rows, cols = sensor.subgroup
+    return evolve(sensor, rows=rows, cols=cols, streams=1)
 
 
 def emitted(name: str, parameters: str, files: Callable[[], dict[str, str]], *rooms: str) -> Path:

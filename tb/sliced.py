@@ -38,7 +38,7 @@ from ..tools.libraries import Functions, array_at, load
 from . import toolchain
 from .engines import sensors_together
 from .frame_record import STORED_TO_COMMIT, FrameJob, Recorded, cycle_limit
-from .rtl import rtl_in_two, sensor_key
+from .rtl import of_one_subgroup, rtl_in_two, sensor_key
 from .rtl_errors import SimulationError
 from .slice_proof import prove_module
 from .verilated import objects_in, run_time, verilated_unit
@@ -56,7 +56,7 @@ def design(sensor: Sensor) -> Design:
     """Return the netlist in slices of a subgroup with its line of the TDC. It does not depend on the size of the array."""
     _, files = rtl_in_two(sensor)
     return Design(
-        f"{sensor_key(sensor)}",
+        sensor_key(of_one_subgroup(sensor)),
         {path.name: path.read_text(encoding="utf-8") for path in files},
         Slice.unit_name,
         units=[Minigroup.unit_name],

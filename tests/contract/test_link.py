@@ -16,7 +16,7 @@ from coincid.tb.replay import replay
 
 from ..random_cases import SENSORS, trouble
 
-SMALL = {"sensor": SENSORS["coarse"], "frame": {"pulses": 3, "period": 40}, "subgroup": {"threshold": 1, "window": 4}}
+SMALL = {"sensor": SENSORS["default"], "frame": {"pulses": 3, "period": 40}, "subgroup": {"threshold": 1, "window": 4}}
 
 
 def configured(**frame):

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from pywellen import Waveform
 
+from coincid.hdl.export import units_files
+from coincid.hdl.subgroup_pair import SensorModule, Slice
 from coincid.model.contract.parameters import TOP
 from coincid.model.golden.frame import Golden
 from coincid.tb.frame_record import FrameJob
 from coincid.tb.play import play
+from coincid.tb.rtl import of_one_subgroup
 from coincid.tb.scoreboard import check
 from coincid.tb.sliced import SlicedSensor, play_side_by_side
 
@@ -153,3 +156,10 @@ def test_every_signal_is_that_of_the_whole_rtl(tmp_path):
         if any(whole[one].value_at(time + shift + CYCLE_PS - 1) != sliced[other].value_at(time) for time in times)
     ]
     assert not wrong
+
+
+def test_slices_do_not_depend_on_the_size_of_the_array():
+    sensor = random_cases.built_sensor(ODD)
+    alone = of_one_subgroup(sensor)
+    assert (sensor.subgroups, alone.subgroups) == (5, 1)
+    assert units_files([Slice(sensor), SensorModule(sensor)]) == units_files([Slice(alone), SensorModule(alone)])
