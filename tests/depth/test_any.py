@@ -17,7 +17,7 @@ from coincid.model.shared.errors import InputError
 
 from ..random_cases import SENSORS, configurations
 
-EXAMPLES = 30
+EXAMPLES = 20
 PULSES = (1, 2, 7, 100, 1000, 10_000)
 PHOTONS = (0.0, 1e-4, 0.01, 0.3, 3.0, 100.0)  # per pulse and pixel
 BACKGROUND_CPS = (0.0, 1e3, 1e6, 1e8)

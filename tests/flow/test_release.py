@@ -196,6 +196,7 @@ def test_smoke_test_works_behind_an_adapter(smallest):
     assert PASSED.fullmatch(done.stdout.strip()), done.stdout + done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sensor", [SENSORS["tiny"], SENSORS["odd"], LEAN], ids=["tiny", "odd", "lean"])
 def test_smoke_test_of_other_sensors(sensor, tmp_path):
     folder = tmp_path / "rtl"
@@ -219,6 +220,7 @@ def test_smoke_test_finds_a_difference(releases, tmp_path, file, old, new):
     assert "FAIL" in done.stdout and "PASS" not in done.stdout and done.returncode != 0
 
 
+@pytest.mark.long
 def test_presets_of_one_process_do_not_mix(releases, tmp_path):
     """Each equals the export of a process of its own, with hashes of its own, and contains no file of another preset."""
     for name in list(SMALL)[1:]:  # the first has none before it in its process

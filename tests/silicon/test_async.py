@@ -29,6 +29,7 @@ from ..tb.test_cosim import assert_all_checked, frames
 TINIEST = dict(
     rows=4, cols=4, subgroup=[4, 4], phases=4, window_max=20, fifo_depth=1, offsets=0, records=0, controller=0
 )
+LONG = "fine", "odd", "wide"  # sensors that take long to compile, or to simulate
 FULL = {"format": "full", "minigroup_records": True, "mg_threshold": 1}
 
 
@@ -38,7 +39,7 @@ def config(window=12, pulses=8, **subgroup):
     )
 
 
-@pytest.mark.parametrize("sensor", ("fine", "odd", "tiny", pytest.param("wide", marks=pytest.mark.long)))
+@pytest.mark.parametrize("sensor", ["tiny", *(pytest.param(name, marks=pytest.mark.long) for name in LONG)])
 def test_random_frames_at_tick_centres(sensor, tmp_path):
     jobs = frames(SENSORS[sensor], 6)
     records, _ = play(jobs, "icarus", tmp_path, view=Asynchronous())
@@ -85,8 +86,8 @@ def assert_within_a_tick(settings, edges, golden, found):
     "circuit",
     (
         Circuit(),
-        Circuit(delay_line=True),
-        Circuit(mismatch_fs=tuple((-12000, 9000, 14000, -5000) * 8)),
+        pytest.param(Circuit(delay_line=True), marks=pytest.mark.long),
+        pytest.param(Circuit(mismatch_fs=tuple((-12000, 9000, 14000, -5000) * 8)), marks=pytest.mark.long),
         Circuit(pixel_skew_fs=tuple(range(0, 64 * 300, 300))),
     ),
     ids=("nominal", "delay line", "taps", "skew"),
