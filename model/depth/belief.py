@@ -82,9 +82,7 @@ class Signs(NamedTuple):
     other: np.ndarray  # int64, the most hits that fit another depth
     evidence: np.ndarray  # float64, log likelihood ratio of `near` to background
     elsewhere: np.ndarray  # float64, log likelihood ratio of `other` to background
-    lost: (
-        np.ndarray
-    )  # float64, share of the subgroup's committed events that did not leave the sensor
+    lost: np.ndarray  # float64, share of the subgroup's events that did not leave the sensor
     at_edge: np.ndarray  # bool: the gate opens or closes within the pulse
     folded: np.ndarray  # bool, of `_folded`
 
@@ -99,9 +97,8 @@ def believe(signs: Signs, config: Config, method: str) -> tuple[np.ndarray, np.n
     lit_share = np.where(signs.elsewhere > LIT, other_share, 0)
     doubtful = signs.at_edge | signs.folded | (lit_share > RIVAL_SHARE)
     confidence = np.where(doubtful, np.minimum(confidence, DOUBTFUL), confidence)
-    reason = np.full(
-        confidence.shape, Reason.FEW_PHOTONS, np.uint8
-    )  # the last one that is set holds
+    # The last one that is set holds.
+    reason = np.full(confidence.shape, Reason.FEW_PHOTONS, np.uint8)
     reason[signs.evidence < LIT] = Reason.BACKGROUND
     reason[signs.total == 0] = Reason.NO_LIGHT
     reason[signs.lost > LOST_SHARE] = Reason.EVENTS_LOST

@@ -29,19 +29,11 @@ class SubgroupEvents(NamedTuple):
     hits: np.ndarray  # uint64[n, words]
     offset: np.ndarray  # uint8[n, minigroups], or without columns
     overrun: np.ndarray  # bool[n]
-    known: (
-        np.ndarray
-    )  # int64[n]: from then on until the stamp, the tree was armed and no photon came
+    known: np.ndarray  # int64[n]: from then to the stamp, the tree was armed and no photon came
     quiet: np.ndarray  # int64[n]: before that, from then on, the tree was armed unless it was blind
-    since: (
-        np.ndarray
-    )  # int64[n]: `armed` of the cluster's previous event, `NEVER` for its first one
-    clusters: (
-        np.ndarray
-    )  # int64[k]: first events of the clusters, in groups that differ in their maps only
-    alike: (
-        np.ndarray
-    )  # int64[groups + 1]: where in `clusters` the groups begin, and the last one ends
+    since: np.ndarray  # int64[n]: `armed` of the cluster's previous event, `NEVER` without one
+    clusters: np.ndarray  # int64[k]: first events of clusters, those that differ in maps in a row
+    alike: np.ndarray  # int64[groups + 1]: where in `clusters` such groups begin, and the last ends
     shares: np.ndarray  # of `first_shares`, or empty
 
 

@@ -78,9 +78,7 @@ def pixel_peaks(
 class _Law(NamedTuple):
     """How peaks are found."""
 
-    pulse: (
-        np.ndarray
-    )  # float64[n]: a hit in its middle counts exactly 1; a little more would count as two
+    pulse: np.ndarray  # float64[n]: a hit in its middle counts exactly 1, not a little more
     width: float  # bins of even light that count as much as the pulse
     shapes: np.ndarray  # float64[groups, bins], background relative to its mean
     lives: np.ndarray  # float64[groups, bins], share of the periods in which hits could come
