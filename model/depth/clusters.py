@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events of each subgroup, cut into clusters: events of the same pulse to which the same photon may belong."""
+"""Events of each subgroup, cut into clusters.
+
+A cluster is events of the same pulse to which the same photon may belong.
+"""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -14,78 +17,132 @@ NEVER = -(1 << 40)  # a tick long before any other
 
 
 class SubgroupEvents(NamedTuple):
-    """Events of a subgroup, by event; times in ticks.
+    """Events of a subgroup; times in ticks.
 
     Events of the same pulse are treated together, as a cluster, if a photon may belong to either.
     """
 
-    stamp: np.ndarray
-    armed: np.ndarray  # the tree is armed again
-    pulse: np.ndarray
-    winner: np.ndarray
-    hits: np.ndarray
-    offset: np.ndarray
-    overrun: np.ndarray
-    known: np.ndarray  # from then on until the stamp, the tree was armed and no photon came
-    quiet: np.ndarray  # before that, from then on, the tree was armed unless it was blind, because no window ends later
-    since: np.ndarray  # `armed` of the previous event of the cluster, `NEVER` for the first one
-    clusters: np.ndarray  # first events of the clusters, in groups that differ in their maps only
-    alike: np.ndarray  # where in `clusters` each group begins, and where the last one ends
+    stamp: np.ndarray  # int64[n]
+    armed: np.ndarray  # int64[n], the tree is armed again
+    pulse: np.ndarray  # int64[n]
+    winner: np.ndarray  # int64[n]
+    hits: np.ndarray  # uint64[n, words]
+    offset: np.ndarray  # uint8[n, minigroups], or without columns
+    overrun: np.ndarray  # bool[n]
+    known: np.ndarray  # int64[n]: from then to the stamp, the tree was armed and no photon came
+    quiet: np.ndarray  # int64[n]: before that, from then on, the tree was armed unless it was blind
+    since: np.ndarray  # int64[n]: `armed` of the cluster's previous event, `NEVER` without one
+    clusters: np.ndarray  # int64[k]: first events of clusters, those that differ in maps in a row
+    alike: np.ndarray  # int64[groups + 1]: where in `clusters` such groups begin, and the last ends
     shares: np.ndarray  # of `first_shares`, or empty
 
 
 @lru_cache(1)  # grids of a frame follow each other
-def cluster_events(events: Events, config: Config, pulses: int, reach: int, offsets: bool) -> list[SubgroupEvents]:
-    """Return the events of each subgroup, without shares. offsets: are they used? Then no event is like another."""
+def cluster_events(
+    events: Events, config: Config, pulses: int, reach: int, offsets: bool
+) -> list[SubgroupEvents]:
+    """Return the events of each subgroup, without shares.
+
+    pulses: number of pulses in which the events came. reach: ticks from the centre of a pulse to
+    its beginning and end. offsets: are they used? Then no cluster is like another.
+    """
     sensor = config.sensor
     subgroup = np.repeat(np.arange(sensor.subgroups), np.diff(events.bounds))
-    stamp, pulse, overrun = events.stamp, events.pulse % pulses, events.overrun
+    stamp = events.stamp
+    pulse = events.pulse % pulses
     armed = armed_ticks(stamp, events.window[subgroup], config)
-    with_next = (pulse[1:] == pulse[:-1]) & (subgroup[1:] == subgroup[:-1])  # in the same pulse
-    previous = np.full(len(stamp), -1)  # `armed` of the event before, if it was in the same pulse
-    previous[1:][with_next] = armed[:-1][with_next]
-    earliest, cycle = np.maximum(_gate_opens(events, config), previous), stamp // sensor.phases * sensor.phases
+    previous = _previous_armed(armed, pulse, subgroup)
+    earliest = np.maximum(_gate_opens(events, config), previous)
+    cycle = stamp // sensor.phases * sensor.phases
     known = np.minimum(stamp, np.maximum(earliest, cycle))
+    # No window that opened before ends later.
     quiet_from = cycle - sensor.rearm * sensor.phases - events.window[subgroup] + 1
     quiet = np.minimum(known, np.maximum(earliest, quiet_from))
-    since = np.where((previous >= 0) & (quiet <= previous + 2 * reach), np.minimum(previous, quiet), NEVER)
-    followed = np.append(overrun[1:], False)  # does the next event carry `overrun`, or the last one itself?
-    last = events.bounds[1:][np.diff(events.bounds) > 0] - 1
-    followed[last] = overrun[last]
-    kind = ((subgroup * config.period_ticks + stamp) * 2 + overrun) * 2 + followed
+    joins = (previous >= 0) & (quiet <= previous + 2 * reach)
+    since = np.where(joins, np.minimum(previous, quiet), NEVER)
+    kind = _kind(events, subgroup, config.period_ticks)
     clusters = np.flatnonzero(since == NEVER)
     clusters = clusters[np.argsort(kind[clusters], kind="stable")]
-    alone = np.append(since[1:] == NEVER, True)[clusters] & (not offsets)
-    same = alone[1:] & alone[:-1]
-    for part in (kind, known, quiet):
-        same &= part[clusters[1:]] == part[clusters[:-1]]
+    begins = np.ones(len(clusters), bool)
+    if not offsets:
+        single = np.append(since[1:] == NEVER, True)
+        begins = _begin_groups(clusters, single, kind, known, quiet)
     bounds = np.searchsorted(subgroup[clusters], np.arange(sensor.subgroups + 1))
-    begins = np.concatenate([np.ones(min(1, len(clusters)), bool), ~same])
+    found = []
+    for s in range(sensor.subgroups):
+        span = slice(events.bounds[s], events.bounds[s + 1])
+        here = slice(bounds[s], bounds[s + 1])
+        of_subgroup = SubgroupEvents(
+            stamp=stamp[span],
+            armed=armed[span],
+            pulse=pulse[span],
+            winner=events.winner[span],
+            hits=events.hits[span],
+            offset=events.offset[span],
+            overrun=events.overrun[span],
+            known=known[span],
+            quiet=quiet[span],
+            since=since[span],
+            clusters=clusters[here] - events.bounds[s],
+            alike=np.append(np.flatnonzero(begins[here]), bounds[s + 1] - bounds[s]),
+            shares=np.empty((0, 0), np.float32),
+        )
+        found.append(of_subgroup)
+    return found
 
-    def of_subgroup(s: int) -> SubgroupEvents:
-        span, here = slice(events.bounds[s], events.bounds[s + 1]), slice(bounds[s], bounds[s + 1])
-        parts = stamp, armed, pulse, events.winner, events.hits, events.offset, overrun, known, quiet, since
-        alike = np.append(np.flatnonzero(begins[here]), bounds[s + 1] - bounds[s])
-        own = clusters[here] - events.bounds[s], alike, np.empty((0, 0), np.float32)
-        return SubgroupEvents._make([*(part[span] for part in parts), *own])
 
-    return [of_subgroup(s) for s in range(sensor.subgroups)]
+def _previous_armed(armed: np.ndarray, pulse: np.ndarray, subgroup: np.ndarray) -> np.ndarray:
+    """int64[n]: `armed` of the event before, -1 if that was in another pulse or subgroup."""
+    same_pulse = (pulse[1:] == pulse[:-1]) & (subgroup[1:] == subgroup[:-1])
+    previous = np.full(len(armed), -1)
+    previous[1:][same_pulse] = armed[:-1][same_pulse]
+    return previous
+
+
+def _kind(events: Events, subgroup: np.ndarray, ticks: int) -> np.ndarray:
+    """int64[n]: a number for each subgroup, stamp, and drops before and after the event.
+
+    They ascend by subgroup.
+    """
+    overrun = events.overrun
+    followed = np.append(overrun[1:], False)  # does the next event carry `overrun`,
+    last = events.bounds[1:][np.diff(events.bounds) > 0] - 1
+    followed[last] = overrun[last]  # or the last one itself?
+    return ((subgroup * ticks + events.stamp) * 2 + overrun) * 2 + followed
+
+
+def _begin_groups(
+    clusters: np.ndarray, single: np.ndarray, kind: np.ndarray, known: np.ndarray, quiet: np.ndarray
+) -> np.ndarray:
+    """bool[k]: does a group of clusters that differ in their maps only begin?
+
+    single: bool[n], is the event the last one of its cluster? The others: int64[n], by event.
+    """
+    alone = single[clusters]
+    same = alone[1:] & alone[:-1]
+    for values in (kind, known, quiet):
+        of_cluster = values[clusters]
+        same &= of_cluster[1:] == of_cluster[:-1]
+    return np.concatenate([np.ones(min(1, len(clusters)), bool), ~same])
 
 
 def _gate_opens(events: Events, config: Config) -> np.ndarray:
     """int64[n]: tick at which the gate opened in each event's pulse, 0 without gating."""
     subgroup = np.repeat(np.arange(config.sensor.subgroups), np.diff(events.bounds))
-    opens = (config.gate_start[subgroup] + gate_moved(config, events.pulse % config.pulses)) * config.sensor.phases
-    return np.where(config.gating[subgroup], opens, 0)
+    cycle = config.gate_start[subgroup] + gate_moved(config, events.pulse % config.pulses)
+    return np.where(config.gating[subgroup], cycle * config.sensor.phases, 0)
 
 
 def gate_moved(config: Config, pulse: np.ndarray) -> np.ndarray:
     """int64[n]: cycles by which the gate has moved in pulses of a frame, int64[n]."""
-    every, steps = config.frame.gate_every, config.frame.gate_steps
-    return config.frame.gate_step * (pulse // every % steps if every else np.zeros_like(pulse))
+    frame = config.frame
+    if not frame.gate_every:
+        return np.zeros_like(pulse)
+    return frame.gate_step * (pulse // frame.gate_every % frame.gate_steps)
 
 
 def armed_ticks(stamp: np.ndarray, window: int | np.ndarray, config: Config) -> np.ndarray:
     """int64[n]: tick at which the tree is armed again after events at `stamp`."""
-    phases = config.sensor.phases
-    return armed_cycle(close_cycle(stamp + (window - 1), 1, phases), config.sensor.rearm) * phases
+    sensor = config.sensor
+    close = close_cycle(stamp + (window - 1), 1, sensor.phases)
+    return armed_cycle(close, sensor.rearm) * sensor.phases

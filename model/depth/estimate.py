@@ -20,7 +20,14 @@ from ..shared.quantities import check_choice
 from ..shared.threads import Threads
 from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
 from .belief import SENTENCES, Reason, Signs, believe, find_signs
-from .histograms import Events, frame_events, frame_records, minigroup_step_ticks, pixel_image, subgroup_histograms
+from .histograms import (
+    Events,
+    frame_events,
+    frame_records,
+    minigroup_step_ticks,
+    pixel_image,
+    subgroup_histograms,
+)
 from .methods import DEFAULT_METHOD, METHODS
 from .peaks import live_share, pixel_peaks, record_live
 from .planes import find_surfaces

@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a subgroup's events say about the times and lights of its pixels, as logarithms of likelihoods.
+"""What a subgroup's events say about the times and lights of its pixels: log likelihoods.
 
 The events of a pulse constrain the firing time of each pixel of the subgroup:
 
 - The winner fired at the stamp.
-- A pixel in the map fired inside the window, and not before its minigroup's offset (format full). It fired at that
-  offset if it was the first of its minigroup. The probability of this follows from the approximate surface times of the
-  other pixels (`first_shares`).
-- A pixel outside the map did not fire inside the window, nor while the tree waited for its first photon. It may have
-  fired while the tree was blind, between the window's end and the re-arming.
+- A pixel in the map fired inside the window, and not before its minigroup's offset (format full).
+  It fired at that offset if it was the first of its minigroup. The probability of this follows from
+  the approximate surface times of the other pixels (`first_shares`).
+- A pixel outside the map did not fire inside the window, nor while the tree waited for its first
+  photon. It may have fired while the tree was blind, between the window's end and the re-arming.
 - Without an event nearby, it did not fire, or it left no trace (`unheard.py`).
 
-A pixel that sees a surface at time t with `light` photons per pulse fires at the first of them and is dead from then on.
-So the probability that it has fired by time u is F(u) = 1 - exp(-light * Phi((u - t) / sigma)).
+A pixel that sees a surface at time t with `light` photons per pulse fires at the first of them and
+is dead from then on. So the probability that it has fired by time u is
+
+    F(u) = 1 - exp(-light * Phi((u - t) / sigma)).
 """
 
 import math
@@ -32,159 +34,236 @@ from .vector_math import fast_log
 REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
 RARE = 1e-6  # lowest probability: effects that the law does not include happen, too
 KEPT = 32  # tables of F, at most: those of the next frame are mostly the same
-ALIKE = 0.2  # pixels of a minigroup are treated alike if their probabilities to have been first differ by less
+ALIKE = 0.2  # pixels of a minigroup are treated alike if their shares differ by less
 
 
 class Law(NamedTuple):
-    """What holds for all events of a subgroup; times in ticks. Arrays over times and lights are flat, by time.
+    """What holds for all events of a subgroup; times in ticks.
 
-    The times of the grid are numbered from `origin`, the first one that some pixel wants.
+    The times of the grid are numbered from `origin`. In kernels, k0 and k1 are such numbers: the
+    first time, and the one after the last. Arrays over times and lights are flat, by time.
     """
 
     window: int
-    told: int  # ticks of the window whose hits are known: all of them, or the first (format short)
-    phases: int
+    told: int  # ticks of the window whose hits are known: all, or the first (format short)
+    phases: int  # ticks per cycle
     offset: int  # ticks per step of an offset
-    reach: int
-    step: int
-    origin: int
-    lights: int
+    reach: int  # from the centre of a pulse to its beginning and end
+    step: int  # between times of the grid
+    origin: int  # number of the first time that some pixel wants
+    lights: int  # number of lights
     noise: float  # background photons per tick and pixel
     alive: np.float32  # share of the pulses in which background has not fired the pixel yet
     pulses: int
-    heard: np.ndarray  # float32[kinds, times * lights]: chance that a photon makes an event; also that while dropping
-    sharp: np.ndarray  # the same: chance that it makes the stamp of an event earlier
-    margin: int
+    # Chances by the time of a surface, float32[kinds, times * lights]; kind 1 is while dropping.
+    heard: np.ndarray  # a photon makes an event
+    sharp: np.ndarray  # a photon makes the stamp of an event earlier
+    margin: int  # of `fired_table`
     fired: np.ndarray  # of `fired_table`
 
 
 class Pixels(NamedTuple):
-    """Pixels of a subgroup, and what the events that hit them say, float32[pixels, bins * lights], logarithms.
+    """Pixels of a subgroup, and what the events that hit them say."""
 
-    total: valid only where `touched`, bool[pixels, bins], is set.
-    """
-
-    minigroup: np.ndarray
-    mask: np.ndarray
-    activity: np.ndarray
-    first: np.ndarray
-    total: np.ndarray
-    touched: np.ndarray
-    counted: np.ndarray  # event in which the pixel was hit last
-    number: np.ndarray  # of `_count`
-    hit: np.ndarray  # the same
+    minigroup: np.ndarray  # int64[pixels]
+    mask: np.ndarray  # bool[pixels]
+    activity: np.ndarray  # float64[pixels], background relative to the mean
+    first: np.ndarray  # int64[pixels], number of the pixel's first time
+    total: np.ndarray  # float32[pixels, bins * lights], log likelihoods; only where `touched`
+    touched: np.ndarray  # bool[pixels, bins]
+    counted: np.ndarray  # int64[pixels], event in which the pixel was hit last
+    number: np.ndarray  # int64[2, pixels], of `_count`
+    hit: np.ndarray  # int64[pixels], of `_count`
 
 
 class _Rows(NamedTuple):
-    """Workspace of a cluster, float32[times * lights].
+    """Workspace of a cluster, float32[times * lights]."""
 
-    lost: probability that a photon was noticed outside the pixel's hits; before: the same before the present event.
-    unseen: log likelihood of no hit; logs: that of a hit, relative to it.
-    """
+    lost: np.ndarray  # probability that a photon was noticed outside the pixel's hits
+    before: np.ndarray  # the same, before the present event
+    unseen: np.ndarray  # log likelihood of no hit
+    logs: np.ndarray  # log likelihood of a hit, relative to that of no hit
 
-    lost: np.ndarray
-    before: np.ndarray
-    unseen: np.ndarray
-    logs: np.ndarray
+
+class _Cluster(NamedTuple):
+    """A cluster of events of one pulse, and single ones that differ from it in their maps only."""
+
+    begin: int  # its first event
+    end: int  # the event after its last one
+    alike: np.ndarray  # int64[n], first events of all these clusters
+
+
+class _Hit(NamedTuple):
+    """When a pixel fired, in ticks: in [begin, until)."""
+
+    begin: int
+    own: int  # a pixel that was its minigroup's first fired in [begin, own)
+    until: int
 
 
 @njit
 def add_events(law, events, pixels):
-    """Return what a subgroup's events say about pixels without a hit, float32[times * lights]; add the hits to `pixels`.
+    """Return what a subgroup's events say about pixels without a hit, float32[times * lights].
 
-    In each cluster of events, a pixel's first hit counts.
+    What they say about hits is added to `pixels`. In each cluster of events, a pixel's first hit
+    counts.
     """
-    pulse, armed, overrun, first = events.pulse, events.armed, events.overrun, pixels.first
-    lights, bins = law.lights, pixels.touched.shape[1]
-    n, times = len(pulse), law.heard.shape[1] // lights
-    wanted = np.zeros(times + 1, np.int64)  # running number of the times that are in some pixel's bins
+    length = law.heard.shape[1]
+    times = length // law.lights
+    wanted = np.zeros(times + 1, np.int64)
+    silent = np.zeros((2, times + 1), np.int64)
+    common = np.zeros(length, np.float32)
+    rows = _Rows(
+        lost=np.empty(length, np.float32),
+        before=np.empty(length, np.float32),
+        unseen=np.empty(length, np.float32),
+        logs=np.empty(length, np.float32),
+    )
+    _count_wanted(pixels.first, pixels.touched.shape[1], wanted)
+    for run in range(len(events.alike) - 1):
+        alike = events.clusters[events.alike[run] : events.alike[run + 1]]
+        _add_cluster(law, events, alike, wanted, pixels, rows, common)
+    _count_silent(law, events, silent)
+    _add_silent(law, silent, rows.lost, common)
+    return common
+
+
+@part
+def _count_wanted(first, bins, wanted):
+    """Compute wanted[k], int64[times + 1]: how many times before k are in some pixel's bins."""
+    times = len(wanted) - 1
     for i in range(len(first)):
         for k in range(max(0, first[i]), min(times, first[i] + bins)):
             wanted[k + 1] = 1
     for k in range(times):
         wanted[k + 1] += wanted[k]
-    common = np.zeros(times * lights, np.float32)
-    rows = _Rows(np.empty_like(common), np.empty_like(common), np.empty_like(common), np.empty_like(common))
-    silent = np.zeros((2, times + 1), np.int64)  # change of the number of pulses without an event nearby, by `overrun`
-    since, since_pulse = np.int64(0), np.int64(0)  # typed, so that nothing compiles twice
-    for e in range(n):
+
+
+@part
+def _count_silent(law, events, silent):
+    """Count the pulses without an event nearby, int64[2, times + 1]: changes from time to time.
+
+    Row 1 has those before an event that carries `overrun`, and row 0 the others.
+    """
+    times = silent.shape[1] - 1
+    number = len(events.pulse)
+    pulse = np.int64(0)  # typed, so that nothing compiles twice
+    since = np.int64(0)
+    for e in range(number):
+        begin, end = reached(law, events.quiet[e], events.armed[e], times)
         if events.since[e] == NEVER:
-            k0, _ = reached(law, events.quiet[e], armed[e], times)
-            _add_silence(silent[np.int64(overrun[e])], since_pulse, since, pulse[e], k0)
-        _, since = reached(law, events.quiet[e], armed[e], times)
-        since_pulse = pulse[e]
-    for run in range(len(events.alike) - 1):
-        alike = events.clusters[events.alike[run] : events.alike[run + 1]]
-        begin, frequency = alike[0], np.float32(len(alike))
-        end = begin + 1
-        while end < n and events.since[end] != NEVER:
-            end += 1
-        k0, k1 = reached(law, events.quiet[begin], armed[end - 1], times)
-        while k0 < k1 and wanted[k0 + 1] == wanted[k0]:
-            k0 += 1
-        while k1 > k0 and wanted[k1] == wanted[k1 - 1]:
-            k1 -= 1
-        if k0 >= k1:
-            continue
-        here = slice(k0 * lights, k1 * lights)
-        rows.lost[here], rows.before[here] = 0, 0
-        for e in range(begin, end):
-            _lose(law, events, e, rows.lost, k0, k1)
-        if not (overrun[end] if end < n else overrun[n - 1]):
-            _lose_after(law, armed[end - 1], rows.lost, k0, k1)
-        _not_lost(rows.lost[here], frequency, rows.unseen[here], common[here])
-        for e in range(begin, end):
-            _add_hits(law, events, e, begin, alike, pixels, rows, k0, k1)
-            if e + 1 < end:
-                _lose(law, events, e, rows.before, k0, k1)
-    _add_silence(silent[np.int64(n > 0 and overrun[n - 1])], since_pulse, since, law.pulses, 0)
-    always = fired_by(law, -NEVER, 0)
-    always_fired = law.fired[always : always + times * lights]
-    for dropping in range(len(law.heard)):
-        number = 0
-        for k in range(times):
-            number += silent[dropping, k]
-            rows.lost[k * lights : (k + 1) * lights] = number
-        for j in range(len(common)):
-            unheard = np.float32(1) - law.heard[dropping, j] * always_fired[j]
-            common[j] += rows.lost[j] * fast_log(max(np.float32(RARE), unheard))
-    return common
+            _add_silence(silent[np.int64(events.overrun[e])], pulse, since, events.pulse[e], begin)
+        pulse = events.pulse[e]
+        since = end
+    dropping = np.int64(number > 0 and events.overrun[number - 1])
+    _add_silence(silent[dropping], pulse, since, law.pulses, 0)
 
 
 @part
 def _add_silence(silent, from_pulse, since, to_pulse, until):
-    """Count the pulses without an event nearby, from time `since` of one pulse to time `until` of another."""
+    """Count the pulses from time `since` of one pulse to time `until` of another."""
     silent[since] += 1
     silent[until] -= 1
     silent[0] += to_pulse - from_pulse
 
 
 @part
-def _lose(law, events, e, lost, k0, k1):
-    """Add event e to `lost`: a pixel outside its map did not fire in the window, nor between the last event and it.
+def _add_silent(law, silent, numbers, common):
+    """Add what the pulses without an event nearby say.
 
-    Before `quiet`, its photon would have made an event of its own; before `known`, it would have made this event's stamp
-    earlier.
+    numbers: workspace, float32[times * lights].
     """
-    dropping, here = np.int64(events.overrun[e]), slice(k0 * law.lights, k1 * law.lights)
-    z, a = fired_by(law, events.since[e], k0), fired_by(law, events.quiet[e], k0)
-    b, c = fired_by(law, events.known[e], k0), fired_by(law, events.stamp[e] + law.told, k0)
-    n, fired = (k1 - k0) * law.lights, law.fired
-    z, a, b, c = fired[z : z + n], fired[a : a + n], fired[b : b + n], fired[c : c + n]
-    heard, sharp, alive, lost = law.heard[0, here], law.sharp[dropping, here], law.alive, lost[here]
+    lights = law.lights
+    times = silent.shape[1] - 1
+    fired = law.fired[_by_tick(law, -NEVER, 0, times)]
+    for dropping in range(len(law.heard)):
+        number = 0
+        for k in range(times):
+            number += silent[dropping, k]
+            for j in range(k * lights, (k + 1) * lights):
+                numbers[j] = number
+        for j in range(len(common)):
+            unheard = np.float32(1) - law.heard[dropping, j] * fired[j]
+            common[j] += numbers[j] * fast_log(max(np.float32(RARE), unheard))
+
+
+@part
+def _add_cluster(law, events, alike, wanted, pixels, rows, common):
+    """Add what a cluster of events, and those `alike`, say about pixels with and without a hit."""
+    begin = alike[0]
+    end = _cluster_end(events, begin)
+    times = len(wanted) - 1
+    k0, k1 = reached(law, events.quiet[begin], events.armed[end - 1], times)
+    while k0 < k1 and wanted[k0 + 1] == wanted[k0]:
+        k0 += 1
+    while k1 > k0 and wanted[k1] == wanted[k1 - 1]:
+        k1 -= 1
+    if k0 >= k1:
+        return
+    here = slice(k0 * law.lights, k1 * law.lights)
+    rows.lost[here] = 0
+    rows.before[here] = 0
+    for e in range(begin, end):
+        _lose(law, events, e, rows.lost, k0, k1)
+    following = min(end, len(events.pulse) - 1)  # after the last event, its own `overrun` counts
+    if not events.overrun[following]:
+        _lose_after(law, events.armed[end - 1], rows.lost, k0, k1)
+    _not_lost(rows.lost[here], np.float32(len(alike)), rows.unseen[here], common[here])
+    cluster = _Cluster(begin, end, alike)
+    for e in range(begin, end):
+        _add_hits(law, events, e, cluster, pixels, rows, k0, k1)
+        if e + 1 < end:
+            _lose(law, events, e, rows.before, k0, k1)
+
+
+@part
+def _cluster_end(events, begin):
+    """Return the event after the last one of the cluster that begins at an event."""
+    end = begin + 1
+    while end < len(events.since) and events.since[end] != NEVER:
+        end += 1
+    return end
+
+
+@part
+def _lose(law, events, e, lost, k0, k1):
+    """Add event e to `lost`, the probability that a photon of a pixel outside its map was noticed.
+
+    The pixel did not fire in the window, nor between the last event and it: before `quiet`, its
+    photon would have made an event of its own; before `known`, it would have made this event's
+    stamp earlier.
+    """
+    here = slice(k0 * law.lights, k1 * law.lights)
+    dropping = np.int64(events.overrun[e])
     stored = np.float32(not dropping)
+    alive = law.alive
+    heard = law.heard[0, here]
+    sharp = law.sharp[dropping, here]
+    since = law.fired[_by_tick(law, events.since[e], k0, k1)]
+    quiet = law.fired[_by_tick(law, events.quiet[e], k0, k1)]
+    known = law.fired[_by_tick(law, events.known[e], k0, k1)]
+    told = law.fired[_by_tick(law, events.stamp[e] + law.told, k0, k1)]
+    lost = lost[here]
     for j in range(len(lost)):
-        lost[j] += alive * (c[j] - b[j]) + sharp[j] * (b[j] - a[j]) + stored * heard[j] * (a[j] - z[j])
+        in_window = alive * (told[j] - known[j])
+        earlier = sharp[j] * (known[j] - quiet[j])
+        alone = stored * heard[j] * (quiet[j] - since[j])
+        lost[j] += in_window + earlier + alone
 
 
 @part
 def _lose_after(law, armed, lost, k0, k1):
-    """Add the silence after the last event of a pulse to `lost`."""
-    here, n = slice(k0 * law.lights, k1 * law.lights), (k1 - k0) * law.lights
-    d, f = fired_by(law, armed, k0), fired_by(law, -NEVER, k0)
-    d, f, heard, lost = law.fired[d : d + n], law.fired[f : f + n], law.heard[0, here], lost[here]
+    """Add the silence after the last event of a pulse to `lost`.
+
+    armed: tick from which on the tree is.
+    """
+    here = slice(k0 * law.lights, k1 * law.lights)
+    heard = law.heard[0, here]
+    by_then = law.fired[_by_tick(law, armed, k0, k1)]
+    ever = law.fired[_by_tick(law, -NEVER, k0, k1)]
+    lost = lost[here]
     for j in range(len(lost)):
-        lost[j] += heard[j] * (f[j] - d[j])
+        lost[j] += heard[j] * (ever[j] - by_then[j])
 
 
 @part
@@ -196,48 +275,87 @@ def _not_lost(lost, frequency, unseen, common):
 
 
 @part
-def _add_hits(law, events, e, cluster, alike, pixels, rows, k0, k1):
-    """Add what event e, and single events `alike` it, say about the pixels in their maps; pixels of a kind share a row."""
-    mask, activity, first, counted = pixels.mask, pixels.activity, pixels.first, pixels.counted
-    bins, offset, shares = pixels.touched.shape[1], events.offset, events.shares
-    stamp, winner = events.stamp[e], events.winner[e]
-    cycle, end = stamp // law.phases * law.phases, stamp + law.window
-    k0 = max(k0, reached(law, events.known[e], end, k1)[0])  # earlier surfaces, before which a hit is like none
-    groups, numbers = offset.shape[1] if len(shares) else 1, pixels.number
-    hit = pixels.hit[: _count(events.hits, events.winner, e, alike, numbers, pixels.hit)]
-    for group in range(-1, groups):  # one at a time, because the pixels of a group share rows; first of all the winner
-        begin, own, until, of_row = stamp, stamp, end, np.float32(-1.0)
-        if group < 0:
-            until = stamp + 1
-        elif len(shares) and group != pixels.minigroup[winner] and offset[e, group] != OFFSET_NONE:
-            begin = max(stamp, cycle + offset[e, group] * law.offset)
-            own = min(end, cycle + (offset[e, group] + 1) * law.offset)
-        for i in hit:
-            number = numbers[np.int64(group < 0), i]
-            if number == 0 or not mask[i] or cluster <= counted[i] < e:
+def _add_hits(law, events, e, cluster, pixels, rows, k0, k1):
+    """Add what event e of a cluster, and single ones alike it, say about pixels in their maps.
+
+    Pixels of a minigroup share a row, if their shares are alike and their background is the mean.
+    """
+    first_hit = reached(law, events.known[e], events.stamp[e] + law.window, k1)[0]
+    k0 = max(k0, first_hit)  # for earlier surfaces, a hit is like none
+    hit_pixels = _count(events, e, cluster.alike, pixels)
+    groups = 1
+    if len(events.shares):
+        groups = events.offset.shape[1]
+    for group in range(-1, groups):  # one at a time, because its pixels share rows; -1: the winner
+        hit = _hit_of(law, events, e, group, pixels.minigroup)
+        of_row = np.float32(-1.0)  # share for which the row holds; negative: for no other pixel
+        for n in range(hit_pixels):
+            i = pixels.hit[n]
+            number = pixels.number[np.int64(group < 0), i]
+            if number == 0 or not pixels.mask[i] or cluster.begin <= pixels.counted[i] < e:
                 continue
             if groups > 1 and group >= 0 and pixels.minigroup[i] != group:
                 continue
-            counted[i] = e
-            share = shares[e, i] if own > begin else np.float32(0.0)
-            low, high = k0, k1
-            if activity[i] != 1 or group < 0 and len(alike) == 1:
-                low, high, of_row = max(k0, first[i]), min(k1, first[i] + bins), np.float32(-1.0)
+            pixels.counted[i] = e
+            share = np.float32(0.0)
+            if hit.own > hit.begin:
+                share = events.shares[e, i]
+            usual = pixels.activity[i] == 1
+            low = k0
+            high = k1
+            if not usual or (group < 0 and len(cluster.alike) == 1):  # no pixel shares this row
+                low = max(k0, pixels.first[i])
+                high = min(k1, pixels.first[i] + pixels.touched.shape[1])
+                of_row = np.float32(-1.0)
             if of_row < 0 or abs(share - of_row) > ALIKE:
                 if low < high:
-                    _row(law, events, e, (begin, own, until, share), law.noise * activity[i], rows, low, high)
-                of_row = share if activity[i] == 1 else np.float32(-1.0)
-            _add(pixels.total[i], pixels.touched[i], rows.logs, np.float32(number), first[i], k0, k1, law.lights)
+                    noise = law.noise * pixels.activity[i]
+                    _row(law, events, e, hit, share, noise, rows, low, high)
+                of_row = share if usual else np.float32(-1.0)
+            _add(pixels, i, rows.logs, np.float32(number), k0, k1, law.lights)
 
 
 @part
-def _count(hits, winner, e, alike, number, hit):
-    """Count how often each pixel was hit without winning, and won, in event e and those alike: int64[2, pixels].
+def _hit_of(law, events, e, group, minigroup):
+    """Return when the pixels of a minigroup in the map of event e fired.
 
-    Write the pixels with a hit to `hit`, and return their number.
+    Group -1 is the winner alone.
     """
+    stamp = events.stamp[e]
+    begin = stamp
+    own = stamp
+    until = stamp + law.window
+    if group < 0:
+        until = stamp + 1
+    elif len(events.shares) and group != minigroup[events.winner[e]]:
+        offset = events.offset[e, group]
+        if offset != OFFSET_NONE:
+            begin, own = _ticks_of(law, stamp, offset)
+    return _Hit(begin, own, until)
+
+
+@part
+def _ticks_of(law, stamp, offset):
+    """Return the ticks of an event's window in a step of offsets: first, and after the last."""
+    cycle = stamp // law.phases * law.phases
+    begin = max(stamp, cycle + offset * law.offset)
+    end = min(stamp + law.window, cycle + (offset + 1) * law.offset)
+    return begin, end
+
+
+@part
+def _count(events, e, alike, pixels):
+    """Count how often each pixel was hit without winning, and won, in event e and those alike.
+
+    `number` of `pixels` gets both, and `hit` the pixels with a hit. Return how many these are.
+    """
+    hits = events.hits
+    winner = events.winner
+    number = pixels.number
+    hit = pixels.hit
     for i in range(number.shape[1]):
-        number[0, i], number[1, i] = 0, 0
+        number[0, i] = 0
+        number[1, i] = 0
     for k in range(len(alike)):
         x = alike[k] if k else e
         for i in range(number.shape[1]):
@@ -253,81 +371,107 @@ def _count(hits, winner, e, alike, number, hit):
 
 
 @part(error_model="numpy")
-def _row(law, events, e, hit, noise, rows, k0, k1):
-    """Compute logs[k0:k1] of `rows`: the likelihood ratio of a hit of event e.
+def _row(law, events, e, hit, share, noise, rows, k0, k1):
+    """Compute `logs` of `rows` for times k0 to k1: the likelihood ratio of a hit of event e.
 
-    hit: ticks begin, own and until, and share: it is in [begin, until), or before `own` with the probability `share` of
-    having been its minigroup's first. The ratio is relative to the likelihood of no hit, which all pixels get. What
-    precedes the hit is as in `_lose`.
+    share: probability that the pixel was its minigroup's first. The ratio is relative to the
+    likelihood of no hit, which all pixels get. What precedes the hit is as in `_lose`.
     """
-    begin, own, until, share = hit
-    dropping, here = np.int64(events.overrun[e]), slice(k0 * law.lights, k1 * law.lights)
-    z, a = fired_by(law, events.since[e], k0), fired_by(law, events.quiet[e], k0)
-    b, c = fired_by(law, events.known[e], k0), fired_by(law, begin, k0)
-    d, f = fired_by(law, own, k0), fired_by(law, until, k0)
-    n, fired = (k1 - k0) * law.lights, law.fired
-    z, a, b = fired[z : z + n], fired[a : a + n], fired[b : b + n]
-    c, d, f = fired[c : c + n], fired[d : d + n], fired[f : f + n]
-    heard, sharp, alive = law.heard[0, here], law.sharp[dropping, here], law.alive
-    before, unseen, logs = rows.before[here], rows.unseen[here], rows.logs[here]
+    here = slice(k0 * law.lights, k1 * law.lights)
+    dropping = np.int64(events.overrun[e])
     stored = np.float32(not dropping)
-    background = np.float32(1 / (noise * (share * (own - begin) + (1 - share) * (until - begin))))
+    alive = law.alive
+    heard = law.heard[0, here]
+    sharp = law.sharp[dropping, here]
+    since = law.fired[_by_tick(law, events.since[e], k0, k1)]
+    quiet = law.fired[_by_tick(law, events.quiet[e], k0, k1)]
+    known = law.fired[_by_tick(law, events.known[e], k0, k1)]
+    begin = law.fired[_by_tick(law, hit.begin, k0, k1)]
+    own = law.fired[_by_tick(law, hit.own, k0, k1)]
+    until = law.fired[_by_tick(law, hit.until, k0, k1)]
+    before = rows.before[here]
+    unseen = rows.unseen[here]
+    logs = rows.logs[here]
+    ticks = share * (hit.own - hit.begin) + (1 - share) * (hit.until - hit.begin)
+    background = np.float32(1 / (noise * ticks))
     weight = alive * background
     for j in range(len(logs)):
-        lost = alive * (c[j] - b[j]) + sharp[j] * (b[j] - a[j]) + stored * heard[j] * (a[j] - z[j])
-        earlier = max(np.float32(RARE), np.float32(1) - before[j] - lost)
-        inside = f[j] + share * (d[j] - f[j]) - c[j]
-        logs[j] = fast_log(weight * inside + earlier) - unseen[j]
+        in_window = alive * (begin[j] - known[j])
+        earlier = sharp[j] * (known[j] - quiet[j])
+        alone = stored * heard[j] * (quiet[j] - since[j])
+        lost = in_window + earlier + alone
+        unnoticed = max(np.float32(RARE), np.float32(1) - before[j] - lost)
+        inside = until[j] + share * (own[j] - until[j]) - begin[j]
+        logs[j] = fast_log(weight * inside + unnoticed) - unseen[j]
 
 
 @part
-def _add(total, touched, row, number, first, k0, k1, lights):
-    """Add times k0 to k1 of a row, a number of times, to a pixel's total, which begins at time `first`."""
-    low, high = max(k0, first), min(k1, first + len(touched))
+def _add(pixels, i, row, number, k0, k1, lights):
+    """Add times k0 to k1 of a row, a number of times, to the total of pixel i."""
+    first = pixels.first[i]
+    total = pixels.total[i]
+    touched = pixels.touched[i]
+    low = max(k0, first)
+    high = min(k1, first + len(touched))
     for k in range(low - first, high - first):
         if not touched[k]:
             touched[k] = True
             for j in range(k * lights, (k + 1) * lights):
                 total[j] = 0
     if low < high:
-        out, row = total[(low - first) * lights : (high - first) * lights], row[low * lights : high * lights]
-        for j in range(len(out)):
-            out[j] += number * row[j]
+        own = total[(low - first) * lights : (high - first) * lights]
+        here = row[low * lights : high * lights]
+        for j in range(len(own)):
+            own[j] += number * here[j]
 
 
 @njit
 def first_shares(law, events, minigroup, time, light, sigma):
-    """float32[n, pixels]: probability that a hit pixel was the first of its minigroup, so that all others fired later."""
-    stamp, winner, hits, offset = events.stamp, events.winner, events.hits, events.offset
-    n, pixels = len(stamp), len(minigroup)
+    """float32[n, pixels]: probability that a hit pixel was the first of its minigroup.
+
+    time, light: float64[pixels], approximate ticks and photons of the surfaces.
+    """
+    n = len(events.stamp)
+    pixels = len(minigroup)
     shares = np.zeros((n, pixels), np.float32)
     members = np.empty(pixels, np.int64)
     later = np.empty(pixels)
     for e in range(n):
-        cycle, end = stamp[e] // law.phases * law.phases, stamp[e] + law.window
-        for g in range(offset.shape[1]):
-            if offset[e, g] == OFFSET_NONE or g == minigroup[winner[e]]:
+        end = events.stamp[e] + law.window
+        for g in range(events.offset.shape[1]):
+            offset = events.offset[e, g]
+            if offset == OFFSET_NONE or g == minigroup[events.winner[e]]:
                 continue
-            begin = max(stamp[e], cycle + offset[e, g] * law.offset)
-            own = min(end, cycle + (offset[e, g] + 1) * law.offset)
+            begin, own = _ticks_of(law, events.stamp[e], offset)
             number = 0
             for i in range(pixels):
-                if minigroup[i] == g and is_hit(hits, e, i):
+                if minigroup[i] == g and is_hit(events.hits, e, i):
                     members[number] = i
-                    last = _unfired(end - time[i], light[i], sigma)
-                    inside = _unfired(begin - time[i], light[i], sigma) - last
-                    if inside > RARE:
-                        later[number] = (_unfired(own - time[i], light[i], sigma) - last) / inside
-                    else:  # background, or an unknown surface
-                        later[number] = (end - own) / (end - begin)
+                    later[number] = _later(begin, own, end, time[i], light[i], sigma)
                     number += 1
             for j in range(number):
-                share = 1.0
-                for k in range(number):
-                    if k != j:
-                        share *= later[k]
-                shares[e, members[j]] = share
+                shares[e, members[j]] = _all_others(later, number, j)
     return shares
+
+
+@part
+def _later(begin, own, end, time, light, sigma):
+    """Return the probability that a pixel that fired in [begin, end) did so in [own, end)."""
+    last = _unfired(end - time, light, sigma)
+    inside = _unfired(begin - time, light, sigma) - last
+    if inside > RARE:
+        return (_unfired(own - time, light, sigma) - last) / inside
+    return (end - own) / (end - begin)  # background, or an unknown surface
+
+
+@part
+def _all_others(chances, number, own):
+    """Return the product of so many chances, except one."""
+    share = 1.0
+    for k in range(number):
+        if k != own:
+            share *= chances[k]
+    return share
 
 
 @part
@@ -340,28 +484,36 @@ def _unfired(distance, light, sigma):
 def fired_table(
     sigma_ticks: float, reach: int, step: int, span: int, lights: tuple[float, ...]
 ) -> tuple[int, np.ndarray]:
-    """Return a margin, and F for ticks u and times t of a grid: float32[step * columns * lights], by row and column.
+    """Return a margin, and F for ticks u and times t of a grid: float32[step * columns * lights].
 
-    Row r is for ticks u with (u + reach) % step = r. Then F for consecutive times is a contiguous part of the row: its
-    column is `margin`, less the number of steps from t to u + reach. `margin` columns to both sides are enough for `span`
-    times.
+    It is ordered by row and column. Row r is for ticks u with (u + reach) % step = r. Then F for
+    consecutive times is a contiguous part of the row: its column is `margin`, less the number of
+    steps from t to u + reach. `margin` columns to both sides are enough for `span` times.
     """
     distance = np.arange(-2 * reach, 2 * reach + 1) / 2
-    fired = -portable.expm1(-special.ndtr(distance / sigma_ticks)[:, None] * np.array(lights)).astype(np.float32)
+    reached_by = special.ndtr(distance / sigma_ticks)[:, None]  # share of the pulse
+    fired = -portable.expm1(-reached_by * np.array(lights)).astype(np.float32)
     margin = span + 2 * reach // step + 2
-    half_ticks = 2 * np.arange(step)[:, None] + step * (2 * (margin - np.arange(2 * margin + span)) - 1)
+    columns = margin - np.arange(2 * margin + span)
+    half_ticks = 2 * np.arange(step)[:, None] + step * (2 * columns - 1)
     return margin, fired[np.clip(half_ticks, 0, 4 * reach)].ravel()
 
 
 @njit
 def chances_to_be_heard(silent, every, origin, span, step, lights, alive):
-    """float32[kinds, span * lights]: `Law.heard` or `Law.sharp`; silent: float32[kinds, points], as in `Unheard`."""
+    """float32[kinds, span * lights]: `Law.heard` or `Law.sharp`.
+
+    silent: float32[kinds, points], as in `Unheard`, a point for every `every` ticks. The others are
+    fields of `Law`; span: number of times.
+    """
     heard = np.empty((len(silent), span * lights), np.float32)
     last = silent.shape[1] - 1
     for k in range(span):
-        place = min(max(((origin + k) * step + step // 2 + 0.5) / every - 0.5, 0.0), float(last))
+        middle = (origin + k) * step + step // 2 + 0.5
+        place = min(max(middle / every - 0.5, 0.0), float(last))
         before = int(place)
-        after, part = min(before + 1, last), np.float32(place - before)
+        after = min(before + 1, last)
+        part = np.float32(place - before)
         for kind in range(len(silent)):
             share = silent[kind, before] + part * (silent[kind, after] - silent[kind, before])
             for j in range(k * lights, (k + 1) * lights):
@@ -371,16 +523,17 @@ def chances_to_be_heard(silent, every, origin, span, step, lights, alive):
 
 @part
 def reached(law, begin, end, times):
-    """Return the times of surfaces whose photons come between two ticks, the first one and the one after the last."""
+    """Return the times, of so many, of surfaces whose photons come between two ticks: k0 and k1."""
     k0 = (begin - law.reach) // law.step - law.origin
     k1 = (end + law.reach) // law.step + 1 - law.origin
     return min(times, max(0, k0)), min(times, max(0, k1))
 
 
 @part
-def fired_by(law, tick, k0):
-    """Return where `law.fired` has F at a tick for the surfaces from time k0 on, and all lights."""
+def _by_tick(law, tick, k0, k1):
+    """Return where `law.fired` has F at a tick, for surfaces at times k0 to k1 and all lights."""
     steps = (tick + law.reach) // law.step
     column = min(max(law.margin - steps + law.origin + k0, 0), 2 * law.margin)
     row = tick + law.reach - steps * law.step
-    return row * (len(law.fired) // law.step) + column * law.lights
+    begin = row * (len(law.fired) // law.step) + column * law.lights
+    return slice(begin, begin + (k1 - k0) * law.lights)

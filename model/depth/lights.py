@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How bright the pixels are: the lights that a pixel may have, their prior from the frame, and the mean over them."""
+"""How bright the pixels are.
+
+The lights that a pixel may have, their prior from the frame, and the mean over them.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,30 +15,37 @@ from .vector_math import fast_exp, fast_log, top_of
 LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
 LEARNING_ROUNDS = 30  # in which the shares of the lights converge
 LIGHT_SPAN = 4.0  # lights more than so many times from those of a subgroup's seeds are left out
-NEGLIGIBLE = -1.0  # log likelihood ratio below which averaging over the lights is not worth its exponentials
+NEGLIGIBLE = -1.0  # log likelihood ratio, below which a mean is not worth its exponentials
 BLOCK = 32  # times that are averaged together
 
 
 def lights_near(known: np.ndarray, lights: np.ndarray) -> slice:
-    """Return the lights that the pixels of a subgroup may have. known: those of its seeds; all lights if there are none."""
+    """Return the lights that the pixels of a subgroup may have.
+
+    known: lights of its seeds; if there are none, all are possible.
+    """
     if not len(known):
         return slice(0, len(lights))
-    low, high = np.searchsorted(lights, (known.min() / LIGHT_SPAN, known.max() * LIGHT_SPAN)).tolist()
+    low = int(np.searchsorted(lights, known.min() / LIGHT_SPAN))
+    high = int(np.searchsorted(lights, known.max() * LIGHT_SPAN))
     return slice(max(0, low - 1), min(len(lights), high + 1))
 
 
 def prior_of_met(prior: np.ndarray) -> np.ndarray:
-    """Return the prior for windows that met a threshold above 1: no light counts as rarer than a brighter one.
+    """Return the prior for windows that met a threshold above 1: no light counts as rarer than a
+    brighter one.
 
-    Among these windows, dark pixels are hit more often than the law says, and look brighter than they are.
+    Among these windows, dark pixels are hit more often than the law says, and look brighter than
+    they are.
     """
     return np.maximum.accumulate(prior[::-1])[::-1]
 
 
 def learned_prior(chance: np.ndarray) -> np.ndarray:
-    """float32[lights]: log share of the pixels with each light; the shares make the pixels likeliest.
+    """float32[lights]: log share of the pixels with each light.
 
-    chance: float32[n, lights], likelihood of each light, in a unit of the pixel's own.
+    The shares make the pixels likeliest. chance: float32[n, lights], likelihood of each light, in a
+    unit of the pixel's own.
     """
     share = np.full(chance.shape[1], 1 / chance.shape[1])
     for _ in range(LEARNING_ROUNDS if len(chance) else 0):
@@ -44,7 +56,9 @@ def learned_prior(chance: np.ndarray) -> np.ndarray:
 
 @njit
 def _gain(chance, share):
-    """float64[lights]: sum over the pixels of each light's likelihood, relative to the mean over the lights."""
+    """float64[lights]: sum over the pixels of each light's likelihood, relative to the mean over
+    the lights.
+    """
     gain = np.zeros(len(share))
     for i in range(len(chance)):
         mean = 0.0
@@ -55,83 +69,145 @@ def _gain(chance, share):
     return gain
 
 
+class _Work(NamedTuple):
+    """Workspace of a mean over the lights, for `BLOCK` times."""
+
+    values: np.ndarray  # float32[lights, BLOCK], log likelihoods
+    top: np.ndarray  # float32[BLOCK], highest of them
+    ratio: np.ndarray  # float32[BLOCK], logarithm of the mean over the highest
+    best: np.ndarray  # int32[BLOCK], number of the likeliest light
+    line: np.ndarray  # float32[BLOCK * lights], log likelihoods of a pixel
+
+
+class _Levels(NamedTuple):
+    """What is known of consecutive times."""
+
+    level: np.ndarray  # float32[n], logarithm of the mean over the lights
+    light: np.ndarray  # uint8[n], index of the likeliest light in the grid
+
+
 @njit
 def add_light_chances(common, pixels, known, chance):
-    """Compute chance, float32[pixels, lights]: sum of a known pixel's likelihoods over its times, in a unit of its own."""
-    total, touched, first = pixels.total, pixels.touched, pixels.first
+    """Compute chance, float32[pixels, lights]: sum of a known pixel's likelihoods over its times.
+
+    Its unit is the pixel's own. common, pixels: from `add_events`. known: bool[pixels].
+    """
     lights = chance.shape[1]
-    bins, times = touched.shape[1], len(common) // lights
+    bins = pixels.touched.shape[1]
+    times = len(common) // lights
     line = np.empty(bins * lights, np.float32)
-    for i in range(len(total)):
-        low, high = max(0, -first[i]), min(bins, times - first[i])
-        if not known[i] or high <= low:
-            continue
-        for k in range(low, high):
-            if not touched[i, k]:
-                touched[i, k] = True
-                total[i, k * lights : (k + 1) * lights] = 0
-        here = common[(first[i] + low) * lights : (first[i] + high) * lights]
-        own, of_pixel = total[i, low * lights : high * lights], line[low * lights : high * lights]
-        for j in range(len(own)):
-            of_pixel[j] = here[j] + own[j]
-        top = top_of(of_pixel)
-        for j in range(len(own)):
-            of_pixel[j] = fast_exp(of_pixel[j] - top)
-        for k in range(low, high):
-            for x in range(lights):
-                chance[i, x] += line[k * lights + x]
+    for i in range(len(pixels.total)):
+        first = pixels.first[i]
+        low = max(0, -first)
+        high = min(bins, times - first)
+        if known[i] and low < high:
+            here = common[(first + low) * lights : (first + high) * lights]
+            _touch(pixels.total[i], pixels.touched[i], low, high, lights)
+            own = pixels.total[i][low * lights : high * lights]
+            _add_chances(here, own, line[: len(own)], chance[i])
+
+
+@part
+def _touch(total, touched, low, high, lights):
+    """Make a total valid from bin `low` to `high`; nothing was added where it is not yet."""
+    for k in range(low, high):
+        if not touched[k]:
+            touched[k] = True
+            total[k * lights : (k + 1) * lights] = 0
+
+
+@part
+def _add_chances(common, own, line, chance):
+    """Add the likelihoods of a pixel, common + own, to `chance`.
+
+    line: workspace of the same length.
+    """
+    lights = len(chance)
+    for j in range(len(own)):
+        line[j] = common[j] + own[j]
+    top = top_of(line)
+    for j in range(len(own)):
+        line[j] = fast_exp(line[j] - top)
+    for k in range(len(line) // lights):
+        for x in range(lights):
+            chance[x] += line[k * lights + x]
 
 
 @njit
 def mean_over_lights(common, pixels, prior, lightest, place, level, light):
-    """Compute the logarithm of the mean over the lights, and the likeliest light; a masked pixel favours no time.
+    """Compute the logarithm of the mean over the lights, and the likeliest light.
 
-    lightest: index of the first light in the grid. `common` is used up.
+    A masked pixel favours no time. common, pixels: from `add_events`; `common` is used up. prior:
+    float32[lights]. lightest: index of the first light in the grid. place: int64[pixels], row of
+    each pixel in the results, level and light.
     """
-    total, touched, mask, first = pixels.total, pixels.touched, pixels.mask, pixels.first
     lights = len(prior)
     times = len(common) // lights
-    work = np.zeros((lights, BLOCK), np.float32), np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
-    best = np.zeros(BLOCK, np.int32)
-    level_of_all, light_of_all = np.empty(times, np.float32), np.empty(times, np.uint8)
-    line = np.empty(BLOCK * lights, np.float32)
+    work = _Work(
+        values=np.zeros((lights, BLOCK), np.float32),
+        top=np.zeros(BLOCK, np.float32),
+        ratio=np.zeros(BLOCK, np.float32),
+        best=np.zeros(BLOCK, np.int32),
+        line=np.empty(BLOCK * lights, np.float32),
+    )
+    of_all = _Levels(np.empty(times, np.float32), np.empty(times, np.uint8))
+    _mean_of_all(common, prior, lightest, work, of_all)
+    for i in range(len(pixels.total)):
+        own = _Levels(level[place[i]], light[place[i]])
+        if pixels.mask[i]:
+            _mean_of_pixel(common, pixels, i, lightest, work, of_all, own)
+        else:
+            own.level[:] = 0
+            own.light[:] = 0
+
+
+@part
+def _mean_of_all(common, prior, lightest, work, of_all):
+    """Add the prior to `common`, and compute the levels and lights of a pixel that no event hit."""
+    lights = len(prior)
+    times = len(of_all.level)
     for k in range(times):
         for x in range(lights):
             common[k * lights + x] += prior[x]
     for k in range(0, times, BLOCK):
         end = min(times, k + BLOCK)
-        _mean(common[k * lights : end * lights], lightest, work, best, level_of_all[k:end], light_of_all[k:end])
-    for i in range(len(total)):
-        if mask[i]:
-            own = total[i], touched[i], first[i], level[place[i]], light[place[i]]
-            _over_lights_of(*own, common, lightest, work, best, level_of_all, light_of_all, line)
-        else:
-            level[place[i]], light[place[i]] = 0, 0
+        here = _Levels(of_all.level[k:end], of_all.light[k:end])
+        _mean(common[k * lights : end * lights], lightest, work, here)
 
 
 @part
-def _over_lights_of(
-    total, touched, first, level, light, common, lightest, work, best, level_of_all, light_of_all, line
-):
-    """Compute the levels and lights of a pixel, which are those of all pixels where no event hit it."""
-    lights, bins = len(work[0]), len(touched)
-    low, high = max(0, -first), min(bins, len(level_of_all) - first)
-    high = max(low, high)
-    level[:low], light[:low], level[high:], light[high:] = 0, 0, 0, 0
-    _copy(level_of_all[first + low : first + high], level[low:high])
-    _copy(light_of_all[first + low : first + high], light[low:high])
+def _mean_of_pixel(common, pixels, i, lightest, work, of_all, own):
+    """Compute the levels and lights of pixel i.
+
+    Where no event hit it, they are those of all pixels.
+    """
+    lights = len(work.values)
+    first = pixels.first[i]
+    total = pixels.total[i]
+    touched = pixels.touched[i]
+    low = max(0, -first)
+    high = max(low, min(len(touched), len(of_all.level) - first))
+    own.level[:low] = 0
+    own.light[:low] = 0
+    own.level[high:] = 0
+    own.light[high:] = 0
+    _copy(of_all.level[first + low : first + high], own.level[low:high])
+    _copy(of_all.light[first + low : first + high], own.light[low:high])
     k = low
     while k < high:
-        end, most = k, min(high, k + BLOCK)
+        end = k
+        most = min(high, k + BLOCK)
         while end < most and touched[end]:
             end += 1
         if end == k:
             k += 1
             continue
-        here, own = common[(first + k) * lights : (first + end) * lights], total[k * lights : end * lights]
-        for j in range(len(own)):
-            line[j] = here[j] + own[j]
-        _mean(line[: len(own)], lightest, work, best, level[k:end], light[k:end])
+        everywhere = common[(first + k) * lights : (first + end) * lights]
+        here = total[k * lights : end * lights]
+        line = work.line[: len(here)]
+        for j in range(len(here)):
+            line[j] = everywhere[j] + here[j]
+        _mean(line, lightest, work, _Levels(own.level[k:end], own.light[k:end]))
         k = end
 
 
@@ -143,26 +219,33 @@ def _copy(source, target):
 
 
 @part
-def _mean(line, lightest, work, best, level, light):
+def _mean(line, lightest, work, out):
     """Compute the mean over the lights and the likeliest light of at most `BLOCK` times.
 
-    work: values, float32[lights, BLOCK], and two float32[BLOCK]; best: int32[BLOCK]. All loops over times have the same
-    length, so that they compile to vector code without a remainder.
+    line: float32[times * lights]. All loops over times have the same length, so that they compile
+    to vector code without a remainder.
     """
-    values, top, ratio = work
-    n, lights = len(level), len(values)
+    values = work.values
+    top = work.top
+    ratio = work.ratio
+    best = work.best
+    n = len(out.level)
+    lights = len(values)
     for k in range(n):
         for x in range(lights):
             values[x, k] = line[k * lights + x]
     for k in range(BLOCK):
-        top[k], best[k], ratio[k] = values[0, k], 0, 0
+        top[k] = values[0, k]
+        best[k] = 0
+        ratio[k] = 0
     for x in range(1, lights):
         for k in range(BLOCK):
             best[k] = x if values[x, k] > top[k] else best[k]
             top[k] = max(values[x, k], top[k])
     highest = np.float32(NEGLIGIBLE)
     for k in range(n):
-        level[k], light[k] = top[k], best[k] + lightest
+        out.level[k] = top[k]
+        out.light[k] = best[k] + lightest
         highest = max(highest, top[k])
     if highest > NEGLIGIBLE:
         for x in range(lights):
@@ -171,4 +254,4 @@ def _mean(line, lightest, work, best, level, light):
         for k in range(BLOCK):
             ratio[k] = fast_log(ratio[k])
         for k in range(n):
-            level[k] = top[k] + (ratio[k] if top[k] > NEGLIGIBLE else np.float32(0))
+            out.level[k] = top[k] + (ratio[k] if top[k] > NEGLIGIBLE else np.float32(0))

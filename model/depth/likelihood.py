@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Likelihood of the sensor's words as a function of each pixel's surface time, on which the estimator of planes rests.
+"""Likelihood of the sensor's words as a function of each pixel's surface time, on which the
+estimator of planes rests.
 
-All of this is our own choice; the paper (IV) takes the peak of every pixel's histogram. All likelihoods are relative to
-a pixel that sees no surface, whose hits are background. The stages are:
+All of this is our own choice; the paper (IV) takes the peak of every pixel's histogram. All
+likelihoods are relative to a pixel that sees no surface, whose hits are background. The stages are:
 
 1. cut the events of each subgroup into clusters (`clusters.py`);
 2. compute how often a pixel that fires leaves no trace (`unheard.py`);
@@ -11,6 +12,7 @@ a pixel that sees no surface, whose hits are background. The stages are:
 """
 
 import math
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -18,8 +20,16 @@ import numpy as np
 
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
-from .clusters import cluster_events
-from .evidence import REACH_SIGMAS, Law, Pixels, add_events, chances_to_be_heard, fired_table, first_shares
+from .clusters import SubgroupEvents, cluster_events
+from .evidence import (
+    REACH_SIGMAS,
+    Law,
+    Pixels,
+    add_events,
+    chances_to_be_heard,
+    fired_table,
+    first_shares,
+)
 from .histograms import Events, by_subgroup
 from .lights import add_light_chances, learned_prior, lights_near, mean_over_lights, prior_of_met
 from .unheard import BLIND_MAX, Spread, Unheard
@@ -29,30 +39,56 @@ QUIET_RATE = 1e-7  # photons per tick and pixel, at least: some background is ev
 
 
 class Grid(NamedTuple):
-    """Times and lights at which the likelihood is computed.
+    """Times and lights at which the likelihood is computed."""
 
-    step: ticks between times, which are step * (k + 1/2). lights: float32[L], photons per pulse. prior: float32[L], log
-    probability of each; None: learned from the pixels whose time the guess knows.
-    """
-
-    step: int
-    lights: np.ndarray
-    prior: np.ndarray | None
+    step: int  # ticks between times, which are step * (k + 1/2)
+    lights: np.ndarray  # float32[L], photons per pulse
+    prior: np.ndarray | None  # float32[L], log probability of each light; None: to be learned
 
 
 class Levels(NamedTuple):
-    """Log likelihood ratio, float32, and index of the likeliest light, uint8, both [rows, cols, bins]; the lights' prior."""
+    """What is known of each pixel's times, [rows, cols, bins]."""
 
-    level: np.ndarray
-    light: np.ndarray
-    prior: np.ndarray
+    level: np.ndarray  # float32, log likelihood ratio
+    light: np.ndarray  # uint8, index of the likeliest light
+    prior: np.ndarray  # float32[L], log probability of each light
 
 
 class Guess(NamedTuple):
-    """Prior knowledge of the pixels, [subgroups, pixels]: time in ticks (float64, NaN = unknown) and light."""
+    """Prior knowledge of the pixels, [subgroups, pixels]."""
 
-    time: np.ndarray
-    light: np.ndarray
+    time: np.ndarray  # float64, ticks; NaN = unknown
+    light: np.ndarray  # float64, photons per pulse
+
+
+class _Frame(NamedTuple):
+    """What the likelihood is computed from."""
+
+    events: Events
+    config: Config
+    sigma_ticks: float  # of the pulse
+    pulses: int  # in which the events came
+    grid: Grid
+    never: Unheard
+    first: np.ndarray  # int64[subgroups, pixels], index of the pixel's first time in the grid
+    bins: int  # number of a pixel's times
+    activity: np.ndarray  # float64[subgroups, pixels], background relative to the mean
+    guess: Guess | None
+    known: np.ndarray  # bool[subgroups, pixels]: does the guess know the pixel's time?
+    lights: list[slice]  # by subgroup, the lights of the grid that its pixels may have
+    clusters: list[SubgroupEvents]  # by subgroup
+    origins: np.ndarray  # int64[subgroups], first time that some pixel wants
+    spans: np.ndarray  # int64[subgroups], times from it to the last one that some pixel wants
+
+    @property
+    def reach(self) -> int:
+        """Ticks from the centre of the pulse to its beginning and end."""
+        return math.ceil(REACH_SIGMAS * self.sigma_ticks)
+
+    @property
+    def with_offsets(self) -> bool:
+        """Whether offsets are used: for that, approximate times of the surfaces must be known."""
+        return self.guess is not None and self.events.offset.shape[1] > 0
 
 
 def log_likelihood(
@@ -69,87 +105,147 @@ def log_likelihood(
     guess: Guess | None = None,
     spread: Spread = map,
 ) -> Levels:
-    """Return the log likelihood ratio of each pixel's times, as a mean over the lights, and the likeliest light at each.
+    """Return the log likelihood ratio of each pixel's times, as a mean over the lights, and the
+    likeliest light at each.
 
-    pulses: number of pulses in which the events came. never: from `unheard`, for the same events. first:
-    int64[subgroups, pixels], index of the pixel's first time in the grid. activity: float64[subgroups, pixels],
-    background of each pixel relative to the mean (None: all equal). guess: needed to use offsets, which are ignored
-    without it, and to learn the prior. spread: a `map` over subgroups that may use any order.
+    pulses: number of pulses in which the events came. never: from `unheard`, for the same events.
+    first: int64[subgroups, pixels], index of the pixel's first time in the grid. bins: number of a
+    pixel's times. activity: float64[subgroups, pixels], background of each pixel relative to the
+    mean (None: all equal). guess: needed to use offsets, which are ignored without it, and to learn
+    the prior. spread: a `map` over subgroups that may use any order.
     """
     sensor = config.sensor
-    reach = math.ceil(REACH_SIGMAS * sigma_ticks)
-    minigroup = pixel_table(sensor).minigroup
-    level, light = (np.empty((sensor.array_pixels, bins), kind) for kind in (np.float32, np.uint8))
-    place = by_subgroup(np.arange(sensor.array_pixels), sensor)
+    subgroups = range(sensor.subgroups)
     if activity is None:
         activity = np.ones((sensor.subgroups, sensor.pixels))
-    offsets = guess is not None and events.offset.shape[1] > 0
-    of_subgroup = cluster_events(events, config, pulses, reach, offsets)
-    times = -(-(config.period_ticks - grid.step // 2) // grid.step)
-    origins = np.clip(first.min(axis=1), 0, times - 1)
-    spans = np.clip(first.max(axis=1) + bins, origins + 1, times) - origins
-    subgroups, known = range(sensor.subgroups), np.zeros(config.mask.shape, bool)
-    chosen = [slice(0, len(grid.lights))] * sensor.subgroups
+    known = np.zeros(config.mask.shape, bool)
+    lights = [slice(0, len(grid.lights))] * sensor.subgroups
     if guess is not None:
         known = config.mask & ~np.isnan(guess.time)
-        chosen = [lights_near(guess.light[s][known[s]], grid.lights) for s in subgroups]
-    fired = partial(fired_table, sigma_ticks, reach, grid.step, 1 << int(spans.max() - 1).bit_length())
+        lights = [lights_near(guess.light[s][known[s]], grid.lights) for s in subgroups]
+    times = -(-(config.period_ticks - grid.step // 2) // grid.step)
+    origins = np.clip(first.min(axis=1), 0, times - 1)
+    frame = _Frame(
+        events=events,
+        config=config,
+        sigma_ticks=sigma_ticks,
+        pulses=pulses,
+        grid=grid,
+        never=never,
+        first=first,
+        bins=bins,
+        activity=activity,
+        guess=guess,
+        known=known,
+        lights=lights,
+        clusters=[],
+        origins=origins,
+        spans=np.clip(first.max(axis=1) + bins, origins + 1, times) - origins,
+    )
+    clusters = cluster_events(events, config, pulses, frame.reach, frame.with_offsets)
+    frame = frame._replace(clusters=clusters)
+    shape = (sensor.rows, sensor.cols, bins)
+    level = np.empty((sensor.array_pixels, bins), np.float32)
+    light = np.empty((sensor.array_pixels, bins), np.uint8)
+    place = by_subgroup(np.arange(sensor.array_pixels), sensor)
 
-    def evidence(s: int) -> tuple[np.ndarray, Pixels]:
-        lights, origin, span = grid.lights[chosen[s]], int(origins[s]), int(spans[s])
-        noise = max(events.photon_rate[s] / sensor.pixels, QUIET_RATE)
-        alive = np.float32(1 - min(BLIND_MAX, noise * DEAD_S / config.tick_s))
-        window, own = int(events.window[s]), of_subgroup[s]
-        kinds = 1 + int(own.overrun.any())
-        heard, sharp = (
-            chances_to_be_heard(chance[:kinds, s], never.every, origin, span, grid.step, len(lights), alive)
-            for chance in (never.missed, never.blind)
-        )
-        margin, table = fired(tuple(lights.tolist()))
-        law = Law(
-            window=window,
-            told=window if events.mapped else 1,
-            phases=sensor.phases,
-            offset=sensor.offset_ticks,
-            reach=reach,
-            step=grid.step,
-            origin=origin,
-            lights=len(lights),
-            noise=noise,
-            alive=alive,
-            pulses=pulses,
-            heard=heard,
-            sharp=sharp,
-            margin=margin,
-            fired=table,
-        )
-        if guess is not None and offsets:
-            own = own._replace(shares=first_shares(law, own, minigroup, guess.time[s], guess.light[s], sigma_ticks))
-        pixels = Pixels(
-            minigroup=minigroup,
-            mask=config.mask[s],
-            activity=activity[s],
-            first=first[s] - origin,
-            total=np.empty((sensor.pixels, bins * len(lights)), np.float32),
-            touched=np.zeros((sensor.pixels, bins), np.bool_),
-            counted=np.full(sensor.pixels, -1),
-            number=np.empty((2, sensor.pixels), np.int64),
-            hit=np.empty(sensor.pixels, np.int64),
-        )
-        return add_events(law, own, pixels), pixels
-
-    def average(s: int, prior: np.ndarray, common: np.ndarray, pixels: Pixels) -> None:
-        near = np.ascontiguousarray((prior_of_met(prior) if events.threshold[s] > 1 else prior)[chosen[s]])
-        mean_over_lights(common, pixels, near, chosen[s].start, place[s], level, light)
+    def average(s: int, prior: np.ndarray, evidence: _Evidence) -> None:
+        own_prior = prior_of_met(prior) if events.threshold[s] > 1 else prior
+        own_prior = np.ascontiguousarray(own_prior[lights[s]])
+        lightest = lights[s].start
+        common, pixels = evidence
+        mean_over_lights(common, pixels, own_prior, lightest, place[s], level, light)
 
     if grid.prior is not None:
         prior = grid.prior
-        list(spread(lambda s: average(s, prior, *evidence(s)), subgroups))
+        list(spread(lambda s: average(s, prior, _evidence(frame, s)), subgroups))
     else:
-        found: list[tuple[np.ndarray, Pixels]] = list(spread(evidence, subgroups))
-        chance = np.zeros((sensor.subgroups, sensor.pixels, len(grid.lights)), np.float32)
-        list(spread(lambda s: add_light_chances(*found[s], known[s], chance[s, :, chosen[s]]), subgroups))
-        prior = learned_prior(chance[known])
-        list(spread(lambda s: average(s, prior, *found[s]), subgroups))
-    shape = (sensor.rows, sensor.cols, bins)
+        found = list(spread(partial(_evidence, frame), subgroups))
+        prior = _learned_prior(frame, found, spread)
+        list(spread(lambda s: average(s, prior, found[s]), subgroups))
     return Levels(level.reshape(shape), light.reshape(shape), prior)
+
+
+class _Evidence(NamedTuple):
+    """What a subgroup's events say, logarithms of likelihoods."""
+
+    common: np.ndarray  # float32[times * lights], about pixels without a hit
+    pixels: Pixels  # about those that were hit
+
+
+def _evidence(frame: _Frame, s: int) -> _Evidence:
+    """Return what the events of subgroup s say."""
+    own = frame.clusters[s]
+    law = _law(frame, s)
+    minigroup = pixel_table(frame.config.sensor).minigroup
+    guess = frame.guess
+    if guess is not None and frame.with_offsets:
+        time = guess.time[s]
+        shares = first_shares(law, own, minigroup, time, guess.light[s], frame.sigma_ticks)
+        own = own._replace(shares=shares)
+    number = len(minigroup)
+    pixels = Pixels(
+        minigroup=minigroup,
+        mask=frame.config.mask[s],
+        activity=frame.activity[s],
+        first=frame.first[s] - law.origin,
+        total=np.empty((number, frame.bins * law.lights), np.float32),
+        touched=np.zeros((number, frame.bins), np.bool_),
+        counted=np.full(number, -1),
+        number=np.empty((2, number), np.int64),
+        hit=np.empty(number, np.int64),
+    )
+    return _Evidence(add_events(law, own, pixels), pixels)
+
+
+def _law(frame: _Frame, s: int) -> Law:
+    """Return the law for the events of subgroup s."""
+    events = frame.events
+    config = frame.config
+    step = frame.grid.step
+    never = frame.never
+    lights = frame.grid.lights[frame.lights[s]]
+    window = int(events.window[s])
+    origin = int(frame.origins[s])
+    span = int(frame.spans[s])
+    widest = 1 << int(frame.spans.max() - 1).bit_length()  # one table for all subgroups
+    margin, fired = fired_table(
+        frame.sigma_ticks, frame.reach, step, widest, tuple(lights.tolist())
+    )
+    noise = max(events.photon_rate[s] / config.sensor.pixels, QUIET_RATE)
+    alive = np.float32(1 - min(BLIND_MAX, noise * DEAD_S / config.tick_s))
+    kinds = 1 + int(frame.clusters[s].overrun.any())
+
+    def chances(silent: np.ndarray) -> np.ndarray:
+        own = silent[:kinds, s]
+        return chances_to_be_heard(own, never.every, origin, span, step, len(lights), alive)
+
+    return Law(
+        window=window,
+        told=window if events.mapped else 1,
+        phases=config.sensor.phases,
+        offset=config.sensor.offset_ticks,
+        reach=frame.reach,
+        step=step,
+        origin=origin,
+        lights=len(lights),
+        noise=noise,
+        alive=alive,
+        pulses=frame.pulses,
+        heard=chances(never.missed),
+        sharp=chances(never.blind),
+        margin=margin,
+        fired=fired,
+    )
+
+
+def _learned_prior(frame: _Frame, found: Sequence[_Evidence], spread: Spread) -> np.ndarray:
+    """Return the prior of the lights, learned from the pixels whose time the guess knows."""
+    chance = np.zeros((*frame.known.shape, len(frame.grid.lights)), np.float32)
+
+    def add(s: int) -> None:
+        common, pixels = found[s]
+        add_light_chances(common, pixels, frame.known[s], chance[s, :, frame.lights[s]])
+
+    list(spread(add, range(len(found))))
+    return learned_prior(chance[frame.known])

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Peaks of pixel histograms: the paper's estimator (IV), and filtered ones, which are our own choice."""
+"""Peaks of pixel histograms: the paper's estimator (IV), and filtered ones, which are our own
+choice.
+"""
 
 import math
 from typing import NamedTuple
@@ -33,13 +35,14 @@ def pixel_peaks(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (ticks, confidence), each float64[pixels, returns], from int32[pixels, bins].
 
-    live: float64[bins], or [minigroups, bins] with `group`, int64[pixels], each pixel's minigroup; of `live_share` or
-    `record_live`. step_ticks: between the stamps in the histogram.
+    live: float64[bins], or [minigroups, bins] with `group`, int64[pixels], each pixel's minigroup;
+    of `live_share` or `record_live`. step_ticks: between the stamps in the histogram.
     """
     bins = histogram.shape[1]
     single = method == "maximum"
     apart = round(APART_SIGMAS * sigma_ticks)
-    sigma_ticks = math.hypot(sigma_ticks, math.sqrt((step_ticks**2 - 1) / 12))  # an even spread over a step, in bins
+    step_sigma = math.sqrt((step_ticks**2 - 1) / 12)  # of an even spread over a step, in bins
+    sigma_ticks = math.hypot(sigma_ticks, step_sigma)
     half = 0 if single else int(FILTER_SIGMAS * sigma_ticks + 0.5)
     pulse = portable.exp(-0.5 * (np.arange(-half, half + 1) / sigma_ticks) ** 2)
     width = pulse.sum()
@@ -48,7 +51,8 @@ def pixel_peaks(
     else:
         live = np.atleast_2d(live)
         relative = live / live.mean(axis=1, keepdims=True)
-        shape = ndimage.correlate1d(relative, pulse / width, mode="constant")  # NumPy's depends on the processor
+        # NumPy's own correlation depends on the processor.
+        shape = ndimage.correlate1d(relative, pulse / width, mode="constant")
     law = _Law(
         pulse=pulse,
         width=width,
@@ -59,7 +63,12 @@ def pixel_peaks(
         near=0 if single else round(NEAR_SIGMAS * sigma_ticks),
         apart=apart,
     )
-    work = _Workspace(np.zeros(bins), np.zeros(bins), np.zeros(bins), np.empty(bins, np.int64))
+    work = _Workspace(
+        seen=np.zeros(bins),
+        score=np.zeros(bins),
+        evidence=np.zeros(bins),
+        reached=np.empty(bins, np.int64),
+    )
     ticks = np.full((len(histogram), returns), np.nan)
     confidence = np.zeros((len(histogram), returns))
     _peaks(histogram, law, work, ticks, confidence)
@@ -69,12 +78,14 @@ def pixel_peaks(
 class _Law(NamedTuple):
     """How peaks are found."""
 
-    pulse: np.ndarray  # float64[n]: a hit in its middle counts exactly 1; a little more would count as two
+    pulse: np.ndarray  # float64[n]: a hit in its middle counts exactly 1, not a little more
     width: float  # bins of even light that count as much as the pulse
     shapes: np.ndarray  # float64[groups, bins], background relative to its mean
     lives: np.ndarray  # float64[groups, bins], share of the periods in which hits could come
     group: np.ndarray  # int64[pixels], row of each pixel in these
-    by_evidence: bool  # peaks are those of the evidence against background, not of the filtered hits
+    by_evidence: (
+        bool  # peaks are those of the evidence against background, not of the filtered hits
+    )
     near: int  # bins from a peak to those that determine its centre
     apart: int  # bins between the returns of a pixel
 
@@ -88,80 +99,133 @@ class _Workspace(NamedTuple):
     reached: np.ndarray  # int64[bins], bins within a pulse of a hit
 
 
+class _Pixel(NamedTuple):
+    """A pixel, [bins]."""
+
+    hits: np.ndarray  # int32
+    shape: np.ndarray  # float64, row of `_Law.shapes`
+    live: np.ndarray  # float64, row of `_Law.lives`
+
+
+class _Found(NamedTuple):
+    """What the bins of a pixel say together."""
+
+    per_bin: float  # hits of background that a pulse has, where the background is the mean
+    top: float  # highest evidence
+    anywhere: float  # sum of the likelihoods, relative to the highest
+
+
 @njit(allocates=False)
 def _peaks(histogram, law, work, ticks, confidence):
     """Find every pixel's peaks: float64[pixels, returns].
 
     Only bins within a pulse of a hit are searched; no other bin is above the background.
     """
-    pixels, bins = histogram.shape
-    pulse = law.pulse
-    width = law.width
-    near = law.near
-    apart = law.apart
-    returns = ticks.shape[1]
+    for i in range(len(histogram)):
+        group = law.group[i]
+        pixel = _Pixel(histogram[i], law.shapes[group], law.lives[group])
+        total, number = _filter(pixel.hits, law.pulse, work)
+        if total:
+            found = _weigh(pixel, law, total, number, work)
+            _take(pixel, law, found, number, work, ticks[i], confidence[i])
+            _clear(number, work)
+
+
+@part
+def _filter(hits, pulse, work):
+    """Compute `seen` and `reached` of a pixel; return its hits and how many bins are reached."""
+    bins = len(hits)
     half = len(pulse) // 2
+    total = 0
+    number = 0
+    until = 0
+    for k in range(bins):
+        if hits[k]:
+            total += hits[k]
+            for j in range(max(until, k - half), min(bins, k + half + 1)):
+                work.reached[number] = j
+                number += 1
+            until = min(bins, k + half + 1)
+            for j in range(max(0, k - half), until):
+                work.seen[j] += hits[k] * pulse[j - k + half]
+    return total, number
+
+
+@part
+def _weigh(pixel, law, total, number, work):
+    """Compute `evidence` and `score` of a pixel with `total` hits, in so many reached bins."""
+    bins = len(pixel.hits)
     seen = work.seen
-    score = work.score
     evidence = work.evidence
-    reached = work.reached
-    for i in range(pixels):
-        total = 0
-        number = 0
-        until = 0
-        shape = law.shapes[law.group[i]]
-        live = law.lives[law.group[i]]
-        for k in range(bins):
-            hits = histogram[i, k]
-            if hits:
-                total += hits
-                for j in range(max(until, k - half), min(bins, k + half + 1)):
-                    reached[number] = j
-                    number += 1
-                until = min(bins, k + half + 1)
-                for j in range(max(0, k - half), until):
-                    seen[j] += hits * pulse[j - k + half]
-        if not total:
-            continue
-        highest = 0.0
+    highest = 0.0
+    for n in range(number):
+        highest = max(highest, seen[work.reached[n]])
+    # The peak is not background; assume at least half a hit.
+    per_bin = max(0.5, total - highest) / bins * law.width
+    top = 0.0
+    for n in range(number):
+        j = work.reached[n]
+        expected = per_bin * pixel.shape[j]
+        evidence[j] = 0.0
+        if seen[j] > expected:  # Poisson log likelihood ratio to background alone
+            evidence[j] = seen[j] * math.log(seen[j] / expected) - seen[j] + expected
+        work.score[j] = evidence[j] if law.by_evidence else seen[j]
+        top = max(top, evidence[j])
+    anywhere = (bins - number) * math.exp(-top)
+    for n in range(number):
+        anywhere += math.exp(evidence[work.reached[n]] - top)
+    return _Found(per_bin, top, anywhere)
+
+
+@part
+def _take(pixel, law, found, number, work, ticks, confidence):
+    """Write the times and confidences of a pixel's returns, the highest peak first."""
+    bins = len(pixel.hits)
+    for r in range(len(ticks)):
+        at = work.reached[0]
         for n in range(number):
-            highest = max(highest, seen[reached[n]])
-        per_bin = max(0.5, total - highest) / bins * width  # the peak is not background; assume at least half a hit
-        top = 0.0
-        for n in range(number):
-            j = reached[n]
-            expected = per_bin * shape[j]
-            # Poisson log likelihood ratio to background alone
-            evidence[j] = seen[j] * math.log(seen[j] / expected) - seen[j] + expected if seen[j] > expected else 0.0
-            score[j] = evidence[j] if law.by_evidence else seen[j]
-            top = max(top, evidence[j])
-        anywhere = (bins - number) * math.exp(-top)
-        for n in range(number):
-            anywhere += math.exp(evidence[reached[n]] - top)
-        for r in range(returns):
-            at = reached[0]
-            for n in range(number):
-                if score[reached[n]] > score[at]:
-                    at = reached[n]
-            if score[at] <= 0:
-                break
-            below = _poisson_cdf(max(0.0, math.ceil(seen[at]) - 1), per_bin * shape[at])
-            accident = 1 - below ** (bins / width)
-            if r and accident > ACCIDENT_MAX:
-                break
-            weight = 0.0
-            mean = 0.0
-            for j in range(max(0, at - near), min(bins, at + near + 1)):
-                weight += histogram[i, j] / live[j]
-                mean += histogram[i, j] / live[j] * (j + 0.5)
-            ticks[i, r] = mean / weight if weight else at + 0.5
-            confidence[i, r] = 1 - accident if r else min(1.0, math.exp(evidence[at] - top) / anywhere * width)
-            for j in range(max(0, at - apart), min(bins, at + apart + 1)):
-                score[j] = 0
-        for n in range(number):
-            seen[reached[n]] = 0
-            score[reached[n]] = 0
-            evidence[reached[n]] = 0
+            if work.score[work.reached[n]] > work.score[at]:
+                at = work.reached[n]
+        if work.score[at] <= 0:
+            break
+        fewer = max(0.0, math.ceil(work.seen[at]) - 1)
+        below = _poisson_cdf(fewer, found.per_bin * pixel.shape[at])
+        accident = 1 - below ** (bins / law.width)
+        if r and accident > ACCIDENT_MAX:
+            break
+        ticks[r] = _centre(pixel, at, law.near)
+        if r:
+            confidence[r] = 1 - accident
+        else:
+            own = math.exp(work.evidence[at] - found.top)
+            confidence[r] = min(1.0, own / found.anywhere * law.width)
+        for j in range(max(0, at - law.apart), min(bins, at + law.apart + 1)):
+            work.score[j] = 0
+
+
+@part
+def _centre(pixel, at, near):
+    """Return the mean time of the hits within `near` bins of a peak, if all bins had always been
+    live.
+    """
+    hits = pixel.hits
+    live = pixel.live
+    weight = 0.0
+    mean = 0.0
+    for j in range(max(0, at - near), min(len(hits), at + near + 1)):
+        weight += hits[j] / live[j]
+        mean += hits[j] / live[j] * (j + 0.5)
+    return mean / weight if weight else at + 0.5
+
+
+@part
+def _clear(number, work):
+    """Set the workspace to 0 again."""
+    for n in range(number):
+        j = work.reached[n]
+        work.seen[j] = 0
+        work.score[j] = 0
+        work.evidence[j] = 0
 
 
 @part
@@ -177,41 +241,52 @@ def _poisson_cdf(count, mean):
 def record_live(
     records: tuple[np.ndarray, np.ndarray], lost: float, sensor: Sensor, ticks: int, periods: int
 ) -> np.ndarray:
-    """float64[minigroups, ticks]: share of the periods in which a minigroup of a subgroup could still latch at each tick.
+    """float64[minigroups, ticks]: share of the periods in which a minigroup could still latch at
+    each tick.
 
-    A minigroup latches once in a period. records: stamps and maps, [n, minigroups]; lost: records for each that is there.
+    A minigroup latches once in a period. records: stamps and maps, [n, minigroups], of a subgroup;
+    lost: records for each that is there.
     """
     stamp, maps = records
     live = np.empty((sensor.minigroups, ticks))
     for g in range(sensor.minigroups):
-        latched = np.bincount(stamp[maps[:, g] > 0, g] + 1, minlength=ticks)  # no second stamp in the same quarter
-        live[g] = 1 - np.repeat(np.cumsum(latched), sensor.quarter_ticks)[:ticks] * lost / periods
+        quarter = stamp[maps[:, g] > 0, g] + 1  # no second stamp in the same quarter
+        latched = np.cumsum(np.bincount(quarter, minlength=ticks))
+        live[g] = 1 - np.repeat(latched, sensor.quarter_ticks)[:ticks] * lost / periods
     return np.maximum(live, LIVE_MIN)
 
 
-def live_share(arrays: dict[str, np.ndarray], events: Events, config: Config, frame: int | None) -> np.ndarray:
-    """float64[subgroups, period_ticks]: share of the periods in which the tree could have opened a window at each tick.
+def live_share(
+    arrays: dict[str, np.ndarray], events: Events, config: Config, frame: int | None
+) -> np.ndarray:
+    """float64[subgroups, period_ticks]: share of the periods in which the tree could open a window
+    at each tick.
 
-    After a window opens, the tree cannot open another until it is armed again: this is pile-up, and the blind time of R.
-    Committed windows are taken at their times: to the tick if coincidence is off (the stamps are single photons: Coates'
-    correction), otherwise to the cycle before (the arrival is inside the event's own window). The times of rejected
-    windows are unknown, so they are spread over the period.
+    After a window opens, the tree cannot open another until it is armed again: this is pile-up, and
+    the blind time of R. Committed windows are taken at their times: to the tick if coincidence is
+    off (the stamps are single photons: Coates' correction), otherwise to the cycle before (the
+    arrival is inside the event's own window). The times of rejected windows are unknown, so they
+    are spread over the period.
     """
-    sensor, ticks = config.sensor, config.period_ticks
+    sensor = config.sensor
+    ticks = config.period_ticks
     frames = slice(None) if frame is None else slice(frame, frame + 1)
-    opened, committed, stored = (arrays[name][frames].sum(axis=0) for name in ("opened", "committed", "stored"))
+    opened = arrays["opened"][frames].sum(axis=0)
+    committed = arrays["committed"][frames].sum(axis=0)
+    stored = arrays["stored"][frames].sum(axis=0)
     periods = config.pulses * len(arrays["opened"][frames])
     live = np.empty((sensor.subgroups, ticks))
     for s in range(sensor.subgroups):
         stamp = events.stamp[events.bounds[s] : events.bounds[s + 1]]
-        close = close_cycle(stamp, events.window[s], sensor.phases)
+        window = events.window[s]
+        close = close_cycle(stamp, window, sensor.phases)
         armed = armed_cycle(close, sensor.rearm) * sensor.phases
-        start = stamp + 1 if not config.coincidence[s] else armed - sensor.phases
-        change = (
-            np.bincount(start, minlength=ticks + 1)
-            - np.bincount(np.minimum(armed, ticks), minlength=ticks + 1)[: ticks + 1]
-        )
-        blocked = np.cumsum(change)[:ticks] * committed[s] / max(1, stored[s])
-        rejected = (opened[s] - committed[s]) * (events.window[s] + sensor.phases / 2) / ticks
+        start = stamp + 1
+        if config.coincidence[s]:
+            start = armed - sensor.phases
+        starts = np.bincount(start, minlength=ticks + 1)
+        ends = np.bincount(np.minimum(armed, ticks), minlength=ticks + 1)[: ticks + 1]
+        blocked = np.cumsum(starts - ends)[:ticks] * committed[s] / max(1, stored[s])
+        rejected = (opened[s] - committed[s]) * (window + sensor.phases / 2) / ticks
         live[s] = 1 - (blocked + rejected) / periods
     return np.maximum(live, LIVE_MIN)

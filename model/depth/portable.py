@@ -14,7 +14,8 @@ from scipy import special
 
 def exp(values: ArrayLike) -> Any:
     """Return e to the power of some values (float64, or float32 of float32)."""
-    return special.inv_boxcox(values, np.float32(0))  # Box and Cox: with the exponent 0, it is the exponential
+    # Of Box and Cox: with the exponent 0, it is the exponential.
+    return special.inv_boxcox(values, np.float32(0))
 
 
 def log(values: ArrayLike) -> Any:

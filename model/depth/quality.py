@@ -12,7 +12,9 @@ OTHER_SURFACE_M = 0.15  # an error above this means another surface, or backgrou
 TOLERANCE_M = SUCCESS_TOLERANCE_S * SPEED_OF_LIGHT_M_S / 2
 
 
-def wrong_pixels(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = TOLERANCE_M) -> np.ndarray:
+def wrong_pixels(
+    depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = TOLERANCE_M
+) -> np.ndarray:
     """bool[rows, cols]: the depth is missing, or |depth - truth| is above `tolerance_m`.
 
     depth_m, truth_m: float64[rows, cols]; a pixel without truth (NaN) is not wrong. tolerance_m: default is
@@ -21,9 +23,13 @@ def wrong_pixels(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = 
     return ~np.isnan(truth_m) & ~(np.abs(depth_m - truth_m) <= tolerance_m)
 
 
-def wrong_share(depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = TOLERANCE_M) -> float:
+def wrong_share(
+    depth_m: np.ndarray, truth_m: np.ndarray, tolerance_m: float = TOLERANCE_M
+) -> float:
     """Return the share of wrong pixels among those with a truth."""
-    return float(wrong_pixels(depth_m, truth_m, tolerance_m).sum() / max(1, np.sum(~np.isnan(truth_m))))
+    return float(
+        wrong_pixels(depth_m, truth_m, tolerance_m).sum() / max(1, np.sum(~np.isnan(truth_m)))
+    )
 
 
 def off_surfaces(depth_m: np.ndarray, surfaces_m: np.ndarray) -> np.ndarray:

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Seeds: the approximate time of each pixel's surface, chosen by the pixel together with its neighbours.
+"""Seeds: the approximate time of each pixel's surface, chosen by the pixel together with its
+neighbours.
 
-All of this is our own choice. A pixel's candidates are the highest peaks of its own likelihood and the previous choices
-of its neighbours. In the first round, a neighbour supports a candidate by its own likelihood, within limits. In later
-rounds it supports its own choice, with a weight that grows with the similarity of the light of both. A pixel without a
-hit supports the darkest of the surfaces beside it.
+All of this is our own choice. A pixel's candidates are the highest peaks of its own likelihood and
+the previous choices of its neighbours. In the first round, a neighbour supports a candidate by its
+own likelihood, within limits. In later rounds it supports its own choice, with a weight that grows
+with the similarity of the light of both. A pixel without a hit supports the darkest of the surfaces
+beside it.
 """
 
 import math
@@ -18,7 +20,8 @@ from ..shared.compiled import njit, part
 from . import portable
 from .vector_math import fast_exp, fast_log, top_of
 
-Blocks = Callable[[Callable[[int, int], None]], object]  # calls a function for (begin, end) of rows, in any order
+# Calls a function for (begin, end) of blocks of rows, in any order.
+Blocks = Callable[[Callable[[int, int], None]], object]
 
 BLOCK = 64  # bins that are passed together if none of them is high enough
 CANDIDATES = 6  # from a pixel's own likelihood
@@ -28,132 +31,173 @@ KEPT = 8  # candidates kept after a round,
 PROBABLE = 1e-3  # if they are at least that probable
 LEVEL_MIN = 0.5  # log likelihood ratio of a pixel's own candidate, at least
 SLACK = 1  # bins by which a surface may shift from pixel to pixel
-LEAST, MOST = -1.0, 4.0  # limits of a neighbour's support in the first round
-AGREE = 30.0  # odds by which a neighbour's choice counts in later rounds,
-# multiplied by this, by the difference of the lights' indices; the last is for all larger ones
+LEAST = -1.0  # limits of a neighbour's support in the first round
+MOST = 4.0
+AGREE = 30.0  # odds by which a neighbour's choice counts in later rounds, times `ALIKE`
+# By the difference of the lights' indices; the last one is for all larger differences.
 ALIKE = np.array([1.5, 1.2, 0.7, 0.4, 0.3, 0.2], np.float32)
 ROUNDS = 5
 STILL = 0.01  # a pixel whose probabilities changed by less has not changed
 _NEVER = np.float32(-1e9)
 _REACH = np.arange(-NEAR, NEAR + 1)
 _WEIGHT = portable.exp(-0.5 * (_REACH[:, None] ** 2 + _REACH**2) / WIDTH**2).astype(np.float32)
-_SUPPORT_MAX = np.float32((_WEIGHT.sum() - 1) * max(MOST, math.log1p(AGREE * ALIKE.max())))  # from all neighbours
+_MOST_LATER = math.log1p(AGREE * ALIKE.max())
+_SUPPORT_MAX = np.float32((_WEIGHT.sum() - 1) * max(MOST, _MOST_LATER))  # from all neighbours
 _HOPELESS = np.float32(math.log(PROBABLE))  # log likelihood ratio to the best candidate
 
 
 class Seeds(NamedTuple):
-    """Choices of the pixels.
+    """Candidates of the pixels, [rows, cols, KEPT], the likeliest first."""
 
-    bin: int64[rows, cols], -1 without a candidate. others: (bins, probabilities) of all candidates, int64 and float32
-    [rows, cols, KEPT], the likeliest first, -1 = none.
-    """
+    bins: np.ndarray  # int64, -1 = none
+    chances: np.ndarray  # float32, their probabilities
 
-    bin: np.ndarray
-    others: tuple[np.ndarray, np.ndarray]
+    @property
+    def bin(self) -> np.ndarray:
+        """int64[rows, cols]: the pixels' choices, -1 without a candidate."""
+        return self.bins[:, :, 0]
 
     def time(self, step: int) -> np.ndarray:
-        """float64[rows, cols]: middle of the chosen bin of `step` ticks, NaN without a candidate."""
+        """float64[rows, cols]: middle of the chosen bin of `step` ticks; NaN: no candidate."""
         return np.where(self.bin < 0, np.nan, (self.bin + 0.5) * step)
 
     def chance(self, reach: int) -> np.ndarray:
-        """float32[rows, cols]: total probability of the candidates within `reach` bins of the choice."""
-        bins, chances = self.others
-        near = (np.abs(bins - self.bin[:, :, None]) <= reach) & (bins >= 0)
-        return np.minimum(1, np.where(near, chances, 0).sum(axis=2))
+        """float32[rows, cols]: total probability of the candidates within `reach` bins of the
+        choice.
+        """
+        near = (np.abs(self.bins - self.bin[:, :, None]) <= reach) & (self.bins >= 0)
+        return np.minimum(1, np.where(near, self.chances, 0).sum(axis=2))
+
+
+class _Seen(NamedTuple):
+    """Likelihoods of the pixels, [rows, cols, bins]."""
+
+    level: np.ndarray  # float32
+    light: np.ndarray  # uint8, index of each bin's likeliest light
+
+
+class _Round(NamedTuple):
+    """What a round reads and writes."""
+
+    first: (
+        bool  # the first round asks for the neighbours' likelihoods, later ones for their choices
+    )
+    old: Seeds
+    new: Seeds
+    changed: np.ndarray  # bool[rows, cols], pixels that changed in the round before
+    changing: np.ndarray  # bool[rows, cols], pixels that change in this round
 
 
 def find_seeds(level: np.ndarray, light: np.ndarray, blocks: Blocks) -> Seeds:
-    """Find the seeds from level, float32[rows, cols, bins], and each bin's likeliest light, uint8 of the same shape."""
+    """Find the seeds.
+
+    level: float32[rows, cols, bins]. light: uint8 of the same shape, each bin's likeliest light.
+    """
     rows, cols, _ = level.shape
-    bins, tried = (np.full((rows, cols, KEPT), -1, np.int64) for _ in range(2))
-    chances, chance = (np.zeros((rows, cols, KEPT), np.float32) for _ in range(2))
-    changed, changing = np.ones((rows, cols), bool), np.ones((rows, cols), bool)
-    blocks(partial(_own, level, bins))
+    seen = _Seen(level, light)
+    old = _no_seeds(rows, cols)
+    new = _no_seeds(rows, cols)
+    changed = np.ones((rows, cols), bool)
+    changing = np.ones((rows, cols), bool)
+    blocks(partial(_own, level, old.bins))
     for k in range(ROUNDS):
-        blocks(partial(_round, level, light, bins, chances, not k, changed, tried, chance, changing))
-        bins, chances, tried, chance = tried, chance, bins, chances
-        if k:  # the first round asks other questions
+        first = k == 0
+        blocks(partial(_round, seen, _Round(first, old, new, changed, changing)))
+        old, new = new, old
+        if not first:  # the second round asks other questions, of all pixels
             changed, changing = changing, changed
-    return Seeds(bins[:, :, 0], (bins, chances))
+    return old
+
+
+def _no_seeds(rows: int, cols: int) -> Seeds:
+    """Return room for the candidates of the pixels."""
+    shape = (rows, cols, KEPT)
+    return Seeds(np.full(shape, -1, np.int64), np.zeros(shape, np.float32))
 
 
 def seed_scores(level: np.ndarray, light: np.ndarray, seeds: Seeds, blocks: Blocks) -> np.ndarray:
-    """float32[rows, cols]: log likelihood ratio of the pixels' choices to seeing nothing, 0 without a candidate.
+    """float32[rows, cols]: log likelihood ratio of the pixels' choices to seeing nothing.
 
-    It includes the neighbours' support within limits.
+    It includes the neighbours' support within limits, and is 0 without a candidate. level, light:
+    as in `find_seeds`.
     """
     score = np.zeros(seeds.bin.shape, np.float32)
-    blocks(partial(_score, level, light, *seeds.others, score))
+    blocks(partial(_score, _Seen(level, light), seeds, score))
     return score
 
 
 @njit
 def _own(level, bins, begin, end):
-    """Find the highest peaks of each pixel, in descending order."""
-    cols, times = level.shape[1:]
+    """Find the highest peaks of each pixel of some rows, in descending order."""
     height = np.empty(CANDIDATES, np.float32)
     for r in range(begin, end):
-        for c in range(cols):
-            line, at = level[r, c], bins[r, c]
-            number = 0
-            for block in range(0, times, BLOCK):
-                until = min(times, block + BLOCK)
-                least = height[CANDIDATES - 1] if number == CANDIDATES else np.float32(LEVEL_MIN)
-                if top_of(line[block:until]) <= least:
-                    continue
-                for k in range(block, until):
-                    v = line[k]
-                    if v <= LEVEL_MIN or number == CANDIDATES and v <= height[number - 1]:
-                        continue
-                    if k and line[k - 1] > v or k + 1 < times and line[k + 1] >= v:
-                        continue
-                    j = min(number, CANDIDATES - 1)
-                    while j > 0 and height[j - 1] < v:
-                        height[j], at[j] = height[j - 1], at[j - 1]
-                        j -= 1
-                    height[j], at[j] = v, k
-                    number = min(number + 1, CANDIDATES)
+        for c in range(level.shape[1]):
+            _find_peaks(level[r, c], height, bins[r, c])
+
+
+@part
+def _find_peaks(line, height, at):
+    """Write the bins of a line's highest peaks to `at`. height: workspace, the peaks' values."""
+    times = len(line)
+    number = 0
+    for block in range(0, times, BLOCK):
+        until = min(times, block + BLOCK)
+        least = height[CANDIDATES - 1] if number == CANDIDATES else np.float32(LEVEL_MIN)
+        if top_of(line[block:until]) <= least:
+            continue
+        for k in range(block, until):
+            value = line[k]
+            if value <= LEVEL_MIN or (number == CANDIDATES and value <= height[number - 1]):
+                continue
+            if _is_peak(line, k):
+                number = _insert(height, at, number, value, k)
+
+
+@part
+def _is_peak(line, k):
+    """Return whether no neighbour of bin k is higher; of two equal ones, the latter counts."""
+    if k and line[k - 1] > line[k]:
+        return False
+    return not (k + 1 < len(line) and line[k + 1] >= line[k])
+
+
+@part
+def _insert(height, at, number, value, k):
+    """Insert a peak into the descending heights of so many; the lowest falls out.
+
+    Return their number.
+    """
+    j = min(number, CANDIDATES - 1)
+    while j > 0 and height[j - 1] < value:
+        height[j] = height[j - 1]
+        at[j] = at[j - 1]
+        j -= 1
+    height[j] = value
+    at[j] = k
+    return min(number + 1, CANDIDATES)
 
 
 @njit
-def _round(level, light, bins, chances, first, changed, new_bins, new_chances, changing, begin, end):
-    """Compute each pixel's new candidates, the likeliest first, from the old ones and the neighbours' likeliest.
+def _round(seen, job, begin, end):
+    """Compute the new candidates of the pixels of some rows.
 
-    A pixel stays as it is if no pixel near it has changed in the round before.
+    They come from the old ones and the neighbours' likeliest. A pixel stays as it is if no pixel
+    near it has changed in the round before.
     """
-    rows, cols, _ = level.shape
+    old = job.old
+    new = job.new
     at = np.empty(KEPT + (2 * NEAR + 1) ** 2, np.int64)
     total = np.empty(len(at), np.float32)
     for r in range(begin, end):
-        for c in range(cols):
-            changing[r, c] = False
-            for j in range(KEPT):
-                new_bins[r, c, j], new_chances[r, c, j] = bins[r, c, j], chances[r, c, j]
-            if not _any_near(changed, r, c):
+        for c in range(seen.level.shape[1]):
+            if not _any_near(job.changed, r, c):
+                job.changing[r, c] = False
+                _stay(old, new, r, c)
                 continue
-            number = _gather(bins, r, c, at)
-            top = _NEVER
-            for n in range(number):
-                total[n] = _support(level, light, bins, chances, first, r, c, at[n], top + _HOPELESS)
-                top = max(top, total[n])
-            whole = np.float32(0)
-            for n in range(number):
-                whole += fast_exp(total[n] - top)
-            for j in range(KEPT):
-                new_bins[r, c, j], new_chances[r, c, j] = -1, 0
-                best = 0
-                for n in range(number):
-                    if total[n] > total[best]:
-                        best = n
-                if not number or total[best] == _NEVER:
-                    continue
-                chance = fast_exp(total[best] - top) / whole
-                if chance > PROBABLE:
-                    new_bins[r, c, j], new_chances[r, c, j] = at[best], chance
-                total[best] = _NEVER
-            for j in range(KEPT):
-                moved = abs(new_chances[r, c, j] - chances[r, c, j]) > STILL
-                changing[r, c] |= moved or new_bins[r, c, j] != bins[r, c, j]
+            number = _gather(old.bins, r, c, at)
+            top = _weigh(seen, old, job.first, r, c, at, number, total)
+            _choose(at, number, total, top, new.bins[r, c], new.chances[r, c])
+            job.changing[r, c] = _has_changed(old, new, r, c)
 
 
 @part
@@ -166,18 +210,20 @@ def _any_near(flags, r, c):
     return False
 
 
-@njit(allocates=False)
-def _score(level, light, bins, chances, score, begin, end):
-    """Compute `seed_scores` of some rows."""
-    for r in range(begin, end):
-        for c in range(level.shape[1]):
-            if bins[r, c, 0] >= 0:
-                score[r, c] = _support(level, light, bins, chances, True, r, c, bins[r, c, 0], _NEVER)
+@part
+def _stay(old, new, r, c):
+    """Keep the candidates of a pixel."""
+    for j in range(KEPT):
+        new.bins[r, c, j] = old.bins[r, c, j]
+        new.chances[r, c, j] = old.chances[r, c, j]
 
 
 @part
 def _gather(bins, r, c, at):
-    """Return the number of a pixel's candidates and write them to `at`: the old ones, and the neighbours' likeliest."""
+    """Write a pixel's candidates to `at`: the old ones, and the neighbours' likeliest.
+
+    Return their number.
+    """
     rows, cols, _ = bins.shape
     number = 0
     while number < KEPT and bins[r, c, number] >= 0:
@@ -196,36 +242,103 @@ def _gather(bins, r, c, at):
 
 
 @part
-def _support(level, light, bins, chances, first, r, c, k, least):
-    """Return the support for candidate k of pixel (r, c), from its own likelihood and from its neighbours.
+def _weigh(seen, seeds, first, r, c, at, number, total):
+    """Compute the support for so many candidates of pixel (r, c), `_NEVER` if hopeless.
 
-    It may return less than it is if it is below `least`.
+    Return the highest.
     """
-    rows, cols, times = level.shape
-    total = _highest(level[r, c], k, 1)
+    top = _NEVER
+    for n in range(number):
+        total[n] = _support(seen, seeds, first, r, c, at[n], top + _HOPELESS)
+        top = max(top, total[n])
+    return top
+
+
+@part
+def _choose(at, number, total, top, bins, chances):
+    """Write the most probable of so many candidates, the likeliest first. `total` is used up."""
+    whole = np.float32(0)
+    for n in range(number):
+        whole += fast_exp(total[n] - top)
+    for j in range(KEPT):
+        bins[j] = -1
+        chances[j] = 0
+        best = 0
+        for n in range(number):
+            if total[n] > total[best]:
+                best = n
+        if not number or total[best] == _NEVER:
+            continue
+        chance = fast_exp(total[best] - top) / whole
+        if chance > PROBABLE:
+            bins[j] = at[best]
+            chances[j] = chance
+        total[best] = _NEVER
+
+
+@part
+def _has_changed(old, new, r, c):
+    """Return whether a pixel's candidates or their probabilities have changed."""
+    changed = False
+    for j in range(KEPT):
+        changed |= abs(new.chances[r, c, j] - old.chances[r, c, j]) > STILL
+        changed |= new.bins[r, c, j] != old.bins[r, c, j]
+    return changed
+
+
+@njit(allocates=False)
+def _score(seen, seeds, score, begin, end):
+    """Compute `seed_scores` of some rows."""
+    for r in range(begin, end):
+        for c in range(score.shape[1]):
+            chosen = seeds.bins[r, c, 0]
+            if chosen >= 0:
+                score[r, c] = _support(seen, seeds, True, r, c, chosen, _NEVER)
+
+
+@part
+def _support(seen, seeds, first, r, c, k, least):
+    """Return the support for candidate k of pixel (r, c), from its own likelihood and its
+    neighbours.
+
+    It may return less than it is if it is below `least`. first: ask for the neighbours'
+    likelihoods, not for their choices.
+    """
+    rows, cols, _ = seen.level.shape
+    total = _highest(seen.level[r, c], k, 1)
     if total + _SUPPORT_MAX < least:
         return _NEVER
-    own = np.int64(light[r, c, k])
+    light = np.int64(seen.light[r, c, k])
     for rr in range(max(0, r - NEAR), min(rows, r + NEAR + 1)):
         for cc in range(max(0, c - NEAR), min(cols, c + NEAR + 1)):
             if rr == r and cc == c:
                 continue
             slack = SLACK * max(abs(rr - r), abs(cc - c))
             if first:
-                says = min(np.float32(MOST), max(np.float32(LEAST), _highest(level[rr, cc], k, slack)))
+                highest = _highest(seen.level[rr, cc], k, slack)
+                says = min(np.float32(MOST), max(np.float32(LEAST), highest))
             else:
-                odds = np.float32(0)
-                j = 0
-                while j < KEPT and bins[rr, cc, j] >= 0:
-                    there = bins[rr, cc, j]
-                    if abs(there - k) <= slack:
-                        apart = abs(np.int64(light[rr, cc, there]) - own)
-                        apart = min(apart, np.int64(len(ALIKE) - 1))
-                        odds += chances[rr, cc, j] * ALIKE[apart]
-                    j += 1
+                odds = _odds(seen, seeds, rr, cc, k, slack, light)
                 says = fast_log(np.float32(1) + np.float32(AGREE) * odds)
             total += _WEIGHT[rr - r + NEAR, cc - c + NEAR] * says
     return total
+
+
+@part
+def _odds(seen, seeds, r, c, k, slack, light):
+    """Return the probability of pixel (r, c)'s candidates near bin k, weighted by how alike the
+    lights are.
+    """
+    odds = np.float32(0)
+    j = 0
+    while j < KEPT and seeds.bins[r, c, j] >= 0:
+        there = seeds.bins[r, c, j]
+        if abs(there - k) <= slack:
+            apart = abs(np.int64(seen.light[r, c, there]) - light)
+            apart = min(apart, np.int64(len(ALIKE) - 1))
+            odds += seeds.chances[r, c, j] * ALIKE[apart]
+        j += 1
+    return odds
 
 
 @part

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """How often a pixel that fires leaves no trace, estimated from the events of its subgroup.
 
-If there is no event nearby, there are three possibilities: the pixel did not fire; it fired, and the window missed the
-threshold; or the tree was blind after such a window. Their frequencies follow from the share of pulses with an event at
-that time. Drops come in bursts: the first windows of a pulse fill the FIFO, and the following ones are lost until there
-is room again. So if the later of two events carries `overrun`, the silence between them is informative only from the
-time at which there was room; this time follows from the rate of windows.
+If there is no event nearby, there are three possibilities: the pixel did not fire; it fired, and
+the window missed the threshold; or the tree was blind after such a window. Their frequencies follow
+from the share of pulses with an event at that time. Drops come in bursts: the first windows of a
+pulse fill the FIFO, and the following ones are lost until there is room again. So if the later of
+two events carries `overrun`, the silence between them is informative only from the time at which
+there was room; this time follows from the rate of windows.
 """
 
 import math
@@ -29,75 +30,117 @@ DROPPING_ROUNDS = 3  # rounds in which the rate of windows and the stored share 
 RATE_MIN = 1e-3  # photons per subgroup and window, at least
 SHARES = 512  # shares of events for which the number of photons is tabulated
 
-Spread = Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]  # a `map` that may use any order
+# A `map` that may use any order.
+Spread = Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]
 
 
 class Unheard(NamedTuple):
-    """Probabilities that a firing pixel leaves no trace in a pulse without an event nearby, by its surface's time.
+    """Probabilities that a firing pixel leaves no trace in a pulse without an event nearby.
 
-    Both are float32[2, subgroups, points], one point for every `every` ticks. missed: its window misses the threshold, finds
-    the tree not armed, or is dropped. blind: it finds the tree not armed, at a time at which a window would have been
-    noticed. Index 1 holds between two events of which the later one carries `overrun`; only there are windows dropped.
+    Both are float32[2, subgroups, points], by the time of the pixel's surface. Index 1 holds
+    between two events of which the later one carries `overrun`; only there are windows dropped.
     """
 
-    missed: np.ndarray
-    blind: np.ndarray
-    every: int
+    missed: np.ndarray  # its window misses the threshold, finds the tree not armed, or is dropped
+    blind: np.ndarray  # it finds the tree not armed, when a window would have been noticed
+    every: int  # ticks from point to point
 
 
-def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map) -> Unheard:
+class _Pulse(NamedTuple):
+    """How the photons of a surface are spread."""
+
+    every: int  # ticks from point to point
+    reach: int  # ticks from the centre of the pulse to its beginning and end
+    shape: np.ndarray  # float32[n], in steps of `every` ticks; the sum is 1
+
+
+def unheard(
+    events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map
+) -> Unheard:
     """Estimate from the subgroups' events how often photons leave no trace.
 
     pulses: number of pulses in which the events came; spread: as in `log_likelihood`.
     """
-    sensor, ticks, every = config.sensor, config.period_ticks, max(1, int(sigma_ticks))
-    missed, blind = (np.empty((2, sensor.subgroups, -(-ticks // every)), np.float32) for _ in range(2))
-    phase = np.arange(sensor.phases)
-    after_rejected = (phase + sensor.rearm * sensor.phases).astype(np.float64)  # mean blind ticks, by phase
-    none, all_seen = np.zeros(ticks, np.float32), np.ones(ticks, np.float32)
-    reach = math.ceil(REACH_SIGMAS * sigma_ticks)
-    taps = np.arange(-(reach // every), reach // every + 1) * every
-    pulse = portable.exp(
-        -0.5 * taps**2 / (sigma_ticks**2 - (every**2 - 1) / 12)
-    )  # a point is a mean over its ticks already
-    shape = (pulse / pulse.sum()).astype(np.float32)
+    sensor = config.sensor
+    pulse = _pulse_of(sigma_ticks)
+    points = -(-config.period_ticks // pulse.every)
+    missed = np.empty((2, sensor.subgroups, points), np.float32)
+    blind = np.empty((2, sensor.subgroups, points), np.float32)
 
     def of_subgroup(s: int) -> None:
-        window, committed = int(events.window[s]), events.committed[s]
-        span = slice(events.bounds[s], events.bounds[s + 1])
-        stamp, overrun = events.stamp[span], events.overrun[span]
-        armed, dropping = armed_ticks(stamp, window, config), bool(overrun.any())
-        kept = np.ones(ticks)
-        if dropping:
-            kept, found = _while_dropping(events.pulse[span] % pulses, stamp, armed, overrun, committed, pulses, config)
-        dropped = 1 / kept
-        dropped *= committed / max(1.0, dropped[stamp].sum())  # windows per stored window
-        rejected = (events.opened[s] - committed) / pulses / ticks  # windows per tick
+        of_ticks, dropping = _ticks_of(events, config, pulses, pulse.reach, s)
         threshold = int(events.threshold[s])
-        deaf = np.minimum(BLIND_MAX, rejected * after_rejected).astype(np.float32)
-        nearby = busy = room = none
-        if dropping:
-            nearby = np.minimum(1, _share_between(np.maximum(0, stamp - reach), armed, dropped, pulses))
-            busy = _share_between(stamp, armed, dropped, pulses)
-            room = found.astype(np.float32)
-        seen = all_seen
-        if config.gating[s]:
-            seen = np.repeat(_gate_share(config, s), sensor.phases).astype(np.float32)
-        of_ticks = _Ticks(
-            covered=_share_between(stamp, stamp + window, dropped, pulses),
-            nearby=nearby,
-            busy=busy,
-            room=room,
-            deaf=np.tile(deaf, config.period),
-            seen=seen,
-        )
-        least = np.float32(_event_share(threshold, events.photon_rate[s] * window))
-        _leave_no_trace(of_ticks, least, _shares(threshold), shape, every, 1 + dropping, missed[:, s], blind[:, s])
+        least = np.float32(_event_share(threshold, events.photon_rate[s] * int(events.window[s])))
+        kinds = 1 + dropping
+        shares = _shares(threshold)
+        _leave_no_trace(of_ticks, least, shares, pulse, kinds, missed[:, s], blind[:, s])
         if not dropping:
-            missed[1, s], blind[1, s] = missed[0, s], blind[0, s]
+            missed[1, s] = missed[0, s]
+            blind[1, s] = blind[0, s]
 
     list(spread(of_subgroup, range(sensor.subgroups)))
-    return Unheard(missed, blind, every)
+    return Unheard(missed, blind, pulse.every)
+
+
+def _pulse_of(sigma_ticks: float) -> _Pulse:
+    """Return a Gaussian pulse; each point is a mean over its ticks already."""
+    every = max(1, int(sigma_ticks))
+    reach = math.ceil(REACH_SIGMAS * sigma_ticks)
+    taps = np.arange(-(reach // every), reach // every + 1) * every
+    chances = portable.exp(-0.5 * taps**2 / (sigma_ticks**2 - (every**2 - 1) / 12))
+    return _Pulse(every, reach, (chances / chances.sum()).astype(np.float32))
+
+
+def _ticks_of(
+    events: Events, config: Config, pulses: int, reach: int, s: int
+) -> tuple["_Ticks", bool]:
+    """Return what is known of the ticks of subgroup s, and whether its windows were dropped."""
+    sensor = config.sensor
+    ticks = config.period_ticks
+    window = int(events.window[s])
+    committed = events.committed[s]
+    span = slice(events.bounds[s], events.bounds[s + 1])
+    stamp = events.stamp[span]
+    overrun = events.overrun[span]
+    armed = armed_ticks(stamp, window, config)
+    dropping = bool(overrun.any())
+    none = np.zeros(ticks, np.float32)
+    nearby = none
+    busy = none
+    room = none
+    kept = np.ones(ticks)
+    if dropping:
+        number = events.pulse[span] % pulses
+        kept, found = _while_dropping(number, stamp, armed, overrun, committed, pulses, config)
+        room = found.astype(np.float32)
+    dropped = 1 / kept
+    dropped *= committed / max(1.0, dropped[stamp].sum())  # windows per stored window
+    if dropping:
+        nearby = _share_between(np.maximum(0, stamp - reach), armed, dropped, pulses)
+        nearby = np.minimum(1, nearby)
+        busy = _share_between(stamp, armed, dropped, pulses)
+    seen = np.ones(ticks, np.float32)
+    if config.gating[s]:
+        seen = np.repeat(_gate_share(config, s), sensor.phases).astype(np.float32)
+    of_ticks = _Ticks(
+        covered=_share_between(stamp, stamp + window, dropped, pulses),
+        nearby=nearby,
+        busy=busy,
+        room=room,
+        deaf=_deaf(events, config, pulses, s),
+        seen=seen,
+    )
+    return of_ticks, dropping
+
+
+def _deaf(events: Events, config: Config, pulses: int, s: int) -> np.ndarray:
+    """float32[ticks]: chance that the tree of a subgroup is blind after a rejected window."""
+    sensor = config.sensor
+    phase = np.arange(sensor.phases)
+    blind_ticks = (phase + sensor.rearm * sensor.phases).astype(np.float64)  # a mean, by phase
+    rejected = (events.opened[s] - events.committed[s]) / pulses / config.period_ticks  # per tick
+    deaf = np.minimum(BLIND_MAX, rejected * blind_ticks).astype(np.float32)
+    return np.tile(deaf, config.period)
 
 
 def _gate_share(config: Config, s: int) -> np.ndarray:
@@ -118,22 +161,30 @@ def _while_dropping(
     pulses: int,
     config: Config,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (share of windows that are stored, the same between two events of which the later has `overrun`), float64[ticks].
+    """Return the share of windows that are stored, float64[ticks], in general and after a full
+    FIFO.
 
-    After an event was stored, the FIFO was full, and windows were dropped until there was room. From then on, no window
-    came until the next event. The time at which there was room follows from the rate of windows, and this rate follows
-    from the share that is stored.
+    The second one is for two events of which the later one has `overrun`. After an event was
+    stored, the FIFO was full, and windows were dropped until there was room. From then on, no
+    window came until the next event. The time at which there was room follows from the rate of
+    windows, and this rate follows from the share that is stored.
     """
-    phases, cells = config.sensor.phases, config.period
+    phases = config.sensor.phases
+    cells = config.period
+    armed_cycles = armed // phases
+    stamp_cycles = stamp // phases
+    begin = pulse * cells + armed_cycles
+    end = pulse * cells + stamp_cycles
     later = np.flatnonzero(overrun[1:]) + 1
-    begin, end = pulse * cells + armed // phases, pulse * cells + stamp // phases
     full = np.zeros(cells + 1)
-    np.add.at(full, np.minimum(armed // phases, cells)[later - 1], 1)
-    np.add.at(full, (stamp // phases)[later], -1)
-    clear = 1 - (np.cumsum(full)[:cells] + (pulse[later] - pulse[later - 1]).sum()) / pulses
-    kept, found = np.clip(clear, 1 / pulses, 1), np.zeros(cells)
+    np.add.at(full, np.minimum(armed_cycles, cells)[later - 1], 1)
+    np.add.at(full, stamp_cycles[later], -1)
+    whole_periods = (pulse[later] - pulse[later - 1]).sum()
+    clear = 1 - (np.cumsum(full)[:cells] + whole_periods) / pulses
+    kept = np.clip(clear, 1 / pulses, 1)
+    found = np.zeros(cells)
     for _ in range(DROPPING_ROUNDS if len(later) else 0):
-        rate = np.bincount(stamp // phases, minlength=cells) / kept
+        rate = np.bincount(stamp_cycles, minlength=cells) / kept
         rate *= committed / pulses / rate.sum()
         found = _room_found(begin[later - 1], end[later], rate)
         kept = np.clip(clear + (1 - clear) * found, 1 / pulses, 1)
@@ -142,29 +193,35 @@ def _while_dropping(
 
 @njit
 def _room_found(begin, end, rate):
-    """float64[cycles]: share of the intervals from `begin` to `end` in which there was room before a cycle of the period.
+    """float64[cycles]: share of the intervals from `begin` to `end` in which there was room before
+    a cycle of the period.
 
-    begin, end: cycles of the frame. rate: windows per cycle of the period. In each interval, windows came before there
-    was room, and none came after.
+    begin, end: cycles of the frame. rate: windows per cycle of the period. In each interval,
+    windows came before there was room, and none came after.
     """
     cells = len(rate)
     total = np.zeros(cells + 1)
     total[1:] = np.cumsum(rate)
-    of_period, total = total[cells], total[:cells]
-    grown, shrunk = np.exp(total), np.exp(-total)  # windows since the period began
-    found, number = np.zeros(cells), np.zeros(cells)
-    sums = np.empty(cells * max(1, (np.max(end) if len(end) else 0) // cells + 1))
+    of_period = total[cells]
+    total = total[:cells]  # windows since the period began
+    grown = np.exp(total)
+    shrunk = np.exp(-total)
+    found = np.zeros(cells)
+    number = np.zeros(cells)
+    periods = 1
+    if len(end):
+        periods = max(1, np.max(end) // cells + 1)
+    sums = np.empty(cells * periods)
     for i in range(len(begin)):
         first = begin[i] // cells * of_period + total[begin[i] % cells]
         last = end[i] // cells * of_period + total[end[i] % cells]
-        so_far, at = 0.0, begin[i]
+        so_far = 0.0
+        at = begin[i]
         while at < end[i]:
             period = at // cells
-            until, none_after, none_before = (
-                min(end[i], (period + 1) * cells),
-                math.exp(period * of_period - last),
-                math.exp(first - period * of_period),
-            )
+            until = min(end[i], (period + 1) * cells)
+            none_after = math.exp(period * of_period - last)
+            none_before = math.exp(first - period * of_period)
             for j in range(at, until):
                 k = j - period * cells
                 so_far += none_after * grown[k] * (1 + RARE - none_before * shrunk[k])
@@ -178,10 +235,15 @@ def _room_found(begin, end, rate):
     return found
 
 
-def _share_between(begin: np.ndarray, end: np.ndarray, weight: np.ndarray, pulses: int) -> np.ndarray:
-    """float32[ticks]: number of the events that have a tick in [begin, end), per pulse, times the tick's weight."""
+def _share_between(
+    begin: np.ndarray, end: np.ndarray, weight: np.ndarray, pulses: int
+) -> np.ndarray:
+    """float32[ticks]: number of the events that have a tick in [begin, end), per pulse, times the
+    tick's weight.
+    """
     ticks = len(weight)
-    begun, ended = (np.bincount(np.minimum(part, ticks), minlength=ticks + 1)[:ticks] for part in (begin, end))
+    begun = np.bincount(np.minimum(begin, ticks), minlength=ticks + 1)[:ticks]
+    ended = np.bincount(np.minimum(end, ticks), minlength=ticks + 1)[:ticks]
     return (np.cumsum(begun - ended) / pulses * weight).astype(np.float32)
 
 
@@ -189,15 +251,18 @@ class _Ticks(NamedTuple):
     """What is known of the ticks of a subgroup's period, float32[ticks], each per pulse."""
 
     covered: np.ndarray  # windows over a tick
-    nearby: np.ndarray  # the same for windows with their surroundings; this and the two following only while dropping
-    busy: np.ndarray  # windows from their stamp until the tree is armed
-    room: np.ndarray  # share with room in the FIFO
+    nearby: np.ndarray  # the same for windows with their surroundings; 0 if nothing is dropped
+    busy: np.ndarray  # windows from their stamp until the tree is armed; 0 if nothing is dropped
+    room: np.ndarray  # share with room in the FIFO; 0 if nothing is dropped
     deaf: np.ndarray  # chance that the tree is blind after a rejected window
     seen: np.ndarray  # share of the pulses whose gate is open
 
 
 class _Shares(NamedTuple):
-    """What follows from the share of the windows that become events, at even steps of the share's logarithm."""
+    """What follows from the share of the windows that become events.
+
+    It is tabulated at even steps of the share's logarithm.
+    """
 
     met: np.ndarray  # float32[SHARES], share of those that would become events with one more pixel
     dark: np.ndarray  # float32[SHARES], probability that no photon came
@@ -211,29 +276,34 @@ def _shares(threshold: int) -> _Shares:
     low = math.log(_event_share(threshold, 0))
     photons = special.gammaincinv(threshold, portable.exp(np.linspace(low, 0, SHARES)))
     met = special.gammainc(threshold - 1, photons) if threshold > 1 else np.ones(SHARES)
-    per = np.float32((SHARES - 1) / -low)
-    return _Shares(met.astype(np.float32), portable.exp(-photons).astype(np.float32), np.float32(low), per)
+    return _Shares(
+        met=met.astype(np.float32),
+        dark=portable.exp(-photons).astype(np.float32),
+        low=np.float32(low),
+        per=np.float32((SHARES - 1) / -low),
+    )
 
 
 def _event_share(threshold: int, photons: float) -> float:
     """Return the share of the windows with at least `threshold` photons; it is never 0."""
-    return max(float(np.finfo(np.float32).tiny), special.gammainc(threshold, max(photons, RATE_MIN)))
+    share = special.gammainc(threshold, max(photons, RATE_MIN))
+    return max(float(np.finfo(np.float32).tiny), share)
 
 
 @njit(error_model="numpy")
-def _leave_no_trace(of_ticks, least, shares, pulse, every, kinds, missed, blind):
+def _leave_no_trace(of_ticks, least, shares, pulse, kinds, missed, blind):
     """Compute missed and blind, float32[2, points], of `Unheard` for one subgroup.
 
-    It is the mean over the arrival times of a surface's photons. least: share of the windows that become events by
-    background alone. pulse: float32[n], shape of the pulse in steps of `every` ticks. kinds: 2 if windows are dropped,
-    else 1.
+    They are means over the arrival times of a surface's photons. least: share of the windows that
+    become events by background alone. kinds: 2 if windows are dropped, else 1.
     """
     covered = of_ticks.covered
     deaf = of_ticks.deaf
     ticks = len(covered)
     points = missed.shape[1]
-    reach = len(pulse) // 2
+    reach = len(pulse.shape) // 2
     one = np.float32(1)
+    highest_place = np.float32(SHARES - 1.001)
     share = np.empty(ticks, np.float32)
     place = np.empty(ticks, np.float32)
     met = np.empty(ticks, np.float32)
@@ -244,12 +314,12 @@ def _leave_no_trace(of_ticks, least, shares, pulse, every, kinds, missed, blind)
     for kind in range(kinds):
         for t in range(ticks):
             share[t] = max(covered[t] / (one - deaf[t]), least)
-            place[t] = min((fast_log(share[t]) - shares.low) * shares.per, np.float32(SHARES - 1.001))
+            place[t] = min((fast_log(share[t]) - shares.low) * shares.per, highest_place)
         for t in range(ticks):
             k = np.uint32(place[t])
-            part = place[t] - np.float32(k)
-            met[t] = shares.met[k] + part * (shares.met[k + 1] - shares.met[k])
-            dark[t] = shares.dark[k] + part * (shares.dark[k + 1] - shares.dark[k])
+            beyond = place[t] - np.float32(k)
+            met[t] = shares.met[k] + beyond * (shares.met[k + 1] - shares.met[k])
+            dark[t] = shares.dark[k] + beyond * (shares.dark[k + 1] - shares.dark[k])
         for t in range(ticks):
             awake = (one - deaf[t]) * (of_ticks.room[t] if kind else one)
             noticed = min(one, max(share[t], of_ticks.nearby[t]) if kind else share[t])
@@ -257,18 +327,21 @@ def _leave_no_trace(of_ticks, least, shares, pulse, every, kinds, missed, blind)
             lost[t] = one - of_ticks.seen[t] * (one - min(one, (one - awake * met[t]) / silent))
             off = min(np.float32(BLIND_MAX), deaf[t] + of_ticks.busy[t]) if kind else deaf[t]
             unarmed[t] = off / (off + (one - off) * dark[t])
-        _mean_over_pulse(lost, pulse, every, line, missed[kind])
-        _mean_over_pulse(unarmed, pulse, every, line, blind[kind])
+        _mean_over_pulse(lost, pulse, line, missed[kind])
+        _mean_over_pulse(unarmed, pulse, line, blind[kind])
 
 
 @part(error_model="numpy")
-def _mean_over_pulse(values, pulse, every, line, means):
-    """Compute the mean of values by tick, over each point's ticks and the pulse. line: workspace."""
+def _mean_over_pulse(values, pulse, line, means):
+    """Compute the mean of values by tick, over each point's ticks and the pulse.
+
+    line: workspace, float32[points + 2 * reach].
+    """
     points = len(means)
-    reach = len(pulse) // 2
+    reach = len(pulse.shape) // 2
     for j in range(points):
-        begin = j * every
-        end = min(len(values), (j + 1) * every)
+        begin = j * pulse.every
+        end = min(len(values), (j + 1) * pulse.every)
         total = np.float32(0)
         for t in range(begin, end):
             total += values[t]
@@ -278,6 +351,6 @@ def _mean_over_pulse(values, pulse, every, line, means):
         line[reach + points + i] = line[reach + points - 1]
     for j in range(points):
         means[j] = 0
-    for i in range(len(pulse)):
+    for i in range(len(pulse.shape)):
         for j in range(points):
-            means[j] += pulse[i] * line[i + j]
+            means[j] += pulse.shape[i] * line[i + j]

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packer of the golden model: packs the events of a stream into groups behind its output buffer, cycle by cycle.
+"""Packer of the golden model: packs the events of a stream into groups, cycle by cycle.
 
-It takes one beat of an event per cycle, then forms its parts, one per cycle, while it already takes the next event. A part
-is packed one cycle after it was formed, unless a beat of the group waits for the receiver.
+It stands behind the stream's output buffer.
+It takes one beat of an event per cycle, then forms its parts, one per cycle, while it already takes
+the next event. A part is packed one cycle after it was formed, unless a beat of the group waits for
+the receiver.
 """
 
 from typing import NamedTuple
@@ -60,7 +62,8 @@ def new_packer() -> np.ndarray:
 def room_for_groups(most: int, shape: Shape, next_ready: np.ndarray) -> Packed:
     """Return room for the groups of `most` beats.
 
-    A group of one event takes at most two beats more than the event: one for its head and check, one that they fill in part.
+    A group of one event takes at most two beats more than the event: one for its head and check,
+    one that they fill in part.
     """
     most = 3 * most if shape.grouped else 0
     return Packed(
@@ -73,7 +76,10 @@ def room_for_groups(most: int, shape: Shape, next_ready: np.ndarray) -> Packed:
 
 @part
 def pack_event(packer, out, event, subgroup, hits, offsets, read_at, shape):
-    """Pack an event whose last beat was read in the cycle `read_at`; the next one is read from cycle `taken` on."""
+    """Pack an event whose last beat was read in the cycle `read_at`.
+
+    The next one is read from cycle `taken` on.
+    """
     packer.taken = max(read_at + 1, packer.formed)
     packer.form_from = packer.taken + 1
     if packer.begins >= 0 and not 0 <= packer.pulse - event.pulse <= groups.AGE_MAX:
@@ -81,18 +87,8 @@ def pack_event(packer, out, event, subgroup, hits, offsets, read_at, shape):
     if packer.begins < 0:
         _open_group(packer, out, event.pulse, shape)
     begin = packer.beat * groups.PAYLOAD_BITS + packer.filled
-    mapped = event.count > shape.listed_max
-    age = packer.pulse - event.pulse
-    bit = _put(out.beats, begin, groups.MAPPED if mapped else event.count, groups.LISTED_BITS)
-    bit = _put(out.beats, bit, event.overrun, 1)
-    bit = _put(out.beats, bit, subgroup, shape.subgroup_bits)
-    bit = _put(out.beats, bit, np.int64(age == packer.age), 1)
-    if age != packer.age:
-        bit = _put(out.beats, bit, age, groups.AGE_BITS)
-        packer.age = age
-    bit = _put(out.beats, bit, event.stamp, shape.stamp_bits)
-    bit = _put(out.beats, bit, event.winner, shape.winner_bits)
-    if mapped:
+    bit = _put_numbers(packer, out, begin, event, subgroup, shape)
+    if event.count > shape.listed_max:
         bit = _pack_map(packer, out, begin, bit, hits, shape)
     else:
         bit = _pack_list(packer, out, begin, bit, event.winner, hits, shape)
@@ -101,8 +97,29 @@ def pack_event(packer, out, event, subgroup, hits, offsets, read_at, shape):
 
 
 @part
+def _put_numbers(packer, out, bit, event, subgroup, shape):
+    """Write the numbers of an event, from `bit` on; return the bit behind them."""
+    listed = event.count
+    if event.count > shape.listed_max:
+        listed = groups.MAPPED
+    age = packer.pulse - event.pulse
+    bit = _put(out.beats, bit, listed, groups.LISTED_BITS)
+    bit = _put(out.beats, bit, event.overrun, 1)
+    bit = _put(out.beats, bit, subgroup, shape.subgroup_bits)
+    bit = _put(out.beats, bit, np.int64(age == packer.age), 1)
+    if age != packer.age:
+        bit = _put(out.beats, bit, age, groups.AGE_BITS)
+        packer.age = age
+    bit = _put(out.beats, bit, event.stamp, shape.stamp_bits)
+    return _put(out.beats, bit, event.winner, shape.winner_bits)
+
+
+@part
 def _pack_map(packer, out, begin, bit, hits, shape):
-    """Pack the fields of an event from bit `begin` to `bit`, and its map; return the bit behind it."""
+    """Pack the numbers of an event, bits `begin` to `bit`, and its map.
+
+    Return the bit behind it.
+    """
     _part(packer, out, bit - begin)
     for first in range(0, shape.pixels, groups.MAP_PART_BITS):
         width = min(groups.MAP_PART_BITS, shape.pixels - first)
@@ -115,19 +132,31 @@ def _pack_map(packer, out, begin, bit, hits, shape):
 
 @part
 def _pack_list(packer, out, begin, bit, winner, hits, shape):
-    """Pack the fields of an event from bit `begin` to `bit`, and a list of its other pixels; return the bit behind it."""
-    others = 0
-    for pixel in range(shape.pixels):
-        if pixel != winner and hits[pixel // BEAT_BITS] >> np.uint64(pixel % BEAT_BITS) & np.uint64(1):
-            out.listed[others] = pixel
-            others += 1
+    """Pack the numbers of an event, bits `begin` to `bit`, and a list of its other pixels.
+
+    Return the bit behind it.
+    """
+    others = _list_others(out.listed, winner, hits, shape.pixels)
     for k in range(others):
         if k >= groups.FIRST_PIXELS - 1 and (k - groups.FIRST_PIXELS + 1) % groups.PER_PART == 0:
             _part(packer, out, bit - begin)
             begin = bit
-        bit = _put(out.beats, bit, out.listed[_from_both_ends(others, k)], shape.winner_bits)
+        pixel = out.listed[_from_both_ends(others, k)]
+        bit = _put(out.beats, bit, pixel, shape.winner_bits)
     _part(packer, out, bit - begin)
     return bit
+
+
+@part
+def _list_others(listed, winner, hits, pixels):
+    """Write the pixels of a map to `listed`, without the winner; return their number."""
+    number = 0
+    for pixel in range(pixels):
+        bit = hits[pixel // BEAT_BITS] >> np.uint64(pixel % BEAT_BITS) & np.uint64(1)
+        if bit and pixel != winner:
+            listed[number] = pixel
+            number += 1
+    return number
 
 
 @part
@@ -156,6 +185,7 @@ def _from_both_ends(number, k):
 
 @part
 def _open_group(packer, out, pulse, shape):
+    """Begin a group in the next beat, and pack its head."""
     packer.begins = packer.beat
     packer.pulse = pulse
     packer.age = 0
@@ -169,7 +199,10 @@ def _open_group(packer, out, pulse, shape):
 
 @part
 def close_group(packer, out, cycle):
-    """End the open group, if there is one; its end is formed in `cycle` or, if a part waits there, later."""
+    """End the open group, if there is one.
+
+    Its end is formed in `cycle` or, if a part waits there, later.
+    """
     if packer.begins >= 0:
         packer.formed = max(cycle, packer.packed)
         packer.beat_from = max(packer.beat_from, packer.formed + 1)
@@ -189,7 +222,7 @@ def close_group(packer, out, cycle):
 
 @part
 def _part(packer, out, bits):
-    """Form and pack a part of so many bits in the next possible cycles, and send the beats that are full then."""
+    """Form and pack a part of so many bits in the next possible cycles, and send the full beats."""
     packer.formed = max(packer.form_from, packer.packed)
     packer.packed = max(packer.formed + 1, packer.pack_from)
     packer.beat_from = max(packer.beat_from, packer.packed + 1)
@@ -200,11 +233,16 @@ def _part(packer, out, bits):
 
 @part
 def _send(packer, out):
-    """Send a beat as soon as the receiver takes it, and return that cycle, in which the next part can be packed."""
+    """Send a beat as soon as the receiver takes it, and return that cycle.
+
+    In that cycle, the next part can be packed.
+    """
     cycle = packer.beat_from
     if cycle < len(out.next_ready):
         cycle = out.next_ready[cycle]
-    out.beats[packer.beat] |= _KIND | (_FIRST if packer.beat == packer.begins else np.uint64(0))
+    out.beats[packer.beat] |= _KIND
+    if packer.beat == packer.begins:
+        out.beats[packer.beat] |= _FIRST
     out.sent_at[packer.beat] = cycle
     packer.beat += 1
     packer.filled -= groups.PAYLOAD_BITS
@@ -214,7 +252,10 @@ def _send(packer, out):
 
 @part
 def _put(beats, bit, value, width):
-    """Write `value`, of `width` bits, into the payloads of the beats, from `bit` on; return the bit behind it."""
+    """Write `value`, of `width` bits, into the payloads of the beats, from `bit` on.
+
+    Return the bit behind it.
+    """
     while width > 0:
         beat = bit // groups.PAYLOAD_BITS
         lsb = bit % groups.PAYLOAD_BITS

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The photon walk: takes each pixel through its laser pulses, from photons to avalanches to edges.
 
-The code is compiled; `photons.py` describes it and calls it. Times are in ticks from the start of a pulse's period.
+The code is compiled; `photons.py` describes it and calls it. Times are in ticks from the start of a
+pulse's period.
 """
 
 import math
@@ -26,15 +27,18 @@ CROSSTALK = 9
 OTHER = 10
 OTHER_SHAPE = 11
 IN_BIN = 12
-POISSON_MEAN_MAX = 64.0  # for a brighter pixel, the count is drawn in parts, each by inversion of its law
+POISSON_MEAN_MAX = 64.0  # for a brighter pixel, the count is drawn in parts, each by its own law
 LAW_SIZE = 256
-GAPS_FROM = 24.0  # noise photons per period above which they are drawn in the order of time, by exponential gaps
+GAPS_FROM = 24.0  # noise photons per period above which they are drawn by exponential gaps
 INSERTION_MAX = 32  # number of other photons up to which insertion is faster than sorting
-_PIXEL_LSB = 32  # of the number of a pixel and a pulse of the span, by which received photons are sorted
+_PIXEL_LSB = 32  # of the pixel in `Received.where`; the pulse stands below it
 
 
 class Packing(NamedTuple):
-    """Widths of the lower fields of an edge that is packed into one integer, which sorts by (pulse, tick, pixel)."""
+    """Widths of the lower fields of an edge that is packed into one integer.
+
+    The integers sort by (pulse, tick, pixel).
+    """
 
     pixel_bits: int
     tick_bits: int
@@ -75,7 +79,7 @@ class Arrays(NamedTuple):
     gate_step: np.ndarray  # [pixels], of progressive gating
     taps: np.ndarray  # inner borders of the TDC's phases, empty if they are ideal
     laps: np.ndarray  # int64[pixels, targets], whole periods of the flight
-    bin_first: np.ndarray  # int64[pixels + 1]: pixel p has the bins bin_first[p] to bin_first[p + 1]
+    bin_first: np.ndarray  # int64[pixels + 1], first of the pixel's bins; the next pixel's follow
     bin_start: np.ndarray  # [bins], beginning of each
     bin_photons: np.ndarray  # [bins], sum of the photons of the pixel's bins up to it
     other: np.ndarray  # [pixels], photons of another LiDAR's pulse
@@ -104,10 +108,13 @@ class Course(NamedTuple):
 
 
 class State(NamedTuple):
-    """State of the walk's pixels between two spans of pulses, in ticks from the start of the next period."""
+    """State of the walk's pixels between two spans of pulses.
+
+    Times are in ticks from the start of the next period.
+    """
 
     alive_at: np.ndarray  # float64[pixels], time from which each is alive
-    carriers: np.ndarray  # float64[pixels, CARRIERS_MAX], releases of trapped carriers, infinite: none
+    carriers: np.ndarray  # float64[pixels, CARRIERS_MAX], when they are released; infinite: none
 
 
 class Scratch(NamedTuple):
@@ -127,7 +134,10 @@ class Made(NamedTuple):
 
 
 class _Source(NamedTuple):
-    """A pixel's photons of noise, targets and bins, drawn as one superposed Poisson process; photons per period."""
+    """A pixel's photons of noise, targets and bins, drawn as one superposed Poisson process.
+
+    Numbers are photons per period.
+    """
 
     noise: float  # 0 for a bright pixel, whose noise is drawn in the order of time
     noise_to_ticks: float
@@ -145,6 +155,21 @@ class _At(NamedTuple):
     number: int  # of the pulse in the span
 
 
+class _Gate(NamedTuple):
+    """When a pixel's gate is open in a pulse, in ticks."""
+
+    opens: float
+    closes: float
+
+
+class _Progress(NamedTuple):
+    """Where a pixel and pulse of the walk stand."""
+
+    n: int  # photons
+    alive_at: float  # time from which the SPAD is alive
+    done: int  # items made
+
+
 @njit(allocates=False, error_model="numpy")
 def walk(course, state, scratch, made):
     """Walk each pixel through the pulses; return the number of items made, or -1.
@@ -157,6 +182,7 @@ def walk(course, state, scratch, made):
     photons = scratch.photons
     period_ticks = physics.period_ticks
     starts = arrays.starts
+    taps = arrays.taps
     done = 0
     for pixel in range(course.first_pixel, course.end_pixel):
         pixel_key = key_of(key_of(course.seed, 0), pixel)
@@ -194,13 +220,13 @@ def walk(course, state, scratch, made):
                 n = _insert(photons, n, received.time[next_received])
                 next_received += 1
             opens = _gate_opens(pixel, pulse, physics, arrays)
-            closes = opens + arrays.gate_len[pixel]
-            n, alive_at, done = _avalanches(
-                n, at, opens, closes, alive_at, done, physics, arrays.taps, trapped, photons, made
-            )
-            if n >= photons.size:
+            gate = _Gate(opens, opens + arrays.gate_len[pixel])
+            progress = _Progress(n, alive_at, done)
+            progress = _avalanches(progress, at, gate, physics, taps, trapped, photons, made)
+            if progress.n >= photons.size:
                 return -1
-            alive_at = max(alive_at - period_ticks - gap, 0.0)
+            done = progress.done
+            alive_at = max(progress.alive_at - period_ticks - gap, 0.0)
             if gap > 0 and physics.afterpulse > 0:
                 _lose(trapped, gap)
         state.alive_at[local] = alive_at
@@ -229,7 +255,10 @@ def _source(pixel, period_ticks, arrays):
 
 @part(error_model="numpy")
 def _draw_noise(key, noise_to_ticks, period_ticks, photons):
-    """Write a bright pixel's noise to `photons` in the order of time, by exponential gaps; return its number."""
+    """Write a bright pixel's noise to `photons` in the order of time, by exponential gaps.
+
+    Return its number.
+    """
     n = 0
     t = exponential(key, GAP, 0) * noise_to_ticks
     while t < period_ticks and n < photons.size:
@@ -254,7 +283,10 @@ def _draw_count(key, parts, law):
 
 @part(error_model="numpy")
 def _draw_photons(at, count, n, pulse, source, physics, arrays, photons):
-    """Add `count` photons of `source`, with random origins and times, to the ascending photons[:n]; return the new n."""
+    """Add `count` photons of `source`, with random origins and times, to the ascending photons[:n].
+
+    Return the new n.
+    """
     for i in range(count):
         mark = uniform(at.key, SOURCE, i) * source.mean
         if mark < source.noise:
@@ -273,7 +305,10 @@ def _draw_photons(at, count, n, pulse, source, physics, arrays, photons):
 
 @part(error_model="numpy")
 def _arrival(at, i, mark, binned, pulse, physics, arrays):
-    """Return the arrival of photon `i`, of the target or bin to which `mark` belongs; negative: in the gap before the period."""
+    """Return the arrival of photon `i`, of the target or bin to which `mark` belongs.
+
+    Negative: in the gap before the period.
+    """
     period_ticks = physics.period_ticks
     pixel = at.pixel
     target = 0
@@ -309,7 +344,10 @@ def _start_in_bin(at, i, mark, physics, arrays):
 
 @part(error_model="numpy")
 def _draw_others(key, n, since, mean, physics, photons):
-    """Add `mean` photons per pulse of another LiDAR, whose first pulse came `since` ticks ago; return the new n."""
+    """Add `mean` photons per pulse of another LiDAR, whose first pulse came `since` ticks ago.
+
+    Return the new n.
+    """
     drawn = 0
     t = -_modulo(since, physics.other_period_ticks)  # tail of the last pulse before the period
     while t < physics.period_ticks:
@@ -327,7 +365,10 @@ def _draw_others(key, n, since, mean, physics, photons):
 
 @part
 def _release(n, carriers, period_ticks, photons):
-    """Add the photons of carriers that are released in this period; the others wait for the next; return the new n."""
+    """Add the photons of carriers that are released in this period.
+
+    The others wait for the next; return the new n.
+    """
     for slot in range(CARRIERS_MAX):
         if carriers[slot] < period_ticks:
             n = _insert(photons, n, carriers[slot])
@@ -356,17 +397,21 @@ def _gate_opens(pixel, pulse, physics, arrays):
 
 
 @part
-def _avalanches(n, at, opens, closes, alive_at, done, physics, taps, carriers, photons, made):
-    """Turn photons into avalanches by gate and dead time, and these into edges or, with `sending`, into crosstalk.
+def _avalanches(progress, at, gate, physics, taps, carriers, photons, made):
+    """Turn photons into avalanches by gate and dead time, and these into items.
 
-    Afterpulses join the photons. Returns the new n, the time from which the SPAD is alive, and the number of items made.
+    Items are edges or, with `sending`, crosstalk. Afterpulses join the photons. Returns the new
+    progress.
     """
+    n = progress.n
+    alive_at = progress.alive_at
+    done = progress.done
     i = 0
     fired = 0
     while i < n:
         t = photons[i]
         i += 1
-        if t < opens or t >= closes:
+        if t < gate.opens or t >= gate.closes:
             continue
         alive = t >= alive_at
         if alive or physics.paralyzable:
@@ -384,7 +429,7 @@ def _avalanches(n, at, opens, closes, alive_at, done, physics, taps, carriers, p
         else:
             done = _edge(at, fired, t, done, physics, taps, made)
         fired += 1
-    return n, alive_at, done
+    return _Progress(n, alive_at, done)
 
 
 @part
@@ -404,13 +449,17 @@ def _edge(at, fired, t, done, physics, taps, made):
         time = _modulo(_with_jitter(at.key, fired, t, physics), physics.period_ticks)
         tick = _tick(time, physics, taps)
         packing = made.packing
-        made.keys[done] = (((at.number << packing.tick_bits) + tick) << packing.pixel_bits) + at.pixel
+        time_key = (at.number << packing.tick_bits) + tick
+        made.keys[done] = (time_key << packing.pixel_bits) + at.pixel
     return done + 1
 
 
 @part
 def _send(at, fired, t, done, physics, made):
-    """Send the crosstalk of an avalanche to the neighbours that it reaches; return the number of items made."""
+    """Send the crosstalk of an avalanche to the neighbours that it reaches.
+
+    Return the number of items made.
+    """
     key = at.key
     for side in range(4):
         neighbour = _neighbour(at.pixel, side, physics.rows, physics.cols)
@@ -474,7 +523,9 @@ def _number_up_to(ascending, value):
 
 @part
 def _insert(photons, n, t):
-    """Insert `t` into the ascending photons[:n] (dropped if they are full) and return n + 1, or the size if less."""
+    """Insert `t` into the ascending photons[:n] (dropped if they are full) and return n + 1, or the
+    size if less.
+    """
     if n == photons.size:
         return n
     i = n
@@ -493,7 +544,10 @@ def _modulo(t, period_ticks):
 
 @part(error_model="numpy")
 def _tick(t, physics, taps):
-    """Return the TDC code of time `t` in ticks; `taps`: the inner borders of the phases, empty = ideal."""
+    """Return the TDC code of time `t` in ticks.
+
+    `taps`: the inner borders of the phases, empty = ideal.
+    """
     if taps.size:
         begins = np.floor(t / physics.phases) * physics.phases  # the cycle
         t = begins + _number_up_to(taps, t - begins)
