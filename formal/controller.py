@@ -103,7 +103,9 @@ class Choice:
 
 @proof(depth=3, cover=30)
 def controller(b: Bench):
-    """Counters are summed once per subgroup; budget and limit obey their rule."""
+    """Counters are summed once per subgroup and candidate; budget and limit obey their rule; too
+    much never raises them.
+    """
     dut = _place_controller(b)
 
     candidates = _candidates(b, dut)

@@ -81,7 +81,9 @@ class Step:
 
 @proof(depth=4, cover=34)
 def dpcu(b: Bench):
-    """Windows are committed if they meet the threshold; counters balance; the threshold steps."""
+    """Windows are committed if and only if they meet the threshold; counters balance; the
+    controller moves one step in its limits.
+    """
     dut = _place_dpcu(b)
     _tree_obeys(b, dut)
 
@@ -291,7 +293,9 @@ def _step_is_in_registers(b: Bench, dut: PlacedDpcu, step: Step) -> None:
 
 @proof(depth=3, cover=8)
 def subgroup_settings(b: Bench):
-    """Settings change only at a TAKE, all at once; only writes to this subgroup program them."""
+    """Settings change only at a TAKE, all at once. Only writes to this subgroup program them. A
+    read gives the word, of others 0.
+    """
     unit = SubgroupSettings(SMALL)
     number = b.constant(bus.SUBGROUP_BITS)
     _front_obeys(b, unit)

@@ -64,7 +64,9 @@ class WatchedBit:
 
 @proof(depth=3, cover=12)
 def packer(b: Bench):
-    """Every bit of every part leaves at its place; marks and zeros are right; other beats pass."""
+    """Every bit of every part leaves at its place; marks and zeros stand where they should; other
+    beats pass; AXI4-Stream.
+    """
     unit = b.place(Packer(SMALL))
     string = _open_string(b, unit)
     _coder_obeys(b, unit, string)
@@ -297,7 +299,9 @@ class Rest:
 
 @proof(depth=3, cover=12)
 def coder(b: Bench):
-    """The parts of an event are its fields, pixels and offsets; groups open and close in time."""
+    """The parts of an event are its fields and all its pixels and offsets; groups open and close as
+    their pulse demands.
+    """
     dut = _place_coder(b)
     packets = _packets(b, dut)
     event = _watched_event(b, dut, packets)

@@ -97,7 +97,9 @@ class Beats:
 
 @proof(depth=4, cover=14)
 def readout(b: Bench):
-    """One grant at a time, after at most n - 1 others; no overflow; `tlast` ends the frame."""
+    """One grant at a time, after at most n - 1 others; no overflow, no leak of places; `tlast` ends
+    the frame.
+    """
     dut = _place_readout(b)
     events = _events_in_subgroups(b, dut)
     _sequencer_obeys(b, dut)
@@ -394,7 +396,9 @@ class PlacedPacketizer:
 
 @proof(depth=3, cover=12)
 def packetizer(b: Bench):
-    """A grant gives a packet of exact length without gaps; only its last beat frees the place."""
+    """A grant gives a packet of exact length without gaps; its last beat, and no other, frees the
+    place.
+    """
     dut = _place_packetizer(b)
 
     _packets_have_no_gaps(b, dut)

@@ -56,7 +56,9 @@ class Waiting:
 
 @proof(depth=3, cover=20)
 def register_front(b: Bench):
-    """AXI4-Lite: one answer each, in time; a refusal changes nothing; a frame's settings stay."""
+    """AXI4-Lite with any master: one answer each, in bounded time; a refusal changes nothing; a
+    frame's settings stay.
+    """
     unit = b.place(Registers(SMALL))
     _sequencer_obeys(b, unit)
 
@@ -292,7 +294,9 @@ def _progress_bounds_the_wait(b: Bench, unit: Registers, waiting: Waiting) -> No
 
 @proof(depth=2, cover=45)
 def register_front_starts(b: Bench):
-    """With starts only, no read is answered; a start begins a frame, the next finds it busy."""
+    """With starts only, no read is answered; one start begins a frame, and the next one finds the
+    front busy.
+    """
     unit = Registers(SMALL)
     address, start = registers.control("start")
     b.place(

@@ -22,7 +22,9 @@ from .sensors import SMALL
 
 @proof(depth=START_TO_PHASE, cover=12)
 def tdc(b: Bench):
-    """A line's stamp is the first phase of its own root; the coarse count starts with the laser."""
+    """A line's stamp is the first set phase of its own root only; the coarse count restarts with
+    the laser.
+    """
     sensor = Sensor()  # full size: 32 phases, two lines
     unit = b.place(Tdc(sensor))
     line_0 = unit.line_0
@@ -58,7 +60,9 @@ class Gate:
 
 @proof(depth=3, cover=24)
 def gating(b: Bench):
-    """Edges pass if a frame runs and the gate is open or off, and only then; so do SPADs."""
+    """Edges pass if and only if a frame runs and the gate is open (or off); the SPADs are on in the
+    same cycles.
+    """
     unit = b.place(Gating(SMALL))
     settings = unit.settings
     running = unit.timing.running
@@ -158,7 +162,8 @@ class Periods:
 
 @proof(depth=6, cover=40)
 def sequencer(b: Bench):
-    """A frame has `pulses` periods with dither waits, or ends with an aborted one; guards hold.
+    """A frame has `pulses` periods of `period` cycles with dither waits, or ends with the aborted
+    one; windows obey the guard.
 
     No window opens in the guard or in a wait.
     """
