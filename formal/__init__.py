@@ -1,2 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Formal proofs of the RTL: unbounded, by k-induction, each with traces that show that it is not vacuous."""
+"""Formal proofs of the RTL: unbounded, by k-induction, each with traces that show that it is not
+vacuous.
+"""

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proof of the asynchronous view's control: whatever its events leave behind, no wrong word comes out, and it never locks up.
+"""Proof of the asynchronous view's control: whatever its events leave behind, no wrong word comes
+out, and it never locks up.
 
-All cells and macros are cut away. So hit flops, roots, arbiters, window ends, samples and pictures may have any value in
-any half cycle. The proof covers every pattern of edges, every delay, and every flop that falls to the wrong side. The control
-remains, and the logic that collects words at the clock. A step is half a clock cycle: registers with a
-rising clock edge move in one step, those with a falling edge in the next.
+All cells and macros are cut away. So hit flops, roots, arbiters, window ends, samples and pictures
+may have any value in any half cycle. The proof covers every pattern of edges, every delay, and
+every flop that falls to the wrong side. The control remains, and the logic that collects words at
+the clock. A step is half a clock cycle: registers with a rising clock edge move in one step, those
+with a falling edge in the next.
 """
 
 from functools import partial
@@ -27,7 +29,8 @@ SMALL = Sensor(
 )
 SCRIPT = """\
 cutpoint -blackbox
-# Steps are half cycles: an enable selects the flops that move in a step, and all have the same clock.
+# Steps are half cycles: an enable selects the flops that move in a step, and all have the same
+# clock.
 setparam -set CLK_POLARITY 1'1 t:$*dff*
 """
 
@@ -56,7 +59,8 @@ def bench(sensor: Sensor, circuit: Circuit) -> Module:
 
 
 def _words_are_whole(m: Module, front: AsyncFrontEnd, started: Signal) -> None:
-    """State that a word is never empty, contains its winner, and has the count of its map; m: the front end's module.
+    """State that a word is never empty, contains its winner, and has the count of its map; m: the
+    front end's module.
 
     Further invariants make this inductive.
     """
@@ -84,7 +88,8 @@ def _words_are_whole(m: Module, front: AsyncFrontEnd, started: Signal) -> None:
 
 
 def _control_returns(m: Module, control: AsyncControl, started: Signal) -> None:
-    """State that every wait for the clock ends in time, and that a window closes within two cycles of its end.
+    """State that every wait for the clock ends in time, and that a window closes within two cycles
+    of its end.
 
     m: the control's module.
     """

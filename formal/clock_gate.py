@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proofs that a subgroup's clock may stop: a clock edge that the gate holds back would have changed nothing.
+"""Proofs that a subgroup's clock may stop: a clock edge that the gate holds back would have changed
+nothing.
 
-Everything except the front end comes to rest: no register and no row of a memory would change. SPADs also fire between
-frames, so the first stages of the front end would take edges, which count nowhere. For the front end, a tree with the
-gated clock is therefore compared with a tree whose clock never stops. Some blocks have a gate of their own. As
-elsewhere, a proof assumes nothing about the state at power-on.
+Everything except the front end comes to rest: no register and no row of a memory would change.
+SPADs also fire between frames, so the first stages of the front end would take edges, which count
+nowhere. For the front end, a tree with the gated clock is therefore compared with a tree whose
+clock never stops. Some blocks have a gate of their own. As elsewhere, a proof assumes nothing about
+the state at power-on.
 """
 
 from collections.abc import Iterator
@@ -59,7 +61,9 @@ def _driven(b: Bench, unit: Any) -> Fragment:
 
 
 def _rests(b: Bench, unit: Any) -> Signal:
-    """State that no register and no row of a memory of a unit changes while its gate is closed; return when it is closed."""
+    """State that no register and no row of a memory of a unit changes while its gate is closed;
+    return when it is closed.
+    """
     dut = _driven(b, unit)
     closed = b.same("closed", ~unit.clock_gate.enable)
     for register in _registers(dut):
@@ -81,7 +85,9 @@ def _quiet_for(b: Bench, quiet, most: int) -> Signal:
 
 @proof(depth=AWAKE_CYCLES + 4, cover=AWAKE_CYCLES + 8)
 def subgroup_rests(b: Bench):
-    """Behind a closed clock gate no register of a subgroup would change, and no row of a memory, whatever is in them."""
+    """Behind a closed clock gate no register of a subgroup would change, and no row of a memory,
+    whatever is in them.
+    """
     unit, tree = Subgroup(SMALL), CoincidenceTree(SMALL)
     shown = b.free(tree)
     unit.view = SimpleNamespace(
@@ -102,13 +108,17 @@ def subgroup_rests(b: Bench):
 
 @proof(depth=2, cover=6)
 def minigroup_rests(b: Bench):
-    """Behind a minigroup's closed clock gate none of its registers would change, whatever is in them."""
+    """Behind a minigroup's closed clock gate none of its registers would change, whatever is in
+    them.
+    """
     _rests(b, Minigroup(SMALL))
 
 
 @proof(depth=2, cover=6)
 def strobes_rest(b: Bench):
-    """Behind the closed clock gate of a tree's strobes none of them would change, whatever is in them."""
+    """Behind the closed clock gate of a tree's strobes none of them would change, whatever is in
+    them.
+    """
     unit = CoincidenceTree(SMALL)
     _driven(b, unit)
     closed = b.same("closed", ~unit.clock_gate.enable)
@@ -124,7 +134,9 @@ def dpcu_rests(b: Bench):
 
 @proof(depth=3, cover=6)
 def settings_rest(b: Bench):
-    """Behind the closed clock gate of a subgroup's settings none of their registers would change."""
+    """Behind the closed clock gate of a subgroup's settings none of their registers would
+    change.
+    """
     unit = SubgroupSettings(SMALL)
     closed = _rests(b, unit)
     idle = b.same("idle", unit.command.operation == bus.Operation.IDLE)
@@ -139,7 +151,9 @@ def settings_rest(b: Bench):
 
 @proof(depth=TREE_CYCLES + 4, cover=40)
 def tree_rests(b: Bench):
-    """A tree whose clock stops while no strobe comes shows the same as one whose clock runs; without strobes it shows nothing."""
+    """A tree whose clock stops while no strobe comes shows the same as one whose clock runs;
+    without strobes it shows nothing.
+    """
     m, sensor = b.m, SMALL
     gated, free = CoincidenceTree(sensor), CoincidenceTree(sensor)
     for name, (flow, signal) in free.flat_ports().items():
@@ -154,7 +168,8 @@ def tree_rests(b: Bench):
     m.submodules.gated, m.submodules.free = bodies
     b.assume((free.window_ticks != 0) & (free.window_ticks <= sensor.window_max))
 
-    # The strobes come through the gate, which lets nothing through outside a frame; a frame begins when the clock runs.
+    # The strobes come through the gate, which lets nothing through outside a frame; a frame begins
+    # when the clock runs.
     b.assume(~free.accept, where=~b.past(enable) | ~b.past(enable, 2))
     b.assume_stable(free.frame.as_value(), where=~enable)
     for name, signal in gated.outputs().items():
@@ -166,7 +181,8 @@ def tree_rests(b: Bench):
     b.always(gated.latched == free.latched)
     for name in ("closed", "blind", "record_due"):
         b.always(~getattr(free, name), where=calm == TREE_CYCLES)
-    # Registers are equal, as at power-on, except data that edges outside of frames have left: nothing there is valid.
+    # Registers are equal, as at power-on, except data that edges outside of frames have left:
+    # nothing there is valid.
     for one, other in zip(*map(_registers, bodies), strict=True):
         m.d.comb += Assume(b.started | (one == other))
         if not one.name.startswith(EDGE_DATA):

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proofs of the event FIFO and of the record buffer.
 
-Depth is only a parameter of counters. So a proof for a FIFO of two places, and one for three, which is no power of two,
-holds for any depth. An event is an opaque word to the FIFO, so the smallest subgroup is sufficient.
+Depth is only a parameter of counters. So a proof for a FIFO of two places, and one for three, which
+is no power of two, holds for any depth. An event is an opaque word to the FIFO, so the smallest
+subgroup is sufficient.
 """
 
 from amaranth.hdl import Mux, Signal
@@ -41,7 +42,8 @@ def _event_fifo(b: Bench, depth: int) -> None:
     m.d.sync += lost.eq(Mux(begin, 0, Mux(commit, dropped, lost)))
     b.always(lost == unit.lost)
 
-    # An arbitrary event leaves after all those that were there before it, before all later ones, and intact.
+    # An arbitrary event leaves after all those that were there before it, before all later ones,
+    # and intact.
     watch = b.same("watch", b.anything(1) & stored)
     watched = Signal()
     ahead = Signal(range(depth + 1))
@@ -76,7 +78,9 @@ def _event_fifo(b: Bench, depth: int) -> None:
 
 @proof(depth=3, cover=14)
 def event_fifo(b):
-    """Events leave whole and in order; each is stored, or counted as dropped if full; overrun exactly after drops."""
+    """Events leave whole and in order; each is stored, or counted as dropped if full; overrun
+    exactly after drops.
+    """
     _event_fifo(b, 2)
 
 
@@ -88,7 +92,9 @@ def event_fifo_of_three(b):
 
 @proof(depth=2, cover=8)
 def record_buffer(b):
-    """A record is stored if the place is free, else counted as dropped; it stays until taken; unlatched entries are 0."""
+    """A record is stored if the place is free, else counted as dropped; it stays until taken;
+    unlatched entries are 0.
+    """
     m, unit = b.m, b.place(RecordBuffer(SMALL))
     due, take, begin = unit.due, unit.take, unit.frame_begin
     waiting = Signal()

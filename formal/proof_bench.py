@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bench for writing proofs.
 
-A proof is a function that puts a block into a module, drives its inputs with everything that the contract allows, and
-states what must hold. Reset is an input like any other, so proofs hold for a reset in any cycle. About the state at
-power-on, the only assumption is that reset is asserted in the first cycle, so a missing reset shows as well.
+A proof is a function that puts a block into a module, drives its inputs with everything that the
+contract allows, and states what must hold. Reset is an input like any other, so proofs hold for a
+reset in any cycle. About the state at power-on, the only assumption is that reset is asserted in
+the first cycle, so a missing reset shows as well.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,8 +26,9 @@ PROOFS: dict[str, "Proof"] = {}
 class Proof:
     """What is proven, and how.
 
-    build: returns the module; depth: of the induction; cover: steps within which every covered situation occurs;
-    models: Verilog of cells, whose outputs may have any value; script: further commands of Yosys.
+    build: returns the module; depth: of the induction; cover: steps within which every covered
+    situation occurs; models: Verilog of cells, whose outputs may have any value; script: further
+    commands of Yosys.
     """
 
     name: str
@@ -39,7 +41,10 @@ class Proof:
 
 
 def proof(depth: int = 2, cover: int = 10):
-    """Register a function of a `Bench` as a proof, under its name; the first line of its docstring is the statement."""
+    """Register a function of a `Bench` as a proof, under its name.
+
+    The first paragraph of its docstring is the statement.
+    """
 
     def register(build):
         def module():
@@ -48,7 +53,9 @@ def proof(depth: int = 2, cover: int = 10):
             return bench.m
 
         name = build.__name__
-        PROOFS[name] = Proof(name, build.__doc__.splitlines()[0], module, depth, cover)
+        first_paragraph = build.__doc__.partition("\n\n")[0]
+        states = " ".join(first_paragraph.split())
+        PROOFS[name] = Proof(name, states, module, depth, cover)
         return build
 
     return register
@@ -64,7 +71,7 @@ class Bench:
         self.m.d.comb += Assume(self.started | ResetSignal())
 
     def always(self, condition, where=None) -> None:
-        """State that `condition` holds in every cycle since the first reset in which `where` holds."""
+        """State that `condition` holds wherever `where` does, from the first reset on."""
         given = self.started if where is None else self.started & Value.cast(where).bool()
         self.m.d.comb += Assert(~given | Value.cast(condition).bool(), src_loc_at=1)
 
@@ -96,7 +103,9 @@ class Bench:
         return later
 
     def stable(self, value, where) -> None:
-        """State that `value` has not changed since the previous cycle, if `where` held there and there was no reset."""
+        """State that `value` has not changed since the previous cycle, if `where` held there and
+        there was no reset.
+        """
         held = self.last(Value.cast(where).bool() & ~ResetSignal() & self.started)
         self.m.d.comb += Assert(~(held & self.started) | (value == self.last(value)), src_loc_at=1)
 
@@ -127,7 +136,9 @@ class Bench:
         return AnyConst(shape)
 
     def place(self, unit: Placed, **inputs) -> Placed:
-        """Place a unit and return it. Its inputs get the values in `inputs` (None: no driver), or else any value."""
+        """Place a unit and return it. Its inputs get the values in `inputs` (None: no driver), or
+        else any value.
+        """
         for path, member, value in unit.signature.flatten(unit):
             port = "__".join(map(str, path))
             if member.flow.name == "In" and inputs.get(port, "") is not None:
@@ -142,7 +153,9 @@ class Bench:
         return unit
 
     def free(self, unit: Any) -> dict[str, Signal]:
-        """Let the outputs of a unit inside another one have any value in any cycle, and return them by name."""
+        """Let the outputs of a unit inside another one have any value in any cycle, and return them
+        by name.
+        """
         m, outputs = Module(), unit.outputs()
         m.d.comb += [output.eq(self.anything(len(output))) for output in outputs.values()]
         unit.elaborate = lambda platform: m
@@ -150,7 +163,9 @@ class Bench:
 
 
 def elaborated(component) -> Module:
-    """Elaborate `component` now, once and for all, so that its state belongs to the circuit of the design."""
+    """Elaborate `component` now, once and for all, so that its state belongs to the circuit of the
+    design.
+    """
     body = component.elaborate(None)
     component.elaborate = lambda platform: body
     return body

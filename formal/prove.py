@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the proofs with SymbiYosys and Bitwuzla, both from PyPI; one proof per core at a time."""
+"""Runs the proofs with SymbiYosys and Bitwuzla, both from PyPI; one proof per core at a time.
+
+A room that has proofs imports them in its module `proofs`, which is how they are found here. So
+this room need not know the others.
+"""
 
 import os
 import re
@@ -9,17 +13,19 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import iter_modules
 
 from amaranth.back import rtlil
 from attrs import frozen
 
 from ..model.shared.errors import InputError
 from ..model.shared.folders import build_root
+from ..model.shared.sources import PROJECT
 from ..tools.build import ToolchainError
 from ..tools.wheels import YOSYS, YOSYS_PROGRAM
-from . import blocks  # noqa: F401  (registers the proofs)
 from .proof_bench import KEPT, PROOFS, Proof
 
 SECONDS_MAX = 900  # per proof; all need less than a fifth of it
@@ -39,7 +45,10 @@ HEAD = f"{'proof':24} {'':5}  {'time':>8}  {'facts':>4} cover"
 
 @frozen
 class Verdict:
-    """Result of a proof. reason: '' if it holds and all its situations occur; folder: has the log and traces."""
+    """Result of a proof.
+
+    reason: '' if it holds and all its situations occur; folder: has the log and traces.
+    """
 
     proof: Proof
     seconds: float
@@ -50,21 +59,39 @@ class Verdict:
 
     def __str__(self) -> str:
         result = "holds" if not self.reason else "FAILS"
-        return f"{self.proof.name:24} {result}  {self.seconds:6.1f} s  {self.statements:4}  {self.situations:3}  {self.proof.states}"
+        counts = f"{self.statements:4}  {self.situations:3}"
+        return (
+            f"{self.proof.name:24} {result}  {self.seconds:6.1f} s  {counts}  {self.proof.states}"
+        )
+
+
+def all_proofs() -> dict[str, Proof]:
+    """Return the proofs of all rooms, by name."""
+    package = import_module(PROJECT)
+    for room in iter_modules(package.__path__, f"{PROJECT}."):
+        module = f"{room.name}.proofs"
+        if room.ispkg and find_spec(module):
+            import_module(module)
+    return PROOFS
 
 
 def prove(
     names: Sequence[str] = (), tell: Callable[[Verdict], None] = lambda verdict: None
 ) -> list[Verdict]:
-    """Run the proofs `names` (default: all); `tell` gets each verdict as it comes. Logs: `build_root()/formal/<name>`."""
-    if unknown := [name for name in names if name not in PROOFS]:
-        raise InputError(f"proof {unknown[0]!r}: must be one of {', '.join(PROOFS)}")
+    """Run the proofs `names` (default: those of all rooms), and return their verdicts.
+
+    tell: gets each verdict as it comes. Logs are in `build_root()/formal/<name>`. Raises
+    `InputError` for a name that is no proof's, and `ToolchainError` without the tools.
+    """
+    proofs = all_proofs()
+    if unknown := [name for name in names if name not in proofs]:
+        raise InputError(f"proof {unknown[0]!r}: must be one of {', '.join(proofs)}")
     for package in (YOSYS, SYMBIYOSYS, "bitwuzla"):
         if find_spec(package) is None:
             raise ToolchainError(f"{package} is not installed; run: pip install 'coincid[formal]'")
     root = build_root() / "formal"
     programs = _programs(root / "bin")
-    chosen = [PROOFS[name] for name in names or PROOFS]
+    chosen = [proofs[name] for name in names or proofs]
 
     def run(proof: Proof) -> Verdict:
         verdict = _run(proof, root / proof.name, programs)
@@ -134,7 +161,10 @@ def _cells(folder: Path) -> tuple[int, int]:
 
 
 def _reason(log: str) -> str:
-    """Return the log's first complaint. If only the induction fails, the statement may be true and lack an invariant."""
+    """Return the log's first complaint.
+
+    If only the induction fails, the statement may be true and lack an invariant.
+    """
     for part, pattern in (
         ("", r"basecase: .*(Assert failed in .*)"),
         ("induction: ", r"induction: .*(Assert failed in .*)"),

@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proofs of readout and packetizer.
 
-An order can only be wrong among three or more subgroups. The arbiter treats its bits alike, so the bounds read n for 3.
+Each proof names its parts in order: what the inputs may be, what is proven, and the invariants that
+only help the induction.
+
+An order can only be wrong among three or more subgroups. The arbiter treats its bits alike, so the
+bounds read n for 3.
 """
 
-from amaranth.hdl import Cat, Const, Mux, Signal
+from amaranth.hdl import Cat, Const, Mux, Signal, Value
+from attrs import frozen
 
 from ..hdl import bus
 from ..hdl.packetizer import Packetizer
@@ -37,13 +42,15 @@ def _length(send, form):
     for number, packet in enumerate(FORMATS.values()):
         event = Mux(form == number, PARTS.length(packet), event)
     record = PARTS.length(RECORD)
-    return Mux(
-        send == bus.Send.EVENT, event, Mux(send == bus.Send.RECORD, record, PARTS.counter_beats)
-    )
+    others = Mux(send == bus.Send.RECORD, record, PARTS.counter_beats)
+    return Mux(send == bus.Send.EVENT, event, others)
 
 
 def _carries(b: Bench, beat, index, packet, fields, where):
-    """Demand that beat `index` of a packet, formed in the last cycle, holds these fields where it should."""
+    """State that a beat holds these fields where it should.
+
+    It is beat `index` of a packet, and was formed in the last cycle.
+    """
     for part in parts_of(SMALL, packet):
         if part.field in fields:
             value = fields[part.field][part.shift : part.shift + part.width]
@@ -51,213 +58,370 @@ def _carries(b: Bench, beat, index, packet, fields, where):
             b.always(shown == b.past(value), where=where & (index == part.beat))
 
 
+@frozen
+class PlacedReadout:
+    """A readout on the bench, with a format that stays.
+
+    form: the number of the format; grouped: it is coded in groups; taken: the coder takes a beat;
+    rest: beats of a granted packet that a subgroup still sends; sends: it sends one.
+    """
+
+    unit: Readout
+    form: Value
+    grouped: Signal
+    taken: Signal
+    rest: Signal
+    sends: Signal
+
+    def in_state(self, name: str):
+        """Return whether the readout's machine is in a state."""
+        return self.unit.machine.ongoing(name)
+
+
+@frozen
+class Beats:
+    """Places and beats. active: a beat is granted in this cycle; pipe: those that are on their way.
+
+    granted: a packet is granted in this cycle, of a subgroup or of the readout itself.
+    """
+
+    granted: Signal
+    active: Signal
+    pipe: Signal
+
+    @property
+    def on_the_way(self):
+        """Return their number."""
+        return sum(self.pipe, start=0)
+
+
 @proof(depth=4, cover=14)
 def readout(b: Bench):
-    """One grant at a time, after at most n - 1 others; no overflow, no leak of places; `tlast` ends the frame."""
-    m, unit = b.m, Readout(SMALL, N)
-    frame, form = Signal(bus.frame_layout(SMALL)), b.constant(bits_for(HIGHEST_FORMAT))
-    stored, record_stored, ready = unit.stored, unit.record_stored, unit.m_axis.tready
-    finish, begin = unit.finish, unit.frame_begin
-    m.d.comb += frame.format.eq(form)
+    """One grant at a time, after at most n - 1 others; no overflow, no leak of places; `tlast` ends
+    the frame.
+    """
+    dut = _place_readout(b)
+    events = _events_in_subgroups(b, dut)
+    _sequencer_obeys(b, dut)
+
+    _one_grant_of_what_is_there(b, dut, events)
+    grants = _everybody_gets_a_turn(b, dut)
+    beats = _beats(b, dut, grants)
+    _places_are_never_lost(b, dut, beats)
+    expected = _tlast_ends_the_frame(b, dut)
+    _frame_end_is_delivered_last(b, dut)
+
+    _events_are_in_registers(b, dut, events)
+    _machine_is_in_a_state(b, dut)
+    _lengths_are_in_registers(b, dut)
+    _beats_form_one_sequence(b, dut, beats)
+    _calm_means_empty(b, dut, beats)
+    _counters_to_come_are_known(b, dut, beats, expected)
+
+    first_beat = dut.unit.buffer.r_data[KIND_LSB:BEAT_BITS] == FRAME_START.code
+    b.cover(dut.taken & first_beat)
+
+
+def _place_readout(b: Bench) -> PlacedReadout:
+    """Place a readout. Its subgroups send granted packets without gaps, after a fixed time.
+
+    Behind the buffer anything may happen that `groups.py` allows: a beat is taken if there is one.
+    """
+    unit = Readout(SMALL, N)
+    frame = Signal(bus.frame_layout(SMALL))
+    form = b.constant(bits_for(HIGHEST_FORMAT))
+    b.m.d.comb += frame.format.eq(form)
     b.assume(form <= HIGHEST_FORMAT)
 
-    # The subgroups: the beats of a granted packet come without gaps, after a fixed time.
     rest = Signal(range(PARTS.longest + 1))
-    sends = b.same("sends", unit.grant.any() | (rest != 0))
-    m.d.sync += rest.eq(Mux(unit.grant.any(), _length(unit.send, form) - 1, rest - (rest != 0)))
-    # Behind the buffer anything may happen that `groups.py` allows: a beat is taken if there is one.
+    granted = unit.grant.any()
+    sends = b.same("sends", granted | (rest != 0))
+    b.m.d.sync += rest.eq(Mux(granted, _length(unit.send, form) - 1, rest - (rest != 0)))
+
     taken = b.free(unit.coder)["take"]
     b.free(unit.packer)
-    grouped = b.same(
-        "grouped",
-        Cat(form == n for n, packet in enumerate(FORMATS.values()) if packet.grouped).any(),
-    )
+    grouped_forms = [form == n for n, packet in enumerate(FORMATS.values()) if packet.grouped]
+    grouped = b.same("grouped", Cat(grouped_forms).any())
     b.assume(unit.buffer.r_rdy, where=taken)
-    b.assume(taken == (unit.buffer.r_rdy & ready), where=~grouped)
+    b.assume(taken == (unit.buffer.r_rdy & unit.m_axis.tready), where=~grouped)
     b.place(unit, frame=frame, valid=b.past(sends, SUBGROUP_TO_BEAT))
-    idle = unit.machine.ongoing("idle")
+    return PlacedReadout(unit, form, grouped, taken, rest, sends)
 
-    # A subgroup reports no more events than its FIFO holds. From `finish` until the next frame, nothing is stored.
+
+def _events_in_subgroups(b: Bench, dut: PlacedReadout) -> list[Signal]:
+    """Return how many events each subgroup has; it reports no more than its FIFO holds."""
+    unit = dut.unit
     events = [Signal(range(SMALL.fifo_depth + 1), name=f"events_of_{s}") for s in range(N)]
     for s in range(N):
-        m.d.sync += events[s].eq(events[s] + unit.stored_in[s] - unit.take_event[s])
-        b.assume(events[s] + unit.stored_in[s] < SMALL.fifo_depth, where=stored[s])
-        b.assume(~unit.records[s] & ~unit.record_stored_in[s], where=record_stored[s])
-    b.assume(~stored.any() & ~record_stored.any(), where=finish | ~unit.in_frame)
-    # `finish` stays until everything is delivered.
+        b.m.d.sync += events[s].eq(events[s] + unit.stored_in[s] - unit.take_event[s])
+        b.assume(events[s] + unit.stored_in[s] < SMALL.fifo_depth, where=unit.stored[s])
+        b.assume(~unit.records[s] & ~unit.record_stored_in[s], where=unit.record_stored[s])
+    return events
+
+
+def _sequencer_obeys(b: Bench, dut: PlacedReadout) -> None:
+    """Assume that nothing is stored from `finish` until the next frame.
+
+    `finish` stays until everything is delivered.
+    """
+    unit = dut.unit
+    begin = unit.frame_begin
+    finish = unit.finish
+    idle = dut.in_state("idle")
+    nothing_stored = ~unit.stored.any() & ~unit.record_stored.any()
+    b.assume(nothing_stored, where=finish | ~unit.in_frame)
     b.assume(finish, where=b.past(finish) & unit.in_frame)
     b.assume(idle & unit.delivered & ~unit.frame_begin_in, where=begin)
-    b.always(idle, where=unit.frame_begin_in)
 
-    # At most one grant, to a subgroup that has the granted kind.
-    b.always((unit.grant & (unit.grant - 1)) == 0)
+
+def _one_grant_of_what_is_there(b: Bench, dut: PlacedReadout, events: list[Signal]) -> None:
+    """State that there is at most one grant, to a subgroup that has the granted kind.
+
+    It comes as soon as all beats of the previous packet have been granted and the buffer has room.
+    """
+    unit = dut.unit
+    grant = unit.grant
+    granted = grant.any()
+    b.always((grant & (grant - 1)) == 0)
     had_event = Cat(b.past(events[s] != 0) for s in range(N))
-    b.always((unit.grant & ~had_event) == 0, where=unit.grant.any() & (unit.send == bus.Send.EVENT))
-    b.always(
-        (unit.grant & ~b.past(unit.records)) == 0,
-        where=unit.grant.any() & (unit.send == bus.Send.RECORD),
-    )
-    for s in range(N):
-        b.always(
-            (Cat(plane[s] for plane in unit.planes) == events[s]) & (events[s] <= SMALL.fifo_depth)
-        )
-        b.always(unit.some_events[s] == (events[s] != 0))
+    b.always((grant & ~had_event) == 0, where=granted & (unit.send == bus.Send.EVENT))
+    had_record = b.past(unit.records)
+    b.always((grant & ~had_record) == 0, where=granted & (unit.send == bus.Send.RECORD))
+    somebody_waits = dut.in_state("events") & unit.waiting.any()
+    may_grant = somebody_waits & (unit.left == 0) & (unit.space >= PARTS.longest_word)
+    b.always(granted, where=b.past(may_grant))
 
-    # A waiting subgroup sees at most n - 1 grants to others. Distance: others that come before it in the round.
-    in_events = unit.machine.ongoing("events")
+
+def _everybody_gets_a_turn(b: Bench, dut: PlacedReadout) -> Signal:
+    """State that a waiting subgroup sees at most n - 1 grants to others; return when there is one.
+
+    distance: how many others come before it in the round.
+    """
+    m = b.m
+    unit = dut.unit
     takes = unit.take_event | unit.take_record
     grants = b.same("grants", takes.any())
-    granted = b.same(
-        "granted",
-        grants | unit.own_kind.any() | (unit.machine.ongoing("counters") & unit.free_for_counters),
-    )
     for s in range(N):
-        others = Signal(range(N + 1), name=f"others_{s}")
         waits = unit.waiting[s]
-        m.d.sync += others.eq(Mux(~waits | (grants & unit.chosen[s]), 0, others + grants))
+        others = Signal(range(N + 1), name=f"others_{s}")
+        its_turn = grants & unit.chosen[s]
+        m.d.sync += others.eq(Mux(~waits | its_turn, 0, others + grants))
         distance = Signal(range(N), name=f"distance_{s}")
-        for pointer in range(N + 1):  # at_or_after: all subgroups from the pointer on
-            with m.If(unit.at_or_after == (((1 << N) - 1) & ~((1 << pointer) - 1))):
+        for pointer in range(N + 1):
+            with m.If(_round_begins_at(unit, pointer)):
                 m.d.comb += distance.eq((s - pointer) % N)
         b.always(others <= N - 1)
         b.always(others + distance <= N - 1, where=waits)
-        b.always(others == 0, where=~in_events)
+        b.always(others == 0, where=~dut.in_state("events"))
         b.cover((others == N - 1) & grants & unit.chosen[s])
-    b.always(
-        sum(
-            (
-                unit.at_or_after == (((1 << N) - 1) & ~((1 << pointer) - 1))
-                for pointer in range(N + 1)
-            ),
-            start=0,
-        )
-        == 1
-    )
-    # A grant comes as soon as all beats of the previous packet have been granted and the buffer has room.
-    b.always(
-        unit.grant.any(),
-        where=b.past(
-            in_events & unit.waiting.any() & (unit.left == 0) & (unit.space >= PARTS.longest_word)
-        ),
-    )
-    b.always(
-        ~unit.waiting.any() & ~unit.stored_in.any() & ~unit.record_stored_in.any(),
-        where=~in_events & ~unit.machine.ongoing("head"),
-    )
-    b.always(
-        sum(
-            (
-                unit.machine.ongoing(name)
-                for name in ("idle", "head", "events", "counters", "flush")
-            ),
-            start=0,
-        )
-        == 1
-    )
-    b.always(~unit.stored_in.any() & ~unit.record_stored_in.any(), where=unit.finish_in | idle)
-    b.always(
-        ((unit.tail & (unit.tail - 1)) == 0) & unit.tail.any(),
-        where=unit.machine.ongoing("counters"),
-    )
-    b.always(unit.finish_in, where=unit.machine.ongoing("counters") | unit.machine.ongoing("flush"))
-    b.always(b.past(unit.finish) | ~b.past(1), where=unit.finish_in)
+    pointers = (_round_begins_at(unit, pointer) for pointer in range(N + 1))
+    b.always(sum(pointers, start=0) == 1)
+    return grants
 
-    # The buffer: a place is taken at the grant, and is free again when the beat has left.
+
+def _round_begins_at(unit: Readout, pointer: int):
+    """Return whether the round robin begins at a subgroup, so that all from it on come first."""
+    from_pointer_on = ((1 << N) - 1) & ~((1 << pointer) - 1)
+    return unit.at_or_after == from_pointer_on
+
+
+def _beats(b: Bench, dut: PlacedReadout, grants: Signal) -> Beats:
+    """Specify the beats that have been granted and are not in the buffer yet."""
+    unit = dut.unit
+    of_counters = dut.in_state("counters") & unit.free_for_counters
+    granted = b.same("granted", grants | unit.own_kind.any() | of_counters)
     active = b.same("active", granted | (unit.left != 0))
     pipe = Signal(latency.GRANT_TO_BEAT)
-    m.d.sync += pipe.eq(pipe << 1 | active)
-    on_the_way = sum(pipe, start=0)
+    b.m.d.sync += pipe.eq(pipe << 1 | active)
+    return Beats(granted, active, pipe)
+
+
+def _places_are_never_lost(b: Bench, dut: PlacedReadout, beats: Beats) -> None:
+    """State that a beat takes a place at its grant, and frees it when it has left; no overflow.
+
+    An offered beat stays until it is taken.
+    """
+    unit = dut.unit
+    buffer = unit.buffer
     # The library's FIFO holds one more in a register.
-    stored_beats = b.same("stored_beats", unit.buffer.level - unit.buffer.r_rdy)
-    for room, beats in zip(unit.room, unit.rooms):
-        b.always(room == (unit.space >= beats))
-    for beyond, beats in zip(unit.event_exceeds, unit.rooms):
-        b.always(beyond == unit.event_length + beats - 1)
-    b.always(unit.event_last == unit.event_length - 1, where=b.past(1))
-    b.always(unit.taken == b.past(taken))
-    b.always(unit.grouped == grouped, where=b.past(1))
-    given_back_later = grouped & unit.taken
-    b.always(
-        unit.space + unit.left + on_the_way + unit.buffer.level + given_back_later == unit.depth
-    )
+    stored_beats = b.same("stored_beats", buffer.level - buffer.r_rdy)
+    given_back_later = dut.grouped & unit.taken
+    places = unit.space + unit.left + beats.on_the_way + buffer.level + given_back_later
+    b.always(places == unit.depth)
     b.always(
         (stored_beats >= 0)
         & (stored_beats <= unit.depth)
         & (unit.left < PARTS.longest)
         & (unit.space <= unit.depth)
     )
-    b.always(unit.buffer.w_rdy, where=unit.buffer.w_en)
-    b.always(unit.buffer.w_en == pipe[-1])
-    b.always(unit.space == unit.depth, where=idle)
-    # Invariants: the beats of the readout and of the subgroups form one sequence.
+    b.always(buffer.w_rdy, where=buffer.w_en)
+    b.always(unit.space == unit.depth, where=dut.in_state("idle"))
+    offered = buffer.r_rdy & ~dut.taken & ~unit.frame_begin_in
+    b.stable(Cat(buffer.r_rdy, buffer.r_data), where=offered)
+
+
+def _tlast_ends_the_frame(b: Bench, dut: PlacedReadout) -> Signal:
+    """State that `tlast` marks the last beat of the last subgroup's counters, and no other beat.
+
+    Return how many beats of counters are expected after the frame end's header.
+    """
+    m = b.m
+    unit = dut.unit
+    buffer = unit.buffer
+    expected = Signal(range(N * PARTS.counter_beats + 1))
+    ends_here = unit.own[-1] == FRAME_END.code
+    with m.If(ends_here):
+        m.d.sync += expected.eq(N * PARTS.counter_beats)
+    with m.Elif(buffer.w_en & (expected != 0)):
+        m.d.sync += expected.eq(expected - 1)
+    is_last = (expected == 1) & unit.valid_in & ~ends_here
+    b.always(buffer.w_data[BEAT_BITS] == is_last, where=buffer.w_en)
+    return expected
+
+
+def _frame_end_is_delivered_last(b: Bench, dut: PlacedReadout) -> None:
+    """State that a frame is delivered after the controller has received all its counters."""
+    b.always(dut.in_state("idle"), where=dut.unit.frame_begin_in)
+    b.always(~dut.unit.counted.valid, where=dut.unit.delivered)
+
+
+def _events_are_in_registers(b: Bench, dut: PlacedReadout, events: list[Signal]) -> None:
+    """Help the induction: the planes hold the number of events of each subgroup, bit by bit."""
+    unit = dut.unit
+    for s in range(N):
+        number = Cat(plane[s] for plane in unit.planes)
+        b.always((number == events[s]) & (events[s] <= SMALL.fifo_depth))
+        b.always(unit.some_events[s] == (events[s] != 0))
+
+
+def _machine_is_in_a_state(b: Bench, dut: PlacedReadout) -> None:
+    """Help the induction: what may be in each state."""
+    unit = dut.unit
+    idle = dut.in_state("idle")
+    in_counters = dut.in_state("counters")
+    nothing_comes = ~unit.stored_in.any() & ~unit.record_stored_in.any()
+    nobody_waits = ~unit.waiting.any() & ~unit.stored_in.any() & ~unit.record_stored_in.any()
+    b.always(nobody_waits, where=~dut.in_state("events") & ~dut.in_state("head"))
+    states = (dut.in_state(name) for name in ("idle", "head", "events", "counters", "flush"))
+    b.always(sum(states, start=0) == 1)
+    b.always(nothing_comes, where=unit.finish_in | idle)
+    one_subgroup = ((unit.tail & (unit.tail - 1)) == 0) & unit.tail.any()
+    b.always(one_subgroup, where=in_counters)
+    b.always(unit.finish_in, where=in_counters | dut.in_state("flush"))
+    b.always(b.past(unit.finish) | ~b.past(1), where=unit.finish_in)
+    b.always(~unit.filling)
+
+
+def _lengths_are_in_registers(b: Bench, dut: PlacedReadout) -> None:
+    """Help the induction: registers hold what follows from the format and from the free places."""
+    unit = dut.unit
+    for room, beats in zip(unit.room, unit.rooms, strict=True):
+        b.always(room == (unit.space >= beats))
+    for beyond, beats in zip(unit.event_exceeds, unit.rooms, strict=True):
+        b.always(beyond == unit.event_length + beats - 1)
+    b.always(unit.event_last == unit.event_length - 1, where=b.past(1))
+    b.always(unit.taken == b.past(dut.taken))
+    b.always(unit.grouped == dut.grouped, where=b.past(1))
+    b.always(unit.event_length == _length(bus.Send.EVENT, dut.form), where=b.past(1))
+
+
+def _beats_form_one_sequence(b: Bench, dut: PlacedReadout, beats: Beats) -> None:
+    """Help the induction: a beat on its way is the readout's own or a subgroup's, never both."""
+    unit = dut.unit
+    pipe = beats.pipe
+    sends = dut.sends
     own = [b.same(f"own_{k}_any", kind.any()) for k, kind in enumerate(unit.own)]
+    b.always(unit.buffer.w_en == pipe[-1])
     b.always(own[0] == b.past(unit.own_kind.any()))
     from_subgroup = [sends, b.past(sends), b.past(sends, 2) & ~own[2], unit.valid_in]
     for k in range(latency.GRANT_TO_BEAT):
         b.always(pipe[k] == (own[k] | from_subgroup[k]))
         b.always(~(own[k] & from_subgroup[k]))
-    b.always(
-        rest == Mux(b.past(active) & ~own[0] & ~unit.grant.any(), unit.left + 1, 0),
-        where=~unit.grant.any(),
-    )
-    b.always(unit.left == _length(unit.send, form) - 1, where=unit.grant.any())
-    b.always(unit.event_length == _length(bus.Send.EVENT, form), where=b.past(1))
+    subgroup_goes_on = b.past(beats.active) & ~own[0] & ~unit.grant.any()
+    b.always(dut.rest == Mux(subgroup_goes_on, unit.left + 1, 0), where=~unit.grant.any())
+    b.always(unit.left == _length(unit.send, dut.form) - 1, where=unit.grant.any())
 
-    # Beats that moved in the last cycles are on their way. If nothing has moved for a long time, everything is empty.
+
+def _calm_means_empty(b: Bench, dut: PlacedReadout, beats: Beats) -> None:
+    """Help the induction: if nothing has moved for a long time, nothing is on its way."""
+    unit = dut.unit
     for cycles in range(1, latency.GRANT_TO_BEAT + 1):
-        b.always(pipe[:cycles] == 0, where=unit.calm >= cycles)
+        b.always(beats.pipe[:cycles] == 0, where=unit.calm >= cycles)
     b.always(unit.buffer.level == 0, where=unit.calm >= latency.GRANT_TO_BEAT + 3)
 
-    # `tlast` marks the last beat of the last subgroup's counters after the frame end's header, and no other beat.
-    expected = Signal(range(N * PARTS.counter_beats + 1))
-    ends_here = unit.own[-1] == FRAME_END.code
-    with m.If(ends_here):
-        m.d.sync += expected.eq(N * PARTS.counter_beats)
-    with m.Elif(unit.buffer.w_en & (expected != 0)):
-        m.d.sync += expected.eq(expected - 1)
-    b.always(
-        unit.buffer.w_data[BEAT_BITS] == ((expected == 1) & unit.valid_in & ~ends_here),
-        where=unit.buffer.w_en,
-    )
-    in_counters, in_flush = unit.machine.ongoing("counters"), unit.machine.ongoing("flush")
-    ungranted = b.same(
-        "ungranted",
-        Mux(in_counters, sum((Mux(unit.tail[s], N - s, 0) for s in range(N)), start=0), 0),
-    )
+
+def _counters_to_come_are_known(
+    b: Bench, dut: PlacedReadout, beats: Beats, expected: Signal
+) -> None:
+    """Help the induction: beats of counters are to be granted, on their way, or gone."""
+    unit = dut.unit
+    pipe = beats.pipe
+    all_beats = N * PARTS.counter_beats
+    in_counters = dut.in_state("counters")
+    in_flush = dut.in_state("flush")
+    after_end = in_counters | in_flush
+    left_of_tail = sum((Mux(unit.tail[s], N - s, 0) for s in range(N)), start=0)
+    ungranted = b.same("ungranted", Mux(in_counters, left_of_tail, 0))
     to_come = b.same("to_come", ungranted * PARTS.counter_beats + unit.left)
     is_end = [b.same(f"own_{k}_ends", kind == FRAME_END.code) for k, kind in enumerate(unit.own)]
     end_coming = b.same("end_coming", Cat(is_end).any())
     for k, here in enumerate(is_end):
-        b.always(to_come + sum(pipe[:k], start=0) == N * PARTS.counter_beats, where=here)
-        b.always((in_counters | in_flush) & ~Cat(is_end[k + 1 :]).any(), where=here)
+        b.always(to_come + sum(pipe[:k], start=0) == all_beats, where=here)
+        b.always(after_end & ~Cat(is_end[k + 1 :]).any(), where=here)
         b.always((expected == 0) & ~Cat(unit.own[:k]).any(), where=here)
         b.always(unit.own[k] == 0, where=expected != 0)
-    b.always(expected == to_come + on_the_way, where=(in_counters | in_flush) & ~end_coming)
+    b.always(expected == to_come + beats.on_the_way, where=after_end & ~end_coming)
     b.always(expected == 0, where=~in_counters & ~in_flush)
     b.always(unit.to_end == expected)
-    b.always(unit.owes == ~(idle | (in_flush & (expected == 0) & ~end_coming)))
-    b.always(~unit.filling)
+    nothing_owed = dut.in_state("idle") | (in_flush & (expected == 0) & ~end_coming)
+    b.always(unit.owes == ~nothing_owed)
 
-    # The threshold controller has received all counters before the end packet has left.
-    b.always(~unit.counted.valid, where=unit.delivered)
 
-    # An offered beat stays until it is taken.
-    b.stable(
-        Cat(unit.buffer.r_rdy, unit.buffer.r_data),
-        where=unit.buffer.r_rdy & ~taken & ~unit.frame_begin_in,
-    )
-    b.cover(taken & (unit.buffer.r_data[KIND_LSB:BEAT_BITS] == FRAME_START.code))
+@frozen
+class PlacedPacketizer:
+    """A packetizer on the bench, with a format that stays, and the packet that it forms.
+
+    form: number of the format; rest: beats of the packet after this cycle's; kind: of the packet;
+    now: the same, at its grant, too; active: a beat is formed in this cycle; last: it is the last.
+    """
+
+    unit: Packetizer
+    form: Value
+    rest: Signal
+    kind: Signal
+    now: Value
+    active: Signal
+    last: Signal
 
 
 @proof(depth=3, cover=12)
 def packetizer(b: Bench):
-    """A grant gives a packet of exact length without gaps; its last beat, and no other, frees the place."""
-    m, unit = b.m, Packetizer(SMALL)
-    grant, send, form = unit.grant, unit.send, b.constant(bits_for(HIGHEST_FORMAT))
+    """A grant gives a packet of exact length without gaps; its last beat, and no other, frees the
+    place.
+    """
+    dut = _place_packetizer(b)
+
+    _packets_have_no_gaps(b, dut)
+    _beats_carry_their_fields(b, dut)
+
+    _packet_is_in_registers(b, dut)
+
+    b.cover(b.past(dut.unit.take_record))
+    b.cover(b.past(dut.rest == 1) & (b.past(dut.now) == bus.Send.COUNTERS))
+
+
+def _place_packetizer(b: Bench) -> PlacedPacketizer:
+    """Place a packetizer, and specify the packet that it forms: beats follow a grant at once."""
+    m = b.m
+    unit = Packetizer(SMALL)
+    grant = unit.grant
+    send = unit.send
+    form = b.constant(bits_for(HIGHEST_FORMAT))
     b.assume((form <= HIGHEST_FORMAT) & (send.as_value() <= 2))
     b.place(unit, frame=None)
     m.d.comb += unit.frame.format.eq(form)
-    rest, kind = Signal(range(PARTS.longest + 1)), Signal(bus.Send)
+    rest = Signal(range(PARTS.longest + 1))
+    kind = Signal(bus.Send)
     b.assume(~grant, where=rest != 0)  # as proven for the readout
     length = b.same("length", _length(send, form))
     active = b.same("active_now", grant | (rest != 0))
@@ -265,39 +429,70 @@ def packetizer(b: Bench):
     m.d.sync += rest.eq(Mux(grant, length - 1, rest - (rest != 0)))
     with m.If(grant):
         m.d.sync += kind.eq(send)
-    now = Mux(grant, send.as_value(), kind.as_value())
-    b.always(unit.valid == b.past(active))
+    return PlacedPacketizer(
+        unit=unit,
+        form=form,
+        rest=rest,
+        kind=kind,
+        now=Mux(grant, send.as_value(), kind.as_value()),
+        active=active,
+        last=last,
+    )
+
+
+def _packets_have_no_gaps(b: Bench, dut: PlacedPacketizer) -> None:
+    """State when there are beats, and that only the last one frees a place."""
+    unit = dut.unit
+    last = dut.active & dut.last
+    b.always(unit.valid == b.past(dut.active))
     b.always((unit.beat == 0) & ~unit.beat_controlled, where=~unit.valid)
-    b.always(unit.take_event == (active & last & (now == bus.Send.EVENT)))
-    b.always(unit.take_record == (active & last & (now == bus.Send.RECORD)))
-    b.always(kind.as_value() <= 2)
+    b.always(unit.take_event == (last & (dut.now == bus.Send.EVENT)))
+    b.always(unit.take_record == (last & (dut.now == bus.Send.RECORD)))
+
+
+def _beats_carry_their_fields(b: Bench, dut: PlacedPacketizer) -> None:
+    """State that every beat of an event or a record has its fields in their places."""
+    unit = dut.unit
+    window = unit.head.window
+    of_event = {
+        "stamp": window.stamp,
+        "count": window.count,
+        "winner": window.winner,
+        "map": window.hits,
+        "overrun": unit.head.overrun,
+        "pulse": unit.head.pulse,
+        "subgroup": unit.subgroup,
+    }
+    room = Const(0, SMALL.record_bits)  # of an entry in the packet
+    entries = []
+    for g in range(SMALL.minigroups):
+        entries.append(unit.record.entries[g].as_value() | room)
+    of_record = {
+        "pulse": unit.record.pulse,
+        "subgroup": unit.subgroup,
+        "entries": Cat(entries),
+    }
+    was_event = b.past(dut.active & (dut.now == bus.Send.EVENT))
+    was_record = b.past(dut.active & (dut.now == bus.Send.RECORD))
+
+    index = Signal(range(PARTS.longest))  # of the beat that was formed in the last cycle
+    b.m.d.sync += index.eq(Mux(unit.grant, 0, index + 1))
+    b.always(index + 1 == unit.index_before, where=dut.rest != 0)
+    for number, packet in enumerate(FORMATS.values()):
+        of_format = was_event & (dut.form == number)
+        b.always(unit.beat[KIND_LSB:] == packet.code, where=of_format & (index == 0))
+        b.cover(b.past(unit.take_event) & (dut.form == number))
+        _carries(b, unit.beat, index, packet, of_event, of_format)
+    _carries(b, unit.beat, index, RECORD, of_record, was_record)
+
+
+def _packet_is_in_registers(b: Bench, dut: PlacedPacketizer) -> None:
+    """Help the induction: the packetizer knows the packet's kind and how much of it is left."""
+    unit = dut.unit
+    rest = dut.rest
+    b.always(dut.kind.as_value() <= 2)
     b.always(unit.sending == (rest != 0))
     b.always(unit.at_last == (rest == 1), where=rest != 0)
-    b.always(
-        (unit.send_before == kind) & (unit.index_before + rest == _length(kind, form)),
-        where=rest != 0,
-    )
-    window, of_now = (
-        unit.head.window,
-        {send: b.past(active & (now == send)) for send in (bus.Send.EVENT, bus.Send.RECORD)},
-    )
-    of_event = {name: window[name] for name in ("stamp", "count", "winner")} | {"map": window.hits}
-    of_event |= {name: unit.head[name] for name in ("overrun", "pulse")} | {
-        "subgroup": unit.subgroup
-    }
-    of_record = {"pulse": unit.record.pulse, "subgroup": unit.subgroup}
-    room = Const(0, SMALL.record_bits)  # of an entry in the packet
-    of_record["entries"] = Cat(
-        unit.record.entries[g].as_value() | room for g in range(SMALL.minigroups)
-    )
-    index = Signal(range(PARTS.longest))  # of the beat that was formed in the last cycle
-    m.d.sync += index.eq(Mux(grant, 0, index + 1))
-    b.always(index + 1 == unit.index_before, where=rest != 0)
-    for number, packet in enumerate(FORMATS.values()):
-        of_format = of_now[bus.Send.EVENT] & (form == number)
-        b.always(unit.beat[KIND_LSB:] == packet.code, where=of_format & (index == 0))
-        b.cover(b.past(unit.take_event) & (form == number))
-        _carries(b, unit.beat, index, packet, of_event, of_format)
-    _carries(b, unit.beat, index, RECORD, of_record, of_now[bus.Send.RECORD])
-    b.cover(b.past(unit.take_record))
-    b.cover(b.past(rest == 1) & (b.past(now) == bus.Send.COUNTERS))
+    same_packet = unit.send_before == dut.kind
+    sum_is_length = unit.index_before + rest == _length(dut.kind, dut.form)
+    b.always(same_packet & sum_is_length, where=rest != 0)

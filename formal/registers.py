@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proof of the register front: AXI4-Lite towards any master, even one that breaks the rules."""
+"""Proof of the register front: AXI4-Lite towards any master, even one that breaks the rules.
+
+The proof names its parts in order: the specification of what waits, what is proven, and the
+invariants that only help the induction.
+"""
 
 from amaranth.hdl import Cat, Mux, ResetSignal, Signal
+from attrs import frozen
 
 from ..hdl import bus
 from ..hdl.axi import OKAY, SLVERR
@@ -32,20 +37,64 @@ def _asks(unit, name, bit):
     return (unit.write_address == registers.address(name)) & unit.value[bit]
 
 
+@frozen
+class Waiting:
+    """Accesses that were taken and have no answer yet, as counted at the port.
+
+    address, data, read: the port's channels that hold something; writing, reading: the access is
+    complete, and its answer is not there; write_cycles, read_cycles: for how long.
+    """
+
+    address: Signal
+    data: Signal
+    read: Signal
+    writing: Signal
+    reading: Signal
+    write_cycles: Signal
+    read_cycles: Signal
+
+
 @proof(depth=3, cover=20)
 def register_front(b: Bench):
-    """AXI4-Lite with any master: one answer each, in bounded time; a refusal changes nothing; a frame's settings stay."""
-    sensor, m = SMALL, b.m
-    unit = b.place(Registers(sensor))
-    axi = unit.s_axi
-    done = unit.done
-    state = unit.machine.ongoing
-    busy = unit.flag["busy"]
-    # As proven for the sequencer: only a frame that was started is done.
-    b.assume(busy & ~state("thresholds") & ~state("begin"), where=done)
+    """AXI4-Lite with any master: one answer each, in bounded time; a refusal changes nothing; a
+    frame's settings stay.
+    """
+    unit = b.place(Registers(SMALL))
+    _sequencer_obeys(b, unit)
 
-    # Accesses that were taken and not answered yet, counted at the port.
-    address, data, read = Signal(), Signal(), Signal()
+    waiting = _waiting(b, unit)
+
+    _port_obeys_axi(b, unit, waiting)
+    _answers_come_in_time(b, waiting)
+    _settings_are_legal_and_change_by_writes(b, unit)
+    _table_decides_what_is_written(b, unit)
+    _frame_keeps_its_settings(b, unit)
+    _bus_tells_settings(b, unit)
+    _only_writes_abort_and_clear(b, unit)
+    _refusals_set_an_error(b, unit, waiting)
+
+    _parities_are_right(b, unit, waiting)
+    _machine_is_in_a_state(b, unit, waiting)
+    _progress_bounds_the_wait(b, unit, waiting)
+
+    axi = unit.s_axi
+    b.cover(axi.bvalid & (axi.bresp == SLVERR) & waiting.read)
+    b.cover(axi.rvalid & (axi.rresp == OKAY) & waiting.address & waiting.data)
+
+
+def _sequencer_obeys(b: Bench, unit: Registers) -> None:
+    """Assume what is proven for the sequencer: only a frame that was started is done."""
+    state = unit.machine.ongoing
+    b.assume(unit.flag["busy"] & ~state("thresholds") & ~state("begin"), where=unit.done)
+
+
+def _waiting(b: Bench, unit: Registers) -> Waiting:
+    """Specify the accesses that wait. Nothing is taken while another waits; it would be lost."""
+    m = b.m
+    axi = unit.s_axi
+    address = Signal()
+    data = Signal()
+    read = Signal()
     for held, valid, ready, response, accepted in (
         (address, axi.awvalid, axi.awready, axi.bvalid, axi.bready),
         (data, axi.wvalid, axi.wready, axi.bvalid, axi.bready),
@@ -55,104 +104,157 @@ def register_front(b: Bench):
             m.d.sync += held.eq(0)
         with m.Elif(valid & ready):
             m.d.sync += held.eq(1)
-        b.always(ready == ~held)  # nothing is taken while another waits; it would be lost
-    b.always(address & data, where=axi.bvalid)
-    b.always(read, where=axi.rvalid)
+        b.always(ready == ~held)
+    writing = b.same("writing", address & data & ~axi.bvalid)
+    reading = b.same("reading", read & ~axi.rvalid)
+    write_cycles = Signal(8)
+    read_cycles = Signal(8)
+    m.d.sync += write_cycles.eq((write_cycles + 1) & writing.replicate(8))
+    m.d.sync += read_cycles.eq((read_cycles + 1) & reading.replicate(8))
+    return Waiting(address, data, read, writing, reading, write_cycles, read_cycles)
+
+
+def _granted(unit: Registers):
+    """Return whether a write is answered with OKAY."""
+    return unit.s_axi.bvalid & (unit.s_axi.bresp == OKAY)
+
+
+def _port_obeys_axi(b: Bench, unit: Registers, waiting: Waiting) -> None:
+    """State that answers belong to accesses, and stay until they are taken."""
+    axi = unit.s_axi
+    b.always(waiting.address & waiting.data, where=axi.bvalid)
+    b.always(waiting.read, where=axi.rvalid)
     b.stable(Cat(axi.bvalid, axi.bresp), where=axi.bvalid & ~axi.bready)
     b.stable(Cat(axi.rvalid, axi.rresp, axi.rdata), where=axi.rvalid & ~axi.rready)
     b.always((axi.bresp == OKAY) | (axi.bresp == SLVERR))
     b.always((axi.rresp == OKAY) | (axi.rresp == SLVERR))
     b.always(axi.rdata == 0, where=axi.rvalid & (axi.rresp == SLVERR))
-    for voted in unit.voted:
-        b.always(voted.agree)
 
-    # The answer comes in time, independent of the other channel.
-    write_waits, read_waits = Signal(8), Signal(8)
-    writing = b.same("writing", address & data & ~axi.bvalid)
-    reading = b.same("reading", read & ~axi.rvalid)
-    m.d.sync += [
-        write_waits.eq((write_waits + 1) & writing.replicate(8)),
-        read_waits.eq((read_waits + 1) & reading.replicate(8)),
-    ]
-    b.always(write_waits <= WRITE_MAX)
-    b.always(read_waits <= READ_MAX)
 
-    # A setting only changes by a write that is answered with OKAY, and is always legal.
-    granted = axi.bvalid & (axi.bresp == OKAY)
+def _answers_come_in_time(b: Bench, waiting: Waiting) -> None:
+    """State that an answer comes in time, independent of the other channel."""
+    b.always(waiting.write_cycles <= WRITE_MAX)
+    b.always(waiting.read_cycles <= READ_MAX)
+
+
+def _settings_are_legal_and_change_by_writes(b: Bench, unit: Registers) -> None:
+    """State that a setting only changes by a write that is answered with OKAY, and is legal."""
+    granted = _granted(unit)
+    operation = unit.command.operation
     for (name, _), setting in unit.setting.items():
         register = registers.BY_NAME[name]
         b.always((setting == b.last(setting)) | granted, where=b.past(1))
-        b.always((setting >= register.low(sensor)) & (setting <= register.high(sensor)))
-    for key, setting in unit.setting.items():
-        b.always(setting.xor() == unit.setting_parity[key])
-    b.always(unit.value.xor() == unit.parity, where=data)
-    b.always(unit.plan.as_value().xor() == unit.plan_parity)
-    b.always(
-        unit.command.data.xor() == unit.command.parity,
-        where=unit.command.operation == bus.Operation.WRITE,
-    )
-    operation = unit.command.operation
+        b.always((setting >= register.low(SMALL)) & (setting <= register.high(SMALL)))
     b.always(granted, where=operation == bus.Operation.WRITE)
-    b.always(granted & busy, where=unit.start_frame)
+    b.always(granted & unit.flag["busy"], where=unit.start_frame)
     b.always(unit.start_frame == (operation == bus.Operation.BEGIN))
 
-    # Exactly what the table allows is written and answered with OKAY; a start is checked first.
-    in_block = (unit.write_address >= registers.SUBGROUP_BASE) & (
-        unit.write_address < registers.SUBGROUP_BASE + registers.SUBGROUP_STRIDE * sensor.subgroups
-    )
+
+def _table_decides_what_is_written(b: Bench, unit: Registers) -> None:
+    """State that exactly what the table allows is answered with OKAY, except a start.
+
+    A start is checked first.
+    """
+    state = unit.machine.ongoing
+    address = unit.write_address
+    blocks_end = registers.SUBGROUP_BASE + registers.SUBGROUP_STRIDE * SMALL.subgroups
+    in_block = (address >= registers.SUBGROUP_BASE) & (address < blocks_end)
     allowed = []
     for table, where, offset_bits in (
         (registers.GLOBAL, 1, registers.ADDRESS_BITS),
         (registers.SUBGROUP, in_block, BLOCK_BITS),
     ):
-        for offset, register, _ in registers.words(table, sensor):
+        for offset, register, _ in registers.words(table, SMALL):
             if register.access in WRITABLE:
-                low, high = register.low(sensor), register.high(sensor)
-                here = where & (unit.write_address[:offset_bits] == offset)
-                allowed.append(here & (unit.value >= low) & (unit.value <= high))
+                here = where & (address[:offset_bits] == offset)
+                above_low = unit.value >= register.low(SMALL)
+                below_high = unit.value <= register.high(SMALL)
+                allowed.append(here & above_low & below_high)
     fits = b.same("fits", Cat(allowed).any() & unit.whole)
-    starts, aborts = (_asks(unit, "control", CONTROL.bit(name)) for name in ("start", "abort"))
-    b.always(granted, where=b.past(state("write") & fits & ~starts))
-    b.always(axi.bvalid & (axi.bresp == SLVERR), where=b.past(state("write") & ~fits))
+    starts = _asks(unit, "control", CONTROL.bit("start"))
+    refused = unit.s_axi.bvalid & (unit.s_axi.bresp == SLVERR)
+    b.always(_granted(unit), where=b.past(state("write") & fits & ~starts))
+    b.always(refused, where=b.past(state("write") & ~fits))
 
-    # The settings of a frame are taken while none is running, and stay until it is done.
-    in_force = Cat(unit.frame.as_value(), unit.plan.as_value())
-    b.stable(in_force, where=busy)
-    b.always(~b.past(busy) & busy & ~b.past(done), where=operation == bus.Operation.TAKE)
-    b.always(unit.command.data == b.past(unit.budget[0]), where=operation == bus.Operation.BUDGET)
-    b.always(unit.command.data == b.past(unit.limit[0]), where=operation == bus.Operation.LIMIT)
+
+def _frame_keeps_its_settings(b: Bench, unit: Registers) -> None:
+    """State that a frame's settings are taken while none is running, and stay until it is done."""
+    busy = unit.flag["busy"]
+    plan = unit.plan
+    b.stable(Cat(unit.frame.as_value(), plan.as_value()), where=busy)
+    begins = ~b.past(busy) & busy & ~b.past(unit.done)
+    b.always(begins, where=unit.command.operation == bus.Operation.TAKE)
+    b.always((plan.period > SMALL.guard) & (plan.period <= SMALL.period_max), where=busy)
+    b.always((plan.pulses != 0) & (plan.gate_steps != 0), where=busy)
+
+
+def _bus_tells_settings(b: Bench, unit: Registers) -> None:
+    """State which words the configuration bus carries, and that most come only with a frame."""
+    operation = unit.command.operation
+    data = unit.command.data
+    b.always(data == b.past(unit.budget[0]), where=operation == bus.Operation.BUDGET)
+    b.always(data == b.past(unit.limit[0]), where=operation == bus.Operation.LIMIT)
     b.always(
-        busy,
+        unit.flag["busy"],
         where=(operation == bus.Operation.BUDGET)
         | (operation == bus.Operation.LIMIT)
         | (operation == bus.Operation.COMPARE)
         | (operation == bus.Operation.BEGIN)
         | unit.start_frame,
     )
-    b.always(
-        (unit.plan.period > sensor.guard) & (unit.plan.period <= sensor.period_max), where=busy
-    )
-    b.always((unit.plan.pulses != 0) & (unit.plan.gate_steps != 0), where=busy)
 
-    # Only a write to `control` aborts a frame, and a sticky bit is cleared by itself.
-    b.always(b.past(state("write") & aborts), where=unit.abort_frame)
+
+def _only_writes_abort_and_clear(b: Bench, unit: Registers) -> None:
+    """State that only a write to `control` aborts a frame; a sticky bit is cleared by itself."""
+    writes = unit.machine.ongoing("write")
+    aborts = _asks(unit, "control", CONTROL.bit("abort"))
+    b.always(b.past(writes & aborts), where=unit.abort_frame)
     for bits in STATUS.bits:
         if bits.clears:
-            flag, clears = unit.flag[bits.name], _asks(unit, "status", bits.lsb)
-            b.always(flag, where=b.past(flag & ~(state("write") & clears) & ~ResetSignal()))
+            flag = unit.flag[bits.name]
+            clears = _asks(unit, "status", bits.lsb)
+            b.always(flag, where=b.past(flag & ~(writes & clears) & ~ResetSignal()))
 
-    # A refusal sets a sticky error bit.
+
+def _refusals_set_an_error(b: Bench, unit: Registers, waiting: Waiting) -> None:
+    """State that a refusal sets a sticky error bit."""
+    axi = unit.s_axi
     errors = Cat(flag for name, flag in unit.flag.items() if name not in ("busy", "done"))
-    b.always(errors.any(), where=axi.bvalid & ~b.past(axi.bvalid) & (axi.bresp == SLVERR))
+    write_answered = axi.bvalid & ~b.past(axi.bvalid)
+    read_answered = axi.rvalid & ~b.past(axi.rvalid)
+    b.always(errors.any(), where=write_answered & (axi.bresp == SLVERR))
+    b.always(errors.any(), where=read_answered & (axi.rresp == SLVERR) & b.past(waiting.read))
+
+
+def _parities_are_right(b: Bench, unit: Registers, waiting: Waiting) -> None:
+    """State that no copy and no parity differs without an upset."""
+    for voted in unit.voted:
+        b.always(voted.agree)
+    for key, setting in unit.setting.items():
+        b.always(setting.xor() == unit.setting_parity[key])
+    b.always(unit.value.xor() == unit.parity, where=waiting.data)
+    b.always(unit.plan.as_value().xor() == unit.plan_parity)
     b.always(
-        errors.any(), where=axi.rvalid & ~b.past(axi.rvalid) & (axi.rresp == SLVERR) & b.past(read)
+        unit.command.data.xor() == unit.command.parity,
+        where=unit.command.operation == bus.Operation.WRITE,
     )
 
-    # Invariants.
-    until_checked = b.same("until_checked", state("decode") | state("write") | state("check"))
+
+def _until_checked(unit: Registers):
+    """Return whether a write is on its way, and its address and value are still needed."""
+    state = unit.machine.ongoing
+    return state("decode") | state("write") | state("check")
+
+
+def _machine_is_in_a_state(b: Bench, unit: Registers, waiting: Waiting) -> None:
+    """Help the induction: what holds in each state."""
+    axi = unit.s_axi
+    state = unit.machine.ongoing
+    busy = unit.flag["busy"]
+    until_checked = b.same("until_checked", _until_checked(unit))
     in_write = b.same("in_write", until_checked | state("thresholds") | state("begin"))
-    b.always(address & data & ~axi.bvalid, where=in_write)
-    b.always(read & ~axi.rvalid, where=state("read"))
+    b.always(waiting.address & waiting.data & ~axi.bvalid, where=in_write)
+    b.always(waiting.read & ~axi.rvalid, where=state("read"))
     b.always(b.past(unit.address) == unit.address, where=state("write"))
     b.always(unit.address == unit.write_address, where=until_checked)
     b.always(unit.same_address & unit.same_value, where=state("write"))
@@ -163,34 +265,44 @@ def register_front(b: Bench):
     b.always((unit.wait > DECODE_CYCLES) & (unit.wait <= CHECK_CYCLES), where=state("check"))
     b.always((unit.sent < SENT) & busy, where=state("thresholds"))
     b.always(busy, where=state("begin"))
-    # The progress of an access bounds the time that it has been waiting.
+
+
+def _progress_bounds_the_wait(b: Bench, unit: Registers, waiting: Waiting) -> None:
+    """Help the induction: the progress of an access bounds the time that it has been waiting."""
+    axi = unit.s_axi
+    state = unit.machine.ongoing
+    write_cycles = waiting.write_cycles
+    read_cycles = waiting.read_cycles
+    until_checked = _until_checked(unit)
+
     before_write = READ_CYCLES + 3
-    b.always(
-        write_waits <= unit.wait + 1, where=reading & state("read") & address & data & ~axi.bvalid
-    )
-    b.always(write_waits <= before_write, where=writing & state("idle"))
-    b.always(write_waits <= before_write + 1 + unit.wait, where=until_checked)
-    b.always(write_waits <= before_write + 2 + CHECK_CYCLES + unit.sent, where=state("thresholds"))
-    b.always(write_waits <= before_write + 2 + CHECK_CYCLES + SENT, where=state("begin"))
-    b.always(read_waits <= unit.wait + 1, where=until_checked)
-    b.always(read_waits <= CHECK_CYCLES + 2 + unit.sent, where=state("thresholds"))
-    b.always(read_waits <= CHECK_CYCLES + 2 + SENT, where=state("begin"))
-    b.always(
-        read_waits <= Mux(axi.bvalid, CHECK_CYCLES + 3 + SENT, 0), where=reading & state("idle")
-    )
-    b.always(read_waits <= CHECK_CYCLES + 4 + SENT + unit.wait, where=state("read"))
-    b.cover(axi.bvalid & (axi.bresp == SLVERR) & read)
-    b.cover(axi.rvalid & (axi.rresp == OKAY) & address & data)
+    before_sending = before_write + 2 + CHECK_CYCLES
+    both_wait = waiting.reading & state("read") & waiting.address & waiting.data
+    b.always(write_cycles <= unit.wait + 1, where=both_wait & ~axi.bvalid)
+    b.always(write_cycles <= before_write, where=waiting.writing & state("idle"))
+    b.always(write_cycles <= before_write + 1 + unit.wait, where=until_checked)
+    b.always(write_cycles <= before_sending + unit.sent, where=state("thresholds"))
+    b.always(write_cycles <= before_sending + SENT, where=state("begin"))
+
+    b.always(read_cycles <= unit.wait + 1, where=until_checked)
+    b.always(read_cycles <= CHECK_CYCLES + 2 + unit.sent, where=state("thresholds"))
+    b.always(read_cycles <= CHECK_CYCLES + 2 + SENT, where=state("begin"))
+    behind_write = Mux(axi.bvalid, CHECK_CYCLES + 3 + SENT, 0)
+    b.always(read_cycles <= behind_write, where=waiting.reading & state("idle"))
+    b.always(read_cycles <= CHECK_CYCLES + 4 + SENT + unit.wait, where=state("read"))
 
 
 @proof(depth=2, cover=45)
 def register_front_starts(b: Bench):
-    """With starts only, no read is answered; one start begins a frame, and the next one finds the front busy."""
+    """With starts only, no read is answered; one start begins a frame, and the next one finds the
+    front busy.
+    """
     unit = Registers(SMALL)
+    address, start = registers.control("start")
     b.place(
         unit,
-        s_axi__awaddr=registers.control("start")[0],
-        s_axi__wdata=registers.control("start")[1],
+        s_axi__awaddr=address,
+        s_axi__wdata=start,
         s_axi__wstrb=0b1111,
         s_axi__awvalid=1,
         s_axi__wvalid=1,

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors for the proofs: as small as the parameters allow, but with every structure at least twice."""
+"""Sensors for the proofs: as small as the parameters allow, but with every structure at least
+twice.
+"""
 
 from ..model.contract.parameters import Sensor
 

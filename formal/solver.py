@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bitwuzla as a program: the PyPI wheel is a library, but yosys-smtbmc needs a process that speaks SMT-LIB.
+"""Bitwuzla as a program: the PyPI wheel is a library, but yosys-smtbmc needs a process that speaks
+SMT-LIB.
 
-`python -m coincid.formal.solver --lang smt2` reads commands from standard input and answers each at once.
+`python -m coincid.formal.solver --lang smt2` reads commands from standard input and answers each at
+once.
 """
 
 import re
@@ -13,7 +15,9 @@ TOKEN = re.compile(r"\|[^|]*\||;.*|[()]")
 
 
 def commands(lines: Iterable[str]) -> Iterator[str]:
-    """Yield the commands in a text: lines until the parentheses outside of |symbols| and comments are balanced."""
+    """Yield the commands in a text: lines until the parentheses outside of |symbols| and comments
+    are balanced.
+    """
     command, depth = [], 0
     for line in lines:
         command.append(line)

@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proofs of the blocks that keep time: TDC, gate, sequencer."""
+"""Proofs of the blocks that keep time: TDC, gate, sequencer.
+
+Each proof names its parts in order: what the inputs may be, the specification, what is proven, and
+the invariants that only help the induction.
+"""
 
 from amaranth.hdl import Mux, Signal
+from attrs import frozen
 
 from ..hdl import bus
 from ..hdl.controller import SETTLED
@@ -17,193 +22,354 @@ from .sensors import SMALL
 
 @proof(depth=START_TO_PHASE, cover=12)
 def tdc(b: Bench):
-    """A line's stamp is the first set phase of its own root only; the coarse count restarts with the laser."""
-    sensor, m = Sensor(), b.m  # full size: 32 phases, two lines
+    """A line's stamp is the first set phase of its own root only; the coarse count restarts with
+    the laser.
+    """
+    sensor = Sensor()  # full size: 32 phases, two lines
     unit = b.place(Tdc(sensor))
+    line_0 = unit.line_0
+    line_1 = unit.line_1
     coarse = Signal(sensor.coarse_bits)
-    m.d.sync += coarse.eq(Mux(b.past(unit.start, START_TO_PHASE - 1), 0, coarse + 1))
-    lines = [unit.line_0, unit.line_1]
-    for line in lines:
+    b.m.d.sync += coarse.eq(Mux(b.past(unit.start, START_TO_PHASE - 1), 0, coarse + 1))
+    for line in (line_0, line_1):
         before = b.past(line.root)
         b.always(line.any == before.any())
         b.always(before.bit_select(line.phase, 1), where=before)
         for k in range(sensor.phases):
             b.always(~before[:k].any(), where=line.any & (line.phase == k))
         b.always(line.coarse == coarse)
-    b.cover(lines[0].any & ~lines[1].any & (lines[0].phase == 31))
-    b.cover(
-        lines[0].any
-        & lines[1].any
-        & (lines[0].phase == 5)
-        & (lines[1].phase == 7)
-        & (lines[0].coarse == 3)
-    )
+    b.cover(line_0.any & ~line_1.any & (line_0.phase == 31))
+    both = line_0.any & line_1.any
+    b.cover(both & (line_0.phase == 5) & (line_1.phase == 7) & (line_0.coarse == 3))
+
+
+@frozen
+class Gate:
+    """Where a period is, and the gate in it.
+
+    cycle: of the period; shift: of the gate, one cycle later; opens: the gate's first cycle;
+    inside: the gate is open; passes: edges count.
+    """
+
+    cycle: Signal
+    shift: Signal
+    opens: Signal
+    inside: Signal
+    passes: Signal
 
 
 @proof(depth=3, cover=24)
 def gating(b: Bench):
-    """Edges pass if and only if a frame runs and the gate is open (or off); the SPADs are on in the same cycles."""
-    sensor, m = SMALL, b.m
-    unit = b.place(Gating(sensor))
-    timing, settings = unit.timing, unit.settings
-    highest = (1 << sensor.coarse_bits) - 1
+    """Edges pass if and only if a frame runs and the gate is open (or off); the SPADs are on in the
+    same cycles.
+    """
+    unit = b.place(Gating(SMALL))
+    settings = unit.settings
+    running = unit.timing.running
+    gate = _gate(b, unit)
+    _periods_are_legal(b, unit, gate)
 
-    # A frame begins with a period; a period has at most 2^coarse_bits cycles; settings stay and have passed the checks.
-    cycle, shift = Signal(sensor.coarse_bits + 1), Signal(sensor.coarse_bits + 1)
-    cycle_now = b.same("cycle_now", Mux(timing.start, 0, cycle + 1))
-    shift_now = b.same("shift_now", Mux(timing.start, timing.shift, shift))
-    m.d.sync += [cycle.eq(cycle_now), shift.eq(shift_now)]
-    running = timing.running
-    b.assume(timing.start, where=running & ~b.past(running))
-    b.assume(running, where=timing.start)
-    b.assume((cycle_now <= highest) & (timing.shift <= highest + 1), where=running)
-    b.assume_stable(settings.as_value(), where=b.past(running) | b.past(running, 2))
-    b.assume(settings.gate_start <= highest, where=settings.gating)
+    b.always(unit.accept == b.past(gate.passes, 3))
+    on = b.past(gate.inside, 2) | ~b.past(settings.gating)
+    b.always(unit.spad_gate == on, where=b.past(1, 2))
+    b.always(~b.past(gate.inside, 2), where=~unit.spad_gate)
 
-    opens = b.same("opens", settings.gate_start + shift_now)
-    inside = b.same(
-        "inside", running & (cycle_now >= opens) & (cycle_now < opens + settings.gate_len)
-    )
-    passes = b.same("passes", running & (inside | ~settings.gating))
-    b.always(unit.accept == b.past(passes, 3))
-    b.always(unit.spad_gate == b.past(inside, 2) | ~b.past(settings.gating), where=b.past(1, 2))
-    b.always(~b.past(inside, 2), where=~unit.spad_gate)
-    # Invariants: the cycles until the gate opens, and until it closes.
-    c, f = b.past(cycle_now), b.past(opens)
-    since = b.same("since", Mux(c > f, c - f, 0))
-    here = b.past(running) & settings.gating
-    b.always(unit.until_now == Mux(f > c, f - c, 0), where=here)
-    b.always(
-        unit.left_now == Mux(settings.gate_len > since, settings.gate_len - since, 0), where=here
-    )
-    b.always(unit.running == (b.past(running) | b.past(running, 2) << 1))
-    b.always(unit.start == b.past(timing.start))
+    _gate_is_in_registers(b, unit, gate)
+
     b.cover(
         settings.gating
         & unit.accept
-        & (b.past(cycle_now, 3) == 3)
+        & (b.past(gate.cycle, 3) == 3)
         & (settings.gate_start == 1)
-        & (shift == 2)
+        & (gate.shift == 2)
     )
     b.cover(settings.gating & running & ~unit.accept & b.past(unit.accept))
 
 
+def _gate(b: Bench, unit: Gating) -> Gate:
+    """Specify the gate: it opens `gate_start` and the shift after the period's beginning."""
+    timing = unit.timing
+    settings = unit.settings
+    cycle = Signal(SMALL.coarse_bits + 1)
+    shift = Signal(SMALL.coarse_bits + 1)
+    cycle_now = b.same("cycle_now", Mux(timing.start, 0, cycle + 1))
+    shift_now = b.same("shift_now", Mux(timing.start, timing.shift, shift))
+    b.m.d.sync += cycle.eq(cycle_now)
+    b.m.d.sync += shift.eq(shift_now)
+    opens = b.same("opens", settings.gate_start + shift_now)
+    before_end = cycle_now < opens + settings.gate_len
+    inside = b.same("inside", timing.running & (cycle_now >= opens) & before_end)
+    passes = b.same("passes", timing.running & (inside | ~settings.gating))
+    return Gate(cycle_now, shift, opens, inside, passes)
+
+
+def _periods_are_legal(b: Bench, unit: Gating, gate: Gate) -> None:
+    """Assume what is proven for sequencer and register front.
+
+    A frame begins with a period; a period has at most 2^coarse_bits cycles; settings stay and have
+    passed the checks.
+    """
+    timing = unit.timing
+    settings = unit.settings
+    running = timing.running
+    highest = (1 << SMALL.coarse_bits) - 1
+    b.assume(timing.start, where=running & ~b.past(running))
+    b.assume(running, where=timing.start)
+    b.assume((gate.cycle <= highest) & (timing.shift <= highest + 1), where=running)
+    b.assume_stable(settings.as_value(), where=b.past(running) | b.past(running, 2))
+    b.assume(settings.gate_start <= highest, where=settings.gating)
+
+
+def _gate_is_in_registers(b: Bench, unit: Gating, gate: Gate) -> None:
+    """Help the induction: registers hold the cycles until the gate opens, and until it closes."""
+    settings = unit.settings
+    running = unit.timing.running
+    cycle = b.past(gate.cycle)
+    opens = b.past(gate.opens)
+    since = b.same("since", Mux(cycle > opens, cycle - opens, 0))
+    left = Mux(settings.gate_len > since, settings.gate_len - since, 0)
+    here = b.past(running) & settings.gating
+    b.always(unit.until_now == Mux(opens > cycle, opens - cycle, 0), where=here)
+    b.always(unit.left_now == left, where=here)
+    b.always(unit.running == (b.past(running) | b.past(running, 2) << 1))
+    b.always(unit.start == b.past(unit.timing.start))
+
+
+@frozen
+class Periods:
+    """The periods as the contract counts them, one cycle behind the sequencer's own counters.
+
+    `timing` of the sequencer is as late. since: cycles since the period began; number: of the
+    period; in_period: one runs; wait: cycles of a dither wait that are left; alive: either;
+    last: a period's last cycle; over: the cycle after it; aborting: no period follows this one;
+    lfsr: draws the waits; exact: the gate's shift, without a limit; pulses, steps: where
+    progressive gating is.
+    """
+
+    since: Signal
+    number: Signal
+    in_period: Signal
+    wait: Signal
+    alive: Signal
+    last: Signal
+    over: Signal
+    aborting: Signal
+    lfsr: Signal
+    exact: Signal
+    pulses: Signal
+    steps: Signal
+
+
 @proof(depth=6, cover=40)
 def sequencer(b: Bench):
-    """A frame has `pulses` periods of `period` cycles with dither waits, or ends with the aborted one; windows obey the guard.
+    """A frame has `pulses` periods of `period` cycles with dither waits, or ends with the aborted
+    one; windows obey the guard.
 
     No window opens in the guard or in a wait.
     """
-    sensor, m = SMALL, b.m
-    unit = b.place(Sequencer(sensor))
-    plan, start, abort, delivered = unit.plan, unit.start_frame, unit.abort_frame, unit.delivered
+    unit = b.place(Sequencer(SMALL))
+    busy = _front_obeys(b, unit)
 
-    # A start comes only after the previous frame is done. The plan stays, and has passed the start checks.
+    periods = _periods(b, unit)
+
+    _strobes_are_in_their_cycles(b, unit, periods)
+    _gate_moves_by_the_exact_shift(b, unit, periods)
+    ending = _frame_is_done_once(b, unit, periods)
+
+    _one_frame_at_a_time(b, unit, periods, busy, ending)
+    _periods_are_in_registers(b, unit, periods)
+    _end_is_in_registers(b, unit, ending)
+
+    plan = unit.plan
+    timing = unit.timing
+    wait = periods.wait
+    starts_after_wait = timing.start & b.past(wait == 1) & b.past(wait == 3, 3)
+    b.cover(unit.done & (plan.pulses == 2) & (unit.number == 1))
+    b.cover(unit.done & (plan.pulses == 9))
+    b.cover(timing.start & (timing.shift == 3))
+    b.cover(starts_after_wait & (periods.number == 2))
+
+
+def _front_obeys(b: Bench, unit: Sequencer) -> Signal:
+    """Assume what is proven for the register front; return whether a frame has been started.
+
+    A start comes only after the previous frame is done. The plan stays, and has passed the checks.
+    """
+    plan = unit.plan
+    start = unit.start_frame
     busy = Signal()
-    m.d.sync += busy.eq(Mux(start, 1, busy & ~unit.done))
+    b.m.d.sync += busy.eq(Mux(start, 1, busy & ~unit.done))
     b.assume(~busy, where=start)
     b.assume_stable(plan.as_value(), where=busy)
-    b.assume(
-        (plan.period > sensor.guard)
-        & (plan.period <= sensor.period_max)
-        & (plan.pulses != 0)
-        & (plan.pulses <= 1 << 16)
-    )
+    legal_period = (plan.period > SMALL.guard) & (plan.period <= SMALL.period_max)
+    b.assume(legal_period & (plan.pulses != 0) & (plan.pulses <= 1 << 16))
     b.assume((plan.gate_steps != 0) & (plan.dither_bits <= DITHER_BITS_MAX))
+    return busy
 
-    # The periods as the contract counts them, one cycle behind the sequencer's own counters, like `timing`.
-    since, period, frame = Signal(sensor.coarse_bits + 1), Signal(bus.PULSE_BITS + 1), Signal()
-    over, aborting = Signal(), Signal()
-    timing = unit.timing
-    begin = b.same("begin", b.past(start, 4))
-    last = b.same("last", frame & (since == plan.period - 1))
-    more = b.same("more", (period != plan.pulses - 1) & ~aborting)
-    lfsr, waits = Signal(LFSR_BITS), Signal(DITHER_BITS_MAX)
+
+def _periods(b: Bench, unit: Sequencer) -> Periods:
+    """Specify periods, waits and shifts of a frame."""
+    m = b.m
+    plan = unit.plan
+    begins = b.past(unit.start_frame, 3)
+    since = Signal(SMALL.coarse_bits + 1)
+    number = Signal(bus.PULSE_BITS + 1)
+    in_period = Signal()
+    over = Signal()
+    aborting = Signal()
+    lfsr = Signal(LFSR_BITS)
+    wait = Signal(DITHER_BITS_MAX)
+
+    last = b.same("last", in_period & (since == plan.period - 1))
+    more = b.same("more", (number != plan.pulses - 1) & ~aborting)
     stepped = b.same("stepped", (lfsr >> 1) ^ Mux(lfsr[0], LFSR_TAPS, 0))
     chosen = b.same("chosen", stepped & ((1 << plan.dither_bits) - 1))
-    alive = b.same("alive", frame | (waits != 0))
-    m.d.sync += since.eq(Mux(last | (waits != 0) | b.past(start, 3), 0, since + 1))
-    with m.If(b.past(start, 3)):
-        m.d.sync += [frame.eq(1), period.eq(0), lfsr.eq(plan.dither_seed), waits.eq(0)]
-    with m.Elif(last):
-        m.d.sync += [
-            period.eq(period + 1),
-            frame.eq(more & (chosen == 0)),
-            waits.eq(Mux(more, chosen, 0)),
-            lfsr.eq(stepped),
-        ]
-    with m.Elif(waits != 0):
-        m.d.sync += [waits.eq(waits - 1), frame.eq(waits == 1)]
-    with m.Elif(frame):
-        m.d.sync += lfsr.eq(stepped)
-    m.d.sync += aborting.eq(Mux(b.past(start, 2), 0, aborting | (abort & unit.running)))
-    m.d.sync += over.eq(last)
-    b.always(timing.running == frame)
-    b.always(timing.start == (frame & (since == 0)))
-    b.always(timing.start, where=begin)
-    b.always(timing.wrap == over)
-    b.always(timing.may_open == (frame & (since < plan.period - sensor.guard)))
-    b.always(unit.laser == b.past(timing.start, LEAD))
-    b.always(period < plan.pulses, where=alive)
+    alive = b.same("alive", in_period | (wait != 0))
 
-    # Progressive gating: the exact shift, saturated where no gate can open.
-    exact, pulses, steps = Signal(2 * GATE_BITS), Signal(GATE_BITS), Signal(GATE_BITS)
-    with m.If(b.past(start, 3)):
-        m.d.sync += [exact.eq(0), pulses.eq(0), steps.eq(0)]
+    m.d.sync += since.eq(Mux(last | (wait != 0) | begins, 0, since + 1))
+    with m.If(begins):
+        m.d.sync += in_period.eq(1)
+        m.d.sync += number.eq(0)
+        m.d.sync += lfsr.eq(plan.dither_seed)
+        m.d.sync += wait.eq(0)
+    with m.Elif(last):
+        m.d.sync += number.eq(number + 1)
+        m.d.sync += in_period.eq(more & (chosen == 0))
+        m.d.sync += wait.eq(Mux(more, chosen, 0))
+        m.d.sync += lfsr.eq(stepped)
+    with m.Elif(wait != 0):
+        m.d.sync += wait.eq(wait - 1)
+        m.d.sync += in_period.eq(wait == 1)
+    with m.Elif(in_period):
+        m.d.sync += lfsr.eq(stepped)
+    takes_abort = unit.abort_frame & unit.running
+    m.d.sync += aborting.eq(Mux(b.past(unit.start_frame, 2), 0, aborting | takes_abort))
+    m.d.sync += over.eq(last)
+
+    exact = Signal(2 * GATE_BITS)
+    pulses = Signal(GATE_BITS)
+    steps = Signal(GATE_BITS)
+    with m.If(begins):
+        m.d.sync += exact.eq(0)
+        m.d.sync += pulses.eq(0)
+        m.d.sync += steps.eq(0)
     with m.Elif(last):
         m.d.sync += pulses.eq(pulses + 1)
         with m.If(pulses == plan.gate_every - 1):
-            m.d.sync += [pulses.eq(0), steps.eq(steps + 1), exact.eq(exact + plan.gate_step)]
+            m.d.sync += pulses.eq(0)
+            m.d.sync += steps.eq(steps + 1)
+            m.d.sync += exact.eq(exact + plan.gate_step)
             with m.If(steps == plan.gate_steps - 1):
-                m.d.sync += [steps.eq(0), exact.eq(0)]
-    most = 1 << sensor.coarse_bits
-    b.always(timing.shift == Mux(exact > most, most, exact), where=alive)
+                m.d.sync += steps.eq(0)
+                m.d.sync += exact.eq(0)
+    return Periods(
+        since=since,
+        number=number,
+        in_period=in_period,
+        wait=wait,
+        alive=alive,
+        last=last,
+        over=over,
+        aborting=aborting,
+        lfsr=lfsr,
+        exact=exact,
+        pulses=pulses,
+        steps=steps,
+    )
 
-    # The end: the frame is done once, `SETTLED` cycles after all streams have delivered; the next one has the next number.
-    ending, settled = Signal(), Signal(range(SETTLED + 1))
-    m.d.sync += [
-        ending.eq(Mux(over & ~alive, 1, ending & ~unit.done)),
-        settled.eq(Mux(delivered, settled + (settled != SETTLED), 0)),
-    ]
+
+def _strobes_are_in_their_cycles(b: Bench, unit: Sequencer, periods: Periods) -> None:
+    """State when a period starts, ends, and lets windows open, and when the laser fires."""
+    timing = unit.timing
+    in_period = periods.in_period
+    since = periods.since
+    before_guard = since < unit.plan.period - SMALL.guard
+    begin = b.same("begin", b.past(unit.start_frame, 4))
+    b.always(timing.running == in_period)
+    b.always(timing.start == (in_period & (since == 0)))
+    b.always(timing.start, where=begin)
+    b.always(timing.wrap == periods.over)
+    b.always(timing.may_open == (in_period & before_guard))
+    b.always(unit.laser == b.past(timing.start, LEAD))
+    b.always(periods.number < unit.plan.pulses, where=periods.alive)
+
+
+def _gate_moves_by_the_exact_shift(b: Bench, unit: Sequencer, periods: Periods) -> None:
+    """State the shift of progressive gating: the exact one, saturated where no gate can open."""
+    most = 1 << SMALL.coarse_bits
+    shift = Mux(periods.exact > most, most, periods.exact)
+    b.always(unit.timing.shift == shift, where=periods.alive)
+
+
+def _frame_is_done_once(b: Bench, unit: Sequencer, periods: Periods) -> Signal:
+    """State when a frame is done: `SETTLED` cycles after all streams have delivered.
+
+    The next frame has the next number. Return whether the frame is ending.
+    """
+    ending = Signal()
+    settled = Signal(range(SETTLED + 1))
+    periods_end = periods.over & ~periods.alive
+    b.m.d.sync += ending.eq(Mux(periods_end, 1, ending & ~unit.done))
+    b.m.d.sync += settled.eq(Mux(unit.delivered, settled + (settled != SETTLED), 0))
     b.always(ending & b.past(settled == SETTLED), where=unit.done)
     for k in range(SETTLED):
         b.always(unit.delivered_for[k] == (settled > k))
-    b.always(~alive, where=unit.finish | unit.done)
-    b.always(unit.number == (b.past(unit.number) + unit.done)[: bus.PULSE_BITS], where=b.past(1))
+    b.always(~periods.alive, where=unit.finish | unit.done)
+    next_number = (b.past(unit.number) + unit.done)[: bus.PULSE_BITS]
+    b.always(unit.number == next_number, where=b.past(1))
+    return ending
 
-    # Invariants: the sequencer's registers are one cycle ahead of its outputs.
-    one_frame = (
-        unit.running | unit.start.any() | b.past(start) | unit.draining | alive | unit.done | ending
+
+def _one_frame_at_a_time(
+    b: Bench, unit: Sequencer, periods: Periods, busy: Signal, ending: Signal
+) -> None:
+    """Help the induction: whatever goes on belongs to the frame that was started."""
+    in_frame = (
+        unit.running
+        | unit.start.any()
+        | b.past(unit.start_frame)
+        | unit.draining
+        | periods.alive
+        | unit.done
+        | ending
     )
-    b.always(busy, where=one_frame & ~unit.done | unit.finish)
+    b.always(busy, where=in_frame & ~unit.done | unit.finish)
+
+
+def _periods_are_in_registers(b: Bench, unit: Sequencer, periods: Periods) -> None:
+    """Help the induction: the sequencer's registers are one cycle ahead of its outputs."""
+    plan = unit.plan
+    alive = periods.alive
+    wait = periods.wait
+    pulses = periods.pulses
+    steps = periods.steps
+    in_step = periods.in_period & (periods.since != 0)
     b.always(b.past(unit.running) == alive)
-    b.always(~frame, where=waits != 0)
-    b.always(since == 0, where=waits != 0)
-    b.always(b.past(unit.left) == waits, where=alive)
+    b.always(~periods.in_period, where=wait != 0)
+    b.always(periods.since == 0, where=wait != 0)
+    b.always(b.past(unit.left) == wait, where=alive)
     b.always(unit.waiting == (unit.left != 0))
-    b.always(b.past(unit.lfsr) == lfsr, where=alive)
+    b.always(b.past(unit.lfsr) == periods.lfsr, where=alive)
     b.always(unit.mask == b.past((1 << plan.dither_bits) - 1), where=b.past(1))
     b.always((b.past(unit.pulses) == pulses) & (b.past(unit.steps) == steps), where=alive)
-    b.always(
-        b.past(unit.step) == ((plan.gate_every != 0) & (pulses == plan.gate_every - 1)),
-        where=frame & (since != 0),
-    )
-    b.always(b.past(unit.last_step) == (steps == plan.gate_steps - 1), where=frame & (since != 0))
-    b.always((steps < plan.gate_steps) & (exact <= (steps << GATE_BITS) - steps), where=alive)
-    b.always(unit.aborted == aborting)
+    is_step = (plan.gate_every != 0) & (pulses == plan.gate_every - 1)
+    b.always(b.past(unit.step) == is_step, where=in_step)
+    b.always(b.past(unit.last_step) == (steps == plan.gate_steps - 1), where=in_step)
+    exact_max = (steps << GATE_BITS) - steps
+    b.always((steps < plan.gate_steps) & (periods.exact <= exact_max), where=alive)
+    b.always(unit.aborted == periods.aborting)
+    b.always(b.past(unit.cycle) == periods.since, where=alive)
+    b.always(b.past(unit.pulse) == periods.number, where=alive)
+
+
+def _end_is_in_registers(b: Bench, unit: Sequencer, ending: Signal) -> None:
+    """Help the induction: what the sequencer holds while a frame's results leave."""
     b.always(ending == b.past(unit.draining))
     b.always(unit.draining == (unit.drained != 0))
-    b.always(
-        unit.active == (unit.running | unit.wrap | unit.draining), where=~unit.running | ~unit.wrap
-    )
+    active = unit.running | unit.wrap | unit.draining
+    b.always(unit.active == active, where=~unit.running | ~unit.wrap)
     b.always(unit.active, where=unit.running)
     b.always(unit.number_kept.agree)
     b.always(unit.finish == (unit.drained == TO_FINISH))
     b.always(unit.drained <= TO_FINISH)
     b.always(~unit.running & ~unit.start.any(), where=unit.draining)
-    b.always(b.past(unit.cycle) == since, where=alive)
-    b.always(b.past(unit.pulse) == period, where=alive)
-    b.cover(unit.done & (plan.pulses == 2) & (unit.number == 1))
-    b.cover(unit.done & (plan.pulses == 9))
-    b.cover(timing.start & (timing.shift == 3))
-    b.cover(timing.start & b.past(waits == 1) & b.past(waits == 3, 3) & (period == 2))

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proofs of the coincID tree against a specification that follows the contract tick by tick, and of minigroup records.
+"""Proofs of the coincID tree against a specification that follows the contract tick by tick, and of
+minigroup records.
 
-The subgroup has 4 x 4 pixels, four phases, and a window of up to nine ticks. So windows end in the cycle in which they
-open, in the next one and in the one after that, at every phase. Larger sensors differ only in widths: the arithmetic of
-the window does not depend on any pixel, and that of a pixel does not depend on other pixels.
+The subgroup has 4 x 4 pixels, four phases, and a window of up to nine ticks. So windows end in the
+cycle in which they open, in the next one and in the one after that, at every phase. Larger sensors
+differ only in widths: the arithmetic of the window does not depend on any pixel, and that of a
+pixel does not depend on other pixels.
 """
 
 from typing import Any
@@ -22,10 +24,12 @@ from .sensors import SMALL
 
 @frozen
 class Edges:
-    """Edges that count by the contract: from unmasked pixels, and inside the gate. A reset drops all earlier edges.
+    """Edges that count by the contract: from unmasked pixels, and inside the gate. A reset drops
+    all earlier edges.
 
-    raw_1, raw_2: edge words of the unmasked pixels, independent of the gate; stage_1, stage_2, stage_3: words of all edges
-    that count. The numbers are cycles behind the port. fresh: no reset has reached stage 2; fresh_3: none has reached stage 3.
+    raw_1, raw_2: edge words of the unmasked pixels, independent of the gate; stage_1, stage_2,
+    stage_3: words of all edges that count. The numbers are cycles behind the port. fresh: no reset
+    has reached stage 2; fresh_3: none has reached stage 3.
     """
 
     pixels: int
@@ -75,13 +79,15 @@ def _first(word):
 
 
 def _leaf_holds(b: Bench, leaf: Minigroup, edges: Edges, pixels=None) -> None:
-    """State the invariants of a minigroup's pipeline: it holds the encoded first edges of its pixels."""
+    """State the invariants of a minigroup's pipeline: it holds the encoded first edges of its
+    pixels.
+    """
     for raw, phases, since in (
         (edges.raw_1, leaf.phases_1, 1),
         (edges.raw_2, leaf.phases_2, edges.fresh),
     ):
         words = edges.words(raw, pixels)
-        for word, phase in zip(words, phases):
+        for word, phase in zip(words, phases, strict=True):
             b.always(phase == _first(word), where=since & Cat(words).any())
     for stage, valid, since in (
         (edges.raw_1, leaf.valid_1, 1),
@@ -124,7 +130,9 @@ class Specification:
 
 
 def _place_tree(b: Bench, sensor: Sensor) -> Placed:
-    """Place a tree with a TDC line, and any edges, any mask and gate, and a window of any legal length."""
+    """Place a tree with a TDC line, and any edges, any mask and gate, and a window of any legal
+    length.
+    """
     unit, clock = CoincidenceTree(sensor), Tdc(sensor, 1)
     window_ticks = unit.window_ticks
     b.assume((window_ticks != 0) & (window_ticks <= sensor.window_max))
@@ -144,7 +152,9 @@ def _place_tree(b: Bench, sensor: Sensor) -> Placed:
 
 
 def _specification(b: Bench, dut: Placed) -> Specification:
-    """Specify a cycle of stage 2 by the contract. Return its registers, and their next values in `now`."""
+    """Specify a cycle of stage 2 by the contract. Return its registers, and their next values in
+    `now`.
+    """
     sensor, edges = dut.unit.sensor, dut.edges
     spec = Specification(sensor)
     now = {
@@ -160,7 +170,8 @@ def _specification(b: Bench, dut: Placed) -> Specification:
         now = _tick(b, dut, now, tick, first, armed=(spec.not_armed == 0))
     for name in ("open", "left", "hits", "winner", "stamp", "elapsed"):
         b.m.d.sync += getattr(spec, name).eq(now[name])
-    b.m.d.sync += [offset.eq(value) for offset, value in zip(spec.offsets, now["offsets"])]
+    for offset, value in zip(spec.offsets, now["offsets"], strict=True):
+        b.m.d.sync += offset.eq(value)
     b.m.d.sync += spec.not_armed.eq(
         Mux(now["closed"], sensor.rearm, spec.not_armed - (spec.not_armed != 0))
     )
@@ -169,10 +180,11 @@ def _specification(b: Bench, dut: Placed) -> Specification:
 
 
 def _tick(b: Bench, dut: Placed, before: dict[str, Any], tick: int, edges, armed) -> dict[str, Any]:
-    """Return the window after a tick with `edges` (one bit per pixel), from the window `before` the tick.
+    """Return the window after a tick with `edges` (one bit per pixel), from the window `before` the
+    tick.
 
-    live: a window was open in this cycle; closed: a window has ended in it; blind: an edge found no window and could not
-    open one.
+    live: a window was open in this cycle; closed: a window has ended in it; blind: an edge found no
+    window and could not open one.
     """
     sensor, line = dut.unit.sensor, dut.unit.line
 
@@ -212,7 +224,9 @@ def _tick(b: Bench, dut: Placed, before: dict[str, Any], tick: int, edges, armed
 
 
 def _agrees(b: Bench, dut: Placed, now: dict[str, Any]) -> None:
-    """State that the tree agrees with the specification, five cycles later, and that a closed window is consistent."""
+    """State that the tree agrees with the specification, five cycles later, and that a closed
+    window is consistent.
+    """
     unit, window = dut.unit, dut.unit.window
     b.always(unit.closed == b.past(now["closed"], 5))
     for name, value in {name: now[name] for name in ("stamp", "winner", "hits")}.items():
@@ -227,7 +241,9 @@ def _agrees(b: Bench, dut: Placed, now: dict[str, Any]) -> None:
 
 
 def _rearms(b: Bench, dut: Placed, spec: Specification) -> None:
-    """State the self-reset: the tree is armed R cycles after the close cycle, and always at the end of a guard."""
+    """State the self-reset: the tree is armed R cycles after the close cycle, and always at the end
+    of a guard.
+    """
     unit, sensor = dut.unit, dut.unit.sensor
     since_close = Signal(range(sensor.rearm + 2), init=sensor.rearm + 1)
     b.m.d.sync += since_close.eq(
@@ -257,7 +273,7 @@ def _holds(b: Bench, dut: Placed, spec: Specification) -> None:
     b.always(~line.any, where=~edges.fresh)
     b.always(unit.may_open[-2] == dut.may_open)
     live = b.past(now["live"], 3)
-    for g, (leaf, members) in enumerate(zip(unit.leaves, dut.members)):
+    for g, (leaf, members) in enumerate(zip(unit.leaves, dut.members, strict=True)):
         _leaf_holds(b, leaf, edges, members)
         hit = b.past(Cat(unit.hits[i] for i in members).any(), 3)
         b.always(leaf.offset == b.past(now["offsets"][g], 6), where=b.past(now["live"], 6) & hit)
@@ -284,30 +300,37 @@ def _tree(b: Bench, sensor: Sensor) -> None:
 
 @proof(depth=9, cover=20)
 def tree(b):
-    """Tree and TDC line obey the contract tick by tick: windows, maps, counts, winners, stamps, offsets, re-arming."""
+    """Tree and TDC line obey the contract tick by tick: windows, maps, counts, winners, stamps,
+    offsets, re-arming.
+    """
     _tree(b, SMALL)
 
 
 @proof(depth=9, cover=20)
 def tree_without_gap(b):
-    """The tree obeys the contract with R = 0, when a window may open in the cycle after another one closed."""
+    """The tree obeys the contract with R = 0, when a window may open in the cycle after another one
+    closed.
+    """
     _tree(b, evolve(SMALL, rearm=0))
 
 
 @proof(depth=4, cover=20)
 def minigroup_record(b):
-    """A minigroup with enough pixels latches the first edge's stamp and the map of its collection, once per period.
+    """A minigroup with enough pixels latches the first edge's stamp and the map of its collection,
+    once per period.
 
-    It also finds the step of a cycle's first edge for the coarse offset; the proof of the tree covers how it is used.
+    It also finds the step of a cycle's first edge for the coarse offset; the proof of the tree
+    covers how it is used.
     """
     # So that ticks, steps and quarters of a cycle differ.
-    sensor, m = (
-        evolve(SMALL, phases=16, offset_phases=8),
-        b.m,
-    )
+    sensor = evolve(SMALL, phases=16, offset_phases=8)
+    m = b.m
     unit = Minigroup(sensor)
-    pixels, phases = sensor.minigroup_pixels, sensor.phases
-    frame, may_open, wrap = unit.frame, unit.may_open, unit.wrap
+    pixels = sensor.minigroup_pixels
+    phases = sensor.phases
+    frame = unit.frame
+    may_open = unit.may_open
+    wrap = unit.wrap
     coarse_4 = Signal(sensor.coarse_bits)
     b.assume((frame.mg_threshold != 0) & (frame.mg_window != 0) & (frame.mg_window <= 4))
     b.place(unit, frame=b.constant(frame.shape().size), coarse=coarse_4)

@@ -76,7 +76,10 @@ class Ends:
         return Cat(
             any_of(
                 m,
-                [item & here.replicate(len(item)) for item, here in zip(items, one_hot)],
+                [
+                    item & here.replicate(len(item))
+                    for item, here in zip(items, one_hot, strict=True)
+                ],
                 f"{name}_{end}",
             )
             for end, one_hot in enumerate((self.low, self.high))

@@ -8,6 +8,8 @@ thresholds themselves are in the subgroups (`dpcu.py`), which receive budget and
 frame begins.
 """
 
+from itertools import pairwise
+
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -170,11 +172,13 @@ class Controller(Unit):
         m.d.sync += self.part.eq(Mux(falls, self.then, self.now))
         with m.If(self.slot[1:].any() | self.filling[FILLED:].any()):
             last = Mux(self.filling[FILLED:].any(), self.candidate, self.steps[0])
-            m.d.sync += [step.eq(after) for step, after in zip(self.steps, (*self.steps[1:], last))]
+            for step, after in pairwise([*self.steps, last]):
+                m.d.sync += step.eq(after)
         total = Signal(DATA_BITS + 2)
         m.d.comb += total.eq(carry_select(m, self.sums[0], self.part, "sum_of_part"))
         with m.If(self.adding):
-            m.d.sync += [one.eq(after) for one, after in zip(self.sums, self.sums[1:])]
+            for one, after in pairwise(self.sums):
+                m.d.sync += one.eq(after)
             m.d.sync += self.sums[-1].eq(Mux(total[-1], ~0, total))
         with m.If(self.added):
             m.d.sync += self.fits.eq(Cat(self.fits[1:], self.sums[-1] <= self.capacity_taken))
@@ -209,7 +213,7 @@ class Controller(Unit):
         self.budget_kept = budget = Voted(m, "budget_kept", DATA_BITS)
         m.d.comb += self.budget.eq(budget.value)
         fitting = self.share_taken
-        for fits, step in zip(self.fits[1:], self.steps):
+        for fits, step in zip(self.fits[1:], self.steps, strict=True):
             fitting = Mux(fits, step, fitting)
         m.d.sync += self.fitting.eq(fitting)
         with m.If(self.take):

@@ -8,6 +8,8 @@ not. One PLL makes the clocks. The PLLs of the smaller families make four, so th
 supports up to 8 phases.
 """
 
+from itertools import pairwise
+
 from amaranth.hdl import Cat, ClockDomain, ClockSignal, Module, Signal
 from amaranth.lib.wiring import In, Out
 
@@ -82,6 +84,7 @@ class Deserialiser(Unit):
             levels.append(flop(held, "sync", f"level_{j}"))
         rises = [Signal(pixels, name=f"rises_{j}") for j in range(phases)]
         before = [flop(levels[-1], "sync", "level_before"), *levels]
-        m.d.comb += [rise.eq(now & ~last) for rise, now, last in zip(rises, levels, before)]
+        for rise, (last, now) in zip(rises, pairwise(before), strict=True):
+            m.d.comb += rise.eq(now & ~last)
         m.d.comb += self.words.eq(Cat(rise[i] for i in range(pixels) for rise in rises))
         return m

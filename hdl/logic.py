@@ -75,7 +75,7 @@ def counted(m: Module, bits: Value, name: str) -> list[Value]:
             three | next_three | (two & next_one) | (one & next_two),
         ]
         found = [Signal(len(bits), name=f"{name}_{step}_{k}") for k in range(3)]
-        m.d.comb += [signal.eq(word) for signal, word in zip(found, words)]
+        m.d.comb += [signal.eq(word) for signal, word in zip(found, words, strict=True)]
         step *= 2
     return [word[0] for word in found]
 
@@ -95,7 +95,7 @@ def lowest(m: Module, bits: Value, name: str) -> Value:
         signals = [Signal(size, name=f"{name}_{step}_{b}") for b in range(k + 1)]
         here = Signal(size, name=f"{name}_{step}")
         m.d.comb += [
-            *(signal.eq(number) for signal, number in zip(signals, numbers)),
+            *(signal.eq(number) for signal, number in zip(signals, numbers, strict=True)),
             here.eq(found | (found >> step)),
         ]
         found = here

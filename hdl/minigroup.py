@@ -7,6 +7,7 @@ the collection that latches a record, its stamp in quarters of a cycle, and the 
 offsets.
 """
 
+from itertools import pairwise
 from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
@@ -80,7 +81,8 @@ class Recorder(Unit):
         moves = Cat(strobes).any()
         with m.If(moves):
             for delayed in (strobes, steps):
-                m.d.sync += [later.eq(sooner) for sooner, later in zip(delayed, delayed[1:])]
+                for sooner, later in pairwise(delayed):
+                    m.d.sync += later.eq(sooner)
         with m.If(strobes[-1]):
             m.d.sync += offset.eq(Cat(steps[-1], self.elapsed))
         m.d.comb += self.offset.eq(offset)
@@ -247,7 +249,10 @@ class Minigroup(Recorder):
         with m.If(self.awake_3):
             m.d.sync += [
                 self.valid_2.eq(self.valid_1 & self.accept.replicate(pixels)),
-                *(phase_2.eq(phase_1) for phase_1, phase_2 in zip(self.phases_1, self.phases_2)),
+                *(
+                    phase_2.eq(phase_1)
+                    for phase_1, phase_2 in zip(self.phases_1, self.phases_2, strict=True)
+                ),
             ]
 
     def _hits(self, m):

@@ -7,6 +7,8 @@ report what they have stored, and the readout counts it and grants packets of kn
 beats come back in order, without gaps, after a fixed time.
 """
 
+from itertools import pairwise
+
 from amaranth.hdl import Cat, Const, Module, Mux, ResetInserter, Signal
 from amaranth.lib import fifo, wiring
 from amaranth.lib.wiring import In, Out
@@ -181,7 +183,7 @@ class Readout(Unit):
             self.event_last.eq(self._event_and(-1)),
             *(
                 beyond.eq(self._event_and(beats - 1))
-                for beats, beyond in zip(self.rooms, self.event_exceeds)
+                for beats, beyond in zip(self.rooms, self.event_exceeds, strict=True)
             ),
         ]
 
@@ -243,7 +245,7 @@ class Readout(Unit):
             self.free_for_counters.eq((self.left == 0) & self.room[1]),
             *(
                 after.eq(self._space_exceeds(beats - 1))
-                for after, beats in zip(self.room_next, self.rooms)
+                for after, beats in zip(self.room_next, self.rooms, strict=True)
             ),
             self.gone.eq(Mux(self.grouped, self.taken, self.buffer.r_rdy & self.m_axis.tready)),
             self.left_next.eq(self.left - (self.left != 0)),
@@ -251,7 +253,8 @@ class Readout(Unit):
         ]
         m.d.sync += self.taken.eq(self.buffer.r_rdy & self.buffer.r_en)
         m.d.sync += [self.left.eq(self.left_next), self.space.eq(self.space_next)]
-        m.d.sync += [room.eq(after) for room, after in zip(self.room, self.room_next)]
+        for room, after in zip(self.room, self.room_next, strict=True):
+            m.d.sync += room.eq(after)
         with m.If(self.buffer.r_rdy | self.valid_in | (self.left != 0) | self.booked):
             m.d.sync += self.calm.eq(0)
         with m.Elif(self.calm != CALM_CYCLES):
@@ -284,10 +287,12 @@ class Readout(Unit):
         after = Signal.like(self.space, name=f"space_after_{name}")
         m.d.comb += after.eq(Mux(self.gone, self.space - last, self.space - length))
         leaves = [Signal(name=f"{name}_leaves_{beats}") for beats in self.rooms]
-        m.d.comb += [left.eq(self._space_exceeds(beats)) for beats, left in zip(exceeds, leaves)]
+        for beats, left in zip(exceeds, leaves, strict=True):
+            m.d.comb += left.eq(self._space_exceeds(beats))
         with m.If(free):
             m.d.comb += [self.left_next.eq(last), self.space_next.eq(after), self.booked.eq(1)]
-            m.d.comb += [room.eq(left) for room, left in zip(self.room_next, leaves)]
+            for room, left in zip(self.room_next, leaves, strict=True):
+                m.d.comb += room.eq(left)
 
     def _packets(self, m):
         """Send a frame's packets in order: start, events and records, end, counters of every
@@ -370,7 +375,8 @@ class Readout(Unit):
         counter_beats = self.parts.counter_beats
         own = self.own
         to_end = self.to_end
-        m.d.sync += [later.eq(now) for now, later in zip([self.own_kind, *own], own)]
+        for now, later in pairwise([self.own_kind, *own]):
+            m.d.sync += later.eq(now)
         starts = own[-1] == FRAME_START.code
         fields = numbers(
             m, self.sensor, [FRAME_START], own[-1], pulse=self.number, count=starts & self.grouped

@@ -3,6 +3,7 @@
 `model/contract/registers.py`.
 """
 
+from itertools import pairwise
 from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal
@@ -289,7 +290,7 @@ class Registers(Unit):
         own_upset = Signal(len(self.setting))
         m.d.sync += [
             period_short.eq(self.period <= self.sensor.guard),
-            descends.eq(Cat(low > high for low, high in zip(bounds, bounds[1:]))),
+            descends.eq(Cat(low > high for low, high in pairwise(bounds))),
             bounds_descend.eq(descends.any()),
             gate_late.eq(self.gate_late),
             own_upset.eq(

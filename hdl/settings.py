@@ -84,7 +84,7 @@ class SubgroupSettings(Unit):
             else:
                 field = self.counters.word_select(COUNTER_NAMES.index(register.name), COUNTER_BITS)
             shown[offset // 4] = field
-        values = [Mux(bit, field, 0) for bit, field in zip(named, shown.values())]
+        values = [Mux(bit, field, 0) for bit, field in zip(named, shown.values(), strict=True)]
         accessed = Signal()  # in the previous cycle
         m.d.sync += [
             accessed.eq(self.command.operation != bus.Operation.IDLE),

@@ -90,10 +90,8 @@ class FrontEnd(Unit):
         m.d[clock] += [self.closed_6.eq(self.closed_5), self.closed.eq(self.closed_6)]
         with m.If(self.closed_5):
             m.d.sync += [half.stamp.eq(stamp), half.hits.eq(self.hits), half.winner.eq(winner)]
-            m.d.sync += [
-                count.eq(popcount(m, part, f"ones_{k}"))
-                for k, (count, part) in enumerate(zip(counts, self.parts))
-            ]
+            for k, (count, part) in enumerate(zip(counts, self.parts, strict=True)):
+                m.d.sync += count.eq(popcount(m, part, f"ones_{k}"))
         with m.If(self.closed_6):
             m.d.sync += [
                 self.window.stamp.eq(half.stamp),

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one host does with all lanes to tell mutants from the RTL: frames, accesses, resets, upsets, wide numbers.
+"""What one host does with all lanes to tell mutants from the RTL.
 
-The golden model says what the frames are. Of everything else, the lane without mutation is the reference, so it only shows
-whether such stimuli reach a mutant; the benches of the regression (`benches`) have the same kinds of stimuli, and
-expectations of their own.
+It plays frames, accesses, resets, upsets and wide numbers; a `Part` is one frame and what goes with
+it. The golden model says what the frames are. Of everything else, the lane without mutation is the
+reference, so it only shows whether such stimuli reach a mutant; the benches of the regression
+(`benches`) have the same kinds of stimuli, and expectations of their own.
+
+`session` returns all parts. What follows it are the kinds of parts in their order, then their
+helpers. All of it is drawn from one generator, so every host is repeated by its seed.
 """
 
 import itertools
@@ -14,6 +18,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from amaranth.hdl import Shape
+from attrs import frozen
 
 from coincid.hdl.bus import Operation
 from coincid.model.contract import registers
@@ -31,24 +36,58 @@ from coincid.tb.frame_record import FrameJob
 from . import random_cases
 from .lanes import FLIPS, GAP, RESET, Access
 
+# How often each kind of part is played.
+LIGHTS = 1200  # frames whose light is drawn anew
+STARTS = 20  # frames with accesses during them
+RESETS = 100
+UPSETS = 2500  # frames with upsets
+UPSET_ACCESSES = 60  # lists of accesses with upsets between them
+SCRAMBLES = 5000
+AHEAD = 1000
+WIDE = 2500
+LONG = 600
+COMMANDS = 1000
+
 WHOLE = 15  # strobe of a word
 FULL = (1 << DATA_BITS) - 1
 SHORT = 400  # cycles of a frame that is played often
-SWEEP_VALUES, STARTS, RESETS, UPSETS, UPSET_ACCESSES, WIDE, LONG = 40, 20, 100, 2500, 60, 2500, 600
-SCRAMBLES, AHEAD = 5000, 1000
-COMMANDS = 1000
-LIGHTS = 1200  # frames whose light is drawn anew
+SWEEP_VALUES = 40  # random values of a register
+BESIDE_MAX = 3000  # writes that reads accompany
 TIES = 16  # in a frame, at most
-UPSET_TOGETHER, UPSET_CYCLES = 100, 80  # settings' bits in a part, and how long each is upset
+ACCESSES_TOGETHER = 400  # of a list with upsets
+UPSETS_TOGETHER = 100  # in such a list, one every so many cycles:
+UPSET_EVERY = 20
+UPSET_BITS = 100  # settings' bits in a part,
+UPSET_CYCLES = 80  # and how long each is upset
 REFUSAL_CYCLES = 30  # of a start that is refused, with reading and clearing the status, at least
 WIDE_BITS = 9  # of a register whose values a short frame does not reach
-COPIES = ("_plain", "_inverse", "_by_turns", "_turn")  # ends of the names of a voted register's parts
+COPIES = ("_plain", "_inverse", "_by_turns", "_turn")  # ends of names of a voted register's parts
 CONTROL = ("registers", "sequencer", "readout", "controller")
+
 RESET_ALL: Access = (0, 0, RESET, 0, 0)
-STATUS, START, ABORT = registers.address("status"), registers.control("start"), registers.control("abort")
+STATUS = registers.address("status")
 PERIOD = registers.address("period")
+START = registers.control("start")
+ABORT = registers.control("abort")
+
 Upset: TypeAlias = tuple[int, int, int]  # word, cycle, source: as in `Lanes.recipe`
 Part: TypeAlias = tuple[str, dict[str, Any]]  # name, and arguments of `Lanes.recipe`
+Register: TypeAlias = list[int]  # the words of its bits, the lowest first
+
+
+def read(address: int, hold: int = 0) -> Access:
+    """Return a read; hold: cycles in which the host does not take the answer."""
+    return address, 0, 0, 0, hold
+
+
+def write(address: int, value: int, strobe: int = WHOLE, skew: int = 0, hold: int = 0) -> Access:
+    """Return a write; skew: cycles by which the data come after the address, or before it."""
+    return address, value & FULL, strobe, skew, hold
+
+
+TOTALS = [read(registers.address(name)) for name in ("budget", "limit")]
+# A start that settings forbid: the status tells why.
+REFUSED = [write(*START), read(STATUS), write(STATUS, FULL)]
 
 
 def words(sensor: Sensor) -> Iterator[tuple[int, registers.Register]]:
@@ -59,69 +98,110 @@ def words(sensor: Sensor) -> Iterator[tuple[int, registers.Register]]:
                 yield registers.address(register.name, s, index), register
 
 
-def read(address: int, hold: int = 0) -> Access:
-    return address, 0, 0, 0, hold
-
-
-def write(address: int, value: int, strobe: int = WHOLE, skew: int = 0, hold: int = 0) -> Access:
-    return address, value & FULL, strobe, skew, hold
-
-
-TOTALS = [read(registers.address(name)) for name in ("budget", "limit")]
-REFUSED = [write(*START), read(STATUS), write(STATUS, FULL)]  # a start that settings forbid: the status tells why
-
-
-def kept(emission: Emission) -> dict[str, list[int]]:
-    """Return the words of every register, by its name in the flat design."""
+def kept(emission: Emission) -> dict[str, Register]:
+    """Return every register, by its name in the flat design."""
     flops = {flop.output for flop in emission.top.flops}
     places = emission.layout.nets
-    return {name: [places[net] for net in nets] for name, nets in emission.top.names.items() if flops.issuperset(nets)}
+    found = {}
+    for name, nets in emission.top.names.items():
+        if flops.issuperset(nets):
+            found[name] = [places[net] for net in nets]
+    return found
 
 
 def watched(emission: Emission) -> list[int]:
-    """Return the words of voted registers' copies, which the bench of faults compares in every cycle."""
-    return [word for name, of in kept(emission).items() if name.endswith(COPIES) for word in of]
+    """Return the words of voted registers' copies.
+
+    The bench of faults compares them in every cycle.
+    """
+    found = []
+    for name, register in kept(emission).items():
+        if name.endswith(COPIES):
+            found += register
+    return found
 
 
-def session(sensor: Sensor, emission: Emission, jobs: Sequence[FrameJob], whole: bool, seed: int) -> list[Part]:
-    """Return what the host does, in order. The first parts are the jobs. whole: with faults and numbers, which take longest."""
-    rng = random.Random(seed)
-    short = [job for job in jobs if job.config.frame_cycles < SHORT]
-    reads = [read(address) for address, _ in words(sensor)]
-    parts = [
-        *(part("frames", job, after=reads) for job in jobs),
-        *_lights(jobs, rng),
-        *_accesses(sensor, short, reads, rng),
-        *_starts(sensor, short, reads, rng),
-        *_resets(short, reads, rng),
-    ]
-    if not whole:
-        return parts
-    return [
-        *parts,
-        *_upsets(emission, short, reads, rng),
-        *_scrambles(emission, short, rng),
-        *_ahead(emission, jobs, rng),
-        *_wide(emission, short, reads, rng),
-        *_commands(emission, short, rng),
-    ]
+@frozen
+class Script:
+    """What all kinds of parts are made from.
+
+    jobs: frames that the golden model has played; short: those that are played often; reads: of
+    every word.
+    """
+
+    sensor: Sensor
+    emission: Emission
+    jobs: Sequence[FrameJob]
+    short: Sequence[FrameJob]
+    reads: list[Access]
+    rng: random.Random
+
+    @property
+    def led(self) -> list[FrameJob]:
+        """Return the short frames with the controller."""
+        return [job for job in self.short if job.config.controlled.any()]
+
+    @property
+    def shortest(self) -> FrameJob:
+        """Return the shortest frame."""
+        return min(self.short, key=lambda job: job.config.frame_cycles)
+
+
+def session(
+    sensor: Sensor, emission: Emission, jobs: Sequence[FrameJob], whole: bool, seed: int
+) -> list[Part]:
+    """Return what the host does, in order. The first parts are the jobs.
+
+    emission: the sensor in slices; whole: with faults and large numbers, which take longest.
+    """
+    script = Script(
+        sensor=sensor,
+        emission=emission,
+        jobs=jobs,
+        short=[job for job in jobs if job.config.frame_cycles < SHORT],
+        reads=[read(address) for address, _ in words(sensor)],
+        rng=random.Random(seed),
+    )
+    parts = [part("frames", job, after=script.reads) for job in jobs]
+    parts += _lights(script)
+    parts += _accesses(script)
+    parts += _starts(script)
+    parts += _resets(script)
+    if whole:
+        parts += _upset_frames(script)
+        parts += _upset_accesses(script)
+        parts += _upset_settings(script)
+        parts += _scrambles(script)
+        parts += _ahead(script)
+        parts += _wide(script)
+        parts += _long(script)
+        parts += _commands(script)
+    return parts
 
 
 def part(name: str, job: FrameJob, dark: bool = False, **others: Any) -> Part:
-    """Return a part that plays a job's frame. dark: without light; others: arguments of `Lanes.recipe`."""
-    edges = Edges(*3 * [np.zeros(0, np.int64)]) if dark else job.edges
-    return name, {
+    """Return a part that plays a job's frame.
+
+    dark: without light; others: arguments of `Lanes.recipe`, also in the place of the job's.
+    """
+    no_light = Edges(*3 * [np.zeros(0, np.int64)])
+    recipe = {
         "config": job.config,
-        "edges": edges,
+        "edges": no_light if dark else job.edges,
         "ready": job.config.tready(job.ready),
         "patient": False,
-    } | others
+    }
+    return name, recipe | others
 
 
-def _lights(jobs: Sequence[FrameJob], rng: random.Random) -> Iterator[Part]:
-    """The frames' settings in other light, with other back-pressure; some with long periods, some with large settings."""
+def _lights(script: Script) -> Iterator[Part]:
+    """The frames' settings in other light, with other back-pressure.
+
+    Some have long periods, some have large settings.
+    """
+    rng = script.rng
     for k in range(LIGHTS):
-        config = rng.choice(jobs).config
+        config = rng.choice(script.jobs).config
         if k % 8 == 0:
             config = config.with_frame(
                 period=config.sensor.period_max, pulses=3, minigroup_records=True, mg_threshold=1
@@ -131,284 +211,494 @@ def _lights(jobs: Sequence[FrameJob], rng: random.Random) -> Iterator[Part]:
         density = rng.choice((4.0, 12.0, 30.0, 80.0)) * min(1, 4 / config.pulses)
         kind = random_cases.READY_KINDS[k // 3 % len(random_cases.READY_KINDS)]
         ready = random_cases.ready_pattern(k, kind, config.pulses * config.period + 100)
-        job = FrameJob(config, random_cases.trouble(config, k, density), jobs[0].expected, ready)
-        yield part("light", job)
+        edges = random_cases.trouble(config, k, density)
+        yield part("light", FrameJob(config, edges, script.jobs[0].expected, ready))
 
 
 def _far(config: Config, rng: random.Random) -> Config:
     """Return a configuration with other settings of progressive gating, often large ones."""
-    every, step, steps = (rng.getrandbits(16 - rng.randrange(16)) for _ in range(3))
-    return config.with_frame(gate_every=rng.choice((1, 1, 2, every)), gate_step=step, gate_steps=max(steps, 1))
+    every = rng.getrandbits(16 - rng.randrange(16))
+    step = rng.getrandbits(16 - rng.randrange(16))
+    steps = rng.getrandbits(16 - rng.randrange(16))
+    gate_every = rng.choice((1, 1, 2, every))
+    return config.with_frame(gate_every=gate_every, gate_step=step, gate_steps=max(steps, 1))
 
 
-def _accesses(sensor: Sensor, short: Sequence[FrameJob], reads: list[Access], rng: random.Random) -> Iterator[Part]:
+def _accesses(script: Script) -> Iterator[Part]:
     """Accesses to every register, in a row, and reads beside writes."""
-    accesses = sweep(sensor, rng)
-    yield part("registers", short[0], dark=True, after=accesses)
-    writes = [access for access in accesses if access[2]][:3000]
-    beside = [read(rng.choice(reads)[0], rng.choice((0, 0, 0, 1, 2, 5))) for _ in writes]
-    yield part("registers", short[0], dark=True, after=writes, beside=beside)
-    yield part("registers", short[0], dark=True, after=refused(sensor, rng))
-
-
-def refused(sensor: Sensor, rng: random.Random) -> list[Access]:
-    """Return starts that are refused for one reason, so that the status shows whether there is another one, too."""
-    accesses = [write(PERIOD, 1)]
-    for k, bit in itertools.product(range(AUTO_BOUNDS - 1), range(DATA_BITS)):  # neighbouring bounds, nearly equal
-        low = rng.getrandbits(DATA_BITS)
-        pair = sorted((low, low ^ (1 << bit) ^ rng.getrandbits(bit)))
-        for one, other in (pair, pair[::-1]):
-            bounds = [0] * k + [one, other] + [FULL] * (AUTO_BOUNDS - 2 - k)
-            accesses += [write(registers.address("auto_bounds", index=i), bound) for i, bound in enumerate(bounds)]
-            accesses += REFUSED
-    for address, register in words(sensor):  # a part of a word keeps value and parity
-        if register.access is Use.SETTING and address != PERIOD:
-            accesses += [access for value in (0, 1, 2) for access in (write(address, value, strobe=7), *REFUSED)]
-    accesses += [write(registers.address("auto_bounds"), FULL)]
-    for s, bit in itertools.product(range(sensor.subgroups), range(sensor.coarse_bits)):  # a gate near the period's end
-        accesses += [write(registers.address("mode", s), 1 << MODE.bit("gating"))]
-        low = rng.randrange(sensor.period_max)
-        for one, other in ((low, low ^ 1 << bit), (low ^ 1 << bit, low), (low, low)):
-            accesses += [write(PERIOD, max(one, 1)), write(registers.address("gate_start", s), other), *REFUSED]
-    return [*accesses, RESET_ALL]
+    rng = script.rng
+    first = script.short[0]
+    accesses = sweep(script.sensor, rng)
+    yield part("registers", first, dark=True, after=accesses)
+    writes = [access for access in accesses if access[2]][:BESIDE_MAX]
+    beside = []
+    for _ in writes:
+        address, *_others = rng.choice(script.reads)
+        beside.append(read(address, rng.choice((0, 0, 0, 1, 2, 5))))
+    yield part("registers", first, dark=True, after=writes, beside=beside)
+    yield part("registers", first, dark=True, after=refused(script.sensor, rng))
 
 
 def sweep(sensor: Sensor, rng: random.Random) -> list[Access]:
-    """Return writes of legal and illegal values to every register, each with reads, and accesses that make no sense."""
+    """Return writes of legal and illegal values to every register, each with reads.
+
+    Accesses that make no sense follow.
+    """
     every = list(words(sensor))
     accesses: list[Access] = []
     for address, register in every:
         if register.access is Use.SETTING:
-            low, high = register.low(sensor), register.high(sensor)
-            span = (1 << high.bit_length()) - 1
-            values = [low, high, low - 1, high + 1, 0x55555555 & span, 0xAAAAAAAA & span]
-            values += [high | 1 << bit for bit in range(DATA_BITS)]
-            values += [rng.randint(low, high) for _ in range(SWEEP_VALUES)]
-            values += [rng.getrandbits(DATA_BITS) for _ in range(2)]
-            for value in values:
-                skew, hold = rng.choice((0, 0, 1, -1, 3, -3)), rng.choice((0, 0, 1, 4))
-                accesses += [write(address, value, skew=skew, hold=hold), read(address, rng.choice((0, 0, 1, 4)))]
-            accesses += [read(rng.choice(every)[0]), read(STATUS), write(STATUS, FULL)]
-            accesses += [write(address, low, strobe) for strobe in (1, 2, 4, 8, 7, 14)]
-            accesses += [read(address), read(STATUS), write(STATUS, 1 << rng.randrange(12)), read(STATUS)]
+            low = register.low(sensor)
+            high = register.high(sensor)
+            accesses += _sweep_of_setting(address, low, high, every, rng)
         elif register.access not in WRITABLE:
             accesses += [write(address, rng.getrandbits(DATA_BITS)), read(address)]
-    holes = {4 * k for k in range(1 << 11)} - {address for address, _ in every}
-    strange = rng.sample(sorted(holes), 60) + [rng.randrange(1 << registers.ADDRESS_BITS) for _ in range(100)]
-    strange += [address ^ 1 << bit for address, _ in every for bit in range(registers.ADDRESS_BITS)]
+    return accesses + _strange_accesses(every, rng)
+
+
+def _sweep_of_setting(
+    address: int,
+    low: int,
+    high: int,
+    every: list[tuple[int, registers.Register]],
+    rng: random.Random,
+) -> list[Access]:
+    """Return writes to a setting: at its limits, beyond them, and with partial strobes."""
+    span = (1 << high.bit_length()) - 1
+    values = [low, high, low - 1, high + 1, 0x55555555 & span, 0xAAAAAAAA & span]
+    values += [high | 1 << bit for bit in range(DATA_BITS)]
+    values += [rng.randint(low, high) for _ in range(SWEEP_VALUES)]
+    values += [rng.getrandbits(DATA_BITS) for _ in range(2)]
+    accesses: list[Access] = []
+    for value in values:
+        skew = rng.choice((0, 0, 1, -1, 3, -3))
+        hold = rng.choice((0, 0, 1, 4))
+        accesses.append(write(address, value, skew=skew, hold=hold))
+        accesses.append(read(address, rng.choice((0, 0, 1, 4))))
+    accesses += [read(rng.choice(every)[0]), read(STATUS), write(STATUS, FULL)]
+    accesses += [write(address, low, strobe) for strobe in (1, 2, 4, 8, 7, 14)]
+    accesses += [read(address), read(STATUS)]
+    accesses += [write(STATUS, 1 << rng.randrange(12)), read(STATUS)]
+    return accesses
+
+
+def _strange_accesses(
+    every: list[tuple[int, registers.Register]], rng: random.Random
+) -> list[Access]:
+    """Return accesses to addresses without a register, or near those of one."""
+    addresses = [address for address, _ in every]
+    holes = {4 * k for k in range(1 << 11)} - set(addresses)
+    strange = rng.sample(sorted(holes), 60)
+    strange += [rng.randrange(1 << registers.ADDRESS_BITS) for _ in range(100)]
+    for address in addresses:
+        strange += [address ^ 1 << bit for bit in range(registers.ADDRESS_BITS)]
+    accesses: list[Access] = []
     for address in strange:
         if address & ~3 != START[0]:
-            accesses += [read(address), write(address, rng.getrandbits(DATA_BITS)), read(STATUS)]
+            accesses.append(read(address))
+            accesses.append(write(address, rng.getrandbits(DATA_BITS)))
+            accesses.append(read(STATUS))
         if rng.random() < 0.3:
             accesses += [write(STATUS, rng.getrandbits(12)), read(STATUS)]
     return accesses
 
 
-def _starts(sensor: Sensor, short: Sequence[FrameJob], reads: list[Access], rng: random.Random) -> Iterator[Part]:
+def refused(sensor: Sensor, rng: random.Random) -> list[Access]:
+    """Return starts that are refused for one reason.
+
+    So the status shows whether there is another one, too.
+    """
+    accesses = [write(PERIOD, 1)]
+    accesses += _starts_with_descending_bounds(rng)
+    accesses += _starts_with_parts_of_words(sensor)
+    accesses.append(write(registers.address("auto_bounds"), FULL))
+    accesses += _starts_with_late_gates(sensor, rng)
+    return [*accesses, RESET_ALL]
+
+
+def _starts_with_descending_bounds(rng: random.Random) -> list[Access]:
+    """Return starts with neighbouring bounds that are nearly equal, in both orders."""
+    accesses: list[Access] = []
+    for k, bit in itertools.product(range(AUTO_BOUNDS - 1), range(DATA_BITS)):
+        low = rng.getrandbits(DATA_BITS)
+        pair = sorted((low, low ^ (1 << bit) ^ rng.getrandbits(bit)))
+        for one, other in (pair, pair[::-1]):
+            bounds = [0] * k + [one, other] + [FULL] * (AUTO_BOUNDS - 2 - k)
+            for index, bound in enumerate(bounds):
+                accesses.append(write(registers.address("auto_bounds", index=index), bound))
+            accesses += REFUSED
+    return accesses
+
+
+def _starts_with_parts_of_words(sensor: Sensor) -> list[Access]:
+    """Return starts after writes of parts of a word, which keeps value and parity."""
+    accesses: list[Access] = []
+    for address, register in words(sensor):
+        if register.access is Use.SETTING and address != PERIOD:
+            for value in (0, 1, 2):
+                accesses += [write(address, value, strobe=7), *REFUSED]
+    return accesses
+
+
+def _starts_with_late_gates(sensor: Sensor, rng: random.Random) -> list[Access]:
+    """Return starts with a gate that begins near the period's end, before and after it."""
+    accesses: list[Access] = []
+    for s, bit in itertools.product(range(sensor.subgroups), range(sensor.coarse_bits)):
+        accesses.append(write(registers.address("mode", s), 1 << MODE.bit("gating")))
+        low = rng.randrange(sensor.period_max)
+        near = low ^ 1 << bit
+        for period, gate_start in ((low, near), (near, low), (low, low)):
+            accesses.append(write(PERIOD, max(period, 1)))
+            accesses.append(write(registers.address("gate_start", s), gate_start))
+            accesses += REFUSED
+    return accesses
+
+
+def _starts(script: Script) -> Iterator[Part]:
     """Writes, starts and aborts during a frame, and starts that make no sense."""
+    rng = script.rng
     for _ in range(STARTS):
-        job = rng.choice(short)
+        job = rng.choice(script.short)
         during = [write(*START), read(STATUS)]
-        for address, value in rng.choice(short).config.register_writes():
+        for address, value in rng.choice(script.short).config.register_writes():
             if rng.random() < 0.1:
                 during += [write(address, value), read(address)]
         during += [write(STATUS, 0xFFC), read(STATUS)]
         if rng.random() < 0.5:
-            during += [write(*ABORT)]
-        yield part("registers", job, during=during, after=reads)
-        wrong = rng.choice(
-            (
-                [("period", 0, 0, sensor.guard)],
-                [("auto_bounds", 0, rng.randrange(6), 300 + rng.randrange(1 << 20)) for _ in range(2)],
-                [("mode", s, 0, 2) for s in range(sensor.subgroups)]
-                + [("gate_start", rng.randrange(sensor.subgroups), 0, sensor.period_max - 1)],
-            )
-        )
-        refused = [write(registers.address(name, s, index), value) for name, s, index, value in wrong]
-        refused += [write(*START), read(STATUS), write(STATUS, FULL), read(STATUS), RESET_ALL]
-        yield part("registers", job, dark=True, after=refused)
+            during.append(write(*ABORT))
+        yield part("registers", job, during=during, after=script.reads)
+        wrong = _wrong_settings(script.sensor, rng)
+        tried = [write(*START), read(STATUS), write(STATUS, FULL), read(STATUS), RESET_ALL]
+        yield part("registers", job, dark=True, after=[*wrong, *tried])
         yield part("registers", job, dark=True)
 
 
-def _resets(short: Sequence[FrameJob], reads: list[Access], rng: random.Random) -> Iterator[Part]:
+def _wrong_settings(sensor: Sensor, rng: random.Random) -> list[Access]:
+    """Return writes after which a start is refused: period, bounds, or gate."""
+    short_period = [("period", 0, 0, sensor.guard)]
+    bounds = []
+    for _ in range(2):
+        index = rng.randrange(6)
+        bounds.append(("auto_bounds", 0, index, 300 + rng.randrange(1 << 20)))
+    late_gate = [("mode", s, 0, 2) for s in range(sensor.subgroups)]
+    late_gate.append(("gate_start", rng.randrange(sensor.subgroups), 0, sensor.period_max - 1))
+    wrong = rng.choice((short_period, bounds, late_gate))
+    return [write(registers.address(name, s, index), value) for name, s, index, value in wrong]
+
+
+def _resets(script: Script) -> Iterator[Part]:
     """Resets in some cycle of a frame, and frames after them."""
+    rng = script.rng
     for _ in range(RESETS):
-        job = rng.choice(short)
-        wait = [read(STATUS) for _ in range(rng.randrange(1, max(2, job.config.frame_cycles // 6)))]
-        yield part("resets", job, during=[*wait, RESET_ALL], after=reads)
-        yield part("resets", rng.choice(short))
+        job = rng.choice(script.short)
+        reads = rng.randrange(1, max(2, job.config.frame_cycles // 6))
+        wait = [read(STATUS) for _ in range(reads)]
+        yield part("resets", job, during=[*wait, RESET_ALL], after=script.reads)
+        yield part("resets", rng.choice(script.short))
 
 
-def _upsets(emission: Emission, short: Sequence[FrameJob], reads: list[Access], rng: random.Random) -> Iterator[Part]:
-    """Flip-flops that flip during a frame, which another start follows; then in the register front, between accesses."""
-    units = _units(emission)
-    control = [of for name, of in units.items() if name.startswith(CONTROL) or ".settings" in name]
+def _upset_frames(script: Script) -> Iterator[Part]:
+    """Frames in which flip-flops flip; another start follows."""
+    rng = script.rng
+    units = _units(script.emission)
+    control = [units[name] for name in units if name.startswith(CONTROL) or ".settings" in name]
+    again = [write(*START), read(STATUS), write(STATUS, FULL), read(STATUS), RESET_ALL]
     for k in range(UPSETS):
-        job, among = rng.choice(short), control if k % 3 else list(units.values())
+        job = rng.choice(script.short)
+        among = control if k % 3 else list(units.values())
         last = job.config.frame_cycles + 2 * GAP
         upsets = [_flip(among, rng.randrange(last), rng) for _ in range(rng.choice((1, 2, 5, 12)))]
-        again = [write(*START), read(STATUS), write(STATUS, FULL), read(STATUS), RESET_ALL]
-        yield part("upsets", job, upsets=upsets, after=[*(reads if k % 10 == 0 else ()), *(again if k % 2 else ())])
-    front = [units["registers"]]
-    first = min(short, key=lambda job: job.config.frame_cycles)
-    begin = first.config.frame_cycles + 4 * GAP
-    addresses = [address for address, *_ in reads]
+        after = script.reads if k % 10 == 0 else []
+        yield part("upsets", job, upsets=upsets, after=[*after, *(again if k % 2 else [])])
+
+
+def _upset_accesses(script: Script) -> Iterator[Part]:
+    """Accesses between which flip-flops of the register front flip."""
+    rng = script.rng
+    front = [_units(script.emission)["registers"]]
+    first = script.shortest
+    begin = _after_frame(first)
+    addresses = [address for address, *_ in script.reads]
     for _ in range(UPSET_ACCESSES):
-        accesses = [rng.choice((_any_write, _any_read, lambda *_: read(STATUS)))(addresses, rng) for _ in range(400)]
-        upsets = [_flip(front, begin + 20 * k + rng.randrange(20), rng) for k in range(100)]
+        accesses = [_any_access(addresses, rng) for _ in range(ACCESSES_TOGETHER)]
+        upsets = []
+        for k in range(UPSETS_TOGETHER):
+            cycle = begin + UPSET_EVERY * k + rng.randrange(UPSET_EVERY)
+            upsets.append(_flip(front, cycle, rng))
         yield part("upsets", first, dark=True, after=[*accesses, RESET_ALL], upsets=upsets)
-    bits = [
-        bit for name, unit in units.items() if name == "registers" or ".settings" in name for of in unit for bit in of
-    ]
-    for k in range(0, len(bits), UPSET_TOGETHER):  # each for a while, in which starts are tried
-        some = bits[k : k + UPSET_TOGETHER]
-        upsets = [(bit, begin + UPSET_CYCLES * (i + end), FLIPS) for i, bit in enumerate(some) for end in (1, 2)]
+
+
+def _any_access(addresses: list[int], rng: random.Random) -> Access:
+    """Return a write of a random number of bits, a read, or a read of the status."""
+    match rng.choice(("write", "read", "status")):
+        case "write":
+            address = rng.choice(addresses)
+            return write(address, rng.getrandbits(DATA_BITS) >> rng.randrange(DATA_BITS))
+        case "read":
+            return read(rng.choice(addresses), rng.choice((0, 1, 4)))
+        case _:
+            return read(STATUS)
+
+
+def _upset_settings(script: Script) -> Iterator[Part]:
+    """Bits of settings that are wrong for a while, one after another, in which starts are tried."""
+    first = script.shortest
+    begin = _after_frame(first)
+    bits = []
+    for name, unit in _units(script.emission).items():
+        if name == "registers" or ".settings" in name:
+            for register in unit:
+                bits += register
+    for k in range(0, len(bits), UPSET_BITS):
+        some = bits[k : k + UPSET_BITS]
+        upsets = []
+        for i, bit in enumerate(some):
+            upsets.append((bit, begin + UPSET_CYCLES * (i + 1), FLIPS))
+            upsets.append((bit, begin + UPSET_CYCLES * (i + 2), FLIPS))
         tried = REFUSED * (UPSET_CYCLES * (len(some) + 2) // REFUSAL_CYCLES)
-        yield part("upsets", first, dark=True, after=[write(PERIOD, 1), *tried, RESET_ALL], upsets=upsets)
+        after = [write(PERIOD, 1), *tried, RESET_ALL]
+        yield part("upsets", first, dark=True, after=after, upsets=upsets)
 
 
-def _commands(emission: Emission, short: Sequence[FrameJob], rng: random.Random) -> Iterator[Part]:
-    """Starts during which the command on the configuration bus becomes another one, often one that does not exist."""
-    code = kept(emission)["registers.command"][: Shape.cast(Operation).width]
-    led = [job for job in short if job.config.controlled.any()]
+def _after_frame(job: FrameJob) -> int:
+    """Return a cycle in which the frame is surely over."""
+    return job.config.frame_cycles + 4 * GAP
+
+
+def _scrambles(script: Script) -> Iterator[Part]:
+    """Frames in which units come into any state."""
+    rng = script.rng
+    kinds: dict[str, list[list[Register]]] = {}  # a unit that repeats is one of them
+    for name, unit in _units(script.emission).items():
+        kinds.setdefault(re.sub(r"\d+", "", name), []).append(unit)
+    of_kind = list(kinds.values())
+    one = script.emission.layout.nets[ONE]
+    for k in range(SCRAMBLES):
+        job = rng.choice(script.short)
+        upsets: list[Upset] = []
+        for _ in range(rng.choice((1, 2, 4, 8))):
+            upsets += _scrambled_unit(job, of_kind, one, rng)
+        after = [RESET_ALL] if k % 2 else [*TOTALS, RESET_ALL]
+        others = {} if k % 3 else {"config": _far(job.config, rng).with_settings(gating=True)}
+        yield part("upsets", job, upsets=upsets, after=after, **others)
+
+
+def _scrambled_unit(
+    job: FrameJob, of_kind: list[list[list[Register]]], one: int, rng: random.Random
+) -> list[Upset]:
+    """Return upsets of registers of a unit in one cycle.
+
+    They become random, nearly equal to others, or close to a carry. one: the word of a constant 1.
+    """
+    cycle = rng.randrange(job.config.frame_cycles + 2 * GAP)
+    unit = rng.choice(rng.choice(of_kind))
+    chosen = unit if rng.random() < 0.5 else rng.sample(unit, rng.randrange(1, len(unit) + 1))
+    upsets: list[Upset] = []
+    for register in chosen:
+        match rng.randrange(4):
+            case 0:
+                sources = rng.choice((unit, rng.choice(rng.choice(of_kind))))
+                upsets += _tie([register], sources, cycle, rng)
+            case 1:
+                low = rng.randrange(len(register) + 1)
+                upsets += [(word, cycle, one) for word in register[:low]]
+                upsets += _flips(register[low:], cycle, rng.getrandbits(len(register)))
+            case _:
+                upsets += _flips(register, cycle, rng.getrandbits(len(register)))
+    return upsets
+
+
+def _ahead(script: Script) -> Iterator[Part]:
+    """Frames with counters as after a long time.
+
+    They are close to a carry, or to the setting that ends them.
+    """
+    rng = script.rng
+    every = kept(script.emission)
+    counters = []
+    for name, register in every.items():
+        if ".dpcu." in name and len(register) >= WIDE_BITS:
+            counters.append(register)
+    kinds = (_losing(script.jobs), script.led, script.short)
+    for k in range(AHEAD):
+        job = rng.choice(kinds[k % 3])
+        config = job.config if k % 2 else _far(job.config, rng).with_settings(gating=True)
+        begin = rng.randrange(10, 50)
+        upsets: list[Upset] = []
+        for name, end in (("pulses", config.frame.gate_every), ("steps", config.frame.gate_steps)):
+            near_end = max(end - rng.randrange(1, 4), 0)
+            upsets += _flips(every[f"sequencer.{name}"], begin, near_end)
+        for register in counters:
+            cycle = rng.randrange(job.config.frame_cycles) if rng.random() < 0.5 else begin
+            ones = rng.choice((rng.randrange(len(register) + 1), len(register)))
+            number = rng.getrandbits(len(register)) | ((1 << ones) - 1)
+            upsets += _flips(register, cycle, max(number - rng.randrange(3), 0))
+        yield part("wide", job, upsets=upsets, config=config)
+
+
+def _losing(jobs: Sequence[FrameJob]) -> list[FrameJob]:
+    """Return frames that are not long, and in which records are dropped."""
+    dropped = COUNTER_NAMES.index("mg_dropped")
+    found = []
+    for job in jobs:
+        loses = job.expected.counters[:, dropped].any()
+        if job.config.frame_cycles < 2 * SHORT and loses:
+            found.append(job)
+    return found
+
+
+def _wide_registers(emission: Emission) -> dict[str, Register]:
+    """Return the registers of many bits, by name, without copies of voted ones."""
+    found = {}
+    for name, register in kept(emission).items():
+        if len(register) >= WIDE_BITS and not name.endswith(COPIES):
+            found[name] = register
+    return found
+
+
+def _voted_bits(emission: Emission) -> list[list[tuple[int, ...]]]:
+    """Return for every voted register its bits, and of each bit the words of its three copies."""
+    every = kept(emission)
+    found = []
+    for name in every:
+        if name.endswith(COPIES[0]):
+            voted = name.removesuffix(COPIES[0])
+            copies = [every[voted + copy] for copy in COPIES[:3]]
+            found.append(list(zip(*copies, strict=True)))
+    return found
+
+
+def _wide(script: Script) -> Iterator[Part]:
+    """Frames with large numbers in registers of many bits, and large settings.
+
+    Some of the numbers are nearly equal to others.
+    """
+    rng = script.rng
+    wide = _wide_registers(script.emission)
+    counting = []
+    controller = []
+    for name, register in wide.items():
+        if ".dpcu." in name or name.startswith(("controller", "readout")):
+            counting.append(register)
+        if "controller" in name:
+            controller.append(register)
+    voted = _voted_bits(script.emission)
+    led = script.led
+    for k in range(WIDE):
+        job = rng.choice(led if k % 4 else script.short)
+        end = job.config.frame_cycles + 2 * GAP
+        upsets: list[Upset] = []
+        for register in rng.sample(counting, rng.randrange(1, len(counting))):
+            cycle = rng.randrange(20, end)
+            nearly_full = not k % 3
+            number = -1 << rng.randrange(4) if nearly_full else rng.getrandbits(len(register))
+            upsets += _flips(register, cycle, number)
+        for _ in range(rng.randrange(TIES)):
+            early = rng.randrange(GAP)
+            any_time = rng.randrange(end)
+            late = rng.randrange(end - GAP, end + 2 * GAP)
+            cycle = rng.choice((early, any_time, late))
+            among = controller if k % 4 else counting
+            upsets += _tie(among, among, cycle, rng)
+        for bits in voted:
+            for cycle in rng.sample(range(end), 4):
+                upsets += _outvoted(bits, cycle, rng)
+        after = script.reads[-40:] if k % 4 == 0 else TOTALS
+        others = {"config": _with_large_budgets(job.config, rng)} if k % 2 else {}
+        yield part("wide", job, upsets=upsets, after=after, **others)
+
+
+def _outvoted(bits: list[tuple[int, ...]], cycle: int, rng: random.Random) -> list[Upset]:
+    """Return upsets: another number in all copies, then another bit in one of them, four times."""
+    upsets = []
+    for copies in bits:
+        if rng.random() < 0.5:
+            upsets += [(word, cycle, FLIPS) for word in copies]
+    for later in range(1, 5):
+        upsets.append((rng.choice(rng.choice(bits)), cycle + later, FLIPS))
+    return upsets
+
+
+def _with_large_budgets(config: Config, rng: random.Random) -> Config:
+    """Return a configuration with other bounds and another capacity, often large ones."""
+    bounds = sorted(rng.getrandbits(rng.choice((8, 16, 22))) for _ in range(5))
+    capacity = rng.getrandbits(rng.choice((20, 32)))
+    return config.with_frame(capacity=capacity, auto_bounds=[0, *bounds])
+
+
+def _long(script: Script) -> Iterator[Part]:
+    """Frames of which the sequencer has counted far, or is made to go on for long.
+
+    A reset ends them.
+    """
+    rng = script.rng
+    plan = []
+    counters = []
+    for name, register in _wide_registers(script.emission).items():
+        if name.startswith("registers.plan"):
+            plan.append(register)
+        if name.startswith("sequencer."):
+            counters.append(register)
+    both = counters + plan
+    for k in range(LONG):
+        job = rng.choice(script.short)
+        end = job.config.frame_cycles
+        register = rng.choice(both)
+        upsets = _flips(register, rng.randrange(20, 60), rng.getrandbits(len(register)))
+        for _ in range(rng.randrange(TIES)):
+            upsets += _tie(counters if k % 2 else both, both, rng.randrange(20, end), rng)
+        wait = [read(STATUS) for _ in range(end // 4)]
+        others = {"config": _far(job.config, rng)} if k % 4 > 1 else {}
+        during = [*wait, RESET_ALL]
+        yield part("wide", job, upsets=upsets, during=during, after=script.reads, **others)
+
+
+def _commands(script: Script) -> Iterator[Part]:
+    """Starts during which the command on the configuration bus becomes another one.
+
+    Often it is one that does not exist.
+    """
+    rng = script.rng
+    code = kept(script.emission)["registers.command"][: Shape.cast(Operation).width]
+    led = script.led
     for k in range(COMMANDS):
         upsets = _flips(code, rng.randrange(2 * GAP), rng.randrange(1, 1 << len(code)))
-        yield part("upsets", rng.choice(led), upsets=upsets, after=[RESET_ALL] if k % 16 == 0 else ())
+        after = [RESET_ALL] if k % 16 == 0 else []
+        yield part("upsets", rng.choice(led), upsets=upsets, after=after)
 
 
-def _any_read(addresses: list[int], rng: random.Random) -> Access:
-    return read(rng.choice(addresses), rng.choice((0, 1, 4)))
-
-
-def _any_write(addresses: list[int], rng: random.Random) -> Access:
-    return write(rng.choice(addresses), rng.getrandbits(DATA_BITS) >> rng.randrange(DATA_BITS))
-
-
-def _units(emission: Emission) -> dict[str, list[list[int]]]:
-    """Return the words of every register once, by the unit that they are in."""
-    units: dict[str, list[list[int]]] = {}
-    once = {tuple(of): name for name, of in kept(emission).items()}
-    for of, name in once.items():
-        units.setdefault(name.rpartition(".")[0], []).append(list(of))
+def _units(emission: Emission) -> dict[str, list[Register]]:
+    """Return every register once, by the unit that it is in."""
+    last_name = {tuple(register): name for name, register in kept(emission).items()}
+    units: dict[str, list[Register]] = {}
+    for register, name in last_name.items():
+        units.setdefault(name.rpartition(".")[0], []).append(list(register))
     return units
 
 
-def _flip(units: list[list[list[int]]], cycle: int, rng: random.Random) -> Upset:
+def _flip(units: list[list[Register]], cycle: int, rng: random.Random) -> Upset:
     """Return the upset of any flip-flop: of any register of any of the units."""
     return rng.choice(rng.choice(rng.choice(units))), cycle, FLIPS
 
 
-def _flips(of: list[int], cycle: int, number: int) -> list[Upset]:
+def _flips(register: Register, cycle: int, number: int) -> list[Upset]:
     """Return upsets of a register's bits that are 1 in a number."""
-    return [(word, cycle, FLIPS) for bit, word in enumerate(of) if number >> bit & 1]
+    return [(word, cycle, FLIPS) for bit, word in enumerate(register) if number >> bit & 1]
 
 
-def _tie(some: list[list[int]], sources: list[list[int]], cycle: int, rng: random.Random) -> list[Upset]:
-    """Return upsets that make one of some registers equal to one of others, except in some low bits."""
-    one, other = rng.choice(some), rng.choice(sources)
-    size = rng.randrange(min(len(one), len(other)) + 1)
-    upsets = [(word, cycle, source) for word, source in zip(one, other, strict=True)]
-    upsets += [(word, cycle, FLIPS) for word in one[: max(size - 1, 0)] if rng.random() < 0.5]
-    return upsets + [(word, cycle, FLIPS) for word in one[max(size - 1, 0) : size]]
+def _tie(
+    some: list[Register], sources: list[Register], cycle: int, rng: random.Random
+) -> list[Upset]:
+    """Return upsets that make one of some registers nearly equal to one of others.
 
-
-def _scrambles(emission: Emission, short: Sequence[FrameJob], rng: random.Random) -> Iterator[Part]:
-    """Frames in which units come into any state: registers that are random, nearly equal to others, or close to a carry."""
-    kinds: dict[str, list[list[list[int]]]] = {}  # a unit that repeats is one of them
-    for name, unit in _units(emission).items():
-        kinds.setdefault(re.sub(r"\d+", "", name), []).append(unit)
-    of_kind = list(kinds.values())
-    one = emission.layout.nets[ONE]
-    for k in range(SCRAMBLES):
-        job = rng.choice(short)
-        upsets: list[Upset] = []
-        for _ in range(rng.choice((1, 2, 4, 8))):
-            cycle = rng.randrange(job.config.frame_cycles + 2 * GAP)
-            unit = rng.choice(rng.choice(of_kind))
-            for of in unit if rng.random() < 0.5 else rng.sample(unit, rng.randrange(1, len(unit) + 1)):
-                match rng.randrange(4):
-                    case 0:
-                        upsets += _tie([of], rng.choice((unit, rng.choice(rng.choice(of_kind)))), cycle, rng)
-                    case 1:
-                        low = rng.randrange(len(of) + 1)
-                        upsets += [(word, cycle, one) for word in of[:low]]
-                        upsets += _flips(of[low:], cycle, rng.getrandbits(len(of)))
-                    case _:
-                        upsets += _flips(of, cycle, rng.getrandbits(len(of)))
-        name, recipe = part("upsets", job, upsets=upsets, after=[RESET_ALL] if k % 2 else [*TOTALS, RESET_ALL])
-        yield name, recipe | ({} if k % 3 else {"config": _far(job.config, rng).with_settings(gating=True)})
-
-
-def _ahead(emission: Emission, jobs: Sequence[FrameJob], rng: random.Random) -> Iterator[Part]:
-    """Frames with counters as after a long time: close to a carry, or to the setting that ends them."""
-    every = kept(emission)
-    counters = [of for name, of in every.items() if ".dpcu." in name and len(of) >= WIDE_BITS]
-    lost = COUNTER_NAMES.index("mg_dropped")
-    short = [job for job in jobs if job.config.frame_cycles < SHORT]
-    led = [job for job in short if job.config.controlled.any()]
-    losing = [job for job in jobs if job.config.frame_cycles < 2 * SHORT and job.expected.counters[:, lost].any()]
-    for k in range(AHEAD):
-        job = rng.choice((losing, led, short)[k % 3])
-        config = job.config if k % 2 else _far(job.config, rng).with_settings(gating=True)
-        begin = rng.randrange(10, 50)
-        upsets: list[Upset] = []
-        for name, setting in (("pulses", "gate_every"), ("steps", "gate_steps")):
-            upsets += _flips(every[f"sequencer.{name}"], begin, max(config.frame[setting] - rng.randrange(1, 4), 0))
-        for of in counters:
-            cycle = rng.randrange(job.config.frame_cycles) if rng.random() < 0.5 else begin
-            full = (1 << rng.choice((rng.randrange(len(of) + 1), len(of)))) - 1
-            upsets += _flips(of, cycle, max((rng.getrandbits(len(of)) | full) - rng.randrange(3), 0))
-        name, recipe = part("wide", job, upsets=upsets)
-        yield name, recipe | {"config": config}
-
-
-def _wide(emission: Emission, short: Sequence[FrameJob], reads: list[Access], rng: random.Random) -> Iterator[Part]:
-    """Frames with large numbers in registers of many bits, some of them nearly equal to others, and large settings."""
-    every = kept(emission)
-    wide = {name: of for name, of in every.items() if len(of) >= WIDE_BITS and not name.endswith(COPIES)}
-    counting = [of for name, of in wide.items() if ".dpcu." in name or name.startswith(("controller", "readout"))]
-    controller = [of for name, of in wide.items() if "controller" in name]
-    voted = [name.removesuffix(COPIES[0]) for name in every if name.endswith(COPIES[0])]
-    copies = [list(zip(*(every[name + copy] for copy in COPIES[:3]), strict=True)) for name in voted]
-    led = [job for job in short if job.config.controlled.any()]
-    for k in range(WIDE):
-        job = rng.choice(led if k % 4 else short)
-        end = job.config.frame_cycles + 2 * GAP
-        upsets = []
-        for of in rng.sample(counting, rng.randrange(1, len(counting))):
-            cycle = rng.randrange(20, end)
-            upsets += _flips(of, cycle, rng.getrandbits(len(of)) if k % 3 else -1 << rng.randrange(4))  # or nearly full
-        for _ in range(rng.randrange(TIES)):
-            cycle = rng.choice((rng.randrange(GAP), rng.randrange(end), rng.randrange(end - GAP, end + 2 * GAP)))
-            among = controller if k % 4 else counting
-            upsets += _tie(among, among, cycle, rng)
-        for bits in copies:  # another number in all copies, then another one in one of them
-            for cycle in rng.sample(range(end), 4):
-                upsets += [(word, cycle, FLIPS) for bit in bits if rng.random() < 0.5 for word in bit]
-                upsets += [(rng.choice(rng.choice(bits)), cycle + 1 + j, FLIPS) for j in range(4)]
-        name, recipe = part("wide", job, upsets=upsets, after=reads[-40:] if k % 4 == 0 else TOTALS)
-        if k % 2:
-            bounds = sorted(rng.getrandbits(rng.choice((8, 16, 22))) for _ in range(5))
-            capacity = rng.getrandbits(rng.choice((20, 32)))
-            recipe["config"] = job.config.with_frame(capacity=capacity, auto_bounds=[0, *bounds])
-        yield name, recipe
-    yield from _long(wide, short, reads, rng)
-
-
-def _long(
-    wide: dict[str, list[int]], short: Sequence[FrameJob], reads: list[Access], rng: random.Random
-) -> Iterator[Part]:
-    """Frames of which the sequencer has counted far, or is made to go on for long; a reset ends them."""
-    plan = [of for name, of in wide.items() if name.startswith("registers.plan")]
-    counters = [of for name, of in wide.items() if name.startswith("sequencer.")]
-    for k in range(LONG):
-        job = rng.choice(short)
-        end = job.config.frame_cycles
-        of = rng.choice(counters + plan)
-        upsets = _flips(of, rng.randrange(20, 60), rng.getrandbits(len(of)))
-        for _ in range(rng.randrange(TIES)):
-            some = counters if k % 2 else counters + plan
-            upsets += _tie(some, counters + plan, rng.randrange(20, end), rng)
-        wait = [read(STATUS) for _ in range(end // 4)]
-        name, recipe = part("wide", job, upsets=upsets, during=[*wait, RESET_ALL], after=reads)
-        yield name, recipe | ({"config": _far(job.config, rng)} if k % 4 > 1 else {})
+    They differ in a bit, and perhaps in lower ones. The longer register keeps its upper bits.
+    """
+    one = rng.choice(some)
+    other = rng.choice(sources)
+    bits = min(len(one), len(other))
+    size = rng.randrange(bits + 1)
+    upsets = [(word, cycle, source) for word, source in zip(one[:bits], other[:bits], strict=True)]
+    highest = max(size - 1, 0)  # of the bits that differ
+    upsets += [(word, cycle, FLIPS) for word in one[:highest] if rng.random() < 0.5]
+    upsets += [(word, cycle, FLIPS) for word in one[highest:size]]
+    return upsets

@@ -157,8 +157,9 @@ def arbiter_rows(requests: int):
     """
     row, node = list(range(requests)), 0
     while len(row) > 1:
-        pairs = [(node + k, a, b) for k, (a, b) in enumerate(zip(row[::2], row[1::2]))]
-        node += len(pairs)
         alone = row[-1] if len(row) % 2 else None
+        partners = zip(row[:-1:2], row[1::2], strict=True)
+        pairs = [(node + k, a, b) for k, (a, b) in enumerate(partners)]
+        node += len(pairs)
         yield pairs, alone
         row = [requests + k for k, _, _ in pairs] + ([] if alone is None else [alone])

@@ -134,6 +134,7 @@ def time_order(edges: Edges, pixel: Pixels, shape: Shape) -> tuple[np.ndarray, n
     """
     key = np.empty(len(edges), np.int64)
     order = np.empty(len(edges), np.int64)
+    # equivalent (1: one more): a bound that nobody reads
     bounds = np.zeros(shape.subgroups + 1, np.int64)
     _count(edges.pixel, pixel, bounds)
     following = bounds[:-1].copy()
@@ -202,6 +203,7 @@ def front_end(
 
 def _room_for_events(most: int, shape: Shape) -> Events:
     return Events(
+        # equivalent (1: one more): a bound that nobody reads
         bounds=np.zeros(shape.subgroups + 1, np.int64),
         row=np.empty(most, _EVENT),
         hits=np.empty((most, shape.hits_words), np.uint64),
@@ -211,6 +213,7 @@ def _room_for_events(most: int, shape: Shape) -> Events:
 
 def _room_for_records(most: int, shape: Shape) -> Records:
     return Records(
+        # equivalent (1: one more): a bound that nobody reads
         bounds=np.zeros(shape.subgroups + 1, np.int64),
         row=np.empty(most, _RECORD),
         entries=np.empty((most, shape.minigroups), np.uint64),
@@ -284,6 +287,7 @@ def _open_windows(own, accepted, rules, windows, counters):
     close = rules.settings.close[own.s]
     last_pulse = _NEVER
     blind_at = _NEVER
+    # equivalent (0: one more): the first edge of the first pulse sets it
     armed_from = 0
     n = 0
     k = 0

@@ -53,8 +53,10 @@ class Packed(NamedTuple):
 
 def new_packer() -> np.ndarray:
     """_STATE[1]: the packer at the beginning of a frame."""
+    # equivalent: a row that nobody reads
     state = np.zeros(1, _STATE)
     state["begins"] = _NONE
+    # equivalent (1: one more): any negative number says that nothing was formed
     state["formed"] = -1
     return state
 
@@ -65,6 +67,7 @@ def room_for_groups(most: int, shape: Shape, next_ready: np.ndarray) -> Packed:
     A group of one event takes at most two beats more than the event: one for its head and check,
     one that they fill in part.
     """
+    # equivalent (one more): room for more beats
     most = 3 * most if shape.grouped else 0
     return Packed(
         beats=np.zeros(most, np.uint64),
@@ -82,8 +85,11 @@ def pack_event(packer, out, event, subgroup, hits, offsets, read_at, shape):
     """
     packer.taken = max(read_at + 1, packer.formed)
     packer.form_from = packer.taken + 1
+    # equivalent (packer.begins >= 0: GtE): no group begins with the frame's first beat
+    # equivalent (0: one more): no group begins with the frame's first beat
     if packer.begins >= 0 and not 0 <= packer.pulse - event.pulse <= groups.AGE_MAX:
         close_group(packer, out, packer.form_from)
+    # equivalent: no group begins with the frame's first beat
     if packer.begins < 0:
         _open_group(packer, out, event.pulse, shape)
     begin = packer.beat * groups.PAYLOAD_BITS + packer.filled
@@ -138,6 +144,7 @@ def _pack_list(packer, out, begin, bit, winner, hits, shape):
     """
     others = _list_others(out.listed, winner, hits, shape.pixels)
     for k in range(others):
+        # equivalent (k - groups.FIRST_PIXELS): the remainder of 2
         if k >= groups.FIRST_PIXELS - 1 and (k - groups.FIRST_PIXELS + 1) % groups.PER_PART == 0:
             _part(packer, out, bit - begin)
             begin = bit
@@ -173,6 +180,7 @@ def _pack_offsets(packer, out, bit, offsets, shape):
             begin = bit
         offset = np.int64(offsets[out.listed[_from_both_ends(hit, k)]])
         bit = _put(out.beats, bit, offset, shape.offset_bits)
+        # equivalent (k + 1: Add): the remainder of 2
         if k + 1 == hit or (k + 1) % groups.PER_PART == 0:
             _part(packer, out, bit - begin)
 
@@ -203,9 +211,11 @@ def close_group(packer, out, cycle):
 
     Its end is formed in `cycle` or, if a part waits there, later.
     """
+    # equivalent: no group begins with the frame's first beat
     if packer.begins >= 0:
         packer.formed = max(cycle, packer.packed)
         packer.beat_from = max(packer.beat_from, packer.formed + 1)
+    # equivalent: no group begins with the frame's first beat
     while packer.begins >= 0:
         last = packer.filled <= groups.CHECK_LSB
         if last:

@@ -110,8 +110,11 @@ def _queues(stream: Stream, event_bounds: np.ndarray, record_bounds: np.ndarray)
 
 def _beats(queues: np.ndarray, shape: Shape) -> int:
     """Return the number of beats in a frame without drops."""
+    # equivalent: room for more beats, which is cut off
     events = int((queues["end_event"] - queues["next_event"]).sum())
+    # equivalent: room for more beats, which is cut off
     records = int((queues["end_record"] - queues["next_record"]).sum())
+    # equivalent (2: one more): room for more beats, which is cut off
     return 2 + len(queues) * shape.counter_beats + events * shape.event_beats + records * shape.record_beats
 
 
@@ -129,6 +132,7 @@ def _play(stream, shape, room, packers, events, records, counters):
     _encode(beats[:1], _FRAME_START, values, shape.frame_parts)
     done = _transfer(room, 0, 1, latency.FRAME_START)
     _pass(packer, room, 0, 1, shape)
+    # equivalent: nothing is committed so early that it could be granted then
     t = latency.FRAME_START + 1
     pointer = 0
     while True:
@@ -146,6 +150,7 @@ def _play(stream, shape, room, packers, events, records, counters):
     for k in range(len(values)):
         values[k] = 0
     values[NUMBER.pulse] = stream.frame
+    # equivalent (1: one more): the next beat is written later
     _encode(beats[done : done + 1], _FRAME_END, values, shape.frame_parts)
     done = _send(packer, room, done, 1, t, shape)
     t += 1

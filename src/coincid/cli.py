@@ -603,7 +603,6 @@ def lint(*, config: ConfigOption = None, changes: ChangesOption = None, view: Vi
 def formal(*, names: Annotated[list[str] | None, argument("Proofs; default: all.", "NAMES")] = None) -> None:
     """Prove the RTL's properties for all inputs and all time; takes a few minutes."""
     with extra("rtl"):
-        from coincid.board import proofs  # noqa: F401  (registers the emulator's proofs)
         from coincid.formal.prove import HEAD, prove
     print(HEAD)
     verdicts = prove(names or (), tell=print)

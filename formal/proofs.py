@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All proofs of the sensor, by block; importing this module registers them."""
+"""The proofs of the sensor's blocks; importing this module registers them."""
 
 from . import async_front as async_front
 from . import clock_gate as clock_gate
