@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
+from ..contract.coincidence import Rise, event_share, rises
 from ..contract.config import Config
 from ..shared.compiled import njit, part
 from . import portable
@@ -28,6 +29,8 @@ BLIND_MAX = 0.95
 DROPPING_ROUNDS = 3  # rounds in which the rate of windows and the stored share of them converge
 RATE_MIN = 1e-3  # photons per subgroup and window, at least
 SHARES = 512  # shares of events for which the number of photons is tabulated
+PHOTONS_MAX = 1e3  # in a window, and number of steps up to it: for a rule of a user's own
+PHOTON_STEPS = 4096
 
 Spread = Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]  # a `map` that may use any order
 
@@ -73,7 +76,7 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
         dropped = 1 / kept
         dropped *= committed / max(1.0, dropped[stamp].sum())  # windows per stored window
         rejected = (events.opened[s] - committed) / pulses / ticks  # windows per tick
-        threshold = int(events.threshold[s])
+        law = rises(sensor.rule, sensor.subgroup, int(events.threshold[s]))
         deaf = np.minimum(BLIND_MAX, rejected * after_rejected).astype(np.float32)
         nearby = busy = room = none
         if dropping:
@@ -91,8 +94,8 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
             deaf=np.tile(deaf, config.period),
             seen=seen,
         )
-        least = np.float32(_event_share(threshold, events.photon_rate[s] * window))
-        _leave_no_trace(of_ticks, least, _shares(threshold), shape, every, 1 + dropping, missed[:, s], blind[:, s])
+        least = np.float32(_event_share(law, events.photon_rate[s] * window))
+        _leave_no_trace(of_ticks, least, _shares(law), shape, every, 1 + dropping, missed[:, s], blind[:, s])
         if not dropping:
             missed[1, s], blind[1, s] = missed[0, s], blind[0, s]
 
@@ -206,18 +209,32 @@ class _Shares(NamedTuple):
 
 
 @cache
-def _shares(threshold: int) -> _Shares:
-    """Tabulate the shares for a threshold in pixels."""
-    low = math.log(_event_share(threshold, 0))
-    photons = special.gammaincinv(threshold, portable.exp(np.linspace(low, 0, SHARES)))
-    met = special.gammainc(threshold - 1, photons) if threshold > 1 else np.ones(SHARES)
+def _shares(law: tuple[Rise, ...]) -> _Shares:
+    """Tabulate the shares for a threshold. law: what it means (`rises`)."""
+    low = math.log(_event_share(law, 0))
+    photons = _photons(law, portable.exp(np.linspace(low, 0, SHARES)))
+    met = event_share(law, lambda pixels: _at_least(pixels - 1, photons))
     per = np.float32((SHARES - 1) / -low)
     return _Shares(met.astype(np.float32), portable.exp(-photons).astype(np.float32), np.float32(low), per)
 
 
-def _event_share(threshold: int, photons: float) -> float:
-    """Return the share of the windows with at least `threshold` photons; it is never 0."""
-    return max(float(np.finfo(np.float32).tiny), special.gammainc(threshold, max(photons, RATE_MIN)))
+def _event_share(law: tuple[Rise, ...], photons: float) -> float:
+    """Return the share of the windows that become events; it is never 0. photons: in a window, on average."""
+    share = event_share(law, lambda pixels: special.gammainc(pixels, max(photons, RATE_MIN)))
+    return max(float(np.finfo(np.float32).tiny), share)
+
+
+def _at_least(pixels: int, photons: np.ndarray) -> np.ndarray:
+    """Return the share of windows with at least so many photons."""
+    return special.gammainc(pixels, photons) if pixels else np.ones(len(photons))
+
+
+def _photons(law: tuple[Rise, ...], share: np.ndarray) -> np.ndarray:
+    """Return the photons in a window, on average, with which these shares of the windows become events."""
+    if len(law) == 1:
+        return special.gammaincinv(law[0].pixels, share)
+    photons = portable.exp(np.linspace(math.log(RATE_MIN), math.log(PHOTONS_MAX), PHOTON_STEPS))
+    return np.interp(share, event_share(law, lambda pixels: _at_least(pixels, photons)), photons)
 
 
 @njit(error_model="numpy")
