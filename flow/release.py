@@ -15,8 +15,7 @@ from ..hdl.front_end_views import POLYPHASE, View, view_at
 from ..hdl.sensor import FPGA_TOP, SensorTop, has_fpga_top
 from ..hdl.unit import Port
 from ..model.contract import latency
-from ..model.contract.coincidence import AT_LEAST
-from ..model.contract.config import Config
+from ..model.contract.config import Config, own_rule
 from ..model.contract.parameters import SENSOR, TOP, Sensor
 from ..model.shared.errors import InputError
 from .async_constraints import async_constraints
@@ -215,18 +214,13 @@ def _manifest(config: Config, files: dict[str, bytes], view: View) -> str:
         "view": view.name,
         "tops": tops,
         "clock_mhz": int(clock_mhz) if clock_mhz.is_integer() else clock_mhz,
-        "parameters": {name: getattr(sensor, name) for name in SENSOR} | _own_rule(sensor),
+        "parameters": {name: getattr(sensor, name) for name in SENSOR} | own_rule(sensor),
         "derived": {name: getattr(sensor, name) for name in DERIVED},
         "latency_cycles": {name.lower(): value for name, value in vars(latency).items() if name.isupper()}
         | ({"deserialiser": deserialiser.CYCLES} if FPGA_TOP in tops else {}),
         "sha256": {name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())},
     }
     return json.dumps(facts, indent=2) + "\n"
-
-
-def _own_rule(sensor: Sensor) -> dict[str, str]:
-    """Return the rule of coincidence, unless it is the paper's."""
-    return {} if sensor.rule == AT_LEAST else {"rule": f"{sensor.rule.name} {sensor.rule.version}"}
 
 
 def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) -> list[Path]:

@@ -59,7 +59,7 @@ def smoke_config(sensor: Sensor) -> Config:
             "subgroup": {"gate_len": registers.BY_NAME["gate_len"].reset(sensor)},
             "override": [last, first],
         }
-    )
+    ).with_rule(sensor.rule)
 
 
 def smoke_edges(config: Config) -> Edges:

@@ -18,7 +18,7 @@ from attrs import asdict, evolve, field, frozen
 from ..shared.errors import InputError, check_integer, out_of_range, wrong_value
 from ..shared.files import FilePath
 from . import registers
-from .coincidence import Rule
+from .coincidence import AT_LEAST, Rule
 from .dither import start_cycles
 from .groups import LARGE_PIXELS, PAYLOAD_BITS, group_widths
 from .link import beats_waiting_max, check_link, link_share, takes_beats
@@ -431,14 +431,19 @@ def _column(setting: Setting, value: Any, sensor: Sensor) -> np.ndarray:
 
 
 def sensor_table(sensor: Sensor) -> dict[str, Any]:
-    """Return the sensor's part of a configuration file."""
-    return _table(sensor)
+    """Return the sensor's part of a configuration file, which has no rule of coincidence."""
+    return _lists({name: getattr(sensor, name) for name in SENSOR})
+
+
+def own_rule(sensor: Sensor) -> dict[str, str]:
+    """Return name and version of a rule of coincidence of a user's own, for reports; nothing for the paper's rule."""
+    return {} if sensor.rule == AT_LEAST else {"rule": f"{sensor.rule.name} {sensor.rule.version}"}
 
 
 def frame_table(frame: FrameSettings) -> dict[str, Any]:
     """Return the frame's part of a configuration file, including keys whose value is None."""
-    return _table(frame)
+    return _lists(asdict(frame))
 
 
-def _table(settings: Sensor | FrameSettings) -> dict[str, Any]:
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(settings).items()}
+def _lists(table: dict[str, Any]) -> dict[str, Any]:
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in table.items()}
