@@ -15,7 +15,8 @@ from ..host.transport import DeviceResetError, LinkError
 from ..model.contract.config import Config
 from ..model.contract.pixels import pixel_table
 from ..model.contract.result import ResultBuilder
-from ..model.depth.estimate import Depth, estimate_depth
+from ..model.depth.depth import Depth
+from ..model.depth.estimate import estimate_depth
 from ..model.golden.frame import Golden
 from ..model.light.light import BACKGROUNDS
 from ..model.light.spad import Spad

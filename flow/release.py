@@ -9,16 +9,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from attrs import asdict
-
 from ..hdl import deserialiser
 from ..hdl.export import FILE_LIST, cell_files, fpga_files, verilog_files
-from ..hdl.front_end_views import POLYPHASE, Asynchronous, View, view_at
+from ..hdl.front_end_views import POLYPHASE, View, view_at
 from ..hdl.sensor import FPGA_TOP, SensorTop, has_fpga_top
 from ..hdl.unit import Port
 from ..model.contract import latency
-from ..model.contract.config import Config
-from ..model.contract.parameters import TOP, Sensor
+from ..model.contract.config import Config, own_rule
+from ..model.contract.parameters import SENSOR, TOP, Sensor
 from ..model.shared.errors import InputError
 from .async_constraints import async_constraints
 from .c_driver import c_driver
@@ -52,7 +50,7 @@ def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str
     lists = {TOP: rtl.pop(FILE_LIST).split()}
     files = rtl | register_files(sensor) | {CONTROL_FILE: control_file(view)}
     files |= c_driver()
-    if view is POLYPHASE and has_fpga_top(sensor):
+    if view.is_default and has_fpga_top(sensor):
         fpga = fpga_files(sensor)
         files |= fpga
         lists[FPGA_TOP] = [*(name for name in lists[TOP] if name != f"{TOP}.v"), *fpga]
@@ -85,7 +83,7 @@ def _constraints(sensor: Sensor, clock_mhz: float, top: str, view: View) -> str:
         f"set period {period:g}",
         "create_clock -name clk -period $period [get_ports clk]",
     ]
-    if isinstance(view, Asynchronous):
+    if view.circuit is not None:
         lines += ["", async_constraints(sensor, view.circuit)]
     if top == FPGA_TOP:
         lines.append("# Clock j of the deserialisers comes j ticks after clk, from the same PLL.")
@@ -216,7 +214,7 @@ def _manifest(config: Config, files: dict[str, bytes], view: View) -> str:
         "view": view.name,
         "tops": tops,
         "clock_mhz": int(clock_mhz) if clock_mhz.is_integer() else clock_mhz,
-        "parameters": asdict(sensor),
+        "parameters": {name: getattr(sensor, name) for name in SENSOR} | own_rule(sensor),
         "derived": {name: getattr(sensor, name) for name in DERIVED},
         "latency_cycles": {name.lower(): value for name, value in vars(latency).items() if name.isupper()}
         | ({"deserialiser": deserialiser.CYCLES} if FPGA_TOP in tops else {}),

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..hdl import deserialiser
-from ..hdl.front_end_views import POLYPHASE, Polyphase, View
+from ..hdl.front_end_views import POLYPHASE, View
 from ..hdl.sensor import FPGA_TOP, SensorTop
 from ..model.contract import registers
 from ..model.contract.config import Config, parse_config, sensor_table
@@ -59,7 +59,7 @@ def smoke_config(sensor: Sensor) -> Config:
             "subgroup": {"gate_len": registers.BY_NAME["gate_len"].reset(sensor)},
             "override": [last, first],
         }
-    )
+    ).with_rule(sensor.rule)
 
 
 def smoke_edges(config: Config) -> Edges:
@@ -94,9 +94,10 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
     accesses = _accesses(config, trace)
     if levels:
         bench, flips = LEVELS, _level_flips(config, edges)
-    elif isinstance(view, Polyphase):
+    elif view.by_words:
         bench, flips = WORDS, _word_flips(config, edges)
     else:
+        assert view.circuit is not None, "a view of lines has a circuit"
         bench, flips = LINES, line_toggles(config.with_frame(clock_mhz=view.circuit.clock_mhz), edges)
     included = {
         BENCH.name: BENCH.read_text(encoding="utf-8"),
@@ -132,7 +133,7 @@ def _instance(sensor: Sensor, levels: bool, view: View) -> str:
 
 def _by_words(levels: bool, view: View) -> bool:
     """Return whether the light comes as words of edges, one bit per phase."""
-    return isinstance(view, Polyphase) and not levels
+    return view.by_words and not levels
 
 
 def _sizes(config: Config, trace: Trace, accesses: Accesses, levels: bool, view: View) -> str:
@@ -151,7 +152,7 @@ def _sizes(config: Config, trace: Trace, accesses: Accesses, levels: bool, view:
     }
     if levels:
         sizes["PHASES"] = sensor.phases
-    if not isinstance(view, Polyphase):
+    if view.circuit is not None:
         sizes["CLOCK_FS"] = view.circuit.clock_fs
     return "".join(f"  localparam {name} = {value};\n" for name, value in sizes.items())
 

@@ -17,10 +17,8 @@ from pathlib import Path
 from attrs import frozen
 
 from ..hdl.export import FILE_LIST, fpga_files, instantiated, verilog_files
-from ..hdl.front_end_views import POLYPHASE, VIEWS, View
-from ..hdl.minigroup import Minigroup
+from ..hdl.front_end_views import VIEWS, View
 from ..hdl.sensor import FPGA_TOP, SensorTop, has_fpga_top
-from ..hdl.silicon.minigroup import AsyncMinigroup
 from ..hdl.subgroup import Subgroup
 from ..hdl.subgroup_pair import SensorModule
 from ..hdl.unit import Unit
@@ -252,10 +250,9 @@ def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
 def view_blocks(sensor: Sensor, view: View) -> list[tuple[Unit, int]]:
     """Return the whole blocks of a view that the table shows, and the pixels of each."""
     front = view.front_end(sensor)
-    leaf = Minigroup(sensor) if view == POLYPHASE else AsyncMinigroup(sensor)
     module = SensorModule(sensor, min(2, sensor.subgroups), view)
     return [
-        (leaf, sensor.minigroup_pixels),
+        (view.minigroup(sensor), sensor.minigroup_pixels),
         (front, sensor.pixels),
         (Subgroup(sensor, view), sensor.pixels),
         (module, module.lines * sensor.pixels),

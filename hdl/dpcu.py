@@ -157,14 +157,18 @@ class Dpcu(Unit):
         if self.sensor.controller:
             with m.If(self.awake):
                 m.d.sync += self.lower_threshold.eq(self.threshold - 1)
-            m.d.sync += self.meets_lower.eq(
-                self.closed & (self.window.count >= self.lower_threshold)
-            )
+            m.d.sync += self.meets_lower.eq(self.closed & self._meets(self.lower_threshold))
         else:
             m.d.comb += self.meets_lower.eq(0)
         with m.If(commits):
             m.d.sync += self.event.eq(self.window)
-        m.d.comb += enough.eq(self.window.count >= self.threshold)
+        m.d.comb += enough.eq(self._meets(self.threshold))
+
+    def _meets(self, threshold):
+        """Return whether the closed window meets a threshold by the sensor's rule of coincidence."""
+        window = self.window
+        sensor = self.sensor
+        return sensor.rule.judging_circuit(window.hits, window.count, threshold, sensor.subgroup)
 
     def _pulses(self, m):
         """Count the periods. The strobe reaches stage 8 ten registers after the input."""

@@ -81,8 +81,8 @@ _ALL = (
         doc="Front end of the RTL: polyphase (synchronous), or async (asynchronous, with SPAD edges to the picosecond; verilator and icarus only).",
     ),
     Option(
-        name="method", kind="str", metavar="METHOD", default="planes",
-        doc="Estimator of the distances: METHOD or METHOD/SOURCE, as in estimate_depth.",
+        name="method", kind="str or Estimator", metavar="METHOD", default="planes",
+        doc="Estimator of the distances: METHOD or METHOD/SOURCE, as in estimate_depth, or one of your own.",
     ),
 )  # fmt: skip
 OPTIONS = {option.name: option for option in _ALL}

@@ -15,8 +15,9 @@ from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
 from ..model.contract.packet import FORMATS
 from ..model.contract.result import ResultBuilder
-from ..model.depth.estimate import Depth, estimate_depth
-from ..model.depth.methods import DEFAULT_METHOD
+from ..model.depth.depth import Depth
+from ..model.depth.estimate import estimate_depth
+from ..model.depth.methods import DEFAULT_METHOD, DEFAULT_SOURCE, Estimator, Method
 from ..model.depth.quality import wrong_pixels
 from ..model.golden.frame import Golden, Trace
 from ..model.light.light import Light
@@ -194,20 +195,29 @@ class Run:
             built.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
         return built.arrays() | {"fate": fate}
 
-    def depth(self, estimator: str | None = None, **options: Any) -> Depth:
-        """Estimate the distance of every pixel by METHOD or METHOD/SOURCE; options are those of `estimate_depth`."""
-        if estimator is not None and not isinstance(estimator, str):
+    def depth(self, estimator: Method | None = None, **options: Any) -> Depth:
+        """Estimate the distance of every pixel by METHOD, METHOD/SOURCE or an estimator of your own.
+
+        options: those of `estimate_depth`.
+        """
+        if estimator is not None and not isinstance(estimator, str | Estimator):
             raise InputError(
                 f"estimator = {estimator!r}: must be METHOD or METHOD/SOURCE; a frame is given as frame={estimator!r}"
             )
-        method, _, source = (estimator or self.setup.estimators[0]).partition("/")
-        given: dict[str, Any] = {"method": method, "source": source or "map", "workers": self.workers} | options
+        method = estimator or options.pop("method", None) or self.setup.estimators[0]
+        source = DEFAULT_SOURCE
+        if isinstance(method, str):
+            method, _, named = method.partition("/")
+            source = named or source
+        given: dict[str, Any] = {"method": method, "source": source, "workers": self.workers} | options
         return estimate_depth(self.result, self.config, **given)
 
-    def frame(self, number: int = -1, estimator: str | None = None) -> "Frame":
+    def frame(self, number: int = -1, estimator: Method | None = None) -> "Frame":
         """Return one frame (from the end, if negative) with an estimator; None: the first one of the setup."""
-        key = number % self.config.frames, estimator or next(iter(self.setup.estimators), None)
-        return self._frames.setdefault(key, Frame(self, *key))
+        number %= self.config.frames
+        chosen = estimator or next(iter(self.setup.estimators), None)
+        name = chosen if chosen is None or isinstance(chosen, str) else fingerprint(chosen)
+        return self._frames.setdefault((number, name), Frame(self, number, chosen))
 
     def __getitem__(self, measure: str) -> Number:
         """Return a measure of the last frame."""
@@ -217,7 +227,7 @@ class Run:
 class Frame:
     """One frame of a run with one estimator. `frame["wrong_share"]` is a measure, by its name in `MEASURES`."""
 
-    def __init__(self, run: Run, number: int, estimator: str | None) -> None:
+    def __init__(self, run: Run, number: int, estimator: Method | None) -> None:
         self.run = run
         self.number = number
         self.estimator = estimator
@@ -227,7 +237,7 @@ class Frame:
     def __getitem__(self, measure: str) -> Number:
         return MEASURES[measure].of(self)
 
-    def by(self, estimator: str) -> "Frame":
+    def by(self, estimator: Method) -> "Frame":
         """Return the same frame with another estimator."""
         return self.run.frame(self.number, estimator)
 

@@ -14,7 +14,7 @@ from ..model.contract.config import Config, parse_config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.settings import THRESHOLD_MAX
-from ..model.depth.methods import DEFAULT_METHOD
+from ..model.depth.methods import DEFAULT_METHOD, Method, taken_along
 from ..model.light.light import BACKGROUNDS, Light
 from ..model.light.photons import edge_chunks
 from ..model.light.spad import Spad, SpadGate
@@ -22,6 +22,7 @@ from ..model.light.timing import Timing
 from ..model.scenes.ambient import Ambient
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene, scene_light
+from ..model.shared.own_part import OwnPart
 from ..model.shared.sources import digest, sources_digest
 from ..tb.replay import DEFAULT_VIEW
 
@@ -94,8 +95,9 @@ class Setup:
         The engine that plays the sensor; see `tb.replay`.
     view : str or View
         Front end of the RTL; see `tb.replay`.
-    estimators : tuple of str
-        METHOD or METHOD/SOURCE of `estimate_depth`; measures use the first one. If empty, there is no depth.
+    estimators : tuple of str or Estimator
+        METHOD or METHOD/SOURCE of `estimate_depth`, or estimators of your own, which a registered name becomes here;
+        measures use the first one. If empty, there is no depth.
     """
 
     config: Config
@@ -109,7 +111,7 @@ class Setup:
     edges: Edges | None = None
     engine: str = "golden"
     view: "str | View" = DEFAULT_VIEW
-    estimators: tuple[str, ...] = (DEFAULT_METHOD,)
+    estimators: tuple[Method, ...] = field(default=(DEFAULT_METHOD,), converter=taken_along)
 
     @classmethod
     def of(
@@ -185,7 +187,10 @@ def versions(engine: str) -> dict[str, str]:
 
 
 def fingerprint(*values: Any) -> str:
-    """Return a digest of the content of nested attrs classes, arrays, containers and plain values."""
+    """Return a digest of the content of nested attrs classes, arrays, containers and plain values.
+
+    A part of a user's own counts by its class, name and version, and by its fields if it is an attrs class.
+    """
     parts: list[str | bytes] = []
     pending = list(values)
     while pending:
@@ -194,7 +199,9 @@ def fingerprint(*values: Any) -> str:
             parts += [f"{value.dtype} {value.shape}", np.ascontiguousarray(value).tobytes()]
             continue
         inner: list[Any] = []
-        if has(type(value)):
+        if isinstance(value, OwnPart):
+            inner = [type(value).__qualname__, value.name, value.version, *_part_fields(value)]
+        elif has(type(value)):
             inner = list(_fields(value).values())
         elif isinstance(value, dict):
             inner = [each for pair in sorted(value.items()) for each in pair]
@@ -205,6 +212,11 @@ def fingerprint(*values: Any) -> str:
         parts.append(f"{type(value).__qualname__} {len(inner)}" if inner else repr(value))
         pending += inner
     return digest(*parts)
+
+
+def _part_fields(part: OwnPart) -> list[Any]:
+    """Return the values of the fields of a part that is an attrs class."""
+    return list(_fields(part).values()) if has(type(part)) else []
 
 
 def _fields(value: Any) -> dict[str, Any]:

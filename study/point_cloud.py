@@ -4,7 +4,7 @@
 import numpy as np
 
 from ..model.depth.belief import SENTENCES
-from ..model.depth.estimate import Depth
+from ..model.depth.depth import Depth
 from ..model.light.link_budget import Optics
 from ..model.shared.errors import InputError
 from ..model.shared.files import FilePath, whole_file

@@ -14,7 +14,7 @@ from ..lab.setup import Setup, scene_of
 from ..model.contract.config import SETTINGS, TABLES, Config, load_config
 from ..model.contract.pixels import pixel_number
 from ..model.contract.result import events_table, write_result
-from ..model.depth.methods import DEFAULT_METHOD
+from ..model.depth.methods import DEFAULT_METHOD, Method
 from ..model.golden.frame import Golden
 from ..model.light.light import BACKGROUNDS
 from ..model.light.link_budget import Optics
@@ -120,7 +120,7 @@ def simulate(
     spad_gate: bool = False,
     engine: str = "golden",
     view: str = DEFAULT_VIEW,
-    method: str = DEFAULT_METHOD,
+    method: Method = DEFAULT_METHOD,
     **settings: Any,
 ) -> Run:
     """Simulate all frames of a configuration: photons of a scene, then the sensor.

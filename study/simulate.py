@@ -24,7 +24,7 @@ from rich.table import Table
 from ..lab.measures import Number
 from ..lab.outcomes import Frame, Run
 from ..lab.setup import SETTLING, Setup, fixed_thresholds
-from ..model.contract.config import Config, frame_table, sensor_table
+from ..model.contract.config import Config, frame_table, own_rule, sensor_table
 from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import subgroup_image
 from ..model.contract.result import ResultBuilder, write_result
@@ -296,7 +296,7 @@ def settings_of(config: Config) -> dict[str, Any]:
     subgroup["mask"] = [f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask]
     derived = {"auto_bounds": config.auto_bounds.tolist(), "capacity": config.capacity}
     return {
-        "sensor": sensor_table(config.sensor),
+        "sensor": sensor_table(config.sensor) | own_rule(config.sensor),
         "frame": frame_table(config.frame) | (derived if config.sensor.controller else {}),
         "subgroup": {name: v[0] if len(set(v)) == 1 else v for name, v in subgroup.items()},
     }

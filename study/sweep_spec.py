@@ -16,7 +16,7 @@ from attrs import frozen
 from ..lab.setup import Setup
 from ..model.contract.config import parse_config, read_toml
 from ..model.contract.preset_files import PRESETS
-from ..model.depth.methods import DEFAULT_METHOD, METHODS
+from ..model.depth.methods import DEFAULT_METHOD, method_names
 from ..model.light.light import BACKGROUNDS
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import ambient_klux
@@ -219,7 +219,7 @@ def _settings(given: dict[str, Any]) -> dict[str, Any]:
         "background": check_choice("background", given["background"], BACKGROUNDS),
         "seed": check_integer("seed", given["seed"], 0, SEED_MAX),
         "engine": check_choice("engine", given["engine"], ENGINES),
-        "method": check_choice("method", given["method"], tuple(METHODS)),
+        "method": check_choice("method", given["method"], method_names()),
     }
 
 

@@ -27,7 +27,7 @@ def prepare(engine: str, sensor: Sensor, waves: bool = False, view: View = POLYP
 
 def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view: View = POLYPHASE) -> toolchain.Build:
     """Return the sensor in a view from `hdl/front_end_views.py`, compiled for a simulator, now or earlier."""
-    delays = view != POLYPHASE
+    delays = not view.by_words
     public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * delays
     return toolchain.build(
         simulator,
@@ -36,7 +36,7 @@ def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view: View
         key=sensor_key(sensor, view),
         waves=waves,
         public=public,
-        blocks=[] if delays else [SensorModule(sensor).unit_name],
+        blocks=[] if delays else [SensorModule(sensor, view=view).unit_name],
         delays=delays,
     )
 
@@ -62,7 +62,7 @@ def play(
                 record.checked = check(job.config.sensor, job.expected, record, number)
         return records, None
     build = build_sensor(frames[0].config.sensor, engine, waves, view)
-    records, run = play_in(build, frames, out_dir, lines=view != POLYPHASE, progress=progress)
+    records, run = play_in(build, frames, out_dir, lines=not view.by_words, progress=progress)
     return records, run.wave
 
 

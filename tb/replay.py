@@ -40,10 +40,10 @@ def chosen_view(engine: str, view: "str | View", clock_mhz: float, waves: bool =
     if engine == "golden" and view == DEFAULT_VIEW:
         return None
     with extra("rtl"):
-        from ..hdl.front_end_views import POLYPHASE, view_at
+        from ..hdl.front_end_views import view_at
         from . import play  # noqa: F401, its dependencies are there
     found = view_at(view, clock_mhz)
-    if found != POLYPHASE:
+    if not found.is_default:
         check_choice(f"engine of the view {found.name}", engine, SIMULATORS)
     return None if engine == "golden" else found
 
@@ -70,7 +70,7 @@ def replay(
     progress : callable or None
         Called with the number of cycles done.
     view : str or View
-        `polyphase` or `async`; see `chosen_view`.
+        `polyphase`, `async`, or a view of your own; see `chosen_view`.
 
     Returns
     -------
@@ -91,7 +91,7 @@ def replay(
     from .sliced import play_side_by_side
     from .stimulus import check_offsets
 
-    if chosen.name != DEFAULT_VIEW:
+    if not chosen.by_words:
         check_offsets(config, edges)
     frames = [FrameJob(config, edges.frame(number, config.pulses)[0], ready=ready) for number in range(config.frames)]
     if engine == "sliced" and not config.controlled.any():  # then no frame depends on those before

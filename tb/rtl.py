@@ -11,6 +11,7 @@ from ..hdl.front_end_views import POLYPHASE, View
 from ..hdl.sensor import Core
 from ..hdl.subgroup_pair import SensorModule, Slice
 from ..hdl.unit import Unit
+from ..model.contract.coincidence import AT_LEAST
 from ..model.contract.parameters import SENSOR, Sensor
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest, sources_digest
@@ -25,12 +26,17 @@ def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
         value = getattr(sensor, name)
         if name not in ("rows", "cols") and value != getattr(default, name):
             parts.append(name + ("x".join(map(str, value)) if isinstance(value, tuple) else str(value)))
-    return "-".join(parts + [view.name] * (view != POLYPHASE))
+    if sensor.rule != AT_LEAST:
+        parts.append(sensor.rule.name)
+    if not view.is_default:
+        parts.append(view.name)
+    return "-".join(parts)
 
 
 def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
     """Return the sensor's Verilog files in a view, emitted once for its parameters and the state of the sources."""
-    folder = emitted(sensor_key(sensor, view), repr((sensor, view)), lambda: verilog_files(sensor, view))
+    sensor.rule.check_circuit()
+    folder = emitted(sensor_key(sensor, view), repr((sensor, view, view.version)), lambda: verilog_files(sensor, view))
     return listed(folder / FILE_LIST)
 
 
@@ -40,6 +46,8 @@ def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
     `sliced.cpp` wires slices to the core; `slice_proof.py` proves that the module is two slices. Arrays of any size have
     the same slices.
     """
+
+    sensor.rule.check_circuit()
 
     def files(of: Sensor, *units: Unit) -> list[Path]:
         name = f"{sensor_key(of)}-{units[0].unit_name}"

@@ -55,8 +55,8 @@ def blocks(page, language):
 
 
 def test_all_python_blocks_are_tested():
-    """By this file and `board/test_emulator.py`; a block on another page needs a test, too."""
-    tested = {"README.md", "light.md", "explorer.md", "experiments.md", "sweeps.md", "board.md"}
+    """By this file, `test_extend.py` and `board/test_emulator.py`; a block on another page needs a test, too."""
+    tested = {"README.md", "light.md", "explorer.md", "experiments.md", "sweeps.md", "board.md", "extend.md"}
     assert {page.name for page in PAGES if blocks(page, "python")} == tested
 
 

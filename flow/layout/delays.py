@@ -9,7 +9,7 @@ import re
 from collections.abc import Collection
 from pathlib import Path
 
-from ...hdl.front_end_views import POLYPHASE, View
+from ...hdl.front_end_views import View
 from ...hdl.unit import Port, Unit
 from ...model.contract.parameters import TOP, Sensor
 from ...tb import toolchain
@@ -78,4 +78,4 @@ def simulate(sensor: Sensor, unit: Unit, layout: Path, factor: float, view: View
     sources = [*others, folder / f"{name}.v", folder / "routed.v", folder / "cells.v"]
     key = f"routed-{sensor_key(sensor, view)}-{factor:g}"
     build = toolchain.build("icarus", sources, TOP, key=key, options=["-gspecify"])
-    return played(build, random_frames(sensor, FRAMES), key, lines=view != POLYPHASE)
+    return played(build, random_frames(sensor, FRAMES), key, lines=not view.by_words)

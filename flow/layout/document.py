@@ -7,9 +7,8 @@ from typing import Any
 
 from PIL import Image
 
-from ...hdl.front_end_views import POLYPHASE, VIEWS, View
-from ...hdl.minigroup import Minigroup
-from ...hdl.silicon.minigroup import AsyncMinigroup
+from ...hdl.front_end_views import VIEWS, View
+from ...hdl.unit import Unit
 from ...model.contract.config import load_config
 from ...model.contract.parameters import Sensor
 from ...model.shared.files import whole_file
@@ -36,13 +35,14 @@ def write_page(out: Path | None = None, tell: Callable[[str], None] = print) -> 
     clock_mhz = config.clock_mhz
     images = out.parent / "images" if out else picture("docs/images")
     columns = []
-    for kind, view in ((Minigroup, POLYPHASE), (AsyncMinigroup, VIEWS["async"].at(clock_mhz))):
-        unit = kind(config.sensor)
+    for view in VIEWS.values():
+        view = view.at(clock_mhz)
+        unit = view.minigroup(config.sensor)
         folder, found = lay_out(unit, clock_mhz, tell, view)
         before = map_block(unit, view, gated=False)
         slack_ns = min(slacks_ns(before.folder, before.name, 1000 / clock_mhz).values())
         rules = [(rule, str(violations)) for rule, violations in found["rules"]]
-        played = played_with_delays(kind(SMALL), view, folder, tell)
+        played = played_with_delays(view.minigroup(SMALL), view, folder, tell)
         columns.append((facts(found, before.area_um2), rules, slacks(found, slack_ns), played))
         routed = Image.open(folder / f"{unit.unit_name}.png").convert("RGB").quantize(COLOURS)
         with whole_file(images / PICTURE.format(unit.unit_name.removeprefix(PREFIX))) as file:
@@ -58,7 +58,7 @@ def write_page(out: Path | None = None, tell: Callable[[str], None] = print) -> 
         put("docs/silicon.md", "layout")
 
 
-def played_with_delays(unit: Minigroup, view: View, folder: Path, tell: Callable[[str], None]) -> Column:
+def played_with_delays(unit: Unit, view: View, folder: Path, tell: Callable[[str], None]) -> Column:
     """Simulate a layout with its delays, then with delays `TOO_SLOW` times as long, which must fail. Raises `Mismatch`."""
     tell(f"{unit.unit_name}: simulating the sensor with the routed minigroups and their delays")
     checked, cycles = simulate(SMALL, unit, folder, 1.0, view)

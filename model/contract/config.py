@@ -18,6 +18,7 @@ from attrs import asdict, evolve, field, frozen
 from ..shared.errors import InputError, check_integer, out_of_range, wrong_value
 from ..shared.files import FilePath
 from . import registers
+from .coincidence import AT_LEAST, Rule
 from .dither import start_cycles
 from .groups import LARGE_PIXELS, PAYLOAD_BITS, group_widths
 from .link import beats_waiting_max, check_link, link_share, takes_beats
@@ -122,11 +123,7 @@ class Config(SubgroupSettings):
     def auto_bounds(self) -> np.ndarray:
         """int64[6]: the controller's bounds, ascending; by default, those for noise in the longest window."""
         bounds = self.frame.auto_bounds or noise_bounds(
-            phases=self.sensor.phases,
-            window_ticks=int(self.window.max()),
-            rearm_cycles=self.sensor.rearm,
-            period_cycles=self.period,
-            pulses=self.pulses,
+            self.sensor, window_ticks=int(self.window.max()), period_cycles=self.period, pulses=self.pulses
         )
         return np.array(bounds, np.int64)
 
@@ -213,7 +210,12 @@ class Config(SubgroupSettings):
         document = self.written()
         document["sensor"] |= _known("sensor", parameters, SENSOR)
         own = {name: document["subgroup"].pop(name) for name, one in SUBGROUP.items() if self._differs(name)}
-        return _blaming(_keys("sensor", parameters), lambda: parse_config(document).with_settings(**own))
+        changed = _blaming(_keys("sensor", parameters), lambda: parse_config(document).with_settings(**own))
+        return changed.with_rule(self.sensor.rule)
+
+    def with_rule(self, rule: Rule) -> "Config":
+        """Return a copy whose sensor has another rule of coincidence (docs/extend.md). Raises `InputError`."""
+        return evolve(self, sensor=evolve(self.sensor, rule=rule))
 
     def _differs(self, name: str) -> bool:
         """Return whether the subgroups have different values of a setting that was written."""
@@ -429,14 +431,19 @@ def _column(setting: Setting, value: Any, sensor: Sensor) -> np.ndarray:
 
 
 def sensor_table(sensor: Sensor) -> dict[str, Any]:
-    """Return the sensor's part of a configuration file."""
-    return _table(sensor)
+    """Return the sensor's part of a configuration file, which has no rule of coincidence."""
+    return _lists({name: getattr(sensor, name) for name in SENSOR})
+
+
+def own_rule(sensor: Sensor) -> dict[str, str]:
+    """Return name and version of a rule of coincidence of a user's own, for reports; nothing for the paper's rule."""
+    return {} if sensor.rule == AT_LEAST else {"rule": f"{sensor.rule.name} {sensor.rule.version}"}
 
 
 def frame_table(frame: FrameSettings) -> dict[str, Any]:
     """Return the frame's part of a configuration file, including keys whose value is None."""
-    return _table(frame)
+    return _lists(asdict(frame))
 
 
-def _table(settings: Sensor | FrameSettings) -> dict[str, Any]:
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(settings).items()}
+def _lists(table: dict[str, Any]) -> dict[str, Any]:
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in table.items()}

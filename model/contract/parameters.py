@@ -6,6 +6,7 @@ from typing import Any
 from attrs import Factory, field, frozen
 
 from ..shared.errors import InputError, out_of_range, wrong_value
+from .coincidence import AT_LEAST, Rule, check_rule
 from .counters import COUNTER_BITS, COUNTER_BITS_MIN
 from .table import Kind, Limit, number, settings_of_class
 
@@ -67,8 +68,9 @@ def _field(kind: Kind, made: Any, **columns: Any) -> Any:
 class Sensor:
     """Parameters of the sensor as built: the keys of [sensor]; `SENSOR` has their meanings, units and limits.
 
-    Raises `InputError` with the parameter and its range. Parameters that do not fit together are reported under the name
-    of one that differs from its default, because that one was chosen.
+    rule: which windows become events; only a program can bring another one (docs/extend.md). Raises `InputError` with the
+    parameter and its range. Parameters that do not fit together are reported under the name of one that differs from its
+    default, because that one was chosen.
     """
 
     rows: int = _integer(32, 1, 4096, 0x08, "SPAD rows of the sensor.", "pixels")
@@ -91,8 +93,10 @@ class Sensor:
     held: int = _integer(
         1, 0, 1, 0xA4, "1: a subgroup's settings can be written during a frame, for the next one; 0: they cannot."
     )
+    rule: Rule = field(default=AT_LEAST)
 
     def __attrs_post_init__(self) -> None:
+        check_rule(self.rule)
         for setting in SENSOR.values():
             setting.checked(setting.key, getattr(self, setting.name), self)
         for name, highest in (("phases", PHASES_MAX), ("offset_phases", self.phases)):

@@ -9,17 +9,16 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from attrs import asdict, frozen
 
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
 from ..shared.constants import SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
-from ..shared.errors import check_integer
-from ..shared.files import FilePath, write_npz
+from ..shared.errors import InputError, check_integer
 from ..shared.quantities import check_choice
 from ..shared.threads import Threads
 from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
-from .belief import SENTENCES, Reason, Signs, believe, find_signs
+from .belief import Signs, believe, find_signs
+from .depth import Depth
 from .histograms import (
     Events,
     frame_events,
@@ -28,50 +27,29 @@ from .histograms import (
     pixel_image,
     subgroup_histograms,
 )
-from .methods import DEFAULT_METHOD, METHODS
+from .methods import (
+    DEFAULT_METHOD,
+    DEFAULT_SOURCE,
+    Estimator,
+    Method,
+    Reading,
+    check_no_source,
+    chosen_method,
+)
 from .peaks import live_share, pixel_peaks, record_live
 from .planes import find_surfaces
 
 RETURNS_MAX = 8
-
-
-@frozen(eq=False)
-class Depth:
-    """Estimated depth of rows x cols pixels.
-
-    Attributes
-    ----------
-    depth_m : numpy.ndarray
-        float64[rows, cols, returns], in metres, the most likely return first; NaN = none.
-    confidence : numpy.ndarray
-        float64[rows, cols, returns], from 0 to 1. For the first return, the probability that it is right by the paper's criterion;
-        for the others, that they are not accidental background.
-    reason : numpy.ndarray
-        uint8[rows, cols], `belief.Reason`: whether the first return is to be believed (0), and if not, why.
-    error_m : numpy.ndarray or None
-        float64[rows, cols, returns], standard error in metres; only with `planes`.
-    slope_m : numpy.ndarray or None
-        float64[rows, cols, 2], increase of the distance from row to row and from column to column, in metres; only with `planes`.
-    """
-
-    depth_m: np.ndarray
-    confidence: np.ndarray
-    reason: np.ndarray
-    error_m: np.ndarray | None = None
-    slope_m: np.ndarray | None = None
-
-    def save(self, path: FilePath) -> None:
-        """Write the arrays that there are as NPZ, whole or not at all; `sentences` are those of the reasons."""
-        arrays = {name: part for name, part in asdict(self).items() if part is not None}
-        write_npz(path, arrays | {"sentences": np.array([SENTENCES[reason] for reason in Reason])})
+PLANES = "planes"
+PEAKS = ("maximum", "matched", "background")  # methods of `pixel_peaks`
 
 
 def estimate_depth(
     arrays: dict[str, np.ndarray],
     config: Config,
     *,
-    method: str = DEFAULT_METHOD,
-    source: str = "map",
+    method: Method = DEFAULT_METHOD,
+    source: str = DEFAULT_SOURCE,
     frame: int | None = None,
     returns: int = 1,
     workers: int | None = None,
@@ -85,8 +63,9 @@ def estimate_depth(
         The arrays of a result, as `Run.result` or `read_result` has them.
     config : Config
         The configuration of the run.
-    method : str
-        `planes` (default), `maximum` (the paper's highest bin), `matched` or `background`; see docs/depth.md.
+    method : str or Estimator
+        `planes` (default), `maximum` (the paper's highest bin), `matched` or `background`; see docs/depth.md. Or an
+        estimator of your own, or the name under which it is registered; see docs/extend.md.
     source : str
         Origin of a pixel's histogram: `map`, `minigroup` or `subgroup`. `planes` always uses all parts of an event.
     frame : int or None
@@ -107,15 +86,64 @@ def estimate_depth(
     InputError
         If an argument is out of range.
     """
+    chosen = chosen_method(method)
+    if not isinstance(chosen, str):
+        check_no_source(chosen.name, source)
+        check_integer("returns", returns, 1, RETURNS_MAX)
+        reading = Reading(
+            arrays=_read(chosen, arrays),
+            config=config,
+            frame=frame,
+            returns=returns,
+            system_fwhm_s=system_fwhm_s,
+            workers=workers,
+        )
+        return _filled(chosen.name, chosen.estimate(reading), config, returns)
     with Threads(workers) as threads:
         found = find_returns(
-            arrays, config, method, source, frame, returns=returns, threads=threads, system_fwhm_s=system_fwhm_s
+            arrays, config, chosen, source, frame, returns=returns, threads=threads, system_fwhm_s=system_fwhm_s
         )
         signs = found.signs(config, threads)
     tick_m, confidence = config.tick_s * SPEED_OF_LIGHT_M_S / 2, found.sure.copy()
-    confidence[:, :, 0], reason = believe(signs, config, method)
+    confidence[:, :, 0], reason = believe(signs, config, chosen)
     error_m, slope_m = (None if part is None else part * tick_m for part in (found.error, found.slope))
     return Depth(found.ticks * tick_m, confidence, reason, error_m, slope_m)
+
+
+def _read(estimator: Estimator, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the arrays that an estimator of a user's own reads. Raises `InputError` if the result lacks one."""
+    for name in estimator.reads:
+        check_choice(f"{estimator.name}.reads", name, tuple(arrays))
+    return {name: arrays[name] for name in estimator.reads}
+
+
+def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
+    """Return what an estimator of a user's own found, with NaN for the returns that it did not find.
+
+    Raises `InputError` if it is no depth of the sensor's pixels.
+    """
+    if not isinstance(found, Depth):
+        raise InputError(f"{name}.estimate: returned {type(found).__name__}, must be a Depth")
+    pixels = (config.sensor.rows, config.sensor.cols)
+    has = np.shape(found.depth_m)[2:]
+    if len(has) != 1 or not 1 <= has[0] <= returns:
+        shape = np.shape(found.depth_m)
+        raise InputError(f"{name}.estimate: depth_m has shape {shape}, must be {pixels} and 1 to {returns} returns")
+    images = {"depth_m": (*pixels, *has), "confidence": (*pixels, *has), "reason": pixels}
+    for part, shape in images.items():
+        if np.shape(getattr(found, part)) != shape:
+            raise InputError(f"{name}.estimate: {part} has shape {np.shape(getattr(found, part))}, must be {shape}")
+    missing = ((0, 0), (0, 0), (0, returns - has[0]))
+    error_m = found.error_m
+    if error_m is not None:
+        error_m = np.pad(error_m, missing, constant_values=np.nan)
+    return Depth(
+        depth_m=np.pad(found.depth_m, missing, constant_values=np.nan),
+        confidence=np.pad(found.confidence, missing),
+        reason=found.reason,
+        error_m=error_m,
+        slope_m=found.slope_m,
+    )
 
 
 class Found(NamedTuple):
@@ -152,12 +180,12 @@ def find_returns(
     system_fwhm_s: float,
 ) -> Found:
     """Find the returns of every pixel; the other arguments and errors as in `estimate_depth`."""
-    check_choice("method", method, tuple(METHODS))
+    check_choice("method", method, (PLANES, *PEAKS))
     check_integer("returns", returns, 1, RETURNS_MAX)
     sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
     events = frame_events(arrays, config, sigma_ticks, frame)
     pulses = config.pulses * (len(arrays["opened"]) if frame is None else 1)
-    if method == "planes":
+    if method == PLANES:
         parts = find_surfaces(
             events,
             config,

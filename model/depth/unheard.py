@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
+from ..contract.coincidence import Rise, event_share, rises
 from ..contract.config import Config
 from ..shared.compiled import njit, part
 from . import portable
@@ -29,6 +30,8 @@ BLIND_MAX = 0.95
 DROPPING_ROUNDS = 3  # rounds in which the rate of windows and the stored share of them converge
 RATE_MIN = 1e-3  # photons per subgroup and window, at least
 SHARES = 512  # shares of events for which the number of photons is tabulated
+PHOTONS_MAX = 1e3  # in a window, and number of steps up to it: for a rule of a user's own
+PHOTON_STEPS = 4096
 
 # A `map` that may use any order.
 Spread = Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]
@@ -69,11 +72,10 @@ def unheard(
 
     def of_subgroup(s: int) -> None:
         of_ticks, dropping = _ticks_of(events, config, pulses, pulse.reach, s)
-        threshold = int(events.threshold[s])
-        least = np.float32(_event_share(threshold, events.photon_rate[s] * int(events.window[s])))
+        law = rises(sensor.rule, sensor.subgroup, int(events.threshold[s]))
+        least = np.float32(_event_share(law, events.photon_rate[s] * int(events.window[s])))
         kinds = 1 + dropping
-        shares = _shares(threshold)
-        _leave_no_trace(of_ticks, least, shares, pulse, kinds, missed[:, s], blind[:, s])
+        _leave_no_trace(of_ticks, least, _shares(law), pulse, kinds, missed[:, s], blind[:, s])
         if not dropping:
             missed[1, s] = missed[0, s]
             blind[1, s] = blind[0, s]
@@ -271,11 +273,11 @@ class _Shares(NamedTuple):
 
 
 @cache
-def _shares(threshold: int) -> _Shares:
-    """Tabulate the shares for a threshold in pixels."""
-    low = math.log(_event_share(threshold, 0))
-    photons = special.gammaincinv(threshold, portable.exp(np.linspace(low, 0, SHARES)))
-    met = special.gammainc(threshold - 1, photons) if threshold > 1 else np.ones(SHARES)
+def _shares(law: tuple[Rise, ...]) -> _Shares:
+    """Tabulate the shares for a threshold. law: what it means (`rises`)."""
+    low = math.log(_event_share(law, 0))
+    photons = _photons(law, portable.exp(np.linspace(low, 0, SHARES)))
+    met = event_share(law, lambda pixels: _at_least(pixels - 1, photons))
     return _Shares(
         met=met.astype(np.float32),
         dark=portable.exp(-photons).astype(np.float32),
@@ -284,10 +286,26 @@ def _shares(threshold: int) -> _Shares:
     )
 
 
-def _event_share(threshold: int, photons: float) -> float:
-    """Return the share of the windows with at least `threshold` photons; it is never 0."""
-    share = special.gammainc(threshold, max(photons, RATE_MIN))
+def _event_share(law: tuple[Rise, ...], photons: float) -> float:
+    """Return the share of the windows that become events; it is never 0.
+
+    photons: in a window, on average.
+    """
+    share = event_share(law, lambda pixels: special.gammainc(pixels, max(photons, RATE_MIN)))
     return max(float(np.finfo(np.float32).tiny), share)
+
+
+def _at_least(pixels: int, photons: np.ndarray) -> np.ndarray:
+    """Return the share of windows with at least so many photons."""
+    return special.gammainc(pixels, photons) if pixels else np.ones(len(photons))
+
+
+def _photons(law: tuple[Rise, ...], share: np.ndarray) -> np.ndarray:
+    """Return the mean photons in a window with which these shares of the windows become events."""
+    if len(law) == 1:
+        return special.gammaincinv(law[0].pixels, share)
+    photons = portable.exp(np.linspace(math.log(RATE_MIN), math.log(PHOTONS_MAX), PHOTON_STEPS))
+    return np.interp(share, event_share(law, lambda pixels: _at_least(pixels, photons)), photons)
 
 
 @njit(error_model="numpy")

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from attrs import frozen
 
+from ..contract.coincidence import AT_LEAST
 from ..contract.config import Config
 from ..contract.counters import COUNTER_NAMES
 from ..contract.edges import Edges
@@ -23,6 +24,7 @@ from ..contract.result import ResultBuilder
 from ..shared.threads import Threads
 from .controller import Controller
 from .front_end import Rules, Settings, Timeline, front_end, time_order
+from .judgement import judged, thresholds_of_candidates
 from .readout import Stream, readout, ready_times
 from .shape import COUNTER, Shape, shape_of
 
@@ -93,8 +95,13 @@ class Golden:
         counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
         counters[:, COUNTER.threshold_used] = plan.threshold
         fate = np.empty(len(edges), np.uint8)
-        rules = Rules(shape, plan.settings, plan.timeline, self._pixel)
+        settings = plan.settings
+        if sensor.rule != AT_LEAST:
+            settings = settings._replace(threshold=thresholds_of_candidates(sensor.rule, settings.threshold))
+        rules = Rules(shape, settings, plan.timeline, self._pixel)
         fate[order], events, records = front_end(key, bounds, rules, counters)
+        if sensor.rule != AT_LEAST:
+            events = judged(events, sensor, plan.settings.threshold, counters)
         np.minimum(counters, sensor.counter_max, out=counters)
         if not sensor.controller:
             counters[:, COUNTER.lower] = 0

@@ -21,12 +21,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special, stats
 
+from ..contract.coincidence import AT_LEAST, event_share, rises
 from ..contract.latency import armed_cycle, close_cycle
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
 from ..shared.compiled import njit
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
-from ..shared.errors import check_integer
+from ..shared.errors import InputError, check_integer
 from ..shared.quantities import Numbers, check_choice, real_array
 from .link_budget import FORMS
 from .spad import Spad
@@ -234,6 +235,8 @@ def histogram(
     sensor, timing, spad = sensor or Sensor(), timing or Timing(), spad or Spad()
     check_choice("scheme", scheme, SCHEMES)
     check_integer("threshold", threshold, 1, sensor.pixels)
+    if _literal(form) and sensor.rule != AT_LEAST:
+        raise InputError(f"form = {form!r}: knows only the paper's rule, not sensor.rule = {sensor.rule.name!r}")
     check_integer("window_ticks", window_ticks, 1, sensor.window_max)
     pixels = (sensor.pixels,)
     distance_m = real_array("distance_m", distance_m, pixels, 0, nan=True)
@@ -357,7 +360,7 @@ def _corrected_histogram(of: _Case) -> np.ndarray:
 
     `fired` is the mean number of avalanches of each pixel until the start of each tick, at most one per window.
     """
-    ticks, n = of.timing.period_ticks, of.sensor.pixels
+    ticks = of.timing.period_ticks
     border_s = np.arange(ticks + of.window_ticks + 1) * of.timing.tick_s
     live = (1 / (1 + of.noise_cps * of.spad.dead_time_s))[:, None]
     pulse = special.ndtr((border_s - of.flight_s[:, None]) / of.sigma_s)
@@ -367,11 +370,19 @@ def _corrected_histogram(of: _Case) -> np.ndarray:
     in_window, in_rest = end - start, end - after
     # A pixel is in the map of an event that this tick opens if it fires in the window, less the cases in which no pixel
     # fires in the window's first tick.
-    met, met_in_rest = (stats.binom.sf(of.threshold - 2, n - 1, share.mean(axis=0)) for share in (in_window, in_rest))
+    law = rises(of.sensor.rule, of.sensor.subgroup, of.threshold)
+    met = event_share(law, lambda pixels: _met_by_others(pixels, in_window))
+    met_in_rest = event_share(law, lambda pixels: _met_by_others(pixels, in_rest))
     armed = _armed(
         nobody, of.window_ticks, of.timing.phases, of.sensor.rearm, ticks - of.sensor.guard * of.timing.phases
     )
     return of.pulses * armed * (in_window * met - nobody * in_rest * met_in_rest)
+
+
+def _met_by_others(pixels: int, share: np.ndarray) -> np.ndarray:
+    """float64[ticks]: probability that of `pixels` pixels, all except one given pixel fire. share: float64[pixels, ticks]."""
+    met: np.ndarray = stats.binom.sf(pixels - 2, len(share) - 1, share.mean(axis=0))
+    return met
 
 
 @njit

@@ -33,7 +33,8 @@ from ..shared.errors import SEED_MAX, InputError, check_integer
 from ..shared.quantities import real_array
 from ..shared.threads import Threads
 from .light import SIGNAL_MAX, Interferer, Light
-from .spad import Spad, SpadGate
+from .own_spad import own_chunk
+from .spad import OwnSpad, Spad, SpadGate
 from .timing import Timing
 from .walk import (
     CARRIERS_MAX,
@@ -84,13 +85,19 @@ def edge_chunks(
 
     pulses: number of laser pulses; pulse_start: number of the first one. seed: of the photons. gate: times at which the
     SPADs are on; None = always. workers: threads that share the pixels. chunk_pulses: pulses per chunk; None: about
-    `CHUNK_EDGES` edges. Neither workers nor chunks change the edges.
+    `CHUNK_EDGES` edges. Neither workers nor chunks change the edges. A SPAD model of a user's own (`OwnSpad`) makes one
+    chunk of all pulses.
     """
     check_integer("pulses", pulses, 1, PULSES_MAX)
     check_integer("pulse_start", pulse_start, 0, PULSES_MAX)
     check_integer("seed", seed, 0, SEED_MAX)
     check_integer("workers", workers, 1, 256)
     physics, arrays = _in_ticks(light, spad, timing, gate, pulse_start + pulses)
+    if isinstance(spad, OwnSpad):
+        generate = partial(
+            generate_edges, pulses=pulses, pulse_start=pulse_start, seed=seed, gate=gate, workers=workers
+        )
+        return own_chunk(light, spad, timing, range(pulse_start, pulse_start + pulses), seed, generate)
     photons_per_pulse = _photons_per_pulse(physics, arrays)
     edges_per_pulse = photons_per_pulse * (1 + 2 * physics.afterpulse + 4 * physics.crosstalk)
     if physics.dead:

@@ -4,6 +4,8 @@
 Ref: paper II. Effects that the paper leaves out are off by default.
 """
 
+from typing import ClassVar, NamedTuple
+
 import numpy as np
 from attrs import frozen
 
@@ -38,6 +40,40 @@ class Spad:
     afterpulse_probability: float = real(0.0, 0, 0.5)
     afterpulse_s: float = real(30e-9, 1e-12)
     crosstalk_probability: float = real(0.0, 0, 0.25)
+
+
+class SpadTimes(NamedTuple):
+    """Times at which SPADs detect photons, or at which their edges come; sorted by pixel, then time."""
+
+    pixel: np.ndarray  # int64[n]
+    time_s: np.ndarray  # float64[n], since the first laser pulse
+
+
+@frozen(kw_only=True, eq=False)
+class OwnSpad(Spad):
+    """Base class of a SPAD model of a user's own, which replaces dead time, jitter, afterpulsing and crosstalk.
+
+    Of the fields of `Spad`, the light reads `pdp`, `fill_factor`, `dark_cps` and `jitter_fwhm_s` (the part of the light's
+    width that is not the laser's, so the model must add it); the others are only for `edges_of`. docs/extend.md has an
+    example.
+
+    Attributes
+    ----------
+    name, version : str
+        See `OwnPart`.
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[str]
+
+    def edges_of(self, photons: SpadTimes, *, pixels: tuple[int, int], seed: int) -> SpadTimes:
+        """Return the edges that the photons of a run cause, in any order; those outside of the run are left out.
+
+        photons: all that the SPADs would detect without dead time: signal, background, dark counts and other LiDARs,
+        inside the SPAD gate if there is one. pixels: rows and columns; pixel row * columns + column. seed: of the run;
+        random numbers must depend on nothing else.
+        """
+        raise NotImplementedError
 
 
 @frozen(kw_only=True, eq=False)

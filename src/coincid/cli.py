@@ -177,10 +177,10 @@ def sim(
 ) -> None:
     """Simulate frames of a scene and check every word against the golden model; write depth.png, events.npz and report.json."""
     from coincid.study.simulate import simulate, with_link
-    from coincid.tb.replay import chosen_view
+    from coincid.tb.replay import DEFAULT_VIEW, chosen_view
 
     settings = _config(config, changes, clock_mhz)
-    if view == "async":
+    if view != DEFAULT_VIEW:
         engine = engine or "icarus"
         pulses = ASYNC_PULSES if pulses is None else pulses
         frames = ASYNC_FRAMES if frames is None else frames
@@ -327,10 +327,10 @@ def replay(
     from coincid.model.contract.edges import load_edges
     from coincid.model.contract.result import stall as low
     from coincid.model.contract.result import write_result
-    from coincid.tb.replay import chosen_view
+    from coincid.tb.replay import DEFAULT_VIEW, chosen_view
     from coincid.tb.replay import replay as run
 
-    engine = engine or ("icarus" if view == "async" else "golden")
+    engine = engine or ("golden" if view == DEFAULT_VIEW else "icarus")
     check_integer("stall", stall, 0, STALL_CYCLES_MAX)
     settings = _config(config, changes)
     chosen_view(engine, view, settings.clock_mhz)

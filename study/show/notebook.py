@@ -12,6 +12,7 @@ from attrs import frozen
 
 from ...lab.outcomes import Run
 from ...model.depth.histograms import pixel_histogram
+from ...model.depth.methods import Method
 from ...model.shared.errors import InputError, check_integer, extra
 from ...model.shared.files import FilePath, whole_file
 from ..pictures import Panel, draw_row
@@ -39,7 +40,7 @@ class Shown:
             file.write(self.html)
 
 
-def run_view(run: Run, frame: int = 0, method: str | None = None) -> FrameView:
+def run_view(run: Run, frame: int = 0, method: Method | None = None) -> FrameView:
     """Return the view of a frame of a run. method: None is the first estimator of the run. Raises `InputError`."""
     check_integer("frame", frame, 0, run.config.frames - 1)
     return FrameView(f"frame {frame}", run.frame(frame, method))
@@ -57,7 +58,7 @@ def summary(run: Run) -> str:
     )
 
 
-def plot(run: Run, frame: int = 0, method: str | None = None) -> Shown:
+def plot(run: Run, frame: int = 0, method: Method | None = None) -> Shown:
     """Return all views of a frame, linked as in `report.html`."""
     with extra("explore"):
         from .report import report_html
@@ -88,7 +89,7 @@ class PixelHistogram(np.ndarray):
             return None
 
 
-def plot_histogram(run: Run, pixel: int, frame: int = 0, method: str | None = None) -> Shown:
+def plot_histogram(run: Run, pixel: int, frame: int = 0, method: Method | None = None) -> Shown:
     """Return a pixel's histogram with truth, candidates and the chosen return; pixel = row * cols + column."""
     with extra("explore"):
         from .figures import HistogramFigure

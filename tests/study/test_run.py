@@ -14,7 +14,7 @@ from packaging.utils import canonicalize_name
 import coincid
 from coincid.model.contract.result import EVENT_COLUMNS, differences
 from coincid.model.depth.arrivals import pulse_sigma_ticks
-from coincid.model.depth.estimate import Depth
+from coincid.model.depth.depth import Depth
 from coincid.model.depth.histograms import subgroup_histograms
 from coincid.model.light.link_budget import Optics
 

@@ -32,7 +32,7 @@ class Outcome(NamedTuple):
 
 def outcome(run: Run) -> Outcome:
     """Return the outcome of a run; campaigns read runs with this function."""
-    frames = {name: run.frame(estimator=name) for name in run.setup.estimators}
+    frames = {str(estimator): run.frame(estimator=estimator) for estimator in run.setup.estimators}
     measures = {name: run[name] for name in (OF_SENSOR + OF_DEPTH if frames else OF_SENSOR)}
     measures |= {f"{name}_{estimator}": frame[name] for estimator, frame in frames.items() for name in OF_DEPTH}
     return Outcome(

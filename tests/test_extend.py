@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parts of a user's own: those of docs/extend.md, from its own code blocks, and what is refused."""
+
+import importlib
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from amaranth.hdl import Module, Signal
+from amaranth.sim import Simulator
+
+import coincid
+from coincid.hdl.front_end_views import Polyphase
+from coincid.lab.campaign import FinishedFiles, Processes, campaign
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
+from coincid.model.contract.coincidence import AT_LEAST, Rule, rises
+from coincid.model.contract.counters import COUNTER_NAMES
+from coincid.model.contract.edges import Edges
+from coincid.model.contract.parameters import Sensor
+from coincid.model.depth import methods
+from coincid.model.depth.belief import LAW
+from coincid.model.depth.depth import Depth
+from coincid.model.depth.estimate import PEAKS, PLANES
+from coincid.model.depth.methods import METHODS, method_names, register_estimator
+from coincid.model.golden.frame import golden_result
+from coincid.model.light.analytic import FORMS, histogram
+from coincid.model.light.light import Light
+from coincid.model.light.photons import generate_edges
+from coincid.model.light.spad import OwnSpad, Spad, SpadGate, SpadTimes
+from coincid.model.light.timing import Timing
+from coincid.study.sweep_spec import read_spec
+from coincid.tb.replay import replay
+
+from .commands import BLOCK
+
+PAGE = Path(__file__).parents[1] / "docs" / "extend.md"
+SHAPE = (8, 8)
+SMALL = {"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 100, "frames": 3, "capacity": 40}}
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """Return the page's code blocks, one after the other, as a module in a folder of its own."""
+    code = [block for language, block in BLOCK.findall(PAGE.read_text(encoding="utf-8")) if language == "python"]
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "own_parts.py").write_text("\n\n".join(code), encoding="utf-8")
+    sys.path.insert(0, str(folder))
+    try:
+        yield importlib.import_module("own_parts")
+    finally:
+        sys.path.remove(str(folder))
+        methods._registered.clear()
+
+
+@pytest.fixture(autouse=True)
+def registered():
+    """Forget the estimators that a test registers."""
+    before = dict(methods._registered)
+    yield
+    methods._registered.clear()
+    methods._registered.update(before)
+
+
+class Ready(OwnSpad):
+    """A SPAD that is always ready."""
+
+    name = "ready"
+    version = "1"
+
+    def edges_of(self, photons, *, pixels, seed):
+        return SpadTimes(photons.pixel[::-1], photons.time_s[::-1])
+
+
+class Far:
+    """An estimator that sees everything at 7 m."""
+
+    name = "far"
+    reads = ("opened",)
+
+    def __init__(self, version="1"):
+        self.version = version
+
+    def estimate(self, reading):
+        return Depth.of(np.full((reading.config.sensor.rows, reading.config.sensor.cols), 7.0))
+
+
+class Counts(Rule):
+    """The paper's rule, as a rule of a user's own, without a circuit."""
+
+    name = "counts"
+    version = "1"
+
+    def meets(self, maps, threshold):
+        return maps.sum(axis=(1, 2)) >= threshold
+
+
+def test_estimator_of_the_page_measures_the_wall(page):
+    assert page.median_wrong < 0.1 and page.maximum_wrong < 0.1
+    assert page.depth.depth_m.shape == (8, 8, 1)
+    assert np.nanmedian(page.depth.depth_m) == pytest.approx(5, abs=0.03)
+    run = page.run
+    more = run.frame(0, page.Median()).depth(returns=3)
+    assert np.array_equal(more.depth_m[:, :, :1], page.depth.depth_m) and np.isnan(more.depth_m[:, :, 1:]).all()
+    with pytest.raises(coincid.InputError, match=r"method = 'mean': must be one of maximum, .*, planes, median$"):
+        run.depth("mean")
+    with pytest.raises(coincid.InputError, match="source = 'subgroup': must be left out, because the estimator median"):
+        run.depth("median/subgroup")
+
+
+def test_every_built_in_method_has_its_finder_and_its_law():
+    assert set(METHODS) == {PLANES, *PEAKS} == set(LAW)
+
+
+def test_an_estimator_that_is_none_is_refused():
+    run = Run(Setup.of("flat:5,0.4", **SMALL))
+
+    def refused(message, **changed):
+        other = type("Changed", (Far,), changed)()
+        with pytest.raises(coincid.InputError, match=message):
+            run.depth(other)
+
+    refused("method = 'planes': is the name of a built-in estimator", name="planes")
+    refused("method = 'a/b': must be a name", name="a/b")
+    refused("far.reads = 'heat': must be one of", reads=("pulse", "heat"))
+    refused("far.estimate: returned NoneType, must be a Depth", estimate=lambda self, reading: None)
+    refused("depth_m has shape", estimate=lambda self, reading: Depth.of(np.zeros((2, 2))))
+    with pytest.raises(coincid.InputError, match="method = 3: must be one of maximum"):
+        register_estimator(3)
+
+
+def test_a_kept_point_is_not_taken_for_another_version(tmp_path):
+    """Neither by object nor by name, here and in a sweep's SPEC; and another worker needs no registration."""
+    finished = FinishedFiles(tmp_path, ["seen"])
+    asked = []
+
+    def seen(run):
+        asked.append(run.setup.estimators[0].version)
+        return {"seen": len(asked)}
+
+    (tmp_path / "spec.toml").write_text('method = "far"\n[[axis]]\nklux = [5]\n', encoding="utf-8")
+    for version in ("1", "2"):
+        register_estimator(Far(version))
+        (point,) = read_spec(tmp_path / "spec.toml").points
+        setups = {"object": Setup.of("flat:5,0.4", **SMALL, estimators=(Far(version),))}
+        setups |= {"name": Setup.of("flat:5,0.4", **SMALL, estimators=("far",)), "sweep": point.setup}
+        for _ in range(2):
+            with Processes(1) as workers:
+                campaign(setups, seen, workers, finished=finished)
+    assert asked == ["1", "1", "2", "2"] and method_names()[-1] == "far"
+
+
+def test_spad_of_the_page_recovers_slowly(page):
+    edges = page.recovering.edges
+    often = Run(page.recovering.setup.but(spad=Ready(), klux=1000.0)).edges
+    less = Run(page.recovering.setup.but(klux=1000.0)).edges
+    assert len(edges) > 100 and 0.3 * len(often) < len(less) < 0.9 * len(often)
+    assert np.all(np.diff(edges.pulse) >= 0) and edges.tick.max() < page.recovering.config.period_ticks
+    assert page.recovering["wrong_share"] < 0.3
+
+
+def test_a_spad_that_is_always_ready_gets_the_photons_of_the_built_in_one():
+    """With dither, a gate, unequal taps and a span that begins later."""
+    taps = np.linspace(0.5, 1.5, 32)
+    timing = Timing(period_cycles=40, tap_width_lsb=taps, dither_bits=4, frame_pulses=50)
+    gate = SpadGate(start_cycles=3, len_cycles=30)
+    light = Light(rows=4, cols=4, distance_m=2.0, signal_per_pulse=0.5, background_cps=2e6)
+    options = {"pulses": 80, "pulse_start": 20, "seed": 5, "gate": gate}
+    own = generate_edges(light, Ready(jitter_fwhm_s=0.0), timing, **options)
+    ready = generate_edges(light, Spad(dead_time_s=0.0, jitter_fwhm_s=0.0), timing, **options)
+    same = (own.pulse == ready.pulse) & (own.pixel == ready.pixel) & (own.tick == ready.tick)
+    assert len(own) == len(ready) > 500
+    assert same.mean() > 0.9  # a photon within a sixteenth of a tick of a tap's border may change its tick
+    assert np.abs(own.tick - ready.tick)[own.pixel == ready.pixel].max() <= 1
+
+
+def touches(maps):
+    return (maps[:, :, 1:] & maps[:, :, :-1]).any(axis=(1, 2)) | (maps[:, 1:] & maps[:, :-1]).any(axis=(1, 2))
+
+
+def maps_of(result):
+    bits = np.unpackbits(result["hits"].view(np.uint8), axis=1, bitorder="little")
+    return bits.astype(bool).reshape(-1, *SHAPE)
+
+
+def test_rule_of_the_page_keeps_windows_with_neighbours_only(page):
+    all_events = maps_of(Run(page.setup).result)
+    events = maps_of(page.touching.result)
+    assert np.array_equal(events, all_events[touches(all_events)]) and 10 < len(events) < len(all_events)
+    counters = page.touching.traces[0].counters
+    other = Run(page.setup).traces[0].counters
+    count = dict(zip(COUNTER_NAMES, counters[0].tolist(), strict=True))
+    assert count["opened"] == count["committed"] + count["rejected"] == other[0, COUNTER_NAMES.index("opened")]
+
+
+def test_circuit_of_the_page_is_its_rule(page):
+    rule = page.Neighbours()
+    random = np.random.default_rng(1)
+    m = Module()
+    hits = Signal(64)
+    count = Signal(7)
+    threshold = Signal(7)
+    met = Signal()
+    m.d.comb += met.eq(rule.judging_circuit(hits, count, threshold, SHAPE))
+    told = []
+
+    async def bench(ctx):
+        for _ in range(200):
+            drawn = random.random((1, *SHAPE)) < random.uniform(0.01, 0.15)
+            limit = int(random.integers(1, 5))
+            ctx.set(hits, int("".join(map(str, drawn.ravel().astype(int)[::-1])), 2))
+            ctx.set(count, int(drawn.sum()))
+            ctx.set(threshold, limit)
+            told.append(bool(ctx.get(met)))
+            assert told[-1] == rule.judged(drawn, limit)[0]
+
+    simulator = Simulator(m)
+    simulator.add_testbench(bench)
+    simulator.run()
+    assert 20 < sum(told) < 180
+
+
+def test_the_papers_rule_as_ones_own_gives_the_papers_words_bounds_and_light():
+    for subgroup in ({"threshold": 3}, {"auto": True, "threshold": 2}, {"coincidence": False}):
+        setup = Setup.of("flat:5,0.4", **SMALL, klux=50.0, subgroup=subgroup)
+        own = setup.config.with_rule(Counts())
+        edges = Run(setup).edges
+        expected, found = golden_result(setup.config, edges), golden_result(own, edges)
+        assert all(np.array_equal(expected[name], found[name]) for name in expected)
+        assert own.auto_bounds.tolist() == setup.config.auto_bounds.tolist()
+        assert own.with_sensor(fifo_depth=4).sensor.rule == Counts() != AT_LEAST
+    assert rises(Counts(), SHAPE, 5) == rises(AT_LEAST, SHAPE, 5) == ((5, 1.0),)
+
+
+def test_a_threshold_means_to_light_what_the_rule_says(page):
+    """At two pixels, the share of random windows that touch is known: 112 of 2016 pairs."""
+    first = rises(page.Neighbours(), SHAPE, 2)[0]
+    assert first.pixels == 2 and first.share == pytest.approx(112 / 2016, abs=0.015)
+    assert sum(rise.share for rise in rises(page.Neighbours(), SHAPE, 2)) == pytest.approx(1)
+    light = {"threshold": 2, "window_ticks": 40, "pulses": 100, "timing": Timing(period_cycles=40)}
+    own = Sensor(rows=8, cols=8, rule=page.Neighbours())
+    of_pairs, of_neighbours = (
+        histogram(2.0, 0.05, 1e6, form=FORMS[1], sensor=sensor, **light).sum() for sensor in (None, own)
+    )
+    assert 0.05 * of_pairs < of_neighbours < 0.5 * of_pairs
+    with pytest.raises(coincid.InputError, match="knows only the paper's rule, not sensor.rule = 'neighbours'"):
+        histogram(2.0, 0.05, 1e6, form=FORMS[0], sensor=own, **light)
+
+
+def test_a_rule_without_a_circuit_is_refused_by_the_rtl():
+    config = Setup.of("flat:5,0.4", **SMALL).config.with_rule(Counts())
+    with pytest.raises(coincid.InputError, match="sensor.rule = 'counts': has no circuit, so only the engine golden"):
+        Counts().circuit(Signal(64), Signal(7), Signal(7), SHAPE)
+    edges = Edges(*(np.zeros(0, np.int64) for _ in range(3)))
+    for engine in ("sliced", "icarus"):
+        with pytest.raises(coincid.InputError, match="sensor.rule = 'counts': has no circuit"):
+            replay(engine, config, edges)
+    with pytest.raises(coincid.InputError, match="sensor.rule = 3: must be a Rule"):
+        config.with_rule(3)
+
+
+def test_view_of_the_page_has_its_own_front_end(page):
+    assert re.search(r"windows_seen <= ", page.files["watched_tree.v"])
+    assert {"watched_subgroup.v", "watched_module_1.v"} <= page.files.keys()
+    config = Setup.of("flat:5,0.4", **SMALL).config
+    edges = Edges(*(np.zeros(0, np.int64) for _ in range(3)))
+    with pytest.raises(
+        coincid.InputError, match="engine of the view watched = 'sliced': must be one of verilator, icarus"
+    ):
+        replay("sliced", config, edges, view=page.Watched())
+    taken = type("Taken", (Polyphase,), {})()
+    with pytest.raises(coincid.InputError, match="view = 'polyphase': must be another name"):
+        replay("verilator", config, edges, view=taken)
