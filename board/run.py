@@ -152,9 +152,10 @@ class Session:
         self.result.add([beats])
         self.tally.frames += 1
         self.tally.beats += len(beats)
-        self.tally.seconds, self.tally.seconds_on_line = (
-            now - begun for now, begun in zip(self._now(), self._begun)
-        )
+        seconds, seconds_on_line = self._now()
+        seconds_begun, on_line_begun = self._begun
+        self.tally.seconds = seconds - seconds_begun
+        self.tally.seconds_on_line = seconds_on_line - on_line_begun
         return beats
 
     def _now(self) -> tuple[float, float]:

@@ -84,7 +84,8 @@ def draw_row(
         grid = figure.subplots(down, across, squeeze=False)
         axes = grid.ravel()
         colours = matplotlib.colormaps[DEPTH_MAP].with_extremes(bad=NO_VALUE)
-        for axis, panel in zip(axes, (Panel("truth", truth_m), *panels)):
+        of_panels = axes[1 : 1 + len(panels)]
+        for axis, panel in zip((axes[0], *of_panels), (Panel("truth", truth_m), *panels), strict=True):
             image = axis.imshow(panel.depth_m, cmap=colours, vmin=near_m - margin_m, vmax=far_m + margin_m)
             for row, col in np.argwhere(np.isnan(truth_m)):
                 axis.plot([col - 0.3, col + 0.3], [row - 0.3, row + 0.3], color="black", linewidth=0.6)
@@ -98,7 +99,7 @@ def draw_row(
             axis.set_visible(False)
         if blocks is not None:
             _draw_blocks(axes[places - 1], *blocks, truth_m.shape)
-        for axis, panel, share in zip(axes[1:], panels, shares):
+        for axis, panel, share in zip(of_panels, panels, shares, strict=True):
             axis.set_title(f"{panel.title}\n{share:.1%} of pixels wrong")
             wrong = np.argwhere(wrong_pixels(panel.depth_m, truth_m, tolerance_m))
             frames = [Rectangle((col - 0.5, row - 0.5), 1, 1) for row, col in wrong]

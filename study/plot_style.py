@@ -58,7 +58,11 @@ def legend_below(figure: Figure, columns: int = 6) -> None:
     """Draw one legend below all axes, with each label once."""
     entries: dict[str, Any] = {}
     for axis in figure.axes:
-        entries |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels()) if label not in entries}
+        entries |= {
+            label: handle
+            for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+            if label not in entries
+        }
     figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=min(columns, len(entries)))
 
 

@@ -48,12 +48,13 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
     ray /= np.linalg.norm(ray, axis=2, keepdims=True)
     seen = ~np.isnan(depth.depth_m)
     points = np.empty(np.count_nonzero(seen), POINT_WITH_NORMAL if normals else POINT)
-    for name, part in zip("xyz", np.moveaxis(ray, 2, 0)):
+    for name, part in zip("xyz", np.moveaxis(ray, 2, 0), strict=True):
         points[name] = (part[:, :, None] * depth.depth_m)[seen]
     points["confidence"] = depth.confidence[seen]
     points["reason"] = np.broadcast_to(depth.reason[:, :, None], seen.shape)[seen]
     if normals and depth.slope_m is not None:
-        for name, part in zip(_NORMAL, np.moveaxis(_normals(depth.depth_m, depth.slope_m, right, down, ray), 3, 0)):
+        normals_of = _normals(depth.depth_m, depth.slope_m, right, down, ray)
+        for name, part in zip(_NORMAL, np.moveaxis(normals_of, 3, 0), strict=True):
             points[name] = part[seen]
     return points
 

@@ -134,7 +134,7 @@ def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor
     tell(f"simulating {len(jobs)} frames of {config.frame_cycles} cycles on the netlist")
     toggles = simulate(config.sensor, jobs)
     measured = []
-    for number, (case, job) in enumerate(zip(cases, jobs)):
+    for number, (case, job) in enumerate(zip(cases, jobs, strict=True)):
         cycles = job.config.frame_cycles
         seconds = cycles / (config.clock_mhz * 1e6)
         groups, wired = (
@@ -238,7 +238,7 @@ def draw(measured: list[Measured]) -> Figure:
         for axis, values in stacks:
             below = np.zeros(len(shown))
             colours = colormaps["viridis"](np.linspace(0.05, 0.95, len(values)))
-            for (label, heights), colour in zip(values.items(), colours):
+            for (label, heights), colour in zip(values.items(), colours, strict=True):
                 axis.bar(names, heights, bottom=below, label=label, color=colour, width=0.65)
                 below += heights
             axis.legend(loc="upper left", ncols=2, fontsize=7.5)

@@ -68,7 +68,7 @@ def setup(
     threshold, ticks = window
     sensor, frame = FASTER if faster else ({}, {})
     return Setup.of(
-        f"{RETURNS}:" + ",".join(f"{m:g}{AT}{share:.4g}" for m, share in zip(distance_m, reflectivity)),
+        f"{RETURNS}:" + ",".join(f"{m:g}{AT}{share:.4g}" for m, share in zip(distance_m, reflectivity, strict=True)),
         sensor=SENSOR | sensor,
         frame={"pulses": pulses} | RECORDS | frame,
         subgroup={"coincidence": threshold > 0, "threshold": max(1, threshold), "window": ticks},
@@ -115,10 +115,10 @@ def draw_returns(path: Path) -> None:
     with style():
         figure = new_figure(10, 6.6)
         axes = figure.subplots(len(SOURCES), len(STEPS_M), sharey="row")
-        for column, step_m in zip(axes.T, STEPS_M):
+        for column, step_m in zip(axes.T, STEPS_M, strict=True):
             run = Run(setup(NEAREST_M[0], step_m))
             shares = all_found(run)
-            for axis, source in zip(column, SOURCES):
+            for axis, source in zip(column, SOURCES, strict=True):
                 _draw_histogram(axis, run, source)
                 axis.set_title(f"{SHOWN[source]}, {100 * step_m:.0f} cm apart: {shares[source]:.0%} have all")
             column[-1].set_xlabel("distance in m")

@@ -68,7 +68,11 @@ def rows(run: Processes) -> Iterator[tuple[str, ...]]:
     setups = {(scene.name, form): seeded(setup(scene, form), SEEDS) for scene in scenes for form in FORMATS}
     for key, seen in grouped(setups, look, run).items():
         dropped, *shares = np.mean(seen, axis=0)
-        yield *key, *("{:.1%} / {:.1%}".format(*pair) for pair in zip(shares[::2], shares[1::2])), f"{dropped:.0%}"
+        yield (
+            *key,
+            *("{:.1%} / {:.1%}".format(*pair) for pair in zip(shares[::2], shares[1::2], strict=True)),
+            f"{dropped:.0%}",
+        )
 
 
 def make() -> None:

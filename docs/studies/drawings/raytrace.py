@@ -35,13 +35,13 @@ def draw(name: str) -> list[tuple[float, float]]:
     depths = [frame.depth_m for frame in frames.values()]
     panels = [
         Panel(title.format(threshold=np.unique(config.threshold)[0]), depth)
-        for (title, _), depth in zip(SCHEMES.values(), depths)
+        for (title, _), depth in zip(SCHEMES.values(), depths, strict=True)
     ]
     path = picture(f"docs/images/ray-{name}.png")
     shares = depth_row(
         path, panels, scene.truth_m, f"{scene.name}, {KLUX} klux, {PULSES} laser pulses", tolerance_m=WINDOW_M
     )
-    return [(share, wrong_share(depth, scene.truth_m)) for share, depth in zip(shares, depths)]
+    return [(share, wrong_share(depth, scene.truth_m)) for share, depth in zip(shares, depths, strict=True)]
 
 
 def make() -> None:

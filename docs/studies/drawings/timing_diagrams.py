@@ -142,13 +142,13 @@ def values(trace: Trace, name: str, begin: int, end: int) -> Sequence[object]:
         return [str(word.bit_count()) if word else None for word in of(name)]
     if name in BUSES:
         valid, told = BUSES[name]
-        return [told(value) if on else None for value, on in zip(of(name), of(valid))]
+        return [told(value) if on else None for value, on in zip(of(name), of(valid), strict=True)]
     return [bool(value) for value in of(name)]
 
 
 def _beats(trace: Trace) -> list[int | None]:
     """Return the word on offer in each cycle, None without one."""
-    return [data if valid else None for data, valid in zip(trace["m_axis_tdata"], trace["m_axis_tvalid"])]
+    return [data if valid else None for data, valid in zip(trace["m_axis_tdata"], trace["m_axis_tvalid"], strict=True)]
 
 
 def _kind(beat: int) -> str:
@@ -163,7 +163,7 @@ def _packets(trace: Trace, begin: int, end: int) -> list[str | None]:
     """
     texts: list[str | None] = []
     following, number, open_beat, name = "", 0, False, ""
-    for beat, ready in zip(_beats(trace)[:end], trace["m_axis_tready"]):
+    for beat, ready in zip(_beats(trace)[:end], trace["m_axis_tready"][:end], strict=True):
         if beat is None:
             texts.append(None)
             continue

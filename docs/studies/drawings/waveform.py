@@ -118,7 +118,9 @@ def one_period() -> dict[str, list[int]]:
 def covered(values: dict[str, list[int]]) -> list[int]:
     """Return the phases that a window covers in each cycle, one bit per phase; the window begins at its first edge."""
     words = []
-    for is_open, opening, first, end in zip(values["open"], values["opening"], values["first"], values["end"]):
+    for is_open, opening, first, end in zip(
+        values["open"], values["opening"], values["first"], values["end"], strict=True
+    ):
         begin = 0 if is_open else first
         words.append(((1 << min(end, PHASES)) - (1 << begin)) if is_open or opening else 0)
     return words
@@ -198,7 +200,11 @@ def draw(values: dict[str, list[int]]) -> Figure:
     wave("closed", values["closed"], 1)
     wave("commit", values["commit"], 1, SIGNAL)
     axes.plot([0, SHOWN_CYCLES], [level["tdata"] + 0.3] * 2, color=FAINT, lw=1.2, zorder=0)
-    beats = [(cycle, data) for cycle, (valid, data) in enumerate(zip(values["tvalid"], values["tdata"])) if valid]
+    beats = [
+        (cycle, data)
+        for cycle, (valid, data) in enumerate(zip(values["tvalid"], values["tdata"], strict=True))
+        if valid
+    ]
     event = next(cycle for cycle, data in beats if header_field(data, "kind") == FORMATS["id"].code)
     for cycle, _ in beats:
         text = {event: "event", event + 1: "map"}.get(cycle, "frame start")

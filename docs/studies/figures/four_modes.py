@@ -83,8 +83,8 @@ def background(run: Processes, engine: str | None = None) -> Section:
     table = grouped(setups, outcome, run)
     figure = new_figure(13, 6)
     axes = figure.subplots(len(METHODS), len(KLUX), sharex=True, sharey=True)
-    for line, method in zip(axes, METHODS):
-        for axis, klux in zip(line, KLUX):
+    for line, method in zip(axes, METHODS, strict=True):
+        for axis, klux in zip(line, KLUX, strict=True):
             for mode, (colour, dashes) in MODE_STYLE.items():
                 values = [mean(table[mode, klux, distance_m], f"right_share_{method}") for distance_m in DISTANCES_M]
                 axis.plot(DISTANCES_M, values, dashes, color=colour, label=mode)
@@ -119,7 +119,7 @@ def glass(run: Processes, engine: str | None = None) -> Section:
     table = grouped(setups, outcome, run)
     figure = new_figure(10, 4)
     at = [max(photons, PANE_PHOTONS[1] / 3) for photons in PANE_PHOTONS]
-    for axis, method in zip(figure.subplots(1, len(METHODS), sharey=True), METHODS):
+    for axis, method in zip(figure.subplots(1, len(METHODS), sharey=True), METHODS, strict=True):
         for mode, (colour, dashes) in MODE_STYLE.items():
             values = [mean(table[mode, photons], f"found_share_{method}") for photons in PANE_PHOTONS]
             axis.plot(at, values, dashes, color=colour, label=mode)
@@ -148,9 +148,9 @@ def far(run: Processes, engine: str | None = None) -> Section:
     figure = new_figure(10, 6.4)
     axes = figure.subplots(len(FAR_REFLECTIVITIES), len(FAR_PULSES), sharex=True, sharey=True)
     needs: dict[str, dict[str, str]] = {}
-    for line, reflectivity in zip(axes, FAR_REFLECTIVITIES):
-        for axis, pulses in zip(line, FAR_PULSES):
-            for (schedule, name), colour in zip(SCHEDULES.items(), (GREY, SERIES[2], SERIES[4])):
+    for line, reflectivity in zip(axes, FAR_REFLECTIVITIES, strict=True):
+        for axis, pulses in zip(line, FAR_PULSES, strict=True):
+            for (schedule, name), colour in zip(SCHEDULES.items(), (GREY, SERIES[2], SERIES[4]), strict=True):
                 best = [_best(table, reflectivity, schedule, pulses, power) for power in POWERS]
                 shares = [mean(outcomes, "found_share_planes") for _, outcomes in best]
                 axis.plot([PULSE_NJ * power for power in POWERS], shares, "-o", color=colour, label=name)
@@ -261,7 +261,7 @@ def _share(axis: Axes) -> None:
 
 
 def _reach(shares: Sequence[float]) -> str:
-    good = [distance_m for distance_m, share in zip(DISTANCES_M, shares) if share >= FOUND_SHARE]
+    good = [distance_m for distance_m, share in zip(DISTANCES_M, shares, strict=True) if share >= FOUND_SHARE]
     return f"{max(good):g} m" if good else "none"
 
 
@@ -280,7 +280,7 @@ def _best(
 
 def _need(best: Sequence[tuple[int, list[Outcome]]]) -> str:
     """Return the weakest laser pulse that finds the target, with the threshold and the precision."""
-    for power, (threshold, outcomes) in zip(POWERS, best):
+    for power, (threshold, outcomes) in zip(POWERS, best, strict=True):
         if mean(outcomes, "found_share_planes") >= FOUND_SHARE:
             how = f"threshold {threshold}" if threshold else "coincidence off"
             return f"{PULSE_NJ * power:g} nJ, {how}, {100 * mean(outcomes, 'found_rms_m_planes'):.1f} cm RMS"

@@ -80,12 +80,13 @@ def interference(run: Processes) -> Section:
     for key, results in table.items():
         frame_us = Timing(dither_bits=key[2]).start_cycles(PULSES)[-1] / Timing().clock_hz * 1e6
         for name in SHOWN:
-            means = (float(np.mean([part[name] for part in parts])) for parts in zip(*results))
+            means = (float(np.mean([part[name] for part in parts])) for parts in zip(*results, strict=True))
             rows.append((name, *key, float(frame_us), *means))
     figure = new_figure(15, 5)
     left, middle, right = figure.subplots(1, 3, sharey=True)
-    colours = dict(zip(BITS_SHOWN, (SERIES[0], SERIES[3], SERIES[5])))
-    for axis, at, (label, part) in zip((left, middle), (0, 1), keys.items()):
+    colours = dict(zip(BITS_SHOWN, (SERIES[0], SERIES[3], SERIES[5]), strict=True))
+    *of_the_other, of_the_dither = keys.items()
+    for axis, at, (label, part) in zip((left, middle), (0, 1), of_the_other, strict=True):
         for bits in BITS_SHOWN:
             chosen = [key for key in part if key[2] == bits]
             for name, line in (("this: fixed planes", "-o"), ("this: fixed", "--o")):
@@ -95,12 +96,12 @@ def interference(run: Processes) -> Section:
         share_axis(axis, xlabel=label)
         axis.set_xscale("symlog", linthresh=part[len(BITS_SHOWN)][at], linscale=0.3)
         axis.set_xlim(left=0)
+    label, chosen = of_the_dither
     for name in SHOWN:
         colour, line, marker = STYLES[name]
-        chosen = keys["longest wait in cycles"]
         waits = [(1 << key[2]) - 1 for key in chosen]
         right.plot(waits, _shares(table, chosen, name), line, marker=marker, color=colour, label=name)
-    share_axis(right, xlabel="longest wait in cycles", title=f"{PHOTONS_SHOWN:g} photons, same period")
+    share_axis(right, xlabel=label, title=f"{PHOTONS_SHOWN:g} photons, same period")
     right.set_xscale("symlog", linthresh=1)
     right.set_xlim(left=0)
     left.set(ylabel="share of wrong pixels", title="same period")

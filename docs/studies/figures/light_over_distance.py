@@ -58,13 +58,13 @@ def figure_2(run: Processes) -> Section:
         left.loglog(DISTANCE_M, background_cps, **style, alpha=0.45, label=f"background, {form}")
     live = budgets["literal", "A"].background_live_cps
     left.axhline(live, color=DARK_GREY, linewidth=1, label="background after dead time")
-    at, signal_cps, _, both_cps = zip(*simulated)
+    at, signal_cps, _, both_cps = zip(*simulated, strict=True)
     left.loglog(at, signal_cps, "o", color="black", label="signal alone, Monte Carlo")
     left.loglog(at, both_cps, "o", color=SOURCES["RTL"]["color"], label="all light, Monte Carlo")
     left.set(xlabel="distance in m", ylabel="detected events per pixel in 1/s", title="rates of a pixel")
     left.set_ylim(top=2e15)
     left.legend(ncols=2, fontsize=7.5, loc="upper right")
-    for reading, line in zip("AEF", ("-", "--", ":")):
+    for reading, line in zip("AEF", ("-", "--", ":"), strict=True):
         colour = SERIES[2 * "AEF".index(reading)]
         right.semilogx(DISTANCE_M, budgets["literal", reading].sbr_db, line, color=colour, label=f"reading {reading}")
     right.axhline(0, color=DARK_GREY, linewidth=1)
@@ -110,7 +110,7 @@ def figure_5(run: Processes) -> Section:
         near = energy > 1e-6
         rows += [
             ("literal", label, float(distance_m), float(t * 1e9), float(e), "")
-            for t, e in zip(time_s[near], energy[near])
+            for t, e in zip(time_s[near], energy[near], strict=True)
         ]
     left.set(
         xlabel="time since the laser trigger in ns",
@@ -123,7 +123,10 @@ def figure_5(run: Processes) -> Section:
         measured[label] = f"{fwhm_ps:.0f} ± {error_ps:.0f} ps"
         rows.append(("Monte Carlo", label, distance_m, "", "", fwhm_ps))
         flight_ns = 2e9 * distance_m / SPEED_OF_LIGHT_M_S
-        rows += [("Monte Carlo", label, distance_m, flight_ns + o / 1000, s, "") for o, s in zip(offset_ps, share)]
+        rows += [
+            ("Monte Carlo", label, distance_m, flight_ns + o / 1000, s, "")
+            for o, s in zip(offset_ps, share, strict=True)
+        ]
         name = f"object {label}, {distance_m:g} m:\n{fwhm_ps:.0f} ps (Monte Carlo)"
         right.plot(offset_ps, share, "o", color=SERIES[label], label=name)
     offset_s = np.linspace(-1e-9, 1e-9, 401)

@@ -48,7 +48,7 @@ def noisy_spads(run: Processes) -> Section:
     table = grouped(setups, outcome, run)
     figure = new_figure(4.4 * len(SPADS), 7.5)
     axes = figure.subplots(2, len(SPADS), sharey="row", squeeze=False)
-    for (above, below), (study, values) in zip(axes.T, SPADS.items()):
+    for (above, below), (study, values) in zip(axes.T, SPADS.items(), strict=True):
         at = range(len(values))
         for threshold, colour in THRESHOLDS.items():
             shown, label = [table[study, value, threshold] for value in values], f"threshold {threshold}"

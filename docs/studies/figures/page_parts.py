@@ -30,7 +30,7 @@ def save(section: Section, **names: str) -> None:
 def records(section: Section) -> list[dict[str, Any]]:
     """Return the rows of a section by the names in its first row."""
     head, *rows = section.rows
-    return [dict(zip(map(str, head), row)) for row in rows]
+    return [dict(zip(map(str, head), row, strict=True)) for row in rows]
 
 
 def per_cent(share: float) -> str:

@@ -50,7 +50,7 @@ def figure_6(run: Processes, engine: str | None = None) -> Section:
             for pulses in (PULSES, MANY * PULSES)
         }
         measured, first = grouped(setups, outcome, run), setups["Monte Carlo", PULSES][0]
-        analytic = dict(zip(FORMS, run.map(_analytic, [(form, first) for form in FORMS])))
+        analytic = dict(zip(FORMS, run.map(_analytic, [(form, first) for form in FORMS]), strict=True))
         one, many = (outcomes[0] for outcomes in measured.values())
         if engine:
             measured["RTL", PULSES] = [outcome(Run(first.but(engine=engine)))]
@@ -92,7 +92,7 @@ def figure_8(run: Processes, engine: str | None = None) -> Section:
     every = {key: setups(*key) for key in product(PANELS_8, THRESHOLDS_8)}
     by_threshold = grouped(every, outcome, run)
     tasks = {(*key, form): (form, group[0]) for key, group in every.items() for form in FORMS}
-    analytic = dict(zip(tasks, run.map(_analytic, tasks.values())))
+    analytic = dict(zip(tasks, run.map(_analytic, tasks.values()), strict=True))
     best: dict[tuple[str, str], tuple[float, int]] = {}  # (wrong share, threshold) by panel and source
     for (panel, threshold), outcomes in by_threshold.items():
         for form in FORMS:

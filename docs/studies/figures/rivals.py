@@ -78,7 +78,7 @@ def background(run: Processes) -> Section:
     for name in SHOWN:
         wrong = np.array([[wrong_share(one[name].depth_m[:, :, 0], scene.truth_m) for one in table[k]] for k in KLUX])
         errors, bits = wrong.std(axis=1) / np.sqrt(SEEDS), [_bits(table[klux], name) for klux in KLUX]
-        rows += [(name, *row) for row in zip(KLUX, wrong.mean(axis=1).tolist(), errors.tolist(), bits)]
+        rows += [(name, *row) for row in zip(KLUX, wrong.mean(axis=1).tolist(), errors.tolist(), bits, strict=True)]
         _line(left, name, KLUX, wrong.mean(axis=1))
         _line(right, name, KLUX, np.array(bits) / 1e3)
     share_axis(left, xlabel="background in klux", ylabel="share of wrong pixels", xscale="log")
@@ -119,7 +119,7 @@ def bits(run: Processes) -> Section:
             lines.setdefault((pulses, klux, line_of[name]), []).append((_bits(ones, name) / 1e3, wrong))
     figure = new_figure(14, 9)
     axes = figure.subplots(len(SEEDS_OF_PULSES), len(BITS_KLUX), sharey=True, squeeze=False)
-    panels = dict(zip(product(SEEDS_OF_PULSES, BITS_KLUX), axes.flat))
+    panels = dict(zip(product(SEEDS_OF_PULSES, BITS_KLUX), axes.flat, strict=True))
     for (pulses, klux), axis in panels.items():
         share_axis(axis, xscale="log", title=f"{klux:g} klux, {pulses} pulses")
     for (pulses, klux, line), points in lines.items():
@@ -160,7 +160,7 @@ def ranging(run: Processes) -> Section:
         wrong = wrong_share(depth_m, np.full_like(depth_m, distance_m))
         rows.append((scheme, klux, distance_m, *numbers[scheme, klux, distance_m], wrong, _bits(ones, scheme)))
     figure = new_figure(11, 8.6)
-    for column, klux in zip(figure.subplots(3, len(RANGE_KLUX), sharex=True, sharey="row").T, RANGE_KLUX):
+    for column, klux in zip(figure.subplots(3, len(RANGE_KLUX), sharex=True, sharey="row").T, RANGE_KLUX, strict=True):
         for scheme in SHOWN:
             seen, bias, precision = np.transpose([numbers[scheme, klux, distance_m] for distance_m in DISTANCES_M])
             _line(column[0], scheme, DISTANCES_M, seen)
@@ -170,7 +170,7 @@ def ranging(run: Processes) -> Section:
         column[0].set_title(f"{klux:g} klux")
         column[2].set_xlabel("distance in m")
     labels = f"share within {100 * OTHER_SURFACE_M:g} cm", "bias in cm", "precision (1 sigma) in cm"
-    for axis, label in zip(figure.axes[:: len(RANGE_KLUX)], labels):
+    for axis, label in zip(figure.axes[:: len(RANGE_KLUX)], labels, strict=True):
         axis.set_ylabel(label)
     legend_below(figure)
     return section(
@@ -198,9 +198,9 @@ def two_targets(run: Processes) -> Section:
             ]
             shares.append(np.mean(wrong, axis=0).tolist())
             rows.append((scheme, step_m, *shares[-1]))
-        for axis, values in zip(axes, np.transpose(shares)):
+        for axis, values in zip(axes, np.transpose(shares), strict=True):
             _line(axis, scheme, 100 * np.array(STEPS_M), values)
-    for axis, title in zip(axes, OF_RETURNS):
+    for axis, title in zip(axes, OF_RETURNS, strict=True):
         share_axis(axis, ylabel="share of wrong pixels", xscale="log", title=title)
         axis.set_xlabel(f"step behind the target at {NEAR_M:g} m in cm")
         axis.set_xticks([100 * step_m for step_m in STEPS_M], labels=[f"{100 * step_m:.0f}" for step_m in STEPS_M])
@@ -223,7 +223,9 @@ def retroreflector(run: Processes) -> Section:
     columns = "scheme behind_m gain wrong_share_of_dark wrong_in_both_returns_share wrong_share_of_sign bits_per_frame"
     rows: list[Row] = [columns.split()]
     figure = new_figure(11, 8.2)
-    for column, behind_m in zip(figure.subplots(RETURNS, len(BEHIND_M), sharex=True, sharey=True).T, BEHIND_M):
+    for column, behind_m in zip(
+        figure.subplots(RETURNS, len(BEHIND_M), sharex=True, sharey=True).T, BEHIND_M, strict=True
+    ):
         for scheme in SHOWN:
             shares = []
             for gain in GAINS:
@@ -233,9 +235,9 @@ def retroreflector(run: Processes) -> Section:
                 of_sign = np.mean([~(np.abs(one.depth_m[SIGN, SIGN, 0] - SIGN_M) <= TOLERANCE_M) for one in ones])
                 sent = _bits(table[behind_m, gain], scheme)
                 rows.append((scheme, behind_m, gain, *map(float, shares[-1]), float(of_sign), sent))
-            for axis, values in zip(column, np.transpose(shares)):
+            for axis, values in zip(column, np.transpose(shares), strict=True):
                 _line(axis, scheme, GAINS, values)
-        for axis, returns in zip(column, OF_RETURNS):
+        for axis, returns in zip(column, OF_RETURNS, strict=True):
             share_axis(axis, ylabel="share of wrong pixels, dark target", xscale="log")
             axis.set_title(f"{behind_m:g} m behind the sign, {returns}")
         column[-1].set_xlabel("light of the sign against a white target's")

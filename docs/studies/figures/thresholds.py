@@ -35,7 +35,7 @@ def figure_7(run: Processes) -> Section:
     figure = new_figure(11, 4.2)
     axes = figure.subplots(1, 2, sharey=True)
     chosen: Chosen = {}
-    for axis, klux in zip(axes, KLUX):
+    for axis, klux in zip(axes, KLUX, strict=True):
         activity_cps = PIXELS * (background_cps(klux) + SIGNAL / Timing().period_s)
         for form in FORMS:
             expected = run.map(_success, [(float(signal), klux, form) for signal in SIGNAL])
@@ -47,7 +47,7 @@ def figure_7(run: Processes) -> Section:
             success = _simulated(run, klux, pulses)
             _add(rows, chosen, "Monte Carlo", klux, pulses, activity_cps, success)
             for which, colour, thresholds in zip(
-                ("highest", "lowest"), (INK, GREY), np.transpose(chosen["Monte Carlo", klux, pulses])
+                ("highest", "lowest"), (INK, GREY), np.transpose(chosen["Monte Carlo", klux, pulses]), strict=True
             ):
                 label = f"Monte Carlo, {pulses} pulses: {which}"
                 axis.semilogx(activity_cps, thresholds, marker, color=colour, markersize=7, label=label)
@@ -117,7 +117,9 @@ def _add(
     """Add rows to the CSV, and add the chosen thresholds to `chosen`."""
     shares = [np.asarray(one) for one in success]
     chosen[source, klux, pulses] = [(expected_threshold(one), lowest_threshold(one)) for one in shares]
-    for signal, activity, thresholds, one in zip(SIGNAL, activity_cps, chosen[source, klux, pulses], shares):
+    for signal, activity, thresholds, one in zip(
+        SIGNAL, activity_cps, chosen[source, klux, pulses], shares, strict=True
+    ):
         rows.append((source, klux, pulses, float(signal), float(activity), *thresholds, *map(float, one)))
 
 
