@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 from attrs import define, field, frozen
 
-from .netlist import ONE, ZERO, Block, NetlistError, Nets, Read, Table
+from .netlist import ONE, ZERO, Block, Instance, NetlistError, Nets, Read, Table
 from .schedule import Call, Copy, Evaluate, Guard, Lit, Op, Put, Schedule, Write, settling, with_lit
 
 STATEMENTS = 400  # in a function, about
@@ -124,62 +124,103 @@ class Emission:
 
     def _place(self, homes: set[int], flags: Mapping[str, list[tuple[int, frozenset[int]]]]) -> int:
         """Give a word to every net that lasts, and flags to every sparse field; return the first flag of the top."""
-        layout, top, place = self.layout, self.top, self.layout.nets
+        layout = self.layout
+        top = self.top
+        place = layout.nets
         place |= {ZERO: layout.take(), ONE: layout.take()}
         layout.ones.append(place[ONE])
         lit: dict[int, list[int]] = defaultdict(list)  # net of the top -> flags
         for name, unit in self._units.items():
-            unit.first_shared = layout.take(len(unit.shared) + unit.temporaries)
-            unit.first_own = layout.take(len(unit.own) * unit.instances)
-            unit.first_flag = layout.flags
-            layout.flags += len(unit.flags) * unit.instances
-            for k, instance in enumerate(i for i in top.instances if i.unit == name):
-                words = {net: unit.first_shared + at for net, at in unit.shared.items()}
-                words |= {net: unit.first_own + k * len(unit.own) + at for net, at in unit.own.items()}
-                layout.instances[instance.name] = words
-                layout.ones += [words[flop.output] for flop in unit.block.flops if flop.init]
-                outer: dict[int, int] = {}
-                for port, nets in unit.block.inputs.items():
-                    outer |= dict(zip(nets, instance.nets[port], strict=True))
-                for inner, net in outer.items():
-                    if net == ONE:
-                        layout.ones.append(words[inner])
-                    elif net in homes and net not in place:
-                        place[net] = words[inner]
-                    elif net > ONE and place.get(net) != words[inner]:
-                        unit.moves.append((words[inner], net))
-                for port, nets in unit.block.outputs.items():
-                    for inner, net in zip(nets, instance.nets.get(port, ()), strict=False):
-                        place[net] = words[inner] if inner > ONE else place[inner]
-                for number, fields in unit.flags:
-                    for inner in fields:
-                        lit[outer[inner]].append(unit.first_flag + k * len(unit.flags) + number)
-            unit.moves = list(dict.fromkeys(unit.moves))
+            self._place_unit(name, unit, homes, lit)
         first_flag = layout.flags
         layout.flags += len(flags[top.name])
         for number, fields in flags[top.name]:
             for net in fields:
                 lit[net].append(first_flag + number)
-        lasting = [net for nets in top.inputs.values() for net in nets] + [flop.output for flop in top.flops]
-        lasting += [net for nets in top.outputs.values() for net in nets]
+        self._place_lasting()
+        self._place_memories()
+        layout.ones += [place[flop.output] for flop in top.flops if flop.init]
+        layout.inputs = {port: [place[net] for net in nets] for port, nets in top.inputs.items()}
+        layout.outputs = {port: [place[net] for net in nets] for port, nets in top.outputs.items()}
+        for port, nets in top.inputs.items():
+            if any(net in lit for net in nets):
+                layout.lit[port] = [lit[net] for net in nets]
+        return first_flag
+
+    def _place_unit(self, name: str, unit: _Unit, homes: set[int], lit: dict[int, list[int]]) -> None:
+        """Reserve the words and the flags of a unit, and place each instance in them."""
+        layout = self.layout
+        unit.first_shared = layout.take(len(unit.shared) + unit.temporaries)
+        unit.first_own = layout.take(len(unit.own) * unit.instances)
+        unit.first_flag = layout.flags
+        layout.flags += len(unit.flags) * unit.instances
+        instances = [instance for instance in self.top.instances if instance.unit == name]
+        for k, instance in enumerate(instances):
+            words = {net: unit.first_shared + at for net, at in unit.shared.items()}
+            words |= {net: unit.first_own + k * len(unit.own) + at for net, at in unit.own.items()}
+            layout.instances[instance.name] = words
+            layout.ones += [words[flop.output] for flop in unit.block.flops if flop.init]
+            outer = _outer_nets(unit.block, instance)
+            self._connect_inputs(unit, outer, words, homes)
+            self._connect_outputs(unit.block, instance, words)
+            first_flag = unit.first_flag + k * len(unit.flags)
+            for number, fields in unit.flags:
+                for inner in fields:
+                    lit[outer[inner]].append(first_flag + number)
+        unit.moves = list(dict.fromkeys(unit.moves))
+
+    def _connect_inputs(self, unit: _Unit, outer: Mapping[int, int], words: Mapping[int, int], homes: set[int]) -> None:
+        """Give nets of the top the words of the inputs that they drive, or else list their moves."""
+        place = self.layout.nets
+        for inner, net in outer.items():
+            if net == ONE:
+                self.layout.ones.append(words[inner])
+            elif net in homes and net not in place:
+                place[net] = words[inner]
+            elif net > ONE and place.get(net) != words[inner]:
+                unit.moves.append((words[inner], net))
+
+    def _connect_outputs(self, block: Block, instance: Instance, words: Mapping[int, int]) -> None:
+        """Give nets of the top the words of the outputs that drive them."""
+        place = self.layout.nets
+        for port, nets in block.outputs.items():
+            connected = instance.nets.get(port, ())
+            for inner, net in zip(nets, connected, strict=False):  # an output may be open
+                place[net] = words[inner] if inner > ONE else place[inner]
+
+    def _place_lasting(self) -> None:
+        """Give words to the rows that memories show, and to ports and flops of the top that have none yet."""
+        layout = self.layout
+        top = self.top
+        place = layout.nets
         for memory in top.memories:
             for read in memory.reads:  # a row's bits are neighbours
                 first = layout.take(memory.width)
                 place |= {net: first + k for k, net in enumerate(read.outputs)}
+        lasting = [net for nets in top.inputs.values() for net in nets]
+        lasting += [flop.output for flop in top.flops]
+        lasting += [net for nets in top.outputs.values() for net in nets]
         for net in lasting:
             if net > ONE and net not in place:
                 place[net] = layout.take()
-        for memory in top.memories:
-            layout.memories[memory.name] = first = layout.take(memory.rows * memory.width)
+
+    def _place_memories(self) -> None:
+        """Give words to the rows of the memories."""
+        layout = self.layout
+        for memory in self.top.memories:
+            first = layout.take(memory.rows * memory.width)
+            layout.memories[memory.name] = first
             for row, value in enumerate(memory.init):
-                layout.ones += [first + row * memory.width + bit for bit in range(memory.width) if value >> bit & 1]
-        layout.ones += [place[flop.output] for flop in top.flops if flop.init]
-        layout.inputs = {port: [place[net] for net in nets] for port, nets in top.inputs.items()}
-        layout.outputs = {port: [place[net] for net in nets] for port, nets in top.outputs.items()}
-        layout.lit = {
-            port: [lit[net] for net in nets] for port, nets in top.inputs.items() if any(net in lit for net in nets)
-        }
-        return first_flag
+                first_of_row = first + row * memory.width
+                layout.ones += [first_of_row + bit for bit in range(memory.width) if value >> bit & 1]
+
+
+def _outer_nets(block: Block, instance: Instance) -> dict[int, int]:
+    """Return the nets of the top at the inputs of an instance, by net of the block."""
+    outer: dict[int, int] = {}
+    for port, nets in block.inputs.items():
+        outer |= dict(zip(nets, instance.nets[port], strict=True))
+    return outer
 
 
 def _identifier(name: str) -> str:
