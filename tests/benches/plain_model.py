@@ -43,12 +43,13 @@ class PlainSubgroup:
 
     def period(self, pulse: int, edges: list[tuple[int, int, int, int, int]], fate: list) -> None:
         """edges: (tick, pixel inside, minigroup, pixel in minigroup, number in the file)."""
-        config, sensor = self.config, self.config.sensor
-        phases, guard = sensor.phases, sensor.guard
+        config = self.config
+        phases = config.sensor.phases
         at_tick = defaultdict(list)
         for edge in sorted(edges):
             at_tick[edge[0]].append(edge)
-        window, armed_from = None, 0
+        self.open_window = None
+        self.armed_from = 0  # cycle
         seen_in_cycle, blind_cycles = set(), set()
         accepted = defaultdict(list)
         for tick in range(config.period * phases):
@@ -56,52 +57,67 @@ class PlainSubgroup:
             if tick % phases == 0:
                 seen_in_cycle = set()
             for _, i, g, j, number in at_tick.get(tick, ()):
-                if i in seen_in_cycle:
-                    fate[number] = Fate.DUPLICATE
-                    continue
+                fate[number] = self.refused(pulse, cycle, i, seen_in_cycle)
                 seen_in_cycle.add(i)
-                if not config.mask[self.index, i]:
-                    fate[number] = Fate.MASKED
-                    continue
-                if not self.gate_open(pulse, cycle):
-                    fate[number] = Fate.GATED
-                    continue
-                accepted[g, cycle].append((tick, j))
-                if window:
-                    if i in window["hits"]:
-                        fate[number] = Fate.DUPLICATE
-                        continue
-                    fate[number] = Fate.COUNTED
-                elif cycle >= armed_from and cycle < config.period - guard:
-                    fate[number] = Fate.OPENING
-                    window = {"t0": tick, "winner": i, "hits": set(), "offsets": {}}
-                    self.opened += 1
-                else:
-                    fate[number] = Fate.BLIND
+                if fate[number] is None:
+                    accepted[g, cycle].append((tick, j))
+                    fate[number] = self.take(tick, i, g)
+                if fate[number] == Fate.BLIND:
                     blind_cycles.add(cycle)
-                    continue
-                window["hits"].add(i)
-                window["offsets"].setdefault(
-                    g, (tick - phases * (window["t0"] // phases)) // (phases // sensor.offset_phases)
-                )
-            if window and tick == window["t0"] + self.window - 1:
-                count = len(window["hits"])
-                self.photons += count
-                if count >= self.threshold - 1:
-                    self.lower += 1
-                if count >= self.threshold:
-                    self.committed += 1
-                    hits, offsets = frozenset(window["hits"]), window["offsets"]
-                    self.events.append((pulse, window["t0"], count, window["winner"], hits, offsets, cycle))
-                else:
-                    self.rejected += 1
-                window, armed_from = None, cycle + 1 + sensor.rearm
-        assert window is None, "a period is self-contained"
+            if self.open_window and tick == self.open_window["t0"] + self.window - 1:
+                self.close(pulse, cycle)
+        assert self.open_window is None, "a period is self-contained"
         self.blind += len(blind_cycles)
         if config.frame.minigroup_records:
             record = self.record(accepted)
             if record:
                 self.records.append((pulse, record))
+
+    def refused(self, pulse: int, cycle: int, i: int, seen_in_cycle: set[int]) -> Fate | None:
+        """Return the fate of an edge that does not come to the tree."""
+        if i in seen_in_cycle:
+            return Fate.DUPLICATE
+        if not self.config.mask[self.index, i]:
+            return Fate.MASKED
+        if not self.gate_open(pulse, cycle):
+            return Fate.GATED
+        return None
+
+    def take(self, tick: int, i: int, g: int) -> Fate:
+        """Let an edge come to the tree."""
+        phases = self.config.sensor.phases
+        cycle = tick // phases
+        window = self.open_window
+        if window and i in window["hits"]:
+            return Fate.DUPLICATE
+        if window:
+            fate = Fate.COUNTED
+        elif self.armed_from <= cycle < self.config.period - self.config.sensor.guard:
+            fate = Fate.OPENING
+            window = self.open_window = {"t0": tick, "winner": i, "hits": set(), "offsets": {}}
+            self.opened += 1
+        else:
+            return Fate.BLIND
+        window["hits"].add(i)
+        since_cycle = tick - phases * (window["t0"] // phases)
+        window["offsets"].setdefault(g, since_cycle // (phases // self.config.sensor.offset_phases))
+        return fate
+
+    def close(self, pulse: int, cycle: int) -> None:
+        """Compare the window's count with the threshold."""
+        window = self.open_window
+        count = len(window["hits"])
+        self.photons += count
+        if count >= self.threshold - 1:
+            self.lower += 1
+        if count >= self.threshold:
+            self.committed += 1
+            hits, offsets = frozenset(window["hits"]), window["offsets"]
+            self.events.append((pulse, window["t0"], count, window["winner"], hits, offsets, cycle))
+        else:
+            self.rejected += 1
+        self.open_window = None
+        self.armed_from = cycle + 1 + self.config.sensor.rearm
 
     def record(self, accepted) -> dict:
         config, sensor = self.config, self.config.sensor
