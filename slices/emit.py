@@ -12,15 +12,15 @@ from typing import TypeAlias
 from attrs import define, field, frozen
 
 from .netlist import ONE, ZERO, Block, Instance, NetlistError, Nets, Read, Table
-from .schedule import Call, Copy, Evaluate, Guard, Lit, Op, Put, Schedule, Write, settling, with_lit
+from .schedule import Call, Copy, DarkTables, Evaluate, Guard, Op, Put, Schedule, Write, settling, with_dark_tables
 
 STATEMENTS = 400  # in a function, about
 Value: TypeAlias = Callable[[int], str]  # expression for a net
 
 
 @frozen
-class Sparse:
-    """A hint: the bits of a block's input port are nearly always 0, and so are most fields of `field_bits` bits."""
+class DarkInput:
+    """A hint: an input port of a block is dark, which means nearly always 0, and so are most fields of `field_bits` bits."""
 
     block: str
     port: str
@@ -33,7 +33,8 @@ class Layout:
 
     words, flags: how many there are. inputs, outputs: words of each port's bits. nets: words of those nets of the top that
     last from pass to pass; instances: the same for each instance. memories: first word of each; bit b of row r is at first
-    + r * width + b. ones: words that are 1 at the beginning. lit: flags to be set with bit b of a sparse port.
+    + r * width + b. ones: words that are 1 at the beginning. flags_of: flags to be set with bit b
+    of a dark input.
     """
 
     words: int = 0
@@ -44,7 +45,7 @@ class Layout:
     instances: dict[str, dict[int, int]] = field(factory=dict)
     memories: dict[str, int] = field(factory=dict)
     ones: list[int] = field(factory=list)
-    lit: dict[str, list[list[int]]] = field(factory=dict)
+    flags_of: dict[str, list[list[int]]] = field(factory=dict)
 
     def take(self, words: int = 1) -> int:
         """Add some words and return the first of them."""
@@ -74,12 +75,12 @@ class _Unit:
 class Emission:
     """C++ (`source`, `header`) and `layout` of the block `top`; the other blocks are units that repeat in it."""
 
-    def __init__(self, blocks: Mapping[str, Block], top: str, sparse: Sequence[Sparse] = ()):
+    def __init__(self, blocks: Mapping[str, Block], top: str, dark_inputs: Sequence[DarkInput] = ()):
         self.top, self.blocks = blocks[top], blocks
         self.layout = Layout()
         used = dict.fromkeys(instance.unit for instance in self.top.instances)
-        flags = {name: _fields(blocks[name], sparse) for name in (*used, top)}
-        nodes = {name: with_lit(blocks[name], flags[name]) for name in (*used, top)}
+        flags = {name: _dark_fields(blocks[name], dark_inputs) for name in (*used, top)}
+        nodes = {name: with_dark_tables(blocks[name], flags[name]) for name in (*used, top)}
         schedules = {name: Schedule(blocks[name], blocks, nodes[name], name != top) for name in (*used, top)}
         self._units = {name: self._unit(name, flags[name]) for name in used}
         text = []
@@ -123,31 +124,31 @@ class Emission:
         )
 
     def _place(self, homes: set[int], flags: Mapping[str, list[tuple[int, frozenset[int]]]]) -> int:
-        """Give a word to every net that lasts, and flags to every sparse field; return the first flag of the top."""
+        """Give a word to every net that lasts, and a flag to every dark field; return the first flag of the top."""
         layout = self.layout
         top = self.top
         place = layout.nets
         place |= {ZERO: layout.take(), ONE: layout.take()}
         layout.ones.append(place[ONE])
-        lit: dict[int, list[int]] = defaultdict(list)  # net of the top -> flags
+        flags_of: dict[int, list[int]] = defaultdict(list)  # net of the top -> flags
         for name, unit in self._units.items():
-            self._place_unit(name, unit, homes, lit)
+            self._place_unit(name, unit, homes, flags_of)
         first_flag = layout.flags
         layout.flags += len(flags[top.name])
         for number, fields in flags[top.name]:
             for net in fields:
-                lit[net].append(first_flag + number)
+                flags_of[net].append(first_flag + number)
         self._place_lasting()
         self._place_memories()
         layout.ones += [place[flop.output] for flop in top.flops if flop.init]
         layout.inputs = {port: [place[net] for net in nets] for port, nets in top.inputs.items()}
         layout.outputs = {port: [place[net] for net in nets] for port, nets in top.outputs.items()}
         for port, nets in top.inputs.items():
-            if any(net in lit for net in nets):
-                layout.lit[port] = [lit[net] for net in nets]
+            if any(net in flags_of for net in nets):
+                layout.flags_of[port] = [flags_of[net] for net in nets]
         return first_flag
 
-    def _place_unit(self, name: str, unit: _Unit, homes: set[int], lit: dict[int, list[int]]) -> None:
+    def _place_unit(self, name: str, unit: _Unit, homes: set[int], flags_of: dict[int, list[int]]) -> None:
         """Reserve the words and the flags of a unit, and place each instance in them."""
         layout = self.layout
         unit.first_shared = layout.take(len(unit.shared) + unit.temporaries)
@@ -166,7 +167,7 @@ class Emission:
             first_flag = unit.first_flag + k * len(unit.flags)
             for number, fields in unit.flags:
                 for inner in fields:
-                    lit[outer[inner]].append(first_flag + number)
+                    flags_of[outer[inner]].append(first_flag + number)
         unit.moves = list(dict.fromkeys(unit.moves))
 
     def _connect_inputs(self, unit: _Unit, outer: Mapping[int, int], words: Mapping[int, int], homes: set[int]) -> None:
@@ -227,10 +228,10 @@ def _identifier(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name)
 
 
-def _fields(block: Block, sparse: Sequence[Sparse]) -> list[tuple[int, frozenset[int]]]:
-    """Return number and nets of the fields of a block's sparse inputs, and of all of them together."""
+def _dark_fields(block: Block, dark_inputs: Sequence[DarkInput]) -> list[tuple[int, frozenset[int]]]:
+    """Return number and nets of the fields of a block's dark inputs, and of all of them together."""
     fields = []
-    for hint in sparse:
+    for hint in dark_inputs:
         nets = block.inputs[hint.port] if hint.block == block.name else ()
         fields += [frozenset(nets[k : k + hint.field_bits]) for k in range(0, len(nets), hint.field_bits)]
     return list(enumerate([*fields, frozenset().union(*fields)] if len(fields) > 1 else fields))
@@ -254,17 +255,17 @@ def _header(layout: Layout) -> str:
         "#pragma once",
         '#include "word.h"',
         f"constexpr int SLICE_WORDS = {layout.words}, SLICE_FLAGS = {max(1, layout.flags)};",
-        "void slice_pass(W* __restrict V, uint8_t* L);    // a rising edge of the clock",
-        "void slice_settle(W* __restrict V, uint8_t* L);  // outputs that are not registers",
+        "void slice_pass(W* __restrict V, uint8_t* F);    // a rising edge of the clock",
+        "void slice_settle(W* __restrict V, uint8_t* F);  // outputs that are not registers",
         f"constexpr int SLICE_ONES[] = {{{_listed([*layout.ones, -1])}}};  // words that are 1 at the beginning, and -1",
     ]
     for kind, ports in (("IN", layout.inputs), ("OUT", layout.outputs)):
         lines += [f"constexpr int {kind}_{port}[] = {{{_listed(words)}}};" for port, words in ports.items() if words]
-    for port, flags in layout.lit.items():
+    for port, flags in layout.flags_of.items():
         most = max(map(len, flags))
         # A bit with fewer flags repeats its last one.
         rows = ["{" + _listed([*of, *of[-1:] * (most - len(of))]) + "}" for of in flags]
-        lines.append(f"constexpr int LIT_{port}[][{most}] = {{{', '.join(rows)}}};")
+        lines.append(f"constexpr int FLAGS_OF_{port}[][{most}] = {{{', '.join(rows)}}};")
     return "\n".join([*lines, ""])
 
 
@@ -286,7 +287,7 @@ class _Writer:
     places: expression of every net that lasts; first_temporary, first_flag: in their arrays.
     """
 
-    STATIC, PARAMETERS, ARGUMENTS = "static ", "W* __restrict M, W* __restrict C, const uint8_t* L", "M, C, L"
+    STATIC, PARAMETERS, ARGUMENTS = "static ", "W* __restrict M, W* __restrict C, const uint8_t* F", "M, C, F"
     TEMPORARIES = "C"
 
     def __init__(self, name: str, places: Mapping[int, str], first_temporary: int, first_flag: int = 0):
@@ -389,8 +390,8 @@ class _Writer:
         if isinstance(op, Copy):
             yield from self._define(op.name, self._places[op.net], values)
         elif isinstance(op, Evaluate):
-            if isinstance(op.node, Lit):
-                yield from self._lit(op.node, value, values)
+            if isinstance(op.node, DarkTables):
+                yield from self._dark_tables(op.node, value, values)
             elif isinstance(op.node, Table):
                 yield from self._define(op.node.outputs[0], _expression(op.node, value), values)
         elif isinstance(op, Write):
@@ -410,13 +411,13 @@ class _Writer:
         if word:
             yield f"{word} = {values[name]};"
 
-    def _lit(self, node: Lit, value: Value, values: dict[int, str]) -> Iterator[str]:
+    def _dark_tables(self, node: DarkTables, value: Value, values: dict[int, str]) -> Iterator[str]:
         found: dict[int, str] = {}
-        for net, dark in zip(node.outputs, node.dark, strict=True):
+        for net, value_in_dark in zip(node.outputs, node.dark_values, strict=True):
             self._locals += 1
             found[net] = f"t{self._locals}"
-            yield f"W {found[net]} = {'ONES' if dark else 'ZEROS'};"
-        yield f"if (L[{self._first_flag + node.flag}]) {{"
+            yield f"W {found[net]} = {'ONES' if value_in_dark else 'ZEROS'};"
+        yield f"if (F[{self._first_flag + node.flag}]) {{"
         inner: dict[int, str] = {}
         for table in node.tables:
             self._locals += 1
@@ -449,7 +450,7 @@ class _Writer:
 class _TopWriter(_Writer):
     """Functions of the top block's pass, which has memories and calls units."""
 
-    STATIC, PARAMETERS, ARGUMENTS = "", "W* __restrict V, uint8_t* L", "V, L"
+    STATIC, PARAMETERS, ARGUMENTS = "", "W* __restrict V, uint8_t* F", "V, F"
     TEMPORARIES = "V"
 
     def __init__(
@@ -508,7 +509,7 @@ class _TopWriter(_Writer):
             yield f"V[{word}] = {value(net)};"
         own, flags = len(unit.own), len(unit.flags)
         yield f"for (int k = 0; k < {unit.instances}; k++)"
-        arguments = f"V + {unit.first_own} + k * {own}, V + {unit.first_shared}, L + {unit.first_flag} + k * {flags}"
+        arguments = f"V + {unit.first_own} + k * {own}, V + {unit.first_shared}, F + {unit.first_flag} + k * {flags}"
         yield f"    {_identifier(name)}_{self._what}({arguments});"
 
 
@@ -519,7 +520,7 @@ def _row(address: Nets, row: int, value: Value) -> str:
 def _size(op: Op) -> int:
     if isinstance(op, Guard):
         return 2 + sum(map(_size, op.body))
-    if isinstance(op, Evaluate) and isinstance(op.node, Lit):
+    if isinstance(op, Evaluate) and isinstance(op.node, DarkTables):
         return len(op.node.tables) + len(op.node.outputs)
     return 1
 

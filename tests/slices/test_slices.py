@@ -14,7 +14,7 @@ from amaranth.sim import Simulator
 from pywellen import Waveform
 
 from coincid.hdl.to_verilog import to_verilog
-from coincid.slices.emit import Sparse
+from coincid.slices.emit import DarkInput
 from coincid.slices.library import LANES, PROCESSOR
 from coincid.slices.netlist import NetlistError
 from coincid.slices.slices import Slices
@@ -59,10 +59,10 @@ class Stops(Elaboratable):
 
 
 class Rows:
-    """The ports of four equal counters with a sparse input and a common one, in a module each: a unit that repeats."""
+    """The ports of four equal counters with a dark input and a common one, in a module each: a unit that repeats."""
 
     def __init__(self):
-        self.lit, self.shared, self.out = Signal(32), Signal(3), Signal(20)
+        self.edges, self.shared, self.out = Signal(32), Signal(3), Signal(20)
 
     @staticmethod
     def expected(given, lane):
@@ -70,8 +70,8 @@ class Rows:
         values, out, seen = [9] * 4, 0, []
         for cycle in given:
             seen.append({"out": out})
-            lit, shared = cycle["lit"][lane], cycle["shared"][lane]
-            of_rows = [lit >> 8 * k & 0xFF for k in range(4)]
+            edges, shared = cycle["edges"][lane], cycle["shared"][lane]
+            of_rows = [edges >> 8 * k & 0xFF for k in range(4)]
             first = [max(0, (row & -row).bit_length() - 1) for row in of_rows]
             before = [shared, *(value & 7 for value in values)]
             out = sum((values[k] ^ first[k] + before[k]) << 5 * k for k in range(4))
@@ -91,7 +91,7 @@ DESIGNS = {
     "crc": (lambda: CRC16_CCITT(8).create(), ["start", "data", "valid"], ["crc", "match_detected"]),
     "counters": (Counters, ["enable", "clear", "value"], ["kept", "sum", "odd"]),
     "stops": (Stops, ["stop", "step"], ["count", "run"]),
-    "rows": (Rows, ["lit", "shared"], ["out"]),
+    "rows": (Rows, ["edges", "shared"], ["out"]),
 }
 
 
@@ -100,20 +100,20 @@ def signals(design, names):
 
 
 ROWS = """
-module row(input clk, input rst, input [7:0] lit, input [2:0] shared, before, output reg [4:0] value, output [4:0] logic_);
-  wire [2:0] first = lit[0] ? 0 : lit[1] ? 1 : lit[2] ? 2 : lit[3] ? 3 : lit[4] ? 4 : lit[5] ? 5 : lit[6] ? 6 : lit[7] ? 7 : 0;
+module row(input clk, input rst, input [7:0] edges, input [2:0] shared, before, output reg [4:0] value, output [4:0] logic_);
+  wire [2:0] first = edges[0] ? 0 : edges[1] ? 1 : edges[2] ? 2 : edges[3] ? 3 : edges[4] ? 4 : edges[5] ? 5 : edges[6] ? 6 : edges[7] ? 7 : 0;
   initial value = 9;
   assign logic_ = first + before;
-  always @(posedge clk) if (rst) value <= 9; else if (|lit) value <= value + first + shared;
+  always @(posedge clk) if (rst) value <= 9; else if (|edges) value <= value + first + shared;
 endmodule
 
-module rows(input clk, input rst, input [31:0] lit, input [2:0] shared, output reg [19:0] out);
+module rows(input clk, input rst, input [31:0] edges, input [2:0] shared, output reg [19:0] out);
   wire [19:0] value, logic_;
   initial out = 0;
-  row row_0(.clk(clk), .rst(rst), .lit(lit[7:0]), .shared(shared), .before(shared), .value(value[4:0]), .logic_(logic_[4:0]));
-  row row_1(.clk(clk), .rst(rst), .lit(lit[15:8]), .shared(shared), .before(value[2:0]), .value(value[9:5]), .logic_(logic_[9:5]));
-  row row_2(.clk(clk), .rst(rst), .lit(lit[23:16]), .shared(shared), .before(value[7:5]), .value(value[14:10]), .logic_(logic_[14:10]));
-  row row_3(.clk(clk), .rst(rst), .lit(lit[31:24]), .shared(shared), .before(value[12:10]), .value(value[19:15]), .logic_(logic_[19:15]));
+  row row_0(.clk(clk), .rst(rst), .edges(edges[7:0]), .shared(shared), .before(shared), .value(value[4:0]), .logic_(logic_[4:0]));
+  row row_1(.clk(clk), .rst(rst), .edges(edges[15:8]), .shared(shared), .before(value[2:0]), .value(value[9:5]), .logic_(logic_[9:5]));
+  row row_2(.clk(clk), .rst(rst), .edges(edges[23:16]), .shared(shared), .before(value[7:5]), .value(value[14:10]), .logic_(logic_[14:10]));
+  row row_3(.clk(clk), .rst(rst), .edges(edges[31:24]), .shared(shared), .before(value[12:10]), .value(value[19:15]), .logic_(logic_[19:15]));
   always @(posedge clk) if (rst) out <= 0; else out <= value ^ logic_;
 endmodule
 """
@@ -122,7 +122,7 @@ endmodule
 def sliced(name: str) -> Design:
     make, inputs, outputs = DESIGNS[name]
     if name == "rows":
-        return Design(name, {"rows.v": ROWS}, name, ["row"], [Sparse("row", "lit", 4)])
+        return Design(name, {"rows.v": ROWS}, name, ["row"], [DarkInput("row", "edges", 4)])
     design = make()
     ports = {port: (value, None) for port, value in signals(design, inputs + outputs).items()}
     text = to_verilog(rtlil.convert(design, name=name, ports=ports))
