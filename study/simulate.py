@@ -162,7 +162,7 @@ def _cycles(frame: Recorded | Trace) -> int:
     return getattr(frame, "cycles", None) or 1 + max(int(cycles[-1]) for cycles in frame.beat_cycle)
 
 
-def simulate(
+def simulate_to_folder(
     setup: Setup,
     *,
     out: Path,

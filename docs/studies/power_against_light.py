@@ -15,7 +15,7 @@ from attrs import field, frozen
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from coincid.flow.power import Power, clock_tree_mw, design, power, power_at_rest, simulate
+from coincid.flow.power import Power, clock_tree_mw, count_toggles, design, power, power_at_rest
 from coincid.flow.yosys import CLOCK_BUFFER, SINKS_MAX
 from coincid.lab.setup import Setup
 from coincid.model.golden.frame import Golden
@@ -132,7 +132,7 @@ def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor
         jobs.append(FrameJob(one.config, edges, golden.frame(one.config, edges)))
     whole = design(config.sensor)
     tell(f"simulating {len(jobs)} frames of {config.frame_cycles} cycles on the netlist")
-    toggles = simulate(config.sensor, jobs)
+    toggles = count_toggles(config.sensor, jobs)
     measured = []
     for number, (case, job) in enumerate(zip(cases, jobs, strict=True)):
         cycles = job.config.frame_cycles

@@ -16,7 +16,7 @@ from ...model.shared.files import whole_file
 from ...tb.rtl_errors import Mismatch
 from ...tools.pages import picture, put, put_page
 from ..mapped import map_block, slacks_ns
-from .delays import INPUT_NS, simulate
+from .delays import INPUT_NS, play_with_delays
 from .flow import FINAL, lay_out
 
 PAGE = Path(__file__).with_name("page.md")
@@ -61,9 +61,9 @@ def write_page(out: Path | None = None, tell: Callable[[str], None] = print) -> 
 def played_with_delays(unit: Minigroup, view: View, folder: Path, tell: Callable[[str], None]) -> Column:
     """Simulate a layout with its delays, then with delays `TOO_SLOW` times as long, which must fail. Raises `Mismatch`."""
     tell(f"{unit.unit_name}: simulating the sensor with the routed minigroups and their delays")
-    checked, cycles = simulate(SMALL, unit, folder, 1.0, view)
+    checked, cycles = play_with_delays(SMALL, unit, folder, 1.0, view)
     try:
-        simulate(SMALL, unit, folder, TOO_SLOW, view)
+        play_with_delays(SMALL, unit, folder, TOO_SLOW, view)
     except Mismatch:
         return [("words and commits", str(checked)), ("cycles", str(cycles)), ("mismatches", "0")]
     raise Mismatch(f"the sensor passes with delays {TOO_SLOW:g} times as long, so the delays have no effect")

@@ -176,7 +176,7 @@ def sim(
     view: ViewOption = "polyphase",
 ) -> None:
     """Simulate frames of a scene and check every word against the golden model; write depth.png, events.npz and report.json."""
-    from coincid.study.simulate import simulate, with_link
+    from coincid.study.simulate import simulate_to_folder, with_link
     from coincid.tb.replay import chosen_view
 
     settings = _config(config, changes, clock_mhz)
@@ -189,7 +189,7 @@ def sim(
     settings = with_link(settings, link_gbps)
     engine = engine or ("verilator" if waves else "sliced")
     chosen_view(engine, view, settings.clock_mhz, waves)
-    simulate(
+    simulate_to_folder(
         _setup(
             settings,
             scene,

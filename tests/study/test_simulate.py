@@ -19,7 +19,7 @@ from coincid.model.depth.quality import wrong_share
 from coincid.model.scenes.catalogue import load_scene
 from coincid.study import progress
 from coincid.study import simulate as job
-from coincid.study.simulate import DEPTH, EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simulate
+from coincid.study.simulate import DEPTH, EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simulate_to_folder
 from coincid.tb import wave_views
 
 from ..command import command
@@ -37,7 +37,7 @@ def run(out, document=SMALL, scene="flat:5,0.4", threshold=None, waves=False, **
     """Return the report, the arrays of the result and the lines of the console."""
     console = Console(file=io.StringIO(), width=100)
     setup = Setup.of(scene, **document, **{"klux": 5.0, "engine": "golden"} | setup)
-    report = simulate(setup, out=out, console=console, settling=FRAMES, threshold=threshold, waves=waves)
+    report = simulate_to_folder(setup, out=out, console=console, settling=FRAMES, threshold=threshold, waves=waves)
     return report, dict(np.load(out / EVENTS)), console.file.getvalue()
 
 

@@ -22,7 +22,7 @@ from coincid.tb.pysim import write_register
 from coincid.tools.pages import put
 
 from . import save
-from .waveform import PHASES, draw_boxes, draw_grid, finish, simulate
+from .waveform import PHASES, draw_boxes, draw_grid, finish, recorded_signals
 
 EDGES = (  # (pixel, cycle, phase)
     (9, 0, 22),
@@ -64,7 +64,7 @@ def traced(form: str) -> Trace:
         }
     )
     ports = {name: name for name in SensorTop(config.sensor).flat_ports()}
-    return simulate(config, EDGES, ports, three_accesses, STALLED)
+    return recorded_signals(config, EDGES, ports, three_accesses, STALLED)
 
 
 def frame_of(trace: Trace) -> int:

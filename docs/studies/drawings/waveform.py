@@ -60,7 +60,7 @@ async def no_access(ctx: SimulatorContext, sensor: SensorTop) -> None:
     """Access no register before the sensor is programmed."""
 
 
-def simulate(
+def recorded_signals(
     config: Config,
     edges: Sequence[tuple[int, int, int]],
     signals: dict[str, str],
@@ -110,7 +110,7 @@ def simulate(
 def one_period() -> dict[str, list[int]]:
     """Return the values of `SIGNALS` in each cycle from the laser trigger on."""
     config = parse_config({"sensor": {"rows": 8, "cols": 8, "phases": PHASES}, "frame": {"period": 40, "pulses": 1}})
-    values = simulate(config, EDGES, SIGNALS)
+    values = recorded_signals(config, EDGES, SIGNALS)
     begin = values["laser"].index(1)
     return {name: line[begin : begin + SHOWN_CYCLES] for name, line in values.items()}
 
