@@ -232,7 +232,7 @@ def simulate_to_folder(
         shares = _pictures(out, heading, titles, played.frames)
     write_result(out / EVENTS, played.arrays)
     list(played.frames.values())[-1].first.save(out / DEPTH)
-    if not _write_page(out / PAGE, heading, titles, played.frames):
+    if not _write_report_page(out / PAGE, heading, titles, played.frames):
         results.remove(out / PAGE)
     report = _report(played) | shares | given
     _write_report(out, report)
@@ -260,7 +260,7 @@ def _prepare(engine: str, sensor: Sensor, waves: bool, view: "View | None") -> N
         prepare(engine, sensor, waves, view)
 
 
-def _write_page(path: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]) -> bool:
+def _write_report_page(path: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]) -> bool:
     """Write the views of the compared frames as one HTML file; return False if the extra `explore` is not installed."""
     try:
         with extra("explore"):

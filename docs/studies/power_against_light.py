@@ -150,7 +150,7 @@ def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor
     return measured, sum(_grouped(power_at_rest(whole, config.clock_mhz)).values(), Power())
 
 
-def write_page() -> None:
+def write_power_page() -> None:
     """Measure, and write docs/power.md and its picture."""
     measured, between = measure(partial(print, flush=True))
     save_figure(draw(measured), picture(f"docs/images/{PICTURE}"))
@@ -248,4 +248,4 @@ def draw(measured: list[Measured]) -> Figure:
 
 
 if __name__ == "__main__":
-    write_page()
+    write_power_page()

@@ -27,7 +27,7 @@ TOO_SLOW = 6.0  # factor on all delays; the sensor must fail with it
 Column = list[tuple[str, str]]  # name and value of every row
 
 
-def write_page(out: Path | None = None, tell: Callable[[str], None] = print) -> None:
+def write_layout_page(out: Path | None = None, tell: Callable[[str], None] = print) -> None:
     """Lay out both minigroups of the preset `silicon`.
 
     Write docs/layout.md and its pictures, or the page to the file `out` and pictures to the folder `images` beside it.

@@ -493,8 +493,8 @@ def synth(
 ) -> None:
     """Synthesize both presets to gates, standard cells and ECP5, and write the table of their cost."""
     with extra("rtl"):
-        from coincid.flow.synth import write_page
-    write_page(out and _file(out))
+        from coincid.flow.synth import write_synthesis_page
+    write_synthesis_page(out and _file(out))
     print(out or "docs/synthesis.md")
 
 
@@ -518,9 +518,9 @@ def layout(
     with extra("rtl"):
         from coincid.flow.layout.tools import layout_cells
     layout_cells()
-    from coincid.flow.layout.document import write_page
+    from coincid.flow.layout.document import write_layout_page
 
-    write_page(out and _file(out), partial(print, flush=True))
+    write_layout_page(out and _file(out), partial(print, flush=True))
     print(out or "docs/layout.md")
 
 
@@ -540,7 +540,7 @@ def pnr(
         _file(out)
     board = fpga_module()
     placements = pnr.place(board)
-    pnr.write_page(board, placements, out)
+    pnr.write_placement_page(board, placements, out)
     print(out or board.page)
     _all_met(pnr.missed(board, placements))
 
@@ -584,7 +584,7 @@ def emulator(
         placements = pnr.place(board)
         bitstream = out / f"{board.top}.bit"
         bitstream.write_bytes(pnr.fastest(placements).bitstream.read_bytes())
-        pnr.write_page(board, placements, page)
+        pnr.write_placement_page(board, placements, page)
         print(f"{bitstream}\n{page or board.page}")
         _all_met(pnr.missed(board, placements))
 

@@ -12,7 +12,7 @@ from coincid.model.depth.quality import TOLERANCE_M
 from coincid.study.plot_style import new_figure, style
 from docs.studies import returns
 from docs.studies.figures import light_over_distance, reconstruction
-from docs.studies.figures.sections import Comparison, Section, write_page, write_section
+from docs.studies.figures.sections import Comparison, Section, write_figures_page, write_section
 from docs.studies.figures.setups import cases, mean, mean_rows, outcome
 
 METHODS = ("planes", "matched/subgroup")
@@ -50,14 +50,14 @@ def test_rows_are_means_over_seeds():
 def test_files_of_a_section_have_the_same_bytes_again(tmp_path):
     for folder in ("one", "two"):
         write_section(tmp_path / folder, section())
-        write_page(tmp_path / folder, "title", "introduction", [section()])
+        write_figures_page(tmp_path / folder, "title", "introduction", [section()])
     one, two = ({path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()} for folder in ("one", "two"))
     assert one == two and one.keys() == {"demo.csv", "demo_a.png", "demo_a.svg", "index.html"}
     assert one["demo.csv"].decode().split() == ["x,y", "1,0.333333", '"a,b",']
 
 
 def test_page_is_html_with_every_number(tmp_path):
-    write_page(tmp_path, "title", "", [section()])
+    write_figures_page(tmp_path, "title", "", [section()])
     text = (tmp_path / "index.html").read_text(encoding="utf-8")
     ElementTree.fromstring(re.sub("<(!doctype|meta|img)[^>]*>", "", text))  # whose tags are balanced
     assert "a &lt; b" in text and "caption &amp; more" in text and "text &amp; more" in text and "demo_a.svg" in text

@@ -12,7 +12,7 @@ from coincid.model.shared.files import FilePath
 from coincid.study.plot_style import style
 
 from . import four_modes, interference, light_over_distance, noisy_spads, reconstruction, rivals, thresholds
-from .sections import Section, write_page, write_section
+from .sections import Section, write_figures_page, write_section
 
 COMPARISON = (
     rivals.background,
@@ -80,7 +80,7 @@ def write(
         for family in page.families(engine):
             sections.append(family(run))
             write_section(folder, sections[-1])
-    write_page(folder, page.title, page.introduction, sections)
+    write_figures_page(folder, page.title, page.introduction, sections)
     files = [
         folder / f"{stem}.{kind}" for section in sections for stem, _, _ in section.figures for kind in ("png", "svg")
     ]

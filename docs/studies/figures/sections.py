@@ -50,7 +50,7 @@ def write_section(out_dir: Path, section: Section) -> None:
     write_csv(out_dir / f"{section.name}.csv", section.rows)
 
 
-def write_page(out_dir: Path, title: str, introduction: str, sections: Sequence[Section]) -> None:
+def write_figures_page(out_dir: Path, title: str, introduction: str, sections: Sequence[Section]) -> None:
     """Write `index.html` for sections whose files are written already."""
     body = "\n".join(_section_html(section) for section in sections)
     links = " · ".join(f'<a href="#{section.name}">{html.escape(section.title)}</a>' for section in sections)
