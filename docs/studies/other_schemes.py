@@ -23,7 +23,7 @@ CODE_MAX = 127  # largest value of a Fourier code
 _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
-class Photons(NamedTuple):
+class MacroPixelEdges(NamedTuple):
     """One frame's edges by subgroup, then pulse, tick and pixel; int64[n].
 
     pulse: subgroup * pulses + the laser pulse of the frame. inside: the pixel in the subgroup. pulses: number in the
@@ -62,15 +62,15 @@ class Words(NamedTuple):
         return Words(*(column[which] for column in self))
 
 
-def macro_pixels(edges: Edges, sensor: Sensor, pulses: int) -> Photons:
+def macro_pixels(edges: Edges, sensor: Sensor, pulses: int) -> MacroPixelEdges:
     """Return the edges of one frame (pulses counted from its start) as the subgroups see them."""
     pixel = pixel_table(sensor)
     pulse, inside = pixel.subgroup[edges.pixel] * pulses + edges.pulse, pixel.inside[edges.pixel]
     order = np.lexsort((inside, edges.tick, pulse))
-    return Photons(pulse[order], edges.tick[order], inside[order], pulses, sensor.subgroups, sensor.pixels)
+    return MacroPixelEdges(pulse[order], edges.tick[order], inside[order], pulses, sensor.subgroups, sensor.pixels)
 
 
-def windows(photons: Photons, window: int, phases: int) -> Words:
+def windows(photons: MacroPixelEdges, window: int, phases: int) -> Words:
     """Take this sensor's windows without a threshold: each lasts `window` ticks, and the tree is armed again in the next cycle."""
     return Words(*_windows(photons.pulse, photons.tick, window, phases))
 
@@ -93,7 +93,7 @@ def _windows(
     return start[:n], stop[:n], tick[start[:n]]
 
 
-def sliding_window(photons: Photons, window: int, threshold: int) -> Words:
+def sliding_window(photons: MacroPixelEdges, window: int, threshold: int) -> Words:
     """Make a word from `threshold` photons within `window` ticks, with the stamp of the last one; each photon counts once."""
     return Words(*_sliding(photons.pulse, photons.tick, window, threshold))
 
@@ -114,7 +114,7 @@ def _sliding(
     return start[:n], stop[:n], tick[stop[:n] - 1]
 
 
-def first_stamps(photons: Photons, most: int) -> Words:
+def first_stamps(photons: MacroPixelEdges, most: int) -> Words:
     """Take the first `most` photons of every pixel in the frame, each with its stamp."""
     order, number = np.argsort(photons.pixel, kind="stable"), np.bincount(photons.pixel)
     rank = np.arange(len(order)) - np.repeat(np.cumsum(number) - number, number)
@@ -122,7 +122,7 @@ def first_stamps(photons: Photons, most: int) -> Words:
     return Words(chosen, chosen + 1, photons.tick[chosen])
 
 
-def zoomed_counts(photons: Photons, stage: range, start: np.ndarray, width: int, bins: int) -> np.ndarray:
+def zoomed_counts(photons: MacroPixelEdges, stage: range, start: np.ndarray, width: int, bins: int) -> np.ndarray:
     """int64[all pixels, bins]: photons in bins of `width` ticks that begin at the pixel's `start`, in the pulses of `stage`."""
     pulse, pixel = photons.pulse % photons.pulses, photons.pixel
     at = (photons.tick - start[pixel]) // width
@@ -131,7 +131,7 @@ def zoomed_counts(photons: Photons, stage: range, start: np.ndarray, width: int,
     return np.minimum(counts.reshape(-1, bins), len(stage))  # a counter holds one photon per pulse
 
 
-def fourier_sums(photons: Photons, codes: int, period_ticks: int) -> np.ndarray:
+def fourier_sums(photons: MacroPixelEdges, codes: int, period_ticks: int) -> np.ndarray:
     """complex128[all pixels, codes / 2 + 1]: spectrum of the stamps, from sums of codes; frequency 0 is not sent.
 
     Codes are the cosine and the sine of the lowest frequencies, in 8 bits.
@@ -145,7 +145,7 @@ def fourier_sums(photons: Photons, codes: int, period_ticks: int) -> np.ndarray:
     return sums
 
 
-def equi_depth(photons: Photons, bins: int, period_ticks: int) -> np.ndarray:
+def equi_depth(photons: MacroPixelEdges, bins: int, period_ticks: int) -> np.ndarray:
     """int64[all pixels, bins + 1]: boundaries in ticks of bins that hold equal shares of a pixel's stamps.
 
     The first is 0, and the last is the end of the period.
@@ -157,13 +157,15 @@ def equi_depth(photons: Photons, bins: int, period_ticks: int) -> np.ndarray:
     return np.pad(inner, ((0, 0), (1, 1)), constant_values=((0, 0), (0, period_ticks)))
 
 
-def photon_counts(photons: Photons, clock: int, bins: int) -> np.ndarray:
+def photon_counts(photons: MacroPixelEdges, clock: int, bins: int) -> np.ndarray:
     """int64[subgroups, bins]: number of photons of each macro-pixel in bins of `clock` ticks, as an adder counts them."""
     at = photons.subgroup * bins + photons.tick // clock
     return np.bincount(at, minlength=photons.subgroups * bins).reshape(-1, bins)
 
 
-def read_out(photons: Photons, words: Words, sensor: Sensor, phases: int, period: int, beats: int) -> np.ndarray:
+def read_out(
+    photons: MacroPixelEdges, words: Words, sensor: Sensor, phases: int, period: int, beats: int
+) -> np.ndarray:
     """bool[n]: whether a word finds a free place in the FIFO of its subgroup.
 
     The stream empties the FIFOs round robin, with `beats` cycles per word. This is as in this sensor, except for latencies of
@@ -210,7 +212,7 @@ def _serve(cycle: np.ndarray, bounds: np.ndarray, depth: int, beats: int, stored
 
 
 def pixel_histograms(
-    photons: Photons, words: Words, arrival: np.ndarray, sensor: Sensor, period_ticks: int
+    photons: MacroPixelEdges, words: Words, arrival: np.ndarray, sensor: Sensor, period_ticks: int
 ) -> Iterator[np.ndarray]:
     """Yield the histograms of each subgroup's pixels, int32[pixels, period_ticks]. A word counts at its arrival for its pixels."""
     size = words.stop - words.start

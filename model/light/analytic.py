@@ -41,8 +41,8 @@ PRINTED_TIME_UNIT_S = 1e-12
 _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
-class Photons(NamedTuple):
-    """Photons in the interval of interest per pixel, in the pixel's minigroup and in its subgroup (floats or arrays)."""
+class MeanPhotons(NamedTuple):
+    """Mean number of photons in the interval of interest per pixel, in the pixel's minigroup and in its subgroup (floats or arrays)."""
 
     pixel: Numbers
     minigroup: Numbers
@@ -118,7 +118,7 @@ def rest_probability(photons_rest: Numbers, threshold: Numbers, pixels_rest: int
     return stats.binom.pmf(threshold - 1, pixels_rest, _share(photons_rest, pixels_rest))
 
 
-def others_probability(photons: Photons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
+def others_probability(photons: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
     """(13): probability that the other pixels of the subgroup contribute the missing threshold - 1 detections.
 
     Literal: union of (10) and (12), assumed independent. Corrected: at least threshold - 1 of the others, in any split.
@@ -131,12 +131,12 @@ def others_probability(photons: Photons, threshold: Numbers, sizes: Sizes, form:
     return stats.binom.sf(threshold - 2, sizes.subgroup - 1, _share(photons.subgroup, sizes.subgroup))
 
 
-def coincidence_probability(photons: Photons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
+def coincidence_probability(photons: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
     """(8), (14): probability that a pixel detects and the threshold is met, of noise or of signal alone."""
     return pixel_probability(photons.pixel, form) * others_probability(photons, threshold, sizes, form)
 
 
-def signal_probability(noise: Photons, signal: Photons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
+def signal_probability(noise: MeanPhotons, signal: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
     """(15): probability that a pixel detects a signal photon in an event, in the presence of noise.
 
     Literal: no noise in the pixel, no noise event, a signal event. Corrected: the other pixels count whether they detect
@@ -147,7 +147,7 @@ def signal_probability(noise: Photons, signal: Photons, threshold: Numbers, size
             1 - coincidence_probability(noise, threshold, sizes, form)
         )
         return quiet * coincidence_probability(signal, threshold, sizes, form)
-    both = Photons(*(n + s for n, s in zip(noise, signal, strict=True)))
+    both = MeanPhotons(*(n + s for n, s in zip(noise, signal, strict=True)))
     return pixel_probability(signal.pixel, form) * others_probability(both, threshold, sizes, form)
 
 
@@ -158,7 +158,9 @@ def windows_per_period(effective_noise_sg_cps: Numbers, period_s: float, busy_s:
     return effective_noise_sg_cps * period_s / (1 + effective_noise_sg_cps * busy_s)
 
 
-def noise_counts(noise: Photons, threshold: Numbers, pulses: int, windows: Numbers, sizes: Sizes, form: str) -> Numbers:
+def noise_counts(
+    noise: MeanPhotons, threshold: Numbers, pulses: int, windows: Numbers, sizes: Sizes, form: str
+) -> Numbers:
     """(16a): noise counts of a pixel in a frame.
 
     Literal: (8) times `pulses`. Corrected: `windows` of each period are opened by a photon, the pixel's own or
@@ -173,7 +175,7 @@ def noise_counts(noise: Photons, threshold: Numbers, pulses: int, windows: Numbe
 
 
 def signal_counts(
-    noise: Photons, signal: Photons, threshold: Numbers, pulses: int, armed: Numbers, sizes: Sizes, form: str
+    noise: MeanPhotons, signal: MeanPhotons, threshold: Numbers, pulses: int, armed: Numbers, sizes: Sizes, form: str
 ) -> Numbers:
     """(16b): signal counts of a pixel in a frame: (15) times `pulses`. Corrected: times `armed`, P(the tree is armed)."""
     counts = signal_probability(noise, signal, threshold, sizes, form) * pulses
@@ -345,11 +347,11 @@ def _literal_histogram(of: _Case) -> np.ndarray:
     return np.asarray(floor + peak)
 
 
-def _grouped(photons: Numbers, sensor: Sensor) -> Photons:
+def _grouped(photons: Numbers, sensor: Sensor) -> MeanPhotons:
     """(5), (6): a subgroup's pixels [pixels] with the sums over their minigroups and over the subgroup."""
     minigroup = pixel_table(sensor).minigroup
     sums = np.bincount(minigroup, photons, sensor.minigroups)
-    return Photons(photons, sums[minigroup], float(np.sum(sums)))
+    return MeanPhotons(photons, sums[minigroup], float(np.sum(sums)))
 
 
 def _corrected_histogram(of: _Case) -> np.ndarray:

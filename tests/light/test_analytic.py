@@ -13,7 +13,7 @@ from coincid.model.contract.edges import Fate
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import Golden
 from coincid.model.light import analytic
-from coincid.model.light.analytic import THRESHOLDS, VALID_DEAD_FRACTION, Photons, Sizes, histogram
+from coincid.model.light.analytic import THRESHOLDS, VALID_DEAD_FRACTION, MeanPhotons, Sizes, histogram
 from coincid.model.light.light import Light
 from coincid.model.light.photons import generate_edges
 from coincid.model.light.spad import Spad
@@ -29,7 +29,7 @@ DEAD_S = Spad().dead_time_s
 
 
 def photons(per_pixel):
-    return Photons(per_pixel, 4 * per_pixel, 64 * per_pixel)
+    return MeanPhotons(per_pixel, 4 * per_pixel, 64 * per_pixel)
 
 
 def test_effective_rates():
