@@ -5,7 +5,7 @@ from amaranth.hdl import Cat, Mux, Signal
 
 from ..hdl import bus
 from ..hdl.dpcu import Dpcu, counter_bits
-from ..hdl.settings import SubgroupSettings
+from ..hdl.settings import SubgroupRegisters
 from ..model.contract import registers
 from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.registers import DATA_BITS
@@ -166,7 +166,7 @@ def dpcu(b: Bench):
 def subgroup_settings(b: Bench):
     """Settings change only at a TAKE, all at once. Only writes to this subgroup program them. A read gives the word, of others 0."""
     sensor = SMALL
-    unit = SubgroupSettings(sensor)
+    unit = SubgroupRegisters(sensor)
     command, number = unit.command, b.constant(bus.SUBGROUP_BITS)
     write = command.operation == bus.Operation.WRITE
     b.assume(command.parity == command.data.xor(), where=write)
