@@ -15,6 +15,7 @@ from typer.main import get_command
 from coincid.cli import app
 from coincid.model.contract import latency
 from coincid.model.contract.packet import FORMATS, HEADER, header_field
+from coincid.model.contract.preset_files import PRESETS
 from coincid.study.sweep import sweep
 from coincid.study.sweep_spec import read_spec
 from docs.studies.drawings import waveform as picture
@@ -126,6 +127,26 @@ def test_commands_in_blocks_have_their_options(page):
 def test_latency_table():
     table = {name: int(cycles) for name, cycles, *_ in rows(ROOT / "docs" / "architecture.md", "name")}
     assert table == {name: value for name, value in vars(latency).items() if name.isupper()}
+
+
+def test_the_page_of_files_names_every_preset():
+    text = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
+    named = re.search(r"which\s+have a name instead of a path: (.*?)\.", text, re.DOTALL)[1]
+    assert set(re.findall("`(.+?)`", named)) == set(PRESETS)
+
+
+def test_places_of_behaviours_exist():
+    """Every class and function in the table *Where is it?* is defined in a file of its row."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    table = page.split("| behaviour |", 1)[1].split("\n\n", 1)[0]
+    for row in table.splitlines()[2:]:
+        quoted = re.findall("`(.+?)`", row.split("|", 2)[2])
+        files = [name for name in quoted if "/" in name]
+        source = "\n".join((ROOT / name).read_text(encoding="utf-8") for name in files)
+        for name in set(quoted) - set(files):
+            for part in name.split("."):
+                defined = rf"\b(?:class|def) {part}\b|^ *{part}\b.* = "
+                assert re.search(defined, source, re.MULTILINE), f"{name} is not in {files}"
 
 
 def test_waveform_picture_shows_the_stages():

@@ -491,7 +491,7 @@ def synth(
         Path | None, option("Markdown page with the cost of the presets; default: docs/synthesis.md.", "FILE")
     ] = None,
 ) -> None:
-    """Synthesize both presets to gates, standard cells and ECP5, and write the table of their cost."""
+    """Synthesize the presets silicon and fpga to gates, standard cells and ECP5, and write the table of their cost."""
     with extra("rtl"):
         from coincid.flow.synth import write_synthesis_page
     write_synthesis_page(out and _file(out))
