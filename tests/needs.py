@@ -15,11 +15,15 @@ import shutil
 from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import attrs
 
 from coincid.flow.yosys import cells_folder
+
+
+ROOT = Path(__file__).parents[1]
 
 
 @attrs.frozen
@@ -55,10 +59,21 @@ def _has_renderer() -> bool:
     return find_spec("mitransient") is not None
 
 
+def other_python(name: str) -> Path:
+    """Return the program of an environment that `scripts/setup python3.N` makes; it may not exist."""
+    return ROOT / "build" / name / "bin" / "python"
+
+
+def _other_python(name: str) -> Need:
+    return Need(f"an environment of {name}", f"scripts/setup {name}", lambda: other_python(name).exists())
+
+
 NEEDS = {
     "cells": Need("the standard cells", "scripts/setup cells", _has_cells),
     "chromium": Need("the browser Chromium", "scripts/setup chromium", _has_chromium),
     "docs": Need("the tools of the site", "scripts/setup docs", _has_site_tools),
+    "python3.12": _other_python("python3.12"),
+    "python3.13": _other_python("python3.13"),
     "layout": Need("the layout tools", "scripts/setup layout", _has_layout_tools),
     "verilator": Need("a Verilator of the system", "scripts/setup verilator", _has_verilator_of_the_system),
     "raytrace": Need("the renderer", "scripts/setup raytrace", _has_renderer),
