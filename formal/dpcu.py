@@ -102,7 +102,7 @@ def dpcu(b: Bench):
         unit.window_ticks == b.last(Mux(settings.coincidence, settings.window, 1)), where=b.past(1)
     )
     b.always(unit.threshold == threshold, where=in_frame & b.past(1, 3))
-    b.always(unit.lower_threshold + 1 == threshold, where=in_frame & begun)
+    b.always(unit.reduced_threshold + 1 == threshold, where=in_frame & begun)
     meets_lower = b.past(closed & (window.count + 1 >= threshold))
     b.always(unit.meets_lower == meets_lower, where=b.past(in_frame & begun))
 
