@@ -174,6 +174,6 @@ def controller(b: Bench):
     b.always((budget >= share) & (budget <= capacity), where=running)
     b.always(budget <= limit, where=running)
     b.always((budget <= b.past(budget)) & (limit <= b.past(limit)), where=b.past(done & too_much))
-    b.always(unit.budget_kept.agree)
+    b.always(unit.budget_voted.agree)
     b.cover(b.past(done) & (budget > b.past(budget)) & (b.past(sums[0]) > 5))
     b.cover(b.past(done) & b.past(too_much))

@@ -197,7 +197,7 @@ def sequencer(b: Bench):
         unit.active == (unit.running | unit.wrap | unit.draining), where=~unit.running | ~unit.wrap
     )
     b.always(unit.active, where=unit.running)
-    b.always(unit.number_kept.agree)
+    b.always(unit.number_voted.agree)
     b.always(unit.finish == (unit.drained == TO_FINISH))
     b.always(unit.drained <= TO_FINISH)
     b.always(~unit.running & ~unit.start.any(), where=unit.draining)

@@ -206,7 +206,7 @@ class Controller(Unit):
         """Take the highest candidate that fits, if the stream could carry the frame; begin with the
         first share.
         """
-        self.budget_kept = budget = Voted(m, "budget_kept", DATA_BITS)
+        self.budget_voted = budget = Voted(m, "budget_voted", DATA_BITS)
         m.d.comb += self.budget.eq(budget.value)
         fitting = self.share_taken
         for fits, step in zip(self.fits[1:], self.steps):

@@ -187,7 +187,7 @@ async def frame_numbers_in_full_width(dut):
     _, width = HEADER["pulse"]
     for bit in range(width):
         number = (2 << bit) - 1  # one more changes all bits up to the next one
-        await put(dut, dut["sequencer"], "number_kept", number)
+        await put(dut, dut["sequencer"], "number_voted", number)
         for expected in (number, number + 1):
             record = await bench.play(of, NOTHING, np.zeros(0, np.uint8))
             shown = decode_frame(record.beats[0], of.sensor, of.sensor.subgroups).number
