@@ -117,12 +117,12 @@ def stream_slice(b: Bench) -> None:
         taken.eq(taken + (comes & unit.s_axis.tready)),
         left.eq(left + (unit.m_axis.tvalid & ready)),
     ]
-    b.always(taken == (left + unit.valid + unit.kept)[:BEAT_BITS])
+    b.always(taken == (left + unit.valid + unit.spare_valid)[:BEAT_BITS])
     b.always(unit.m_axis.tdata == left, where=unit.m_axis.tvalid)
-    b.always(unit.valid & (unit.spare == (left + 1)[:BEAT_BITS]), where=unit.kept)
+    b.always(unit.valid & (unit.spare == (left + 1)[:BEAT_BITS]), where=unit.spare_valid)
     held = b.same("held", unit.m_axis.tvalid & ~ready)
     b.always(unit.m_axis.tvalid, where=b.past(held))
-    b.cover(unit.kept & ready)
+    b.cover(unit.spare_valid & ready)
 
 
 @proof(depth=4, cover=10)
