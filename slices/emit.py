@@ -295,13 +295,13 @@ class _Writer:
         self._name, self._places, self._first_temporary, self._first_flag = name, places, first_temporary, first_flag
         self._parts: list[_Part] = []
         self._bodies: dict[Guard, list[_Part]] = {}
-        self._kept: dict[int, str] = {}  # value that several functions use -> expression of its word
+        self._shared_words: dict[int, str] = {}  # value that several functions use -> expression of its word
         self._locals = 0
 
     def text(self, ops: Sequence[Op]) -> list[str]:
         """Return the functions; the last one, called as the block's pass, calls the others."""
         whole = self._split(ops)
-        self._keep(whole)
+        self._find_shared(whole)
         lines = []
         for part in self._parts:
             lines.append(f"static void __attribute__((noinline)) {part.name}({self.PARAMETERS}) {{")
@@ -342,7 +342,7 @@ class _Writer:
                 if isinstance(op, Guard):
                     yield from self._walk(self._bodies.get(op, [_Part(part.name, list(op.body))]))
 
-    def _keep(self, parts: Sequence[_Part]) -> None:
+    def _find_shared(self, parts: Sequence[_Part]) -> None:
         """Find the values that several functions use, and give each a word from its first to its last use."""
         made: dict[int, tuple[int, str]] = {}
         last: dict[int, int] = {}
@@ -369,7 +369,7 @@ class _Writer:
             else:
                 word, self.temporaries = self.temporaries, self.temporaries + 1
             ending.append((last[value], word))
-            self._kept[value] = f"{self.TEMPORARIES}[{self._first_temporary + word}]"
+            self._shared_words[value] = f"{self.TEMPORARIES}[{self._first_temporary + word}]"
 
     def _reader(self, op: Op, values: Mapping[int, str]) -> Value:
         """Return a function that gives the expression of a net in an operation. values: net -> local variable."""
@@ -379,7 +379,7 @@ class _Writer:
             if net in (ZERO, ONE):
                 return "ONES" if net == ONE else "ZEROS"
             net = names.get(net, net)
-            return values.get(net) or self._kept.get(net) or self._places[net]
+            return values.get(net) or self._shared_words.get(net) or self._places[net]
 
         return value
 
@@ -407,7 +407,7 @@ class _Writer:
         yield from self._stored(name, values)
 
     def _stored(self, name: int, values: Mapping[int, str]) -> Iterator[str]:
-        word = self._kept.get(name) or self._places.get(name)
+        word = self._shared_words.get(name) or self._places.get(name)
         if word:
             yield f"{word} = {values[name]};"
 
@@ -495,7 +495,7 @@ class _TopWriter(_Writer):
         yield f"if (const W enable = {value(op.store.enable)}; any(enable)) {{"
         # Every bit of the row has a word, so that one loop serves all rows.
         names = [op.names.get(net, net) for net in op.store.data]
-        words = [self._kept.get(name) or self._places[name] for name in names]
+        words = [self._shared_words.get(name) or self._places[name] for name in names]
         yield f"    static const int FROM[] = {{{', '.join(word[2:-1] for word in words)}}};  // words of V"
         for row in range(memory.rows):
             yield f"    if (const W chosen = enable & {_row(op.store.address, row, value)}; any(chosen))"

@@ -439,13 +439,13 @@ class Schedule:
                 self._copy(flop.output, self.ops)
         names = self._named((group.enable, group.reset))
         body: list[Op] = []
-        kept = dict(self._names)
+        names_before = dict(self._names)
         for flop in self._readers_within(group):
             self._need((flop.data,), body, group)
             self._read((flop.data,))
             self._write(flop, body)
         self._read(controls)
-        self._names = kept
+        self._names = names_before
         self.ops.append(Guard(group.enable, group.reset, names, body, group.flops))
 
     def _readers_within(self, group: _Group) -> list[Flop]:
