@@ -22,7 +22,6 @@ import attrs
 
 from coincid.flow.yosys import cells_folder
 
-
 ROOT = Path(__file__).parents[1]
 
 

@@ -57,7 +57,7 @@ def copied(tmp_path_factory):
 
 def pages_of(folder):
     """Return the pages of a copy; modules that did not change are not parsed again."""
-    return Pages(folder, PAGES.kept)
+    return Pages(folder, PAGES.cache)
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: str(path.relative_to(ROOT)))
