@@ -67,10 +67,12 @@ def unheard(events: Events, config: Config, pulses: int, sigma_ticks: float, spr
         span = slice(events.bounds[s], events.bounds[s + 1])
         stamp, overrun = events.stamp[span], events.overrun[span]
         armed, dropping = armed_ticks(stamp, window, config), bool(overrun.any())
-        kept = np.ones(ticks)
+        stored_share = np.ones(ticks)
         if dropping:
-            kept, found = _while_dropping(events.pulse[span] % pulses, stamp, armed, overrun, committed, pulses, config)
-        dropped = 1 / kept
+            stored_share, found = _while_dropping(
+                events.pulse[span] % pulses, stamp, armed, overrun, committed, pulses, config
+            )
+        dropped = 1 / stored_share
         dropped *= committed / max(1.0, dropped[stamp].sum())  # windows per stored window
         rejected = (events.opened[s] - committed) / pulses / ticks  # windows per tick
         threshold = int(events.threshold[s])
@@ -131,13 +133,13 @@ def _while_dropping(
     np.add.at(full, np.minimum(armed // phases, cells)[later - 1], 1)
     np.add.at(full, (stamp // phases)[later], -1)
     clear = 1 - (np.cumsum(full)[:cells] + (pulse[later] - pulse[later - 1]).sum()) / pulses
-    kept, found = np.clip(clear, 1 / pulses, 1), np.zeros(cells)
+    stored_share, found = np.clip(clear, 1 / pulses, 1), np.zeros(cells)
     for _ in range(DROPPING_ROUNDS if len(later) else 0):
-        rate = np.bincount(stamp // phases, minlength=cells) / kept
+        rate = np.bincount(stamp // phases, minlength=cells) / stored_share
         rate *= committed / pulses / rate.sum()
         found = _room_found(begin[later - 1], end[later], rate)
-        kept = np.clip(clear + (1 - clear) * found, 1 / pulses, 1)
-    return np.repeat(kept, phases), np.repeat(found, phases)
+        stored_share = np.clip(clear + (1 - clear) * found, 1 / pulses, 1)
+    return np.repeat(stored_share, phases), np.repeat(found, phases)
 
 
 @njit
