@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the emulator: plays a scene on its photon sources, takes frames, and checks each word with the golden model.
+"""Runs the emulator: plays a scene on its photon sources, takes frames, and checks each word with
+the golden model.
 
-It runs on a board (`--port`), or simulated behind its serial pins (`--simulate`), with the same host software.
+It runs on a board (`--port`), or simulated behind its serial pins (`--simulate`), with the same
+host software.
 """
 
 import time
@@ -41,10 +43,11 @@ RECOVERIES_MAX = 5  # in a row
 def source_settings(
     config: Config, scene: Scene, klux: Ambient, *, spread: int = 1, seed: int = 1
 ) -> SourceSettings:
-    """Return the settings of the photon sources for a scene: echoes at the targets' ticks, background by subgroup.
+    """Return the settings of the photon sources for a scene: echoes at the targets' ticks,
+    background by subgroup.
 
-    A pixel sees its nearest target. The probability of an echo is that of at least one photon, at most 255/256. The
-    background of a subgroup is the mean of its pixels. Raises `InputError`.
+    A pixel sees its nearest target. The probability of an echo is that of at least one photon, at
+    most 255/256. The background of a subgroup is the mean of its pixels. Raises `InputError`.
     """
     sensor, timing = config.sensor, Timing.from_config(config)
     light = scene_light(scene, klux, background=BACKGROUNDS[0])
@@ -92,9 +95,11 @@ def source_settings(
 
 @define
 class Tally:
-    """Counts of a session: frames and beats, all as predicted; recoveries of the link; seconds since the first start.
+    """Counts of a session: frames and beats, all as predicted; recoveries of the link; seconds
+    since the first start.
 
-    seconds: on the clock of this computer; seconds_on_line: on the clock of the line, which may be simulated.
+    seconds: on the clock of this computer; seconds_on_line: on the clock of the line, which may be
+    simulated.
     """
 
     frames: int = 0
@@ -128,10 +133,11 @@ class Session:
         self._stalls = self.driver["stalls"]
 
     def frame(self) -> np.ndarray:
-        """Return the beats of the next frame, uint64[n], after a check of each against the golden model.
+        """Return the beats of the next frame, uint64[n], after a check of each against the golden
+        model.
 
-        After an error of the link or a reset of the device, it recovers and may lose frames. Raises `Mismatch` if a word
-        differs, and `LinkError` if the recovery fails.
+        After an error of the link or a reset of the device, it recovers and may lose frames. Raises
+        `Mismatch` if a word differs, and `LinkError` if the recovery fails.
         """
         self._begun = self._now() if self._begun is None else self._begun
         for _ in range(RECOVERIES_MAX):
@@ -159,7 +165,9 @@ class Session:
         return beats
 
     def _now(self) -> tuple[float, float]:
-        """Return the seconds on the clocks of this computer and of the line; they differ if the line is simulated."""
+        """Return the seconds on the clocks of this computer and of the line; they differ if the
+        line is simulated.
+        """
         port = getattr(self.driver.transport, "port", None)
         return time.monotonic(), port.now() if port else time.monotonic()
 
@@ -207,7 +215,8 @@ def emulate(
     seed: int = 1,
     tell: Callable[[Tally], None] = lambda tally: None,
 ) -> Tally:
-    """Program a scene, take frames, check every word, and draw the depth from all frames so far into `out`.
+    """Program a scene, take frames, check every word, and draw the depth from all frames so far
+    into `out`.
 
     The picture is drawn again every `REDRAW_S`. tell: called after each frame.
     """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Golden model of the emulator's photon source (`board/rtl/source.py`): the same edges, bit by bit.
 
-The light of a frame is a function of the settings, the seed and the frame number. In every cycle of a period, each pixel
-steps its generator and draws; `board/parameters.py` names the bits of a draw.
+The light of a frame is a function of the settings, the seed and the frame number. In every cycle of
+a period, each pixel steps its generator and draws; `board/parameters.py` names the bits of a draw.
 """
 
 from functools import cache
@@ -25,9 +25,10 @@ MASK = (1 << chip.STATE_BITS) - 1
 class SourceSettings:
     """Settings of the photon source. Raises `InputError`.
 
-    background: int64[subgroups], probability of a photon per pixel and cycle, in 2^-16. tick, level: int64[subgroups,
-    pixels of one], earliest tick of a pixel's echo, and its probability in 2^-8. spread: an echo is up to 2^spread - 1
-    ticks late. dead_cycles: from an edge to the earliest next edge of its pixel. seed: 32 bits.
+    background: int64[subgroups], probability of a photon per pixel and cycle, in 2^-16. tick,
+    level: int64[subgroups, pixels of one], earliest tick of a pixel's echo, and its probability in
+    2^-8. spread: an echo is up to 2^spread - 1 ticks late. dead_cycles: from an edge to the
+    earliest next edge of its pixel. seed: 32 bits.
     """
 
     background: np.ndarray
@@ -50,7 +51,9 @@ class SourceSettings:
                 raise InputError(f"{name}: must hold integers from 0 to {high}")
 
     def register_writes(self, sensor: Sensor) -> list[tuple[int, int]]:
-        """Return (address, value) of every setting, as seen by the emulator's host. Raises `InputError` for late ticks."""
+        """Return (address, value) of every setting, as seen by the emulator's host. Raises
+        `InputError` for late ticks.
+        """
         ticks = sensor.period_max * sensor.phases
         if self.tick.size and not 0 <= self.tick.min() <= self.tick.max() < ticks:
             raise InputError(f"tick: must hold integers from 0 to {ticks - 1}")
@@ -66,7 +69,9 @@ class SourceSettings:
 
 
 def source_edges(config: Config, settings: SourceSettings, frame: int) -> Edges:
-    """Return the edges of frame number `frame` since the sensor's reset; pulses count from the frame's start."""
+    """Return the edges of frame number `frame` since the sensor's reset; pulses count from the
+    frame's start.
+    """
     sensor = config.sensor
     starts, table = config.start_cycles(), pixel_table(sensor)
     # Row and place of a subgroup's pixel in the array, for every subgroup and pixel.
@@ -111,7 +116,9 @@ def seeds(seed: int, frame: int, subgroup: int, pixels: int) -> np.ndarray:
 
 
 def cipher(seed: int, left: int, right: np.ndarray) -> np.ndarray:
-    """uint64[n]: the blocks (left, right[k]) encrypted with the key `seed`; the right half is in the low bits."""
+    """uint64[n]: the blocks (left, right[k]) encrypted with the key `seed`; the right half is in
+    the low bits.
+    """
     y: np.ndarray = right.astype(np.uint32)
     x: np.ndarray = np.full_like(y, left)
     key = seed & MASK
@@ -148,7 +155,9 @@ def _tables() -> np.ndarray:
 
 @njit
 def _walk(states, tables, starts, period, phases, background, tick, level, spread, dead_cycles):
-    """int64[n, 3]: pulse, pixel in the subgroup, and tick of its edges, pixel by pixel in the order of time."""
+    """int64[n, 3]: pulse, pixel in the subgroup, and tick of its edges, pixel by pixel in the order
+    of time.
+    """
     found = np.empty((1024, 3), np.int64)
     n = 0
     pulses = len(starts) - 1

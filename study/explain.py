@@ -22,9 +22,15 @@ def meaning(config: Config) -> list[tuple[str, str]]:
     frame_s = config.frame_cycles * cycle_ns * 1e-9
     sent_gbps = float(stream_gbps(config.clock_mhz))
     controlled = (
-        f", by the controller in {config.controlled.sum()} of {sensor.subgroups}" if config.controlled.any() else ""
+        f", by the controller in {config.controlled.sum()} of {sensor.subgroups}"
+        if config.controlled.any()
+        else ""
     )
-    off = f"; coincidence is off in {np.sum(~config.coincidence)}" if not config.coincidence.all() else ""
+    off = (
+        f"; coincidence is off in {np.sum(~config.coincidence)}"
+        if not config.coincidence.all()
+        else ""
+    )
     beats = event_beats(config)
     return [
         ("array", f"{sensor.rows} x {sensor.cols} pixels in {sensor.subgroups} subgroups of {_size(sensor.subgroup)}"),

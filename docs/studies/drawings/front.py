@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Makes the picture on top of README and its caption: the scene of `make sim`, with its settings.
 
-The golden model plays the frames here; `make sim` plays them on the RTL and checks that every word is the same.
+The golden model plays the frames here; `make sim` plays them on the RTL and checks that every word
+is the same.
 """
 
 import io
@@ -48,7 +49,9 @@ def caption(report: dict[str, Any]) -> str:
 def make() -> None:
     """Write the picture and its caption into README."""
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
-        report = simulate_to_folder(standard_setup(), out=Path(folder), console=Console(file=io.StringIO()))
+        report = simulate_to_folder(
+            standard_setup(), out=Path(folder), console=Console(file=io.StringIO())
+        )
         shutil.copyfile(Path(folder) / "depth.png", picture(PICTURE))
     put(PAGE, REGION, f"![{ALT}]({PICTURE})\n\n{caption(report)}")
 

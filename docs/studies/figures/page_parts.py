@@ -20,7 +20,9 @@ def made(family: Callable[[Processes], Section]) -> Section:
 
 
 def save(section: Section, **names: str) -> None:
-    """Write pictures of a section. names: file in docs/images without suffix, by the stem of the figure."""
+    """Write pictures of a section. names: file in docs/images without suffix, by the stem of the
+    figure.
+    """
     figures = {stem: figure for stem, figure, _ in section.figures}
     with style():
         for stem, name in names.items():

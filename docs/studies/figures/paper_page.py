@@ -41,7 +41,10 @@ COLUMNS_7 = {
 
 def figure_2() -> None:
     """Write the distances at which signal and background are equal."""
-    rows = [(key, told, f"{light_over_distance.zero_m('literal', key):.2f} m") for key, told in READINGS.items()]
+    rows = [
+        (key, told, f"{light_over_distance.zero_m('literal', key):.2f} m")
+        for key, told in READINGS.items()
+    ]
     put(PAGE, "fig2", text_table(("reading", "what is compared", "0 dB at"), rows, left=(0, 1)))
 
 
@@ -61,7 +64,9 @@ def figure_6() -> None:
             PAGE,
             f"fig6{panel}",
             paragraphs(
-                text_table(("source", "wrong pixels", "objects that are right"), table, left=(0, 2)),
+                text_table(
+                    ("source", "wrong pixels", "objects that are right"), table, left=(0, 2)
+                ),
                 shown(f"Fig. 6{panel} by every estimator", f"paper_fig6{panel}"),
             ),
         )
@@ -94,6 +99,9 @@ def figure_8() -> None:
     ours = {one.quantity[1]: one.ours for one in section.comparisons}
     rows = [("paper", "worse than (c)", "worse than (c)", "7 %")]
     for name, source in SOURCES_8.items():
-        cells = [re.sub(r"(\S+)% \(threshold (\d+)\)", r"\1 % (\2)", ours[panel][source]) for panel in SIZES_8]
+        cells = [
+            re.sub(r"(\S+)% \(threshold (\d+)\)", r"\1 % (\2)", ours[panel][source])
+            for panel in SIZES_8
+        ]
         rows.append((name, cells[0], cells[1], cells[2]))
     put(PAGE, "fig8", text_table(("source", *SIZES_8.values()), rows))
