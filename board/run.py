@@ -165,8 +165,8 @@ class Session:
         return beats
 
     def _now(self) -> tuple[float, float]:
-        """Return the seconds on the clocks of this computer and of the line; they differ if the
-        line is simulated.
+        """Return the time in seconds by the clock of this computer, and by that of the line. The
+        two differ if the line is simulated.
         """
         port = getattr(self.driver.transport, "port", None)
         return time.monotonic(), port.now() if port else time.monotonic()

@@ -88,8 +88,8 @@ def _library(path: Path) -> ctypes.CDLL:
 
 
 class SimulatedPort:
-    """Serial port of a simulated emulator, first under reset, then in use, for `SerialTransport`. A
-    context manager.
+    """Serial port of a simulated emulator, for `SerialTransport`. A context manager. It begins with
+    a reset.
 
     Its time is simulated, and passes only in `read`. clock_mhz: of the emulator. library: a design
     in place of the emulator's RTL; it resets itself.

@@ -48,7 +48,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 class _Skipped:
-    """Keeps the names of the tests that this run skips for what they need."""
+    """Collects the names of the tests that are skipped because something that they need is missing."""
 
     def __init__(self, config: pytest.Config) -> None:
         self.config = config

@@ -2,11 +2,12 @@
 """Compares this sensor with its rivals (`other_schemes.py`) on the same photons: their depth, and
 the bits that they send.
 
-All schemes share the edges and the macro-pixels. Schemes with a window and a threshold use the same
-ones. Schemes that send words have the same FIFOs and stream. Schemes that keep a histogram per
-macro-pixel have the same memory (`MEMORY_BITS`), and those that compress a histogram per pixel send
-everything that they keep. The estimator is a matched filter on every pixel's histogram, or one that
-fits the compressed form. Schemes whose words fit the estimator of planes also use that one.
+All schemes share the edges and the macro-pixels. All schemes with a window and a threshold use the
+same window and the same threshold. Schemes that send words have the same FIFOs and stream. Schemes
+that store a histogram per macro-pixel have the same memory (`MEMORY_BITS`). Schemes that compress a
+histogram per pixel send everything that they store. The estimator is a matched filter on every
+pixel's histogram. Compressed histograms have an estimator of their own. Schemes that send words
+which the estimator of planes can read use it, too.
 """
 
 import math
@@ -71,7 +72,7 @@ def compared(
     frame: dict[str, Any] | None = None,
     **fields: Any,
 ) -> Setup:
-    """Return `FRAMES` frames on a sensor of the size of `seen`; otherwise the silicon preset.
+    """Return the setup of `FRAMES` frames: the preset `silicon` with as many pixels as `seen`.
     fields: of `Setup`.
     """
     return Setup.of(
@@ -138,7 +139,9 @@ def _zoomed(shot: Shot, bins: int) -> Found:
 
 
 def _fourier(shot: Shot, codes: int) -> Found:
-    """Take the time at which a pulse with the same frequencies correlates best with the sums."""
+    """Return the time at which a pulse, coded at the same frequencies, correlates best with the
+    sums.
+    """
     period, photons = shot.config.period_ticks, shot.photons
     sums = other_schemes.fourier_sums(photons, codes, period)
     pulse = np.exp(-0.5 * (2 * np.pi / period * np.arange(sums.shape[1]) * shot.sigma_ticks) ** 2)
@@ -152,7 +155,9 @@ def _fourier(shot: Shot, codes: int) -> Found:
 
 
 def _equi_depth(shot: Shot, bins: int) -> Found:
-    """Take the most likely time of a pulse in uniform background, near one of the boundaries."""
+    """Return the most likely time of a pulse in uniform background. It is near one of the
+    boundaries.
+    """
     edges = other_schemes.equi_depth(shot.photons, bins, shot.config.period_ticks)
     background = np.maximum(np.diff(edges), 1) / shot.config.period_ticks
     best, ticks = np.full(len(edges), -np.inf), np.full((len(edges), RETURNS), np.nan)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures how much light it takes to see four surfaces in every pixel, and a single point at 150
-m.
+"""Measures how much light is needed to see four surfaces in every pixel, and one point at 150 m.
 
 `python -m docs.studies.returns` writes the tables of docs/returns.md and draws its picture. All
 surfaces send back the same amount of light. The background is that of a target of 40 %, so it does

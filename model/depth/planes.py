@@ -160,7 +160,9 @@ def _in_perspective(
 
 
 def _activity(events: Events, seed: np.ndarray, sigma_ticks: float) -> np.ndarray:
-    """float64[subgroups, pixels]: background of a pixel over the mean, from its hits away from its seed; 1 unless hot."""
+    """float64[subgroups, pixels]: background of a pixel divided by the mean of all, from its hits
+    away from its seed. It is 1 except for hot pixels.
+    """
     hits = hits_away(events.stamp, events.hits, events.bounds, seed, NEAR_SIGMAS * sigma_ticks)
     ratio = (hits + ACTIVITY_HITS) / (hits.mean(axis=1, keepdims=True) + ACTIVITY_HITS)
     return np.where(ratio > HOT, ratio, 1.0)

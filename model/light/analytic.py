@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Analytic model of detection in a subgroup: equations (3) to (18) of paper III-B, each in two forms of one signature.
+"""Analytic model of detection in a subgroup: equations (3) to (18) of paper III-B.
 
-"literal": as printed. "corrected": as we derive it for the behaviour of the sensor; each docstring says where the two
+Each equation has two forms, which take the same arguments. "literal" is the equation as printed.
+"corrected" is our own derivation for the behaviour of the sensor. Each docstring says where the two
 differ. Numbers and arrays broadcast. In the corrected form, "photons" are equivalent Poisson means: a pixel that detects
 at most once, with probability p, has -log(1 - p) photons.
 
@@ -78,8 +79,8 @@ def noise_photons(
 ) -> Numbers:
     """(3): noise photons of a pixel in the coincidence window of `window_s`.
 
-    Literal: the dead time of `threshold` pixels, spread over all pixels, shortens the window (a negative one is taken as
-    0). Corrected: dead times of distinct pixels do not shorten it.
+    Literal: the dead time of `threshold` pixels, spread over all pixels, shortens the window, but
+    not below 0. Corrected: the dead time of one pixel does not shorten the window of another.
     """
     if _literal(form):
         return effective_noise_cps * np.maximum(window_s - threshold * dead_time_s / pixels, 0)
@@ -152,7 +153,9 @@ def signal_probability(noise: MeanPhotons, signal: MeanPhotons, threshold: Numbe
 
 
 def windows_per_period(effective_noise_sg_cps: Numbers, period_s: float, busy_s: float, form: str) -> Numbers:
-    """Windows that noise opens in a laser period. (16a) assumes one. Corrected: each occupies the tree for `busy_s`."""
+    """Windows that noise opens in a laser period. Literal: one, as (16a) assumes. Corrected: each
+    window occupies the tree for `busy_s`.
+    """
     if _literal(form):
         return np.ones_like(np.asarray(effective_noise_sg_cps, float))
     return effective_noise_sg_cps * period_s / (1 + effective_noise_sg_cps * busy_s)
@@ -163,8 +166,8 @@ def noise_counts(
 ) -> Numbers:
     """(16a): noise counts of a pixel in a frame.
 
-    Literal: (8) times `pulses`. Corrected: `windows` of each period are opened by a photon, the pixel's own or
-    another's.
+    Literal: (8) times `pulses`. Corrected: a photon, of this or of another pixel, opens each of the
+    `windows` of a period.
     """
     if _literal(form):
         return coincidence_probability(noise, threshold, sizes, form) * pulses
@@ -203,7 +206,10 @@ def signal_per_bin(
 
 
 def busy_s(window_ticks: int, rearm_cycles: int, timing: Timing) -> float:
-    """Mean time from the opening of a window, in a random phase, to the start of the cycle in which the tree is armed."""
+    """Mean time from the opening of a window to the cycle in which the tree is armed again.
+
+    A window opens in any phase of a cycle with equal probability.
+    """
     phase = np.arange(timing.phases)
     armed_ticks = armed_cycle(close_cycle(phase, window_ticks, timing.phases), rearm_cycles) * timing.phases
     return float(np.mean(armed_ticks - phase) * timing.tick_s)
@@ -254,9 +260,9 @@ def histogram(
 def success_probability(expected: np.ndarray, flight_s: float, timing: Timing) -> float:
     """Probability that the largest bin of a pixel's histogram lies within `SUCCESS_TOLERANCE_S` of the target.
 
-    expected: float64[ticks], mean counts, assumed to be independent and Poisson. The target is where the mean has its
-    maximum within a nanosecond of the time of flight: the lead of first photons is assumed to be calibrated. Ties count
-    half.
+    expected: float64[ticks], mean counts, assumed to be independent and Poisson. The target is at
+    the maximum of the mean within a nanosecond of the time of flight. So the lead of the first
+    photons is assumed to be calibrated. A tie counts half.
     """
     time_s = (np.arange(len(expected)) + 0.5) * timing.tick_s
     near = np.abs(time_s - flight_s) < 1e-9
@@ -286,15 +292,16 @@ def success_by_threshold(
 
 
 def expected_threshold(success: np.ndarray, slack: float = 0.01) -> int:
-    """The highest threshold whose success is within `slack` of the best: among equals, the one with the fewest events.
+    """The highest threshold whose success is within `slack` of the best.
 
-    Fig. 7 shows it against the activity. The paper does not say how it chooses; this rule is our choice.
+    Of equally good thresholds, the highest one sends the fewest events. Fig. 7 shows it against the
+    activity. The paper does not give its rule; this one is our choice.
     """
     return int(_tolerated(success, slack).max())
 
 
 def lowest_threshold(success: np.ndarray, slack: float = 0.01) -> int:
-    """The lowest threshold whose success is within `slack` of the best: the lowest that the light requires."""
+    """The lowest threshold whose success is within `slack` of the best."""
     return int(_tolerated(success, slack).min())
 
 
@@ -313,7 +320,7 @@ def _equivalent_mean(probability: Numbers) -> Numbers:
 
 
 def _share(photons: Numbers, pixels: int) -> Numbers:
-    """Probability that one of `pixels` equal pixels detects, if together they have `photons`."""
+    """Probability that one of `pixels` equal pixels detects; `photons` is the mean of all together."""
     return -np.expm1(-np.asarray(photons, float) / pixels)
 
 
@@ -348,7 +355,7 @@ def _literal_histogram(of: _Case) -> np.ndarray:
 
 
 def _grouped(photons: Numbers, sensor: Sensor) -> MeanPhotons:
-    """(5), (6): a subgroup's pixels [pixels] with the sums over their minigroups and over the subgroup."""
+    """(5), (6): the photons of each pixel of a subgroup, of its minigroup and of the subgroup."""
     minigroup = pixel_table(sensor).minigroup
     sums = np.bincount(minigroup, photons, sensor.minigroups)
     return MeanPhotons(photons, sums[minigroup], float(np.sum(sums)))

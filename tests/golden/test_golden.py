@@ -103,7 +103,9 @@ def test_controller(sensor, data):
 
 @given(data=st.data())
 def test_controller_at_ties(data):
-    """Counters at, just below and just above what they are compared with lead to the plain model's budgets and thresholds."""
+    """Counters are set to the numbers that they are compared with, to one less and to one more.
+    Budgets and thresholds are still those of the plain model.
+    """
     config = data.draw(controlled(SENSORS["odd"], frames=1))
     rng = np.random.default_rng(data.draw(seeds))
     controller, plain, sensor = Controller(config.sensor), PlainController(config), config.sensor

@@ -89,7 +89,10 @@ def test_distance_of_0_db(reading, spectrum, distance_m):
 
 @given(st.floats(0.5, 50), st.floats(0.01, 1), st.floats(0.1, 120))
 def test_laws(distance_m, reflectivity, klux):
-    """Inverse square law; linear in reflectivity, power and light; an array of distances equals its elements."""
+    """The signal follows the inverse square law and is linear in reflectivity and power, the
+    background is linear in the ambient light, and an array of distances gives the same numbers as
+    its elements.
+    """
     budget = link_budget(distance_m, reflectivity, klux)
     farther, darker = link_budget(2 * distance_m, reflectivity, klux), link_budget(distance_m, reflectivity / 2, klux)
     brighter = link_budget(distance_m, reflectivity, 2 * klux)

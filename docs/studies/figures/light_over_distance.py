@@ -207,8 +207,8 @@ def zero_m(form: str, reading: str) -> float:
 
 
 def _detected_cps(distance_m: float) -> tuple[float, float, float, float]:
-    """Return the distance, and the rates of a pixel after dead time: with signal alone, background
-    alone, and both.
+    """Return the distance, and three rates of a pixel after dead time: from the signal alone, from
+    the background alone, and from both.
     """
     budget, timing = link_budget(distance_m, REFLECTIVITY, KLUX), Timing()
 

@@ -73,7 +73,7 @@ def figure_6() -> None:
 
 
 def _judged(rows: list[dict[str, Any]]) -> tuple[str, str]:
-    """Return the share of wrong pixels, and the objects that are right."""
+    """Return the share of wrong pixels, and the objects with the right distance."""
     share = {row["object"]: row["wrong_share"] for row in rows}
     whole = share.pop("all")
     right = [str(label) for label in share if share[label] < reconstruction.RIGHT]
