@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A program that prints digests of the words and of the depth of one frame, for any Python that has the package."""
+"""A program that prints digests of the words and of the depth of one frame, for any Python that has
+the package.
+"""
 
 import hashlib
 

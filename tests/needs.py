@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What some tests need beside `make test`, and the command that installs it.
 
-`@pytest.mark.needs("cells")` marks such a test. Without what it needs the test is skipped, and the reason names the
-command. `--skipped-before` plays exactly the tests that the last run skipped for such a reason, so
+`@pytest.mark.needs("cells")` marks such a test. Without what it needs the test is skipped, and the
+reason names the command. `--skipped-before` plays exactly the tests that the last run skipped for
+such a reason, so
 
     make test
     scripts/setup cells
@@ -59,12 +60,16 @@ def _has_renderer() -> bool:
 
 
 def other_python(name: str) -> Path:
-    """Return the program of an environment that `scripts/setup python3.N` makes; it may not exist."""
+    """Return the program of an environment that `scripts/setup python3.N` makes; it may not
+    exist.
+    """
     return ROOT / "build" / name / "bin" / "python"
 
 
 def _other_python(name: str) -> Need:
-    return Need(f"an environment of {name}", f"scripts/setup {name}", lambda: other_python(name).exists())
+    return Need(
+        f"an environment of {name}", f"scripts/setup {name}", lambda: other_python(name).exists()
+    )
 
 
 NEEDS = {
@@ -74,7 +79,9 @@ NEEDS = {
     "python3.12": _other_python("python3.12"),
     "python3.13": _other_python("python3.13"),
     "layout": Need("the layout tools", "scripts/setup layout", _has_layout_tools),
-    "verilator": Need("a Verilator of the system", "scripts/setup verilator", _has_verilator_of_the_system),
+    "verilator": Need(
+        "a Verilator of the system", "scripts/setup verilator", _has_verilator_of_the_system
+    ),
     "raytrace": Need("the renderer", "scripts/setup raytrace", _has_renderer),
 }
 
@@ -88,7 +95,9 @@ def missing(name: str) -> str | None:
 
 
 def imported(need: str, module: str) -> Any:
-    """Return a module that cannot be imported without `need`, or None; tests that use it are marked with `need`."""
+    """Return a module that cannot be imported without `need`, or None; tests that use it are marked
+    with `need`.
+    """
     if missing(need):
         return None
     return import_module(module)

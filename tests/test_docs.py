@@ -52,7 +52,9 @@ def test_readme_snippet_runs():
 
 def blocks(page, language):
     """Return the fenced blocks of a page in a language; "": without one."""
-    return [block for name, block in BLOCK.findall(page.read_text(encoding="utf-8")) if name == language]
+    return [
+        block for name, block in BLOCK.findall(page.read_text(encoding="utf-8")) if name == language
+    ]
 
 
 def test_all_python_blocks_are_tested():
@@ -79,7 +81,12 @@ def test_a_study_is_one_file(tmp_path):
     (code,) = blocks(ROOT / "docs" / "experiments.md", "python")
     (tmp_path / "thresholds.py").write_text(code, encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "thresholds.py"], cwd=tmp_path, capture_output=True, text=True, check=True, encoding="utf-8"
+        [sys.executable, "thresholds.py"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+        encoding="utf-8",
     )
     table = ast.literal_eval(done.stdout)
     assert list(table) == ["klux", "threshold", "wrong_share", "events_per_s"]
@@ -103,7 +110,9 @@ def test_sweep_blocks_run(tmp_path, monkeypatch):
 def test_recording_example_runs(tmp_path, monkeypatch):
     """Run the commands of the page's example, one after the other."""
     monkeypatch.chdir(tmp_path)
-    (example,) = [block for block in blocks(ROOT / "docs" / "recordings.md", "") if block.startswith("printf")]
+    (example,) = [
+        block for block in blocks(ROOT / "docs" / "recordings.md", "") if block.startswith("printf")
+    ]
     first, *lines = example.splitlines()
     subprocess.run(["sh", "-c", first], check=True)
     for line in lines:
@@ -125,7 +134,9 @@ def test_commands_in_blocks_have_their_options(page):
 
 
 def test_latency_table():
-    table = {name: int(cycles) for name, cycles, *_ in rows(ROOT / "docs" / "architecture.md", "name")}
+    table = {
+        name: int(cycles) for name, cycles, *_ in rows(ROOT / "docs" / "architecture.md", "name")
+    }
     assert table == {name: value for name, value in vars(latency).items() if name.isupper()}
 
 
@@ -150,22 +161,44 @@ def test_places_of_behaviours_exist():
 
 
 def test_waveform_picture_shows_the_stages():
-    """In the simulation behind the picture, each stage is where the page says, and so is the decoded word."""
+    """In the simulation behind the picture, each stage is where the page says, and so is the
+    decoded word.
+    """
     values = picture.one_period()
-    opens, closes = picture.EDGES[1][1], picture.EDGES[-1][1]  # cycles of the window with four photons
+    # cycles of the window with four photons
+    opens, closes = picture.EDGES[1][1], picture.EDGES[-1][1]
 
     def first(name, begin):
         return next(cycle for cycle, value in enumerate(values[name]) if cycle >= begin and value)
 
     assert first("spad", opens) == opens
     assert first("root", opens) == opens + 1
-    assert next(c for c, word in enumerate(picture.covered(values)) if c >= opens and word) == opens + 2
-    assert [bin(values["hits"][cycle]).count("1") for cycle in (opens + 4, opens + 5, opens + 6)] == [1, 3, 4]
+    assert (
+        next(c for c, word in enumerate(picture.covered(values)) if c >= opens and word)
+        == opens + 2
+    )
+    assert [
+        bin(values["hits"][cycle]).count("1") for cycle in (opens + 4, opens + 5, opens + 6)
+    ] == [1, 3, 4]
     assert first("closed", opens + 4) == closes + 7
     assert first("commit", 0) == closes + latency.COMMIT
-    sent = closes + latency.COMMIT + latency.STORE_TO_GRANT + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT
+    sent = (
+        closes
+        + latency.COMMIT
+        + latency.STORE_TO_GRANT
+        + latency.GRANT_TO_BEAT
+        + latency.BEAT_TO_PORT
+    )
     assert first("tvalid", opens) == sent
-    fields = dict(kind=FORMATS["id"].code, overrun=0, subgroup=0, pulse=0, count=4, winner=9, stamp=8 * 32 + 22)
+    fields = dict(
+        kind=FORMATS["id"].code,
+        overrun=0,
+        subgroup=0,
+        pulse=0,
+        count=4,
+        winner=9,
+        stamp=8 * 32 + 22,
+    )
     assert {name: header_field(values["tdata"][sent], name) for name in HEADER} == fields
     assert values["tdata"][sent + 1] == sum(1 << pixel for pixel, *_ in picture.EDGES[1:])
 
@@ -182,5 +215,7 @@ def test_named_files_and_commands_exist(page):
     for name in re.findall(r"`((?:model|hdl|tb|docs|scripts|tests)/[\w/.]*)`", text):
         assert (ROOT / name).exists(), name
     assert set(re.findall(r"`coincid (\w+)", text)) <= get_command(app).commands.keys()
-    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    targets = set(
+        re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    )
     assert set(re.findall(r"(?:^|`)make (\w+)", text, re.MULTILINE)) <= targets

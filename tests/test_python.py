@@ -16,7 +16,9 @@ OTHERS = ("python3.12", "python3.13")
 
 
 @pytest.mark.long  # compiles the kernels for another Python
-@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.needs(name)) for name in OTHERS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.needs(name)) for name in OTHERS]
+)
 def test_another_python_gives_the_same_words_and_depth(name):
     command = [other_python(name), frame_digests.__file__]
     other = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=True)
@@ -26,5 +28,7 @@ def test_another_python_gives_the_same_words_and_depth(name):
 def test_the_project_names_the_versions_of_python_that_tests_play():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     own = f"python{sys.version_info.major}.{sys.version_info.minor}"
-    named = [line.rpartition(" :: ")[2] for line in project["classifiers"] if "Python :: 3." in line]
+    named = [
+        line.rpartition(" :: ")[2] for line in project["classifiers"] if "Python :: 3." in line
+    ]
     assert {f"python{version}" for version in named} >= {own, *OTHERS}

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The subgroup of docs/contract.md in plain Python, sentence by sentence and tick by tick, to check the golden model.
+"""The subgroup of docs/contract.md in plain Python, sentence by sentence and tick by tick, to check
+the golden model.
 
-It does not include FIFOs and readout: it lists all windows that met their threshold, all minigroup records, and each
-edge's fate.
+It does not include FIFOs and readout: it lists all windows that met their threshold, all minigroup
+records, and each edge's fate.
 """
 
 from collections import defaultdict
@@ -127,11 +128,16 @@ class PlainSubgroup:
             while cycle < config.period and g not in latched:
                 if cycle < config.period - sensor.guard and accepted.get((g, cycle)):
                     collected = [
-                        edge for k in range(config.frame.mg_window) for edge in accepted.get((g, cycle + k), ())
+                        edge
+                        for k in range(config.frame.mg_window)
+                        for edge in accepted.get((g, cycle + k), ())
                     ]
                     pixels = {j for _, j in collected}
                     if len(pixels) >= config.frame.mg_threshold:
-                        latched[g] = (min(collected)[0] // (sensor.phases // 4), sum(1 << j for j in pixels))
+                        latched[g] = (
+                            min(collected)[0] // (sensor.phases // 4),
+                            sum(1 << j for j in pixels),
+                        )
                     cycle += config.frame.mg_window
                 else:
                     cycle += 1
@@ -161,7 +167,9 @@ class PlainController:
         self.members = {}
         for s in range(n):
             self.members.setdefault(s * config.sensor.streams // n, []).append(s)
-        self.share = {stream: config.capacity // len(members) for stream, members in self.members.items()}
+        self.share = {
+            stream: config.capacity // len(members) for stream, members in self.members.items()
+        }
         self.budget = dict(self.share)
         self.limit = dict(self.share)
 
@@ -170,7 +178,9 @@ class PlainController:
             self.new_budget(stream, [(s, subgroups[s]) for s in members])
             for s in members:
                 if self.auto[s]:
-                    self.threshold[s] = self.new_threshold(s, subgroups[s], self.budget[stream], self.limit[stream])
+                    self.threshold[s] = self.new_threshold(
+                        s, subgroups[s], self.budget[stream], self.limit[stream]
+                    )
 
     def new_budget(self, stream: int, members) -> None:
         budget, capacity, share = self.budget[stream], self.config.capacity, self.share[stream]
@@ -232,7 +242,9 @@ def plain_run(config: Config, edges) -> tuple[list[list[PlainSubgroup]], list[in
             subgroup = PlainSubgroup(config, index, threshold)
             subgroup.threshold_used = threshold
             for pulse in range(config.pulses):
-                subgroup.period(pulse, grouped.get((frame * config.pulses + pulse, index), []), fate)
+                subgroup.period(
+                    pulse, grouped.get((frame * config.pulses + pulse, index), []), fate
+                )
             subgroups.append(subgroup)
         frames.append(subgroups)
         controller.frame_ended(subgroups)

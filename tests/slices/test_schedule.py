@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Any netlist, updated in place in the order of its schedule, takes the step that all registers take at once."""
+"""Any netlist, updated in place in the order of its schedule, takes the step that all registers
+take at once.
+"""
 
 import random
 
@@ -9,14 +11,25 @@ from hypothesis import strategies as st
 
 from coincid.slices import schedule
 from coincid.slices.netlist import ONE, ZERO, Block, Flop, Table
-from coincid.slices.schedule import Copy, DarkTables, Evaluate, Guard, Op, Schedule, Write, with_dark_tables
+from coincid.slices.schedule import (
+    Copy,
+    DarkTables,
+    Evaluate,
+    Guard,
+    Op,
+    Schedule,
+    Write,
+    with_dark_tables,
+)
 
 INPUTS, FLOPS, TABLES = 8, 40, 60
 DARK = 4  # inputs that are mostly dark
 
 
 def random_block(rng: random.Random) -> Block:
-    """Return a block whose flip-flops share few enables and resets, which may be registers of the same group."""
+    """Return a block whose flip-flops share few enables and resets, which may be registers of the
+    same group.
+    """
     inputs = tuple(range(2, 2 + INPUTS))
     outputs = list(range(100, 100 + FLOPS))
     nets, tables = [*inputs, *outputs], []
@@ -45,11 +58,16 @@ def step(block: Block, now: dict[int, int]) -> dict[int, int]:
     known = now | {ZERO: 0, ONE: 1}
     for table in block.tables:
         known[table.outputs[0]] = value(table, known)
-    return {f.output: following(f, *(known[net] for net in f.inputs), known[f.output]) for f in block.flops}
+    return {
+        f.output: following(f, *(known[net] for net in f.inputs), known[f.output])
+        for f in block.flops
+    }
 
 
 def play(ops: list[Op], words: dict[int, int], flags: set[int]) -> None:
-    """Do the operations on the words, in their order; a guard or a DarkTables that does not apply is skipped."""
+    """Do the operations on the words, in their order; a guard or a DarkTables that does not apply
+    is skipped.
+    """
 
     def named(op, nets):
         return {net: words[op.names.get(net, net)] for net in nets}
@@ -59,7 +77,9 @@ def play(ops: list[Op], words: dict[int, int], flags: set[int]) -> None:
             words[op.name] = words[op.net]
         elif isinstance(op, Write):
             of = named(op, op.flop.inputs)
-            words[op.flop.output] = following(op.flop, *(of[n] for n in op.flop.inputs), words[op.flop.output])
+            words[op.flop.output] = following(
+                op.flop, *(of[n] for n in op.flop.inputs), words[op.flop.output]
+            )
         elif isinstance(op, Guard):
             of = named(op, (op.enable, op.reset))
             if of[op.enable] or of[op.reset] if op.enable != ONE else not of[op.reset]:
@@ -83,7 +103,9 @@ def test_updates_in_place_equal_all_at_once(guard_min, seed):
     rng = random.Random(seed)
     block = random_block(rng)
     (inputs,) = block.inputs.values()
-    dark_fields = [(k, frozenset(inputs[k : k + 2])) for k in range(0, DARK, 2)] + [(1, frozenset(inputs[:DARK]))]
+    dark_fields = [(k, frozenset(inputs[k : k + 2])) for k in range(0, DARK, 2)] + [
+        (1, frozenset(inputs[:DARK]))
+    ]
     flags = list(enumerate(nets for _, nets in dark_fields))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(schedule, "GUARD_MIN", guard_min)

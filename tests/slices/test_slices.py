@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slices of designs that are not ours, against Amaranth's simulator, in every lane and for every kind of word."""
+"""Slices of designs that are not ours, against Amaranth's simulator, in every lane and for every
+kind of word.
+"""
 
 import platform
 import random
@@ -22,13 +24,18 @@ from coincid.slices.synthesis import Design
 from coincid.slices.waves import write_vcd
 
 CYCLES = 150
-pytestmark = pytest.mark.filterwarnings("ignore::amaranth.hdl.UnusedElaboratable")  # made for the widths of its ports
+# made for the widths of its ports
+pytestmark = pytest.mark.filterwarnings("ignore::amaranth.hdl.UnusedElaboratable")
 # Words of SIMD registers, of older ones, and of none.
-PROCESSORS = [PROCESSOR] + (["-march=x86-64-v3", "-march=x86-64"] if platform.machine() == "x86_64" else [])
+PROCESSORS = [PROCESSOR] + (
+    ["-march=x86-64-v3", "-march=x86-64"] if platform.machine() == "x86_64" else []
+)
 
 
 class Counters(Elaboratable):
-    """Registers with and without enable and reset, of both initial values; a wide one that loads rarely."""
+    """Registers with and without enable and reset, of both initial values; a wide one that loads
+    rarely.
+    """
 
     def __init__(self):
         self.enable, self.clear, self.value = Signal(), Signal(), Signal(24)
@@ -54,12 +61,17 @@ class Stops(Elaboratable):
     def elaborate(self, platform):
         m = Module()
         with m.If(self.run):
-            m.d.sync += [self.count.eq(self.count + self.step), self.run.eq(~(self.stop & (self.step == 5)))]
+            m.d.sync += [
+                self.count.eq(self.count + self.step),
+                self.run.eq(~(self.stop & (self.step == 5))),
+            ]
         return m
 
 
 class Rows:
-    """The ports of four equal counters with a dark input and a common one, in a module each: a unit that repeats."""
+    """The ports of four equal counters with a dark input and a common one, in a module each: a unit
+    that repeats.
+    """
 
     def __init__(self):
         self.edges, self.shared, self.out = Signal(32), Signal(3), Signal(20)
@@ -76,13 +88,18 @@ class Rows:
             before = [shared, *(value & 7 for value in values)]
             out = sum((values[k] ^ first[k] + before[k]) << 5 * k for k in range(4))
             values = [
-                value + f + shared & 31 if row else value for value, f, row in zip(values, first, of_rows, strict=True)
+                value + f + shared & 31 if row else value
+                for value, f, row in zip(values, first, of_rows, strict=True)
             ]
         return seen
 
 
 DESIGNS = {
-    "fifo": (lambda: SyncFIFO(width=5, depth=6), ["w_data", "w_en", "r_en"], ["w_rdy", "r_data", "r_rdy", "level"]),
+    "fifo": (
+        lambda: SyncFIFO(width=5, depth=6),
+        ["w_data", "w_en", "r_en"],
+        ["w_rdy", "r_data", "r_rdy", "level"],
+    ),
     "buffered": (
         lambda: SyncFIFOBuffered(width=9, depth=10),
         ["w_data", "w_en", "r_en"],
@@ -139,11 +156,16 @@ def stimulus(name: str, lanes: int, seed: int) -> list[dict[str, list[int]]]:
     def one(width: int) -> int:
         return rng.getrandbits(width) if rng.random() < 0.6 else 0
 
-    return [{port: [one(width) for _ in range(lanes)] for port, width in widths.items()} for _ in range(CYCLES)]
+    return [
+        {port: [one(width) for _ in range(lanes)] for port, width in widths.items()}
+        for _ in range(CYCLES)
+    ]
 
 
 def expected(name: str, given: list[dict[str, list[int]]], lane: int) -> list[dict[str, int]]:
-    """Return the outputs of a lane in every cycle, by Amaranth's simulator where the design is in Amaranth."""
+    """Return the outputs of a lane in every cycle, by Amaranth's simulator where the design is in
+    Amaranth.
+    """
     make, inputs, outputs = DESIGNS[name]
     if make is Rows:
         return Rows.expected(given, lane)
@@ -165,7 +187,9 @@ def expected(name: str, given: list[dict[str, list[int]]], lane: int) -> list[di
     return seen
 
 
-def play(slices: Slices, name: str, given: list[dict[str, list[int]]]) -> list[dict[str, list[int]]]:
+def play(
+    slices: Slices, name: str, given: list[dict[str, list[int]]]
+) -> list[dict[str, list[int]]]:
     seen = []
     for cycle in given:
         for port, values in cycle.items():
@@ -182,7 +206,9 @@ def test_every_lane_is_a_design_of_its_own(name):
     with Slices(sliced(name), 64) as slices:
         seen = play(slices, name, given)
     for lane in (0, 1, 31, 62, 63):
-        assert [{port: values[lane] for port, values in cycle.items()} for cycle in seen] == expected(name, given, lane)
+        assert [
+            {port: values[lane] for port, values in cycle.items()} for cycle in seen
+        ] == expected(name, given, lane)
 
 
 @pytest.mark.parametrize("flag", PROCESSORS)
@@ -195,7 +221,9 @@ def test_any_word_on_any_processor_gives_the_same_bits(lanes, flag):
         plain = play(slices, name, given)
     wide = [{port: values * (lanes // 64) for port, values in cycle.items()} for cycle in given]
     with Slices(design, lanes, flag) as slices:
-        assert play(slices, name, wide) == [{p: v * (lanes // 64) for p, v in cycle.items()} for cycle in plain]
+        assert play(slices, name, wide) == [
+            {p: v * (lanes // 64) for p, v in cycle.items()} for cycle in plain
+        ]
 
 
 def test_registers_can_be_read_and_written():
@@ -205,7 +233,8 @@ def test_registers_can_be_read_and_written():
         slices.set("value", 1)
         slices.step()
         assert slices.peek("sum") == [lane for lane in range(64)]  # 255 + kept + 1
-        assert slices.peek("odd") == [lane % 2 ^ 1 for lane in range(64)]  # logic that nothing keeps
+        # logic that nothing keeps
+        assert slices.peek("odd") == [lane % 2 ^ 1 for lane in range(64)]
         with pytest.raises(KeyError):
             slices.poke("no such register", 0)
 
@@ -221,7 +250,10 @@ def test_waveform_of_a_lane_is_what_amaranth_shows(tmp_path):
                 slices.set(port, values)
             rows.append(slices.record(lane)[0])
         write_vcd(tmp_path / "wave.vcd", slices.probe, {"lane": np.array(rows)}, cycle_ps=10)
-    wave = {variable.full_name: variable.signal for variable in Waveform(str(tmp_path / "wave.vcd")).all_vars()}
+    wave = {
+        variable.full_name: variable.signal
+        for variable in Waveform(str(tmp_path / "wave.vcd")).all_vars()
+    }
     for port in (*DESIGNS[name][1], *DESIGNS[name][2]):
         shown = [int(wave[f"lane.{port}"].value_at(10 * cycle)) for cycle in range(CYCLES)]
         wanted = [cycle[port][lane] for cycle in given] if port in DESIGNS[name][1] else None
