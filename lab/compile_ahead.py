@@ -35,7 +35,9 @@ def compile_ahead() -> None:
 
 
 def estimate_anything() -> None:
-    """Estimate the depth of a made-up frame of four subgroups, so that the code for it is compiled."""
+    """Estimate the depth of a made-up frame of four subgroups, so that the code for it is
+    compiled.
+    """
     config = parse_config({"sensor": {"rows": 16, "cols": 16}})
     for method in (DEFAULT_METHOD, "maximum"):
         estimate_depth(made_up(config), config, method=method, frame=0)

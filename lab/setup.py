@@ -180,7 +180,9 @@ class Setup:
 
     @cached_property
     def key(self) -> str:
-        """Digest of everything that the outcome depends on, including the sources of the project."""
+        """Digest of everything that the outcome depends on, including the sources of the
+        project.
+        """
         return fingerprint(self, versions(self.engine))
 
 
@@ -220,7 +222,9 @@ def versions(engine: str) -> dict[str, str]:
 
 
 def fingerprint(*values: Any) -> str:
-    """Return a digest of the content of nested attrs classes, arrays, containers and plain values."""
+    """Return a digest of the content of nested attrs classes, arrays, containers and plain
+    values.
+    """
     parts: list[str | bytes] = []
     pending = list(values)
     while pending:

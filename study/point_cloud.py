@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turns depth into points in space, and writes them as a PLY file for any viewer of point clouds."""
+"""Turns depth into points in space, and writes them as a PLY file for any viewer of point
+clouds.
+"""
 
 import numpy as np
 

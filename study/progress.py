@@ -59,7 +59,9 @@ class Bar:
         self._progress.stop()
 
     def stage(self, name: str, total: int | None = None) -> None:
-        """Begin a stage. total: the amount at which it is done (`done`), None if that is unknown."""
+        """Begin a stage. total: the amount at which it is done (`done`), None if that is
+        unknown.
+        """
         if self._task is not None:
             self._progress.remove_task(self._task)
         self._task = self._progress.add_task(name, total=total)

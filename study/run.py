@@ -79,7 +79,9 @@ class Run(outcomes.Run):
         return self.events()
 
     def plot(self, **options: Any) -> "Shown":
-        """Return all views of one frame, linked to each other, for a notebook (`frame`, `method`)."""
+        """Return all views of one frame, linked to each other, for a notebook (`frame`,
+        `method`).
+        """
         from .show.notebook import plot
 
         return plot(self, **options)

@@ -99,7 +99,9 @@ def read_spec(path: FilePath) -> Spec:
 
 
 def _axes(tables: object) -> list[dict[str, list[Any]]]:
-    """Return the [[axis]] tables as lists of values by key, such as `subgroup.threshold` or `klux`."""
+    """Return the [[axis]] tables as lists of values by key, such as `subgroup.threshold` or
+    `klux`.
+    """
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise InputError("axis: must be written as [[axis]]")
     axes: list[dict[str, list[Any]]] = []

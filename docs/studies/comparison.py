@@ -287,7 +287,9 @@ def _stamp_bits(shot: Shot) -> int:
 
 
 def _pixel_metres(shot: Shot, ticks: np.ndarray) -> np.ndarray:
-    """float64[rows, cols, RETURNS] from ticks of all pixels by subgroup, float64[pixels, RETURNS]."""
+    """float64[rows, cols, RETURNS] from ticks of all pixels by subgroup, float64[pixels,
+    RETURNS].
+    """
     sensor = shot.config.sensor
     image = pixel_image(ticks.reshape(sensor.subgroups, sensor.pixels, RETURNS), sensor)
     return image * shot.config.tick_s * SPEED_OF_LIGHT_M_S / 2

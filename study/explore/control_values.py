@@ -223,7 +223,9 @@ def control_of(error: InputError) -> Control | None:
 
 
 def told_by_labels(error: InputError) -> str:
-    """Return the message of an error with labels of controls in place of keys of the configuration."""
+    """Return the message of an error with labels of controls in place of keys of the
+    configuration.
+    """
     control = control_of(error)
     message = str(error) if control is None else error.renamed(control.label)
     return _KEY.sub(lambda key: CONTROL[key[1]].label if key[1] in CONTROL else key[0], message)

@@ -120,7 +120,9 @@ class Control:
 
     @property
     def needs(self) -> list[dict[str, list[str] | None]]:
-        """Return its `NEEDS` with the texts of the page's fields; empty: it always has an effect."""
+        """Return its `NEEDS` with the texts of the page's fields; empty: it always has an
+        effect.
+        """
         return [
             {name: _texts(values) for name, values in one.items()}
             for one in NEEDS.get(self.name, ())

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The explorer's server: it serves this machine only, and accepts requests only from its own pages."""
+"""The explorer's server: it serves this machine only, and accepts requests only from its own
+pages.
+"""
 
 import errno
 import logging

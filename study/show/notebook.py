@@ -116,7 +116,9 @@ def plot_histogram(run: Run, pixel: int, frame: int = 0, method: str | None = No
 
 
 def plot_timeline(run: Run, subgroup: int, pulse: int, frame: int = 0) -> Shown:
-    """Return one laser period of a subgroup: edges with their fates, windows, gate, commits, FIFO."""
+    """Return one laser period of a subgroup: edges with their fates, windows, gate, commits,
+    FIFO.
+    """
     with extra("explore"):
         from .figures import TimelineFigure
 

@@ -54,7 +54,9 @@ def object_table(*views: FrameView) -> list[list[str]]:
 
 
 def where_to_look(view: FrameView) -> str:
-    """Return a sentence on the position of the darkest object; empty for a scene without objects."""
+    """Return a sentence on the position of the darkest object; empty for a scene without
+    objects.
+    """
     if len(view.objects) < 2:
         return ""
     dark = view.objects[0]

@@ -324,7 +324,9 @@ def _best(
 
 
 def _need(best: Sequence[tuple[int, list[Outcome]]]) -> str:
-    """Return the weakest laser pulse that finds the target, with the threshold and the precision."""
+    """Return the weakest laser pulse that finds the target, with the threshold and the
+    precision.
+    """
     for power, (threshold, outcomes) in zip(POWERS, best, strict=True):
         if mean(outcomes, "found_share_planes") >= FOUND_SHARE:
             how = f"threshold {threshold}" if threshold else "coincidence off"

@@ -30,7 +30,9 @@ PAPER_FWHM_PS = "500 to 520 ps"
 
 
 def figure_2(run: Processes) -> Section:
-    """Show the detected rates of a pixel, and the distance at which signal to background is 0 dB."""
+    """Show the detected rates of a pixel, and the distance at which signal to background is 0
+    dB.
+    """
     budgets = {
         (form, reading): link_budget(DISTANCE_M, REFLECTIVITY, KLUX, form=form, sbr_reading=reading)
         for form in FORMS

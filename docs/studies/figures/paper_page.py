@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the pictures and tables of docs/paper-figures.md; the figures are those of `make figures`."""
+"""Writes the pictures and tables of docs/paper-figures.md; the figures are those of
+`make figures`.
+"""
 
 import re
 from typing import Any
