@@ -6,6 +6,7 @@ a period, each pixel steps its generator and draws; `board/parameters.py` names 
 """
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 from attrs import field, frozen
@@ -154,7 +155,18 @@ def _tables() -> np.ndarray:
 
 
 @njit
-def _walk(states, tables, starts, period, phases, background, tick, level, spread, dead_cycles):
+def _walk(
+    states: np.ndarray,
+    tables: np.ndarray,
+    starts: np.ndarray,
+    period: int,
+    phases: int,
+    background: int,
+    tick: np.ndarray,
+    level: np.ndarray,
+    spread: int,
+    dead_cycles: int,
+) -> np.ndarray:
     """int64[n, 3]: pulse, pixel in the subgroup, and tick of its edges, pixel by pixel in the order
     of time.
     """
@@ -168,7 +180,7 @@ def _walk(states, tables, starts, period, phases, background, tick, level, sprea
         free = np.int64(0)  # first cycle in which the pixel is not dead
         for pulse in range(pulses):
             for cycle in range(period):
-                phase = phases
+                phase: Any = phases
                 if np.int64(state >> np.uint32(chip.RATE_LSB)) < background:
                     phase = np.int64(state >> np.uint32(chip.PHASE_LSB)) & (phases - 1)
                 if cycle == 0:

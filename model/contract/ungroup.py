@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decoder of the groups in a stream (`groups.py`): from their beats to the columns of events. It reports what is damaged."""
 
-from collections import namedtuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,15 @@ _OVERRUN, _SUBGROUP, _PULSE, _COUNT, _WINNER, _STAMP, _KIND = (
     _COLUMNS.index(name) for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp", "kind")
 )
 _NUMBERS = 1 << groups.HEAD.number
-_Widths = namedtuple("_Widths", "subgroup winner pixels offset")  # of a sensor, for kernels
+
+
+class _Widths(NamedTuple):
+    """Sizes of a sensor, for kernels."""
+
+    subgroup: int  # bits of its number
+    winner: int  # bits of a pixel's number
+    pixels: int  # of a subgroup
+    offset: int  # bits of a minigroup's offset
 
 
 _TABLE = np.arange(256)  # what the check of a group does with the next byte
@@ -28,7 +36,7 @@ CHECK_TABLE = _TABLE.astype(np.uint64)
 
 
 @part(inlined=False)
-def check_of(beats):
+def check_of(beats: np.ndarray) -> np.uint64:
     """Return the check of a group, from all its beats; the check in its last beat counts as 0."""
     check = _CHECK_MASK
     for k in range(len(beats)):
@@ -63,7 +71,7 @@ def ungroup(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> tuple[np.ndarr
 
 
 @njit
-def _spans(beats, at):
+def _spans(beats: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return first beat and end of every good group, int64[n, 2], and the beats where something is missing or wrong.
 
     Of two equal groups in a row, the second one is a copy. A gap in the numbers means that groups are missing, unless a
@@ -115,7 +123,7 @@ def _spans(beats, at):
 
 
 @part(inlined=False)
-def _read(beats, bit, width):
+def _read(beats: np.ndarray, bit: int, width: int) -> Any:
     """Return `width` bits, at most 32, of the string of a group's payloads; what lies behind it is 0."""
     value, taken = np.uint64(0), 0
     while taken < width:
@@ -129,7 +137,15 @@ def _read(beats, bit, width):
 
 
 @njit
-def _events(beats, widths, minigroup, events, hits, offsets, n):
+def _events(
+    beats: np.ndarray,
+    widths: _Widths,
+    minigroup: np.ndarray,
+    events: np.ndarray,
+    hits: np.ndarray,
+    offsets: np.ndarray,
+    n: int,
+) -> int:
     """Decode the events of a group into the rows from `n` on, and return the next row."""
     end = len(beats) * groups.PAYLOAD_BITS - groups.CHECK_BITS
     group_pulse = _read(beats, 0, groups.HEAD.pulse)
