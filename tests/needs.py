@@ -60,24 +60,20 @@ def _has_renderer() -> bool:
 
 
 def other_python(name: str) -> Path:
-    """Return the program of an environment that `scripts/setup python3.N` makes; it may not
-    exist.
-    """
+    """Return the program of another Python's environment in the build folder; it may not exist."""
     return ROOT / "build" / name / "bin" / "python"
-
-
-def _other_python(name: str) -> Need:
-    return Need(
-        f"an environment of {name}", f"scripts/setup {name}", lambda: other_python(name).exists()
-    )
 
 
 NEEDS = {
     "cells": Need("the standard cells", "scripts/setup cells", _has_cells),
     "chromium": Need("the browser Chromium", "scripts/setup chromium", _has_chromium),
     "docs": Need("the tools of the site", "scripts/setup docs", _has_site_tools),
-    "python3.12": _other_python("python3.12"),
-    "python3.13": _other_python("python3.13"),
+    "python3.12": Need(
+        "another Python", "scripts/setup python3.12", other_python("python3.12").exists
+    ),
+    "python3.13": Need(
+        "another Python", "scripts/setup python3.13", other_python("python3.13").exists
+    ),
     "layout": Need("the layout tools", "scripts/setup layout", _has_layout_tools),
     "verilator": Need(
         "a Verilator of the system", "scripts/setup verilator", _has_verilator_of_the_system
