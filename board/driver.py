@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Driver of the emulator: the sensor's driver, settings of the photon sources, and frames from the frame buffer."""
+"""Driver of the emulator: the sensor's driver, settings of the photon sources, and frames from the
+frame buffer.
+"""
 
 import time
 
@@ -14,9 +16,11 @@ WORDS_PER_BEAT = 2
 
 
 class EmulatorDriver(Driver):
-    """An emulator as its software sees it: a sensor with its own light, and further registers by name.
+    """An emulator as its software sees it: a sensor with its own light, and further registers by
+    name.
 
-    transport, sensor, fresh: as of `Driver`. Raises `HostError` where what answers is no emulator that this driver knows.
+    transport, sensor, fresh: as of `Driver`. Raises `HostError` where what answers is no emulator
+    that this driver knows.
     """
 
     def __init__(self, transport: Transport, sensor: Sensor | None = None, *, fresh: bool = False):
@@ -32,7 +36,9 @@ class EmulatorDriver(Driver):
         super().__init__(transport, sensor, fresh=fresh)
 
     def _word(self, key: Key) -> Word:
-        """Return the word of the emulator's or of the sensor's register map that `key` names. Raises `InputError`."""
+        """Return the word of the emulator's or of the sensor's register map that `key` names.
+        Raises `InputError`.
+        """
         if not isinstance(key, str) or key not in OWN_BY_NAME:
             return super()._word(key)
         return Word(key, own_address(key), OWN_BY_NAME[key], self.sensor)
@@ -63,7 +69,8 @@ class EmulatorDriver(Driver):
         return beats
 
     def resume(self, seconds: float = WAIT_SECONDS) -> None:
-        """Bring the emulator to rest after an error: end a running frame, and drop what waits. Settings must be programmed anew.
+        """Bring the emulator to rest after an error: end a running frame, and drop what waits.
+        Settings must be programmed anew.
 
         Raises `HostError` if the frame does not end within `seconds`.
         """

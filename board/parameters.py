@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator, a sensor with photon sources on the same chip: parameters, registers, and arithmetic of a source.
+"""The emulator, a sensor with photon sources on the same chip: parameters, registers, and
+arithmetic of a source.
 
-The paper has no such thing; all of it is our choice. The emulator's address space holds the registers of the sensor at
-`SENSOR_BASE`, its own at `OWN_BASE`, the settings of subgroup s's source at `SOURCE_BASE + SOURCE_STRIDE * s`, and the
-beats of the frame buffer from `BUFFER_BASE` on.
+The paper has no such thing; all of it is our choice. The emulator's address space holds the
+registers of the sensor at `SENSOR_BASE`, its own at `OWN_BASE`, the settings of subgroup s's source
+at `SOURCE_BASE + SOURCE_STRIDE * s`, and the beats of the frame buffer from `BUFFER_BASE` on.
 """
 
 from attrs import frozen
@@ -22,8 +23,8 @@ BUFFER_BEATS, BUFFER_BEATS_MAX = 8192, 1 << 16  # size of the frame buffer: defa
 EMULATOR_ID = 0x454D554C  # "EMUL"
 EMULATOR_VERSION = 0x00010000
 
-# The photon source. Every pixel has a linear generator of 32 bits. Its next bit i is the XOR of the bits `TAPS[i]`, and
-# its period is 2^32 - 1.
+# The photon source. Every pixel has a linear generator of 32 bits. Its next bit i is the XOR of the
+# bits `TAPS[i]`, and its period is 2^32 - 1.
 STATE_BITS = 32
 TAPS = (
     (9, 18, 22), (17, 23, 28), (1, 2, 28), (3, 6, 30), (1, 12, 24), (1, 6, 8), (5, 21, 27), (18, 24, 31),
@@ -32,7 +33,8 @@ TAPS = (
     (4, 13, 27), (11, 23, 26), (0, 14, 22), (10, 25, 29), (5, 16, 27), (19, 21, 24), (7, 21, 28), (12, 29, 31),
 )  # fmt: skip
 SEED_BIT = 15  # bit of a generator at which its seed is shifted in
-# In a period's first cycle, these bits of the state decide whether there is an echo; in the second, the low ones decide when.
+# In a period's first cycle, these bits of the state decide whether there is an echo; in the second,
+# the low ones decide when.
 LEVEL_LSB, LEVEL_BITS = 0, 8
 PHASE_LSB = 8  # bits of the state that give the phase of a background photon
 RATE_LSB, RATE_BITS = 16, 16  # bits of the state that decide whether there is a background photon
@@ -40,7 +42,8 @@ SPREAD_MAX = 4
 DEAD_MAX = 15
 ECHO_FROM = 2  # first cycle of a period in which its echo can arrive
 
-# Seeds come from a block cipher: rounds of Speck64 (Beaulieu et al., 2013), whose keys count upwards from the seed.
+# Seeds come from a block cipher: rounds of Speck64 (Beaulieu et al., 2013), whose keys count
+# upwards from the seed.
 ROUNDS = 20
 KEY_STEP = 0x9E3779B9
 ROTATE_RIGHT, ROTATE_LEFT = 8, 3
@@ -51,8 +54,8 @@ LANE_PIXELS = 64  # pixels that share a block of the cipher, one bit each
 class Emulator:
     """An emulator as built. Raises `InputError`.
 
-    sensor: the emulated sensor, with one stream. buffer_beats: size of the frame buffer, a power of two. clocks_per_bit:
-    clock cycles per bit of the serial link.
+    sensor: the emulated sensor, with one stream. buffer_beats: size of the frame buffer, a power of
+    two. clocks_per_bit: clock cycles per bit of the serial link.
     """
 
     sensor: Sensor
@@ -73,7 +76,9 @@ class Emulator:
 
     @classmethod
     def of(cls, config: Config, buffer_beats: int = BUFFER_BEATS) -> "Emulator":
-        """Return the emulator of a configuration's sensor, with a line of `BAUD`. Raises `InputError` if its clock cannot make that."""
+        """Return the emulator of a configuration's sensor, with a line of `BAUD`. Raises
+        `InputError` if its clock cannot make that.
+        """
         clocks = config.clock_mhz * 1e6 / BAUD
         if clocks < 4 or abs(clocks / round(clocks) - 1) > BAUD_TOLERANCE:
             message = f"frame.clock_mhz = {config.clock_mhz:g}: does not make {BAUD} baud to {BAUD_TOLERANCE:.0%}"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulator on an ULX3S, placed and routed."""
 
-from ..flow.pnr import Board, place, write_page
+from ..flow.pnr import Board, place, write_placement_page
 from ..hdl.export import instantiated
 from ..hdl.subgroup import Subgroup
 from ..model.contract.config import Config, load_config
@@ -48,4 +48,4 @@ def place_emulator() -> None:
     """Place the emulator of the preset `emulator`, and write its page. Raises `ToolchainError`."""
     config = load_config("emulator")
     board = ulx3s(config, Emulator.of(config, BUFFER_BEATS))
-    write_page(board, place(board))
+    write_placement_page(board, place(board))

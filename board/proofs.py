@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proofs of the emulator: frames on the serial line, the frame buffer, and the photon source.
 
-Amaranth's library provides the CRC of a frame; here it is an arbitrary function of the bytes. The buffer's depth
-is only a parameter of counters. The pixels of a source are independent, so a proof for an arbitrary one holds for all.
+Amaranth's library provides the CRC of a frame; here it is an arbitrary function of the bytes. The
+buffer's depth is only a parameter of counters. The pixels of a source are independent, so a proof
+for an arbitrary one holds for all.
 """
 
 from amaranth.hdl import Cat, Const, Mux, Signal
@@ -21,7 +22,9 @@ EMULATOR = Emulator(sensor=SMALL, buffer_beats=64)
 
 @proof(depth=2, cover=16)
 def deframer(b: Bench) -> None:
-    """A body is right only if its CRC is, no byte is broken, and it fits the memory; nothing is written beyond."""
+    """A body is right only if its CRC is, no byte is broken, and it fits the memory; nothing is
+    written beyond.
+    """
     m, unit = b.m, b.place(Deframer())
     came, byte, broken, hold = unit.came, unit.byte_in, unit.broken_in, unit.hold
     b.always(Cat(came, byte, broken) == b.past(Cat(unit.valid, unit.byte, unit.broken)))
@@ -55,7 +58,9 @@ def deframer(b: Bench) -> None:
 
 @proof(depth=2, cover=14)
 def framer(b: Bench) -> None:
-    """Flags are only at a frame's ends, escapes only where needed; an offered byte stays until it is taken."""
+    """Flags are only at a frame's ends, escapes only where needed; an offered byte stays until it
+    is taken.
+    """
     m, unit = b.m, b.place(Framer())
     valid, byte, last, ready = unit.valid, unit.byte, unit.last, unit.out_ready
     offered = b.same("offered", valid & ~unit.ready)
@@ -86,7 +91,9 @@ def framer(b: Bench) -> None:
 
 @proof(depth=2, cover=8)
 def frame_buffer(b: Bench) -> None:
-    """The sensor waits only while the buffer is full; waiting beats are contiguous, and none is overwritten."""
+    """The sensor waits only while the buffer is full; waiting beats are contiguous, and none is
+    overwritten.
+    """
     unit = b.place(FrameBuffer(EMULATOR))
     take, amount, comes = unit.take, unit.amount, unit.s_axis.tvalid
     b.assume(amount <= unit.level, where=take)
@@ -104,7 +111,9 @@ def frame_buffer(b: Bench) -> None:
 
 @proof(depth=2, cover=8)
 def stream_slice(b: Bench) -> None:
-    """All beats leave in their order, and none is lost or doubled; a beat that waits stays as it is."""
+    """All beats leave in their order, and none is lost or doubled; a beat that waits stays as it
+    is.
+    """
     m, unit = b.m, StreamSlice()
     comes, ready = unit.s_axis.tvalid, unit.m_axis.tready
     # Beats that came and that left; a beat is its number.
@@ -117,17 +126,19 @@ def stream_slice(b: Bench) -> None:
         taken.eq(taken + (comes & unit.s_axis.tready)),
         left.eq(left + (unit.m_axis.tvalid & ready)),
     ]
-    b.always(taken == (left + unit.valid + unit.kept)[:BEAT_BITS])
+    b.always(taken == (left + unit.valid + unit.spare_valid)[:BEAT_BITS])
     b.always(unit.m_axis.tdata == left, where=unit.m_axis.tvalid)
-    b.always(unit.valid & (unit.spare == (left + 1)[:BEAT_BITS]), where=unit.kept)
+    b.always(unit.valid & (unit.spare == (left + 1)[:BEAT_BITS]), where=unit.spare_valid)
     held = b.same("held", unit.m_axis.tvalid & ~ready)
     b.always(unit.m_axis.tvalid, where=b.past(held))
-    b.cover(unit.kept & ready)
+    b.cover(unit.spare_valid & ready)
 
 
 @proof(depth=4, cover=10)
 def photon_source(b: Bench) -> None:
-    """A pixel has at most one edge per cycle, none during its dead time, and none outside the periods."""
+    """A pixel has at most one edge per cycle, none during its dead time, and none outside the
+    periods.
+    """
     m, unit = b.m, PhotonSource(EMULATOR)
     b.place(unit, common=b.constant(unit.common.shape().size))
     dead = b.same("dead", unit.common.as_value()[4:])

@@ -25,7 +25,9 @@ WAIVERS = Path(__file__).with_name("waivers.vlt")  # besides those of a sensor
 
 
 def emulator_release(config: Config, kind: str, buffer_beats: int) -> dict[str, str]:
-    """Return the files of an emulator by name. Equal parameters give equal bytes. Raises `InputError`."""
+    """Return the files of an emulator by name. Equal parameters give equal bytes. Raises
+    `InputError`.
+    """
     if kind not in TOPS:
         raise InputError(f"kind = {kind!r}: must be one of {', '.join(TOPS)}")
     if kind == AXI:  # has no serial line, so any clock will do

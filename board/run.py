@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the emulator: plays a scene on its photon sources, takes frames, and checks each word with the golden model.
+"""Runs the emulator: plays a scene on its photon sources, takes frames, and checks each word with
+the golden model.
 
-It runs on a board (`--port`), or simulated behind its serial pins (`--simulate`), with the same host software.
+It runs on a board (`--port`), or simulated behind its serial pins (`--simulate`), with the same
+host software.
 """
 
 import time
@@ -42,10 +44,11 @@ RECOVERIES_MAX = 5  # in a row
 def source_settings(
     config: Config, scene: Scene, klux: Ambient, *, spread: int = 1, seed: int = 1
 ) -> SourceSettings:
-    """Return the settings of the photon sources for a scene: echoes at the targets' ticks, background by subgroup.
+    """Return the settings of the photon sources for a scene: echoes at the targets' ticks,
+    background by subgroup.
 
-    A pixel sees its nearest target. The probability of an echo is that of at least one photon, at most 255/256. The
-    background of a subgroup is the mean of its pixels. Raises `InputError`.
+    A pixel sees its nearest target. The probability of an echo is that of at least one photon, at
+    most 255/256. The background of a subgroup is the mean of its pixels. Raises `InputError`.
     """
     sensor, timing = config.sensor, Timing.from_config(config)
     light = scene_light(scene, klux, background=BACKGROUNDS[0])
@@ -93,9 +96,11 @@ def source_settings(
 
 @define
 class Tally:
-    """Counts of a session: frames and beats, all as predicted; recoveries of the link; seconds since the first start.
+    """Counts of a session: frames and beats, all as predicted; recoveries of the link; seconds
+    since the first start.
 
-    seconds: on the clock of this computer; seconds_on_line: on the clock of the line, which may be simulated.
+    seconds: on the clock of this computer; seconds_on_line: on the clock of the line, which may be
+    simulated.
     """
 
     frames: int = 0
@@ -129,10 +134,11 @@ class Session:
         self._stalls = self.driver["stalls"]
 
     def frame(self) -> np.ndarray:
-        """Return the beats of the next frame, uint64[n], after a check of each against the golden model.
+        """Return the beats of the next frame, uint64[n], after a check of each against the golden
+        model.
 
-        After an error of the link or a reset of the device, it recovers and may lose frames. Raises `Mismatch` if a word
-        differs, and `LinkError` if the recovery fails.
+        After an error of the link or a reset of the device, it recovers and may lose frames. Raises
+        `Mismatch` if a word differs, and `LinkError` if the recovery fails.
         """
         self._begun = self._now() if self._begun is None else self._begun
         for _ in range(RECOVERIES_MAX):
@@ -153,13 +159,16 @@ class Session:
         self.result.add([beats])
         self.tally.frames += 1
         self.tally.beats += len(beats)
-        self.tally.seconds, self.tally.seconds_on_line = (
-            now - begun for now, begun in zip(self._now(), self._begun)
-        )
+        seconds, seconds_on_line = self._now()
+        seconds_begun, on_line_begun = self._begun
+        self.tally.seconds = seconds - seconds_begun
+        self.tally.seconds_on_line = seconds_on_line - on_line_begun
         return beats
 
     def _now(self) -> tuple[float, float]:
-        """Return the seconds on the clocks of this computer and of the line; they differ if the line is simulated."""
+        """Return the time in seconds by the clock of this computer, and by that of the line. The
+        two differ if the line is simulated.
+        """
         port = getattr(self.driver.transport, "port", None)
         return time.monotonic(), port.now() if port else time.monotonic()
 
@@ -207,7 +216,8 @@ def emulate(
     seed: int = 1,
     tell: Callable[[Tally], None] = lambda tally: None,
 ) -> Tally:
-    """Program a scene, take frames, check every word, and draw the depth from all frames so far into `out`.
+    """Program a scene, take frames, check every word, and draw the depth from all frames so far
+    into `out`.
 
     The picture is drawn again every `REDRAW_S`. tell: called after each frame.
     """

@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator's serial link: frames, operations and status codes, for RTL and host software. All of it is our choice.
+"""The emulator's serial link: frames, operations and status codes, for RTL and host software. All
+of it is our choice.
 
-Bytes are sent as 8N1. A frame is `FLAG`, a body, `FLAG`. Inside the body, `FLAG` and `ESCAPE` are sent as `ESCAPE`
-followed by the byte XOR `FLIP`. A body ends with its CRC-32 (ISO-HDLC, as in zlib), lowest byte first. A damaged body is
-dropped without an answer.
+Bytes are sent as 8N1. A frame is `FLAG`, a body, `FLAG`. Inside the body, `FLAG` and `ESCAPE` are
+sent as `ESCAPE` followed by the byte XOR `FLIP`. A body ends with its CRC-32 (ISO-HDLC, as in
+zlib), lowest byte first. A damaged body is dropped without an answer.
 
-Request: sequence number, operation, count, byte address (3 bytes, lowest first), and for WRITE `count` words, lowest
-byte first.
+Request: sequence number, operation, count, byte address (3 bytes, lowest first), and for WRITE
+`count` words, lowest byte first.
 
-Answer: the sequence number; then, for READ, the words, and for WRITE, one byte with the number of words written; finally
-the status. REFUSED means that the sensor refused an access; the accesses before it are done.
+Answer: the sequence number; then, for READ, the words, and for WRITE, one byte with the number of
+words written; finally the status. REFUSED means that the sensor refused an access; the accesses
+before it are done.
 
-The host sends one request at a time, and each has the next sequence number. A request with the same number as the last
-one is a repetition: a READ is executed again, a WRITE is only answered again. Any other number is answered with
-SEQUENCE. After a reset, everything is answered with FRESH until a HELLO, which sets the number. A HELLO is also answered
-with FRESH if nothing was read or written since the reset, so a host that reconnects learns whether its settings are
-still there.
+The host sends one request at a time, and each has the next sequence number. A request with the same
+number as the last
+one is a repetition: a READ is executed again, a WRITE is only answered again. Any other number is
+answered with SEQUENCE. After a reset, everything is answered with FRESH until a HELLO, which sets
+the number. A HELLO is also answered with FRESH if nothing was read or written since the reset, so a
+host that reconnects learns whether its settings are still there.
 """
 
 import enum

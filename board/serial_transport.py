@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serial transport: access to the emulator's address space; protocol in `board/serial_link.py`.
 
-There is one request at a time, and it is repeated until its answer arrives. So lost, doubled and damaged bytes only cost
-time.
+There is one request at a time, and it is repeated until its answer arrives. So lost, doubled and
+damaged bytes only cost time.
 """
 
 import time
@@ -48,7 +48,9 @@ def frame(body: bytes) -> bytes:
 
 
 class Deframer:
-    """Finder of bodies in a stream of bytes that is cut anywhere. dropped: number of damaged frames, which are dropped."""
+    """Finder of bodies in a stream of bytes that is cut anywhere. dropped: number of damaged
+    frames, which are dropped.
+    """
 
     def __init__(self) -> None:
         self._inside = bytearray()
@@ -85,10 +87,10 @@ class Deframer:
 class SerialTransport:
     """Transport over a `Port`.
 
-    tries: number of attempts per request. patience_s: time to wait for an answer to begin, or to go on, by the port's
-    clock. repeats: number of repeated requests so far. Raises `LinkError` after `tries` attempts without a right answer,
-    and `DeviceResetError` if the device was reset after the first request. In both cases, the next request greets the
-    device again.
+    tries: number of attempts per request. patience_s: time to wait for an answer to begin, or to go
+    on, by the port's clock. repeats: number of repeated requests so far. Raises `LinkError` after
+    `tries` attempts without a right answer, and `DeviceResetError` if the device was reset after
+    the first request. In both cases, the next request greets the device again.
     """
 
     def __init__(self, port: Port, tries: int = TRIES, patience_s: float = PATIENCE_S):
@@ -202,7 +204,9 @@ class SerialTransport:
 
 
 class SerialPort:
-    """A serial port of this computer, by pyserial. A context manager. Raises `InputError` if it cannot be opened."""
+    """A serial port of this computer, by pyserial. A context manager. Raises `InputError` if it
+    cannot be opened.
+    """
 
     def __init__(self, device: str, baud: int = link.BAUD):
         with extra("board"):

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Verilated emulator behind its serial pins: a port for the host's serial transport, without a board."""
+"""The Verilated emulator behind its serial pins: a port for the host's serial transport, without a
+board.
+"""
 
 import ctypes
 from collections.abc import Sequence
@@ -20,7 +22,8 @@ from .rtl.top import EMULATOR_LIST, SERIAL_TOP, emulator_files
 SOURCE = Path(__file__).with_name("emulator.cpp")
 LIBRARY = "libemulator.so"
 READ_CYCLES = 2000  # time that a read waits for a byte
-PATIENCE_S = 200e-6  # for an answer on the fastest line, in simulated time; the longest request takes half of it
+# for an answer on the fastest line, in simulated time; the longest request takes half of it
+PATIENCE_S = 200e-6
 ROOM = 4096
 RESET_CYCLES = 8
 SIMULATED_CLOCKS_PER_BIT = 4  # the fastest line
@@ -34,7 +37,9 @@ def simulated(
 
 
 def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
-    """Return the emulator's Verilog files, emitted once for its parameters and the state of the sources."""
+    """Return the emulator's Verilog files, emitted once for its parameters and the state of the
+    sources.
+    """
     name = f"emulator-{emulator.sensor.rows}x{emulator.sensor.cols}"
     folder = emitted(
         name, repr((emulator, serial)), lambda: emulator_files(emulator, serial), "board"
@@ -50,7 +55,9 @@ def build_emulator(emulator: Emulator) -> Path:
 def build_line(
     sources: list[Path], top: str, options: Sequence[str] = (), optimise: str = toolchain.OPTIMISE
 ) -> Path:
-    """Compile the library of a design with the ports clk, rst, rx and tx, once. options: for Verilator; optimise: of g++."""
+    """Compile the library of a design with the ports clk, rst, rx and tx, once. options: for
+    Verilator; optimise: of g++.
+    """
     unit = verilated_unit(top, "Vemulator", sources, options, optimise)
     directory = (
         build_root()
@@ -81,10 +88,11 @@ def _library(path: Path) -> ctypes.CDLL:
 
 
 class SimulatedPort:
-    """Serial port of a simulated emulator, first under reset, then in use, for `SerialTransport`. A context manager.
+    """Serial port of a simulated emulator, for `SerialTransport`. A context manager. It begins with
+    a reset.
 
-    Its time is simulated, and passes only in `read`. clock_mhz: of the emulator. library: a design in place of the emulator's RTL; it
-    resets itself.
+    Its time is simulated, and passes only in `read`. clock_mhz: of the emulator. library: a design
+    in place of the emulator's RTL; it resets itself.
     """
 
     def __init__(self, emulator: Emulator, clock_mhz: float, library: Path | None = None):

@@ -6,7 +6,7 @@ a period, each pixel steps its generator and draws; `board/parameters.py` names 
 """
 
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from attrs import field, frozen
@@ -167,7 +167,7 @@ def _tables() -> np.ndarray:
 
 
 @njit
-def _walk(source):
+def _walk(source: _Source) -> np.ndarray:
     """int64[n, 3]: pulse, pixel in the subgroup, and tick of its edges, by pixel and time."""
     phases = source.phases
     found = np.empty((1024, 3), np.int64)
@@ -200,7 +200,7 @@ def _walk(source):
 
 
 @part
-def _background(state, source):
+def _background(state: np.uint32, source: _Source) -> Any:
     """Return the phase of a cycle's background photon, or the number of phases if there is none."""
     if np.int64(state >> np.uint32(chip.RATE_LSB)) < source.background:
         return np.int64(state >> np.uint32(chip.PHASE_LSB)) & (source.phases - 1)
@@ -208,14 +208,14 @@ def _background(state, source):
 
 
 @part
-def _has_echo(state, level):
+def _has_echo(state: np.uint32, level: int) -> Any:
     """Return whether the draw of a pulse's first cycle gives the pixel an echo."""
     drawn = np.int64(state >> np.uint32(chip.LEVEL_LSB)) & ((1 << chip.LEVEL_BITS) - 1)
     return drawn < level
 
 
 @part
-def _next(state, tables):
+def _next(state: np.uint32, tables: np.ndarray) -> Any:
     """Return the state of a generator one step later, as `advance` does."""
     byte = np.uint32(0xFF)
     return (

@@ -12,7 +12,7 @@ from ..hdl.export import FILE_LIST, fpga_files, verilog_files
 from ..model.contract.config import load_config
 from ..model.contract.parameters import TOP
 from ..tools.wheels import wheel_folder
-from .pnr import NEXTPNR, Board, place, write_page
+from .pnr import NEXTPNR, Board, place, write_placement_page
 
 WRAPPER = Path(__file__).with_name("ecp5.v")
 PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # of the device of `fpga_module`, in the wheel of nextpnr
@@ -64,4 +64,4 @@ def _along_the_edge() -> str:
 def place_fpga_module() -> None:
     """Place the module of the FPGA preset, and write its page. Raises `ToolchainError`."""
     board = fpga_module()
-    write_page(board, place(board))
+    write_placement_page(board, place(board))

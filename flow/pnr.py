@@ -134,7 +134,7 @@ def fastest(placements: Sequence[Placement]) -> Placement:
     return max(placements, key=lambda placement: min(placement.fmax_mhz.values()))
 
 
-def write_page(board: Board, placements: Sequence[Placement], out: Path | None = None) -> None:
+def write_placement_page(board: Board, placements: Sequence[Placement], out: Path | None = None) -> None:
     """Write a page with Fmax of every clock and seed, the used resources, and the longest path. out: a file instead of the page."""
     first = placements[0]
     worst = max(placements, key=lambda placement: _delay_ns(placement.longest))

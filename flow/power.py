@@ -116,7 +116,7 @@ def design(sensor: Sensor) -> Design:
     return Design(sorted(scopes), instances, names, library, supply_v(liberty))
 
 
-def simulate(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
+def count_toggles(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
     """Play frames with the same number of pulses through the netlist; return the transitions of every net in each frame."""
     scopes = [".".join(filter(None, (TOP, scope))) for scope in design(sensor).scopes]
     build = netlist_build(sensor, CELLS, scopes)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The smoke test in the export: plain Verilog without Python, which prints PASS or FAIL.
+"""The smoke test of an exported sensor. It is plain Verilog, needs no Python, and prints PASS or
+FAIL.
 
 It programs registers over AXI4-Lite, plays the edges of a frame, and compares every word of the streams and all counters
 with those of the golden model. The bench is in `smoke_*.v` and `smoke_bench.vh`. This file makes the parts that depend on
@@ -63,7 +64,9 @@ def smoke_config(sensor: Sensor) -> Config:
 
 
 def smoke_edges(config: Config) -> Edges:
-    """Return single edges, and a burst of four pixels in each pulse. No pixel fires twice in a pulse."""
+    """Return the edges of a frame: in each pulse some single edges, and four pixels that fire
+    together. No pixel fires twice in a pulse.
+    """
     sensor = config.sensor
     table = pixel_table(sensor)
     pixels = np.concatenate([np.flatnonzero(table.subgroup == s) for s in _played(sensor)])
@@ -86,7 +89,9 @@ def _played(sensor: Sensor) -> list[int]:
 
 
 def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> str:
-    """Return the test bench of the sensor. Synthesis ignores it. levels: of the top for FPGAs, which takes SPAD levels."""
+    """Return the test bench of the sensor, which synthesis ignores. levels: for the top of FPGAs,
+    whose ports take SPAD levels.
+    """
     config = smoke_config(sensor)
     edges = smoke_edges(config)
     ready = np.arange(STALL_CYCLES) % STALL_EVERY != 0
@@ -115,7 +120,9 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
 
 
 def _instance(sensor: Sensor, levels: bool, view: View) -> str:
-    """Return the instance of the sensor in the bench. The SPAD ports of unused subgroups are dark."""
+    """Return the instance of the sensor in the bench. Subgroups that the test does not use see no
+    light.
+    """
     played = _played(sensor)
     port = "line" if levels else "spad"
     driver = "at_port" if _by_words(levels, view) else "spad"
@@ -132,7 +139,7 @@ def _instance(sensor: Sensor, levels: bool, view: View) -> str:
 
 
 def _by_words(levels: bool, view: View) -> bool:
-    """Return whether the light comes as words of edges, one bit per phase."""
+    """Return whether the SPAD ports take words of edges, with one bit per phase."""
     return view.by_words and not levels
 
 

@@ -178,7 +178,7 @@ def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
     return dict(worst)
 
 
-def write_page(out: Path | None = None) -> None:
+def write_synthesis_page(out: Path | None = None) -> None:
     """Write the cost of the presets into docs/synthesis.md, or as Markdown to the file `out`."""
     text = PAGE.read_text(encoding="utf-8").format(yosys=version(YOSYS)) + "\n".join(
         report(name, load_config(name)) for name in ("silicon", "fpga")

@@ -70,7 +70,9 @@ endmodule
 
 
 def generic_script(top: str, *, flatten: bool = False) -> list[str]:
-    """Return commands that turn Verilog into Yosys's generic gates without initial values. flatten: dissolve all blocks."""
+    """Return Yosys commands that map Verilog to generic gates without initial values. flatten: put
+    the cells of all blocks into the top.
+    """
     forget = "setattr -unset init w:*"
     return [
         f"hierarchy -check -top {top}",

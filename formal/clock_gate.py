@@ -22,7 +22,7 @@ from ..hdl import bus
 from ..hdl.dpcu import Dpcu
 from ..hdl.front_end_views import POLYPHASE
 from ..hdl.minigroup import Minigroup
-from ..hdl.settings import SubgroupSettings
+from ..hdl.settings import SubgroupRegisters
 from ..hdl.subgroup import AWAKE_CYCLES, Subgroup
 from ..hdl.tree import CoincidenceTree
 from .proof_bench import Bench, proof
@@ -137,7 +137,7 @@ def settings_rest(b: Bench):
     """Behind the closed clock gate of a subgroup's settings none of their registers would
     change.
     """
-    unit = SubgroupSettings(SMALL)
+    unit = SubgroupRegisters(SMALL)
     closed = _rests(b, unit)
     idle = b.same("idle", unit.command.operation == bus.Operation.IDLE)
     # The subgroup takes it in beside an operation.

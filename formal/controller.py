@@ -88,16 +88,17 @@ class Choice:
     """What the controller has to choose after a frame.
 
     most: commits of the busiest controlled subgroup; fitting: the highest candidate whose sum fits;
-    top: `most` or the limit, if that is lower; dropped: some of it less; lower_limit, higher_limit:
-    the limit after too much, and after a frame that fits; too_much: more than the capacity.
+    top: `most` or the limit, if that is lower; dropped: some of it less; reduced_limit and
+    raised_limit: the limit after too much, and after a frame that fits; too_much: more than the
+    capacity.
     """
 
     most: Signal
     fitting: Signal
     top: Signal
     dropped: Signal
-    lower_limit: Signal
-    higher_limit: Value
+    reduced_limit: Signal
+    raised_limit: Value
     too_much: Signal
 
 
@@ -258,8 +259,8 @@ def _choice(
         fitting=fitting,
         top=top,
         dropped=dropped,
-        lower_limit=b.same("lower_limit", Mux(dropped > share, dropped, share)),
-        higher_limit=Mux(fitting > top, fitting, top),
+        reduced_limit=b.same("reduced_limit", Mux(dropped > share, dropped, share)),
+        raised_limit=Mux(fitting > top, fitting, top),
         too_much=b.same("too_much", sums.totals[0] > dut.capacity),
     )
 
@@ -278,8 +279,8 @@ def _budget_and_limit_obey_the_rule(
     budget = unit.budget
     limit = unit.limit
     running = _running(dut)
-    after_too_much = Mux(sums.totals[0] > 2 * dut.capacity, share, choice.lower_limit)
-    next_limit = Mux(choice.too_much, after_too_much, choice.higher_limit)
+    after_too_much = Mux(sums.totals[0] > 2 * dut.capacity, share, choice.reduced_limit)
+    next_limit = Mux(choice.too_much, after_too_much, choice.raised_limit)
     b.always(budget == b.past(Mux(choice.too_much, share, choice.fitting)), where=b.past(unit.done))
     b.always(limit == b.past(next_limit), where=b.past(unit.done))
     both_stay = (budget == b.past(budget)) & (limit == b.past(limit))
@@ -400,7 +401,7 @@ def _choice_is_in_registers(b: Bench, dut: PlacedController, choice: Choice) -> 
     b.always(unit.most == choice.most, where=_running(dut))
     b.always(unit.top == choice.top, where=counting & (since_last >= 3))
     b.always(unit.dropped == choice.dropped, where=counting & (since_last >= 4))
-    b.always(unit.lower_limit == choice.lower_limit, where=counting & (since_last >= 5))
+    b.always(unit.reduced_limit == choice.reduced_limit, where=counting & (since_last >= 5))
     b.always(unit.fitting == choice.fitting, where=counting & (since_last >= SETTLED - 1))
-    b.always(unit.higher_limit == choice.higher_limit, where=counting & (since_last >= SETTLED))
-    b.always(unit.budget_kept.agree)
+    b.always(unit.raised_limit == choice.raised_limit, where=counting & (since_last >= SETTLED))
+    b.always(unit.budget_voted.agree)

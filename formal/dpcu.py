@@ -10,7 +10,7 @@ from attrs import frozen
 
 from ..hdl import bus
 from ..hdl.dpcu import Dpcu, counter_bits
-from ..hdl.settings import SubgroupSettings
+from ..hdl.settings import SubgroupRegisters
 from ..model.contract import registers
 from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
 from ..model.contract.registers import DATA_BITS
@@ -227,7 +227,7 @@ def _threshold_decides(b: Bench, dut: PlacedDpcu) -> None:
     b.always(unit.window_ticks == window_ticks, where=b.past(1))
     b.always(unit.threshold == threshold, where=dut.in_frame & b.past(1, 3))
     in_begun_frame = dut.in_frame & dut.begun
-    b.always(unit.lower_threshold + 1 == threshold, where=in_begun_frame)
+    b.always(unit.reduced_threshold + 1 == threshold, where=in_begun_frame)
     meets_lower = b.past(closed & (count + 1 >= threshold))
     b.always(unit.meets_lower == meets_lower, where=b.past(in_begun_frame))
 
@@ -296,7 +296,7 @@ def subgroup_settings(b: Bench):
     """Settings change only at a TAKE, all at once. Only writes to this subgroup program them. A
     read gives the word, of others 0.
     """
-    unit = SubgroupSettings(SMALL)
+    unit = SubgroupRegisters(SMALL)
     number = b.constant(bus.SUBGROUP_BITS)
     _front_obeys(b, unit)
     b.place(unit, subgroup=number)
@@ -314,7 +314,7 @@ def subgroup_settings(b: Bench):
     b.cover(unit.data == 7)
 
 
-def _front_obeys(b: Bench, unit: SubgroupSettings) -> None:
+def _front_obeys(b: Bench, unit: SubgroupRegisters) -> None:
     """Assume what is proven for the register front: it writes only legal values."""
     command = unit.command
     write = command.operation == bus.Operation.WRITE
@@ -324,7 +324,7 @@ def _front_obeys(b: Bench, unit: SubgroupSettings) -> None:
         b.assume(command.data <= register.high(SMALL), where=to_register)
 
 
-def _settings_change_at_take(b: Bench, unit: SubgroupSettings, number) -> None:
+def _settings_change_at_take(b: Bench, unit: SubgroupRegisters, number) -> None:
     """State that settings come into force together, as the writes to this subgroup made them."""
     command = unit.command
     settings = unit.settings.as_value()
@@ -339,7 +339,7 @@ def _settings_change_at_take(b: Bench, unit: SubgroupSettings, number) -> None:
     b.always(unit.gate_late == b.past(gate_late))
 
 
-def _reads_give_the_word(b: Bench, unit: SubgroupSettings, number) -> None:
+def _reads_give_the_word(b: Bench, unit: SubgroupRegisters, number) -> None:
     """State that a read gives the named word two cycles later, and that of others 0."""
     command = unit.command
     named = command.operation != bus.Operation.IDLE
@@ -349,7 +349,7 @@ def _reads_give_the_word(b: Bench, unit: SubgroupSettings, number) -> None:
         b.always(unit.data == b.last(value), where=b.past(here, 2))
 
 
-def _nothing_is_upset(b: Bench, unit: SubgroupSettings) -> None:
+def _nothing_is_upset(b: Bench, unit: SubgroupRegisters) -> None:
     """State that no parity differs without an upset."""
     b.always(~unit.upset)
     for upset in unit.upsets:

@@ -369,7 +369,7 @@ def _end_is_in_registers(b: Bench, unit: Sequencer, ending: Signal) -> None:
     active = unit.running | unit.wrap | unit.draining
     b.always(unit.active == active, where=~unit.running | ~unit.wrap)
     b.always(unit.active, where=unit.running)
-    b.always(unit.number_kept.agree)
+    b.always(unit.number_voted.agree)
     b.always(unit.finish == (unit.drained == TO_FINISH))
     b.always(unit.drained <= TO_FINISH)
     b.always(~unit.running & ~unit.start.any(), where=unit.draining)

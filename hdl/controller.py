@@ -100,8 +100,8 @@ class Controller(Unit):
         self.most = Signal(COUNTER_BITS)  # the highest count on which the controller acts
         self.top = Signal(DATA_BITS)  # the same, but at most the limit
         self.dropped = Signal(DATA_BITS)  # one step below it
-        self.lower_limit = Signal(DATA_BITS)
-        self.higher_limit = Signal(DATA_BITS)
+        self.reduced_limit = Signal(DATA_BITS)
+        self.raised_limit = Signal(DATA_BITS)
         self.fresh = Signal(init=1)  # no frame has been taken since reset
 
     def elaborate(self, platform):
@@ -200,17 +200,17 @@ class Controller(Unit):
         m.d.sync += [
             self.top.eq(Mux(self.most < self.limit, self.most, self.limit)),
             self.dropped.eq(carry_select(m, Cat(1, self.top), Cat(1, drop), "dropped_sum")[1:]),
-            self.lower_limit.eq(
+            self.reduced_limit.eq(
                 Mux(self.dropped > self.share_taken, self.dropped, self.share_taken)
             ),
-            self.higher_limit.eq(Mux(self.fitting > self.top, self.fitting, self.top)),
+            self.raised_limit.eq(Mux(self.fitting > self.top, self.fitting, self.top)),
         ]
 
     def _results(self, m):
         """Take the highest candidate that fits, if the stream could carry the frame; begin with the
         first share.
         """
-        self.budget_kept = budget = Voted(m, "budget_kept", DATA_BITS)
+        self.budget_voted = budget = Voted(m, "budget_voted", DATA_BITS)
         m.d.comb += self.budget.eq(budget.value)
         fitting = self.share_taken
         for fits, step in zip(self.fits[1:], self.steps, strict=True):
@@ -223,7 +223,7 @@ class Controller(Unit):
             m.d.sync += self.limit.eq(self.share)
         with m.Elif(self.done & self.fits[0]):
             m.d.comb += budget.next.eq(self.fitting)
-            m.d.sync += self.limit.eq(self.higher_limit)
+            m.d.sync += self.limit.eq(self.raised_limit)
         with m.Elif(self.done):
             m.d.comb += budget.next.eq(self.share_taken)
-            m.d.sync += self.limit.eq(Mux(self.far_too_much, self.share_taken, self.lower_limit))
+            m.d.sync += self.limit.eq(Mux(self.far_too_much, self.share_taken, self.reduced_limit))

@@ -92,7 +92,7 @@ class Dpcu(Unit):
         self.judged = Signal()  # a window was closed one cycle ago
         self.threshold = Signal(sensor.count_bits, init=1)  # in force; 1 if coincidence is off
         # Threshold controller.
-        self.lower_threshold = Signal(sensor.count_bits)  # one below the threshold
+        self.reduced_threshold = Signal(sensor.count_bits)  # one below the threshold
         self.meets_lower = Signal()  # a closed window meets it
         self.stays = Signal()  # the controller was in charge in the last frame, too
         self.rises = Signal()  # the threshold rises by one step,
@@ -156,8 +156,8 @@ class Dpcu(Unit):
         m.d.sync += self.commit.eq(commits)
         if self.sensor.controller:
             with m.If(self.awake):
-                m.d.sync += self.lower_threshold.eq(self.threshold - 1)
-            m.d.sync += self.meets_lower.eq(self.closed & self._meets(self.lower_threshold))
+                m.d.sync += self.reduced_threshold.eq(self.threshold - 1)
+            m.d.sync += self.meets_lower.eq(self.closed & self._meets(self.reduced_threshold))
         else:
             m.d.comb += self.meets_lower.eq(0)
         with m.If(commits):

@@ -81,7 +81,7 @@ class Packer(Unit):
         self.ready = Signal()
         self.crowded = Signal()  # the bits behind it are another payload
         self.room = Signal(init=1)  # they leave room for the check
-        self.kept = Signal(longest)  # bits that wait after this cycle, without the part
+        self.waiting = Signal(longest)  # bits that wait after this cycle, without the part
         self.total = Signal(range(longest + 1))  # `offset` with the part
         self.packs = Signal()  # the part is packed
         self.begins = Signal(init=1)  # no beat of the group has left
@@ -109,7 +109,7 @@ class Packer(Unit):
             waits.eq((self.ready | self.close) & ~self.m_axis.tready),
             self.packs.eq(self.offer & ~waits & ~self.crowded),
             self.free.eq(Mux(self.m_axis.tready, free_if_ready, free_if_not)),
-            self.kept.eq(
+            self.waiting.eq(
                 Mux(self.ready, self.packed >> PAYLOAD_BITS, Mux(self.close, 0, self.packed))
             ),
             placed.eq(self.part << self.offset),
@@ -117,7 +117,7 @@ class Packer(Unit):
         ]
         with m.If(self.packs):
             m.d.sync += [
-                self.packed.eq(self.kept | placed),
+                self.packed.eq(self.waiting | placed),
                 self.ready.eq(self.total >= PAYLOAD_BITS),
                 self.crowded.eq(self.total >= 2 * PAYLOAD_BITS),
                 self.offset.eq(
@@ -132,7 +132,11 @@ class Packer(Unit):
                 ),
             ]
         with m.Elif(~waits):
-            m.d.sync += [self.packed.eq(self.kept), self.ready.eq(self.crowded), self.crowded.eq(0)]
+            m.d.sync += [
+                self.packed.eq(self.waiting),
+                self.ready.eq(self.crowded),
+                self.crowded.eq(0),
+            ]
             with m.If(self.crowded):
                 m.d.sync += [
                     self.offset.eq(self.offset - PAYLOAD_BITS),

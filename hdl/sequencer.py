@@ -204,7 +204,7 @@ class Sequencer(Unit):
 
         It is delivered for `SETTLED` cycles, so that the threshold controllers know their budgets.
         """
-        self.number_kept = number = Voted(m, "number_kept", bus.PULSE_BITS)
+        self.number_voted = number = Voted(m, "number_voted", bus.PULSE_BITS)
         m.d.comb += self.number.eq(number.value)
         m.d.sync += [
             self.delivered_for.eq(Cat(1, self.delivered_for) & self.delivered.replicate(SETTLED)),

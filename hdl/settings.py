@@ -18,7 +18,7 @@ from .logic import any_of
 from .unit import Unit
 
 
-class SubgroupSettings(Unit):
+class SubgroupRegisters(Unit):
     """Register block of a subgroup. Ranges are checked before a write arrives here.
 
     Ports

@@ -17,7 +17,7 @@ from .fifo import EventFifo, RecordBuffer
 from .front_end_views import POLYPHASE, View
 from .gating import Gating
 from .packetizer import Packetizer
-from .settings import SubgroupSettings
+from .settings import SubgroupRegisters
 from .unit import Unit, place
 from .voted import agreed_reset
 
@@ -141,7 +141,7 @@ class Subgroup(Unit):
         """Place the blocks and connect them, as in Fig. 3 of the paper."""
         sensor = self.sensor
         operation = self.command_taken.operation
-        settings = SubgroupSettings(sensor)
+        settings = SubgroupRegisters(sensor)
         gating = Gating(sensor)
         tree = self.view.front_end(sensor)
         dpcu = Dpcu(sensor)

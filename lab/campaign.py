@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Campaigns play many setups: in this process, in others or on a Dask cluster. A campaign can continue an interrupted one."""
+"""Campaigns play many setups: in this process, in others or on a Dask cluster. A campaign can
+continue an interrupted one.
+"""
 
 import json
 import os
@@ -21,14 +23,18 @@ from .measures import Number
 from .outcomes import Run, StageCache
 from .setup import Setup
 
-Progress: TypeAlias = Callable[[int, int], None]  # gets the number done and the total, which grows with each campaign
-Read: TypeAlias = Callable[[Run], Any]  # a function of a module, or a partial of one, that returns something small
-Played: TypeAlias = tuple[int, Any, BaseException | None]  # index of the setup, what was read from its run, its error
+# gets the number done and the total, which grows with each campaign
+Progress: TypeAlias = Callable[[int, int], None]
+# a function of a module, or a partial of one, that returns something small
+Read: TypeAlias = Callable[[Run], Any]
+# index of the setup, what was read from its run, its error
+Played: TypeAlias = tuple[int, Any, BaseException | None]
 _Key = TypeVar("_Key", bound=Hashable)
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 TOGETHER_MAX = 8  # setups in a batch: the edges of all of them are in memory at the same time
-_cache = StageCache()  # one in each process, because successive setups of a campaign often have the same photons
+# one in each process, because successive setups of a campaign often have the same photons
+_cache = StageCache()
 
 
 class Workers(Protocol):
@@ -40,7 +46,9 @@ class Workers(Protocol):
 
 
 def batches(setups: Sequence[Setup], workers: int) -> list[list[int]]:
-    """Return the setups of each batch, by number. The sliced engine plays a batch in its lanes; others get one setup per batch."""
+    """Return the setups of each batch, by number. The sliced engine plays a batch in its lanes;
+    others get one setup per batch.
+    """
     found: list[list[int]] = []
     by_sensor: dict[Sensor, list[int]] = {}
     for number, setup in enumerate(setups):
@@ -61,7 +69,9 @@ def read_batch(read: Read, setups: Sequence[Setup]) -> list[tuple[Any, BaseExcep
         # After an error, each setup is played again alone below, which shows the setup that fails.
         with suppress(Exception):
             drawn = [Run(setup).edges for setup in setups]
-            together = replay_together([(setup.config, edges) for setup, edges in zip(setups, drawn, strict=True)])
+            together = replay_together(
+                [(setup.config, edges) for setup, edges in zip(setups, drawn, strict=True)]
+            )
             played = list(zip(drawn, together, strict=True))
     outcomes: list[tuple[Any, BaseException | None]] = []
     for setup, (edges, result) in zip(setups, played, strict=True):
@@ -74,9 +84,13 @@ def read_batch(read: Read, setups: Sequence[Setup]) -> list[tuple[Any, BaseExcep
 
 
 class Processes:
-    """This process (`workers` = 1) or new ones (None: one per core), for several campaigns in turn; a context manager."""
+    """This process (`workers` = 1) or new ones (None: one per core), for several campaigns in turn;
+    a context manager.
+    """
 
-    def __init__(self, workers: int | None = None, progress: Progress = lambda done, total: None) -> None:
+    def __init__(
+        self, workers: int | None = None, progress: Progress = lambda done, total: None
+    ) -> None:
         self.workers, self.progress = workers or os.cpu_count() or 1, progress
         self.done = self.total = 0
         self._pool: ProcessPoolExecutor | None = None
@@ -103,15 +117,21 @@ class Processes:
         }
         for task in as_completed(running):
             batch, error = running[task], task.exception()
-            yield from self._counted(batch, [(None, error)] * len(batch) if error else task.result())
+            yield from self._counted(
+                batch, [(None, error)] * len(batch) if error else task.result()
+            )
 
-    def _counted(self, batch: Sequence[int], outcomes: Sequence[tuple[Any, BaseException | None]]) -> Iterator[Played]:
+    def _counted(
+        self, batch: Sequence[int], outcomes: Sequence[tuple[Any, BaseException | None]]
+    ) -> Iterator[Played]:
         for number, (outcome, error) in zip(batch, outcomes, strict=True):
             yield number, outcome, error
             self._count()
 
     def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
-        """Return the results of a module's `function` for all items, in order. This is for tasks that are not setups."""
+        """Return the results of a module's `function` for all items, in order. This is for tasks
+        that are not setups.
+        """
         tasks = list(items)
         self.total += len(tasks)
         results = []
@@ -126,7 +146,9 @@ class Processes:
 
 
 class FinishedFiles:
-    """A folder with one flat JSON file per finished setup: what was read from its run. The setup's key names the file."""
+    """A folder with one flat JSON file per finished setup: what was read from its run. The setup's
+    key names the file.
+    """
 
     def __init__(self, folder: Path, names: Sequence[str]) -> None:
         self.folder = folder
@@ -154,13 +176,19 @@ def campaign(
     failed: dict[_Key, BaseException] | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> dict[_Key, Any]:
-    """Return the result of `read` for the run of each setup, by key and in order; the workers do not change it.
+    """Return the result of `read` for the run of each setup, by key and in order; the workers do
+    not change it.
 
-    finished: setups of an earlier campaign, which are not played again; setups with equal content are then played once.
-    failed: receives the error of each setup that fails; None: the first error is raised. progress: is called with the number
-    of different setups that are done, first with the number of those that were finished before.
+    finished: setups of an earlier campaign, which are not played again; setups with equal content
+    are then played once.
+    failed: receives the error of each setup that fails; None: the first error is raised. progress:
+    is called with the number of different setups that are done, first with the number of those that
+    were finished before.
     """
-    digests = {key: setup.key if finished else str(number) for number, (key, setup) in enumerate(setups.items())}
+    digests = {
+        key: setup.key if finished else str(number)
+        for number, (key, setup) in enumerate(setups.items())
+    }
     found: dict[str, Any] = {}
     if finished is not None:
         for name in digests.values():
@@ -187,9 +215,13 @@ def campaign(
     return {key: found[name] for key, name in digests.items() if name in found}
 
 
-def grouped(groups: Mapping[_Key, Sequence[Setup]], read: Read, workers: Workers) -> dict[_Key, list[Any]]:
+def grouped(
+    groups: Mapping[_Key, Sequence[Setup]], read: Read, workers: Workers
+) -> dict[_Key, list[Any]]:
     """Return the outcomes of a campaign of groups of setups, such as the seeds of one case."""
-    flat = {(key, number): setup for key, group in groups.items() for number, setup in enumerate(group)}
+    flat = {
+        (key, number): setup for key, group in groups.items() for number, setup in enumerate(group)
+    }
     outcomes = iter(campaign(flat, read, workers).values())
     return {key: [next(outcomes) for _ in group] for key, group in groups.items()}
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiles the estimator in another process during a first run, while that run draws photons and plays frames."""
+"""Compiles the estimator in another process during a first run, while that run draws photons and
+plays frames.
+"""
 
 import atexit
 import sys
@@ -19,23 +21,35 @@ from ..model.shared.compiled import is_compiled
 
 @cache
 def compile_ahead() -> None:
-    """Start to compile the estimator, unless it is compiled already. The new process ends with this one at the latest."""
+    """Start to compile the estimator, unless it is compiled already. The new process ends with this
+    one at the latest.
+    """
     if is_compiled(estimate_depth.__module__):
         return
-    command = [sys.executable, "-c", f"from {__name__} import estimate_anything; estimate_anything()"]
+    command = [
+        sys.executable,
+        "-c",
+        f"from {__name__} import estimate_anything; estimate_anything()",
+    ]
     atexit.register(Popen(command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL).kill)
 
 
 def estimate_anything() -> None:
-    """Estimate the depth of a made-up frame of four subgroups, so that the code for it is compiled."""
+    """Estimate the depth of a made-up frame of four subgroups, so that the code for it is
+    compiled.
+    """
     config = parse_config({"sensor": {"rows": 16, "cols": 16}})
     for method in (DEFAULT_METHOD, "maximum"):
         estimate_depth(made_up(config), config, method=method, frame=0)
 
 
 def made_up(config: Config) -> dict[str, np.ndarray]:
-    """Return the arrays of a made-up result: in every fourth pulse, each subgroup has an event of two pixels."""
-    subgroup, pulse = (part.ravel() for part in np.indices((config.sensor.subgroups, config.pulses // 4)))
+    """Return the arrays of a made-up result: in every fourth pulse, each subgroup has an event of
+    two pixels.
+    """
+    subgroup, pulse = (
+        part.ravel() for part in np.indices((config.sensor.subgroups, config.pulses // 4))
+    )
     arrays: dict[str, np.ndarray] = dict.fromkeys(EVENT_FIELDS, np.zeros(len(pulse), np.int64))
     arrays |= {"subgroup": subgroup, "pulse": 4 * pulse}
     hits = np.zeros((len(pulse), -(-config.sensor.pixels // BEAT_BITS)), np.uint64)

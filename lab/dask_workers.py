@@ -24,7 +24,8 @@ LOOPBACK = "127.0.0.1"
 CONNECT_S = 10
 # Workers run this, because the campaign ends them.
 DEAF_TO_CTRL_C = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"
-LOST_WORKERS_MAX = 20  # workers that may be lost with a setup; after that, we assume that the setup kills them
+# workers that may be lost with a setup; after that, we assume that the setup kills them
+LOST_WORKERS_MAX = 20
 
 
 class SchedulerLost(SimulationError):
@@ -32,7 +33,9 @@ class SchedulerLost(SimulationError):
 
 
 class Dask:
-    """Workers of the scheduler at an address, or of a cluster of `workers` processes that lives as long as a campaign."""
+    """Workers of the scheduler at an address, or of a cluster of `workers` processes that lives as
+    long as a campaign.
+    """
 
     def __init__(self, workers: int, scheduler: str | None = None) -> None:
         self.workers, self.scheduler = workers, scheduler
@@ -46,12 +49,18 @@ class Dask:
             running: dict[Future[Any], list[int]] = {}
             for setup in setups:
                 if id(setup.scene) not in scenes:
-                    # The scene is a task of its own: it is sent once, and computed again if its worker is lost.
+                    # The scene is a task of its own: it is sent once, and computed again if its
+                    # worker is lost.
                     scenes[id(setup.scene)] = client.submit(_itself, setup.scene, pure=False)
             for batch in batches(setups, self.workers):
                 chosen = [setups[k] for k in batch]
                 bare = [evolve(setup, scene=None) for setup in chosen]
-                given = read, bare, [scenes[id(setup.scene)] for setup in chosen], versions(chosen[0].engine)
+                given = (
+                    read,
+                    bare,
+                    [scenes[id(setup.scene)] for setup in chosen],
+                    versions(chosen[0].engine),
+                )
                 running[client.submit(_read_batch, *given, pure=False)] = batch
             for task in as_completed(list(running), loop=client.loop):
                 batch = running.pop(task)
@@ -74,10 +83,14 @@ def _itself(scene: Scene | None) -> Scene | None:
 def _read_batch(
     read: Read, setups: list[Setup], scenes: list[Scene | None], expected: dict[str, str]
 ) -> list[tuple[Any, BaseException | None]]:
-    """Play a batch. Raises `RuntimeError` if this worker has other versions, because its numbers could then differ."""
+    """Play a batch. Raises `RuntimeError` if this worker has other versions, because its numbers
+    could then differ.
+    """
     if (own := versions(setups[0].engine)) != expected:
         raise RuntimeError(f"the worker's versions are not the sweep's: {own}, {expected}")
-    return read_batch(read, [evolve(setup, scene=scene) for setup, scene in zip(setups, scenes, strict=True)])
+    return read_batch(
+        read, [evolve(setup, scene=scene) for setup, scene in zip(setups, scenes, strict=True)]
+    )
 
 
 def reason(error: BaseException) -> str:
@@ -90,13 +103,18 @@ def reason(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
-    """Return a client of the scheduler at an address, or of a cluster of `workers` processes that ends with the block."""
+    """Return a client of the scheduler at an address, or of a cluster of `workers` processes that
+    ends with the block.
+    """
     with contextlib.ExitStack() as stack:
         if scheduler is not None:
             _check_address(scheduler)
         else:
-            stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": LOST_WORKERS_MAX}))
-            # Everything stays on loopback. Even without a dashboard, the scheduler serves its health page on a free port.
+            stack.enter_context(
+                dask.config.set({"distributed.scheduler.allowed-failures": LOST_WORKERS_MAX})
+            )
+            # Everything stays on loopback. Even without a dashboard, the scheduler serves its
+            # health page on a free port.
             scheduler = stack.enter_context(
                 LocalCluster(
                     n_workers=workers,
@@ -114,16 +132,22 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
         try:
             client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
         except OSError as error:
-            raise InputError(f"scheduler = {scheduler!r}: no Dask scheduler answers ({error})") from None
+            raise InputError(
+                f"scheduler = {scheduler!r}: no Dask scheduler answers ({error})"
+            ) from None
         yield stack.enter_context(client)
 
 
 def _check_address(scheduler: str) -> None:
-    """Check an address before a client is made, because a client with an invalid address would never end."""
+    """Check an address before a client is made, because a client with an invalid address would
+    never end.
+    """
     try:
         scheme, place = parse_address(scheduler, strict=True)
         parse_host_port(place)
         if scheme not in backends:
             raise ValueError(f"{scheme}: none of {', '.join(backends)}")
     except ValueError as error:
-        raise InputError(f"scheduler = {scheduler!r}: must be an address such as tcp://HOST:8786 ({error})") from None
+        raise InputError(
+            f"scheduler = {scheduler!r}: must be an address such as tcp://HOST:8786 ({error})"
+        ) from None

@@ -14,7 +14,14 @@ from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.groups import FIRST_PIXELS, PAYLOAD_BITS, group_widths
 from ..model.contract.packet import BEAT_BITS, FORMATS, RECORD, layout
-from ..model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, off_surfaces, range_error, wrong_pixels, wrong_share
+from ..model.depth.quality import (
+    OTHER_SURFACE_M,
+    TOLERANCE_M,
+    off_surfaces,
+    range_error,
+    wrong_pixels,
+    wrong_share,
+)
 from ..model.scenes.scene import Scene
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
 
@@ -55,7 +62,9 @@ class MeasuredFrame(Protocol):
 
 @frozen
 class Measure:
-    """A number of one frame. kind: int or float. of: its formula, which returns None where it would divide by 0."""
+    """A number of one frame. kind: int or float. of: its formula, which returns None where it would
+    divide by 0.
+    """
 
     kind: type
     meaning: str
@@ -77,7 +86,9 @@ def _dropped_share(frame: MeasuredFrame) -> float | None:
 
 
 def _wrong(tolerance_m: float) -> Callable[[MeasuredFrame], float | None]:
-    return lambda frame: wrong_share(frame.depth_m, frame.truth_m, tolerance_m) if _known(frame).any() else None
+    return lambda frame: (
+        wrong_share(frame.depth_m, frame.truth_m, tolerance_m) if _known(frame).any() else None
+    )
 
 
 def _off_surface(frame: MeasuredFrame) -> float | None:
@@ -99,7 +110,9 @@ def _not(share: str) -> Callable[[MeasuredFrame], float | None]:
 
 
 def _per_s(counter: str) -> Callable[[MeasuredFrame], float]:
-    return lambda frame: _total(frame, counter) * frame.config.clock_mhz * 1e6 / frame.config.frame_cycles
+    return lambda frame: (
+        _total(frame, counter) * frame.config.clock_mhz * 1e6 / frame.config.frame_cycles
+    )
 
 
 def _depth_share(frame: MeasuredFrame) -> float | None:
@@ -157,7 +170,11 @@ _SWEPT: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
         "beats of the busiest stream per cycle of the frame",
         lambda frame: float(frame.beats.max()) / frame.config.frame_cycles,
     ),
-    "wrong_share": (float, f"share of pixels without depth, or off by more than {_PAPERS}", _wrong(TOLERANCE_M)),
+    "wrong_share": (
+        float,
+        f"share of pixels without depth, or off by more than {_PAPERS}",
+        _wrong(TOLERANCE_M),
+    ),
     "off_surface_share": (
         float,
         f"share of pixels without depth, or off by more than {_PAPERS} from every surface that they see",
@@ -166,7 +183,11 @@ _SWEPT: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
     "depth_share": (float, "share of pixels with depth", _depth_share),
     "bias_m": (float, "mean error of range, pixels with depth", _error(0)),
     "rms_m": (float, "RMS error of range, pixels with depth", _error(1)),
-    "right_bias_m": (float, "mean error of range, pixels that are not wrong", _error(0, TOLERANCE_M)),
+    "right_bias_m": (
+        float,
+        "mean error of range, pixels that are not wrong",
+        _error(0, TOLERANCE_M),
+    ),
     "right_rms_m": (float, "RMS error of range, pixels that are not wrong", _error(1, TOLERANCE_M)),
 }
 _OTHERS: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
@@ -174,38 +195,77 @@ _OTHERS: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
     "link_load": (
         float,
         "beats of the busiest stream, as a share of those that its link takes during the frame",
-        lambda frame: float(frame.beats.max() / (frame.config.frame_cycles * frame.config.link_share)),
+        lambda frame: float(
+            frame.beats.max() / (frame.config.frame_cycles * frame.config.link_share)
+        ),
     ),
     "capacity_share": (
         float,
         "committed windows as a share of the controller's capacity, all streams",
-        lambda frame: _total(frame, "committed") / (frame.config.capacity * frame.config.sensor.streams),
+        lambda frame: (
+            _total(frame, "committed") / (frame.config.capacity * frame.config.sensor.streams)
+        ),
     ),
-    "events_per_s": (float, "events that left the sensor per second of the frame", _per_s("stored")),
-    "records_per_s": (float, "minigroup records that left the sensor per second of the frame", _per_s("mg_stored")),
-    "right_share": (float, f"share of pixels with depth, off by at most {_PAPERS}", _not("wrong_share")),
-    "wrong_share_15cm": (float, f"share of pixels without depth, or off by more than {_FAR}", _wrong(OTHER_SURFACE_M)),
-    "found_share": (float, f"share of pixels with depth, off by at most {_FAR}", _not("wrong_share_15cm")),
-    "found_rms_m": (float, f"RMS error of range, pixels that are off by at most {_FAR}", _error(1, OTHER_SURFACE_M)),
+    "events_per_s": (
+        float,
+        "events that left the sensor per second of the frame",
+        _per_s("stored"),
+    ),
+    "records_per_s": (
+        float,
+        "minigroup records that left the sensor per second of the frame",
+        _per_s("mg_stored"),
+    ),
+    "right_share": (
+        float,
+        f"share of pixels with depth, off by at most {_PAPERS}",
+        _not("wrong_share"),
+    ),
+    "wrong_share_15cm": (
+        float,
+        f"share of pixels without depth, or off by more than {_FAR}",
+        _wrong(OTHER_SURFACE_M),
+    ),
+    "found_share": (
+        float,
+        f"share of pixels with depth, off by at most {_FAR}",
+        _not("wrong_share_15cm"),
+    ),
+    "found_rms_m": (
+        float,
+        f"RMS error of range, pixels that are off by at most {_FAR}",
+        _error(1, OTHER_SURFACE_M),
+    ),
 }
 SWEPT = tuple(_SWEPT)  # the columns of a sweep
 MEASURES = {name: Measure(*rest) for name, rest in (_SWEPT | _OTHERS).items()}
 
 
 def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
-    """Number[streams]: beats of a frame, including its start, end and counters. With groups it is a mean (`event_beats`).
+    """Number[streams]: beats of a frame, including its start, end and counters. With groups it is a
+    mean (`event_beats`).
 
     events, records: number[subgroups], events and minigroup records that leave the sensor.
     """
     sensor, packets = config.sensor, layout(config.sensor)
-    payload, counter_beats = events * event_beats(config) + records * packets.length(RECORD), packets.counter_beats
+    payload, counter_beats = (
+        events * event_beats(config) + records * packets.length(RECORD),
+        packets.counter_beats,
+    )
     subgroups = [sensor.stream_subgroups(stream) for stream in range(sensor.streams)]
-    return np.array([2 + payload[of_stream].sum() + len(of_stream) * counter_beats for of_stream in subgroups])
+    return np.array(
+        [2 + payload[of_stream].sum() + len(of_stream) * counter_beats for of_stream in subgroups]
+    )
 
 
 def event_beats(config: Config) -> float:
-    """Return the beats of an event. In groups it is a fraction of a beat: that of an event with three pixels, usual at threshold 2."""
+    """Return the beats of an event. In groups it is a fraction of a beat: that of an event with
+    three pixels, usual at threshold 2.
+    """
     packet = FORMATS[config.format]
     if packet.grouped:
-        return group_widths(config.sensor).listed_bits(packet, config.period_ticks, FIRST_PIXELS) / PAYLOAD_BITS
+        return (
+            group_widths(config.sensor).listed_bits(packet, config.period_ticks, FIRST_PIXELS)
+            / PAYLOAD_BITS
+        )
     return layout(config.sensor).length(packet)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The options of an experiment in one table, which the help of the commands, the docstring of `simulate` and the explorer share.
+"""The options of an experiment in one table, which the help of the commands, the docstring of
+`simulate` and the explorer share.
 
-The settings of the configuration are in its own tables (`SETTINGS`). `Setup` holds the chosen values. This file imports
-nothing that takes time, because the help of a command must appear immediately.
+The settings of the configuration are in its own tables (`SETTINGS`). `Setup` holds the chosen
+values. This file imports nothing that takes time, because the help of a command must appear
+immediately.
 """
 
 from collections.abc import Callable
@@ -19,7 +21,9 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 @frozen(kw_only=True)
 class Option:
-    """An option. kind: its type in documents; metavar: its value in the command's help; low, high: range of a number."""
+    """An option. kind: its type in documents; metavar: its value in the command's help; low, high:
+    range of a number.
+    """
 
     name: str
     doc: str
@@ -89,7 +93,9 @@ OPTIONS = {option.name: option for option in _ALL}
 
 
 def documented(function: _Function) -> _Function:
-    """Replace `{options}` in a function's docstring by those of its parameters that are in the table."""
+    """Replace `{options}` in a function's docstring by those of its parameters that are in the
+    table.
+    """
     told = (OPTIONS[name] for name in signature(function).parameters if name in OPTIONS)
     text = "\n".join(f"{option.name} : {option.kind}\n    {option.doc}" for option in told)
     function.__doc__ = cleandoc(function.__doc__ or "").replace("{options}", text)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Outcomes of a setup: a run computes each stage on its first use, and its frames give the measures."""
+"""Outcomes of a setup: a run computes each stage on its first use, and its frames give the
+measures.
+"""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -30,7 +32,9 @@ from .setup import Setup, Watch, fingerprint, unwatched
 
 
 class StageCache:
-    """The latest results of each stage, so that runs can share them. The key is a digest of everything that a result depends on."""
+    """The latest results of each stage, so that runs can share them. The key is a digest of
+    everything that a result depends on.
+    """
 
     def __init__(self, size: int = 1) -> None:
         self.size = size
@@ -68,7 +72,8 @@ class Run:
     watch : callable
         Is told the progress, and may raise an exception to end the run.
     light, edges, traces, result
-        Outcomes of stages that exist already, such as the `result` of a file or of a board; None: not yet.
+        Outcomes of stages that exist already, such as the `result` of a file or of a board; None:
+        not yet.
     """
 
     def __init__(
@@ -94,8 +99,12 @@ class Run:
         self._frames: dict[tuple[int, str | None], Frame] = {}
 
     def but(self, **changes: Any) -> "Run":
-        """Return the run of a changed setup (`Setup.but`). It keeps the photons if the change does not affect them."""
-        return Run(self.setup.but(**changes), cache=self.cache, workers=self.workers, watch=self.watch)
+        """Return the run of a changed setup (`Setup.but`). It keeps the photons if the change does
+        not affect them.
+        """
+        return Run(
+            self.setup.but(**changes), cache=self.cache, workers=self.workers, watch=self.watch
+        )
 
     def alone(self, number: int, **changes: Any) -> "Run":
         """Return a run that begins at reset with the photons of one frame, with a changed setup."""
@@ -132,12 +141,16 @@ class Run:
         if self.workers > 1 and DEFAULT_METHOD in self.setup.estimators:
             compile_ahead()  # uses a core that this run does not need yet
         photons = self.setup.photons
-        edges: Edges = self.cache.get("photons", photons.key, lambda: photons.edges(self.workers, self.watch))
+        edges: Edges = self.cache.get(
+            "photons", photons.key, lambda: photons.edges(self.workers, self.watch)
+        )
         return edges
 
     @cached_property
     def _of_frame(self) -> list[Any]:
-        """Index of each frame's edges; slices if the edges are in order, as generated ones always are."""
+        """Index of each frame's edges; slices if the edges are in order, as generated ones always
+        are.
+        """
         pulse, pulses, frames = self.edges.pulse, self.config.pulses, self.config.frames
         if np.all(pulse[1:] >= pulse[:-1]):
             bounds = np.searchsorted(pulse, np.arange(frames + 1) * pulses)
@@ -145,7 +158,9 @@ class Run:
         return [np.flatnonzero(pulse // pulses == number) for number in range(frames)]
 
     def frame_edges(self, number: int) -> Edges:
-        """Return the edges of one frame (from the end, if negative), with pulses counted from its start."""
+        """Return the edges of one frame (from the end, if negative), with pulses counted from its
+        start.
+        """
         number %= self.config.frames
         own = self.edges.take(self._of_frame[number])
         return evolve(own, pulse=own.pulse - number * self.config.pulses) if number else own
@@ -169,7 +184,9 @@ class Run:
         traces: list[Trace] = []
         for number in range(0, frames, self.workers):
             self.watch("golden model", number / frames, len(self.edges))
-            together = [self.frame_edges(k) for k in range(number, min(frames, number + self.workers))]
+            together = [
+                self.frame_edges(k) for k in range(number, min(frames, number + self.workers))
+            ]
             traces += model.frames_of(self.config, together, self.workers)
         return traces
 
@@ -209,7 +226,11 @@ class Run:
         if isinstance(method, str):
             method, _, named = method.partition("/")
             source = named or source
-        given: dict[str, Any] = {"method": method, "source": source, "workers": self.workers} | options
+        given: dict[str, Any] = {
+            "method": method,
+            "source": source,
+            "workers": self.workers,
+        } | options
         return estimate_depth(self.result, self.config, **given)
 
     def frame(self, number: int = -1, estimator: Method | None = None) -> "Frame":
@@ -225,7 +246,9 @@ class Run:
 
 
 class Frame:
-    """One frame of a run with one estimator. `frame["wrong_share"]` is a measure, by its name in `MEASURES`."""
+    """One frame of a run with one estimator. `frame["wrong_share"]` is a measure, by its name in
+    `MEASURES`.
+    """
 
     def __init__(self, run: Run, number: int, estimator: Method | None) -> None:
         self.run = run
@@ -257,14 +280,18 @@ class Frame:
         return np.flatnonzero(self.run.result["pulse"] // self.config.pulses == self.number)
 
     def counter(self, name: str) -> np.ndarray:
-        """int64[subgroups]: a counter of the frame; with the golden model it does not need the result."""
+        """int64[subgroups]: a counter of the frame; with the golden model it does not need the
+        result.
+        """
         if self.run.setup.engine == "golden" and not self.run.has_result:
             return self.trace.counters[:, COUNTER_NAMES.index(name)]
         return self.run.result[name][self.number]
 
     @cached_property
     def beats(self) -> np.ndarray:
-        """int64[streams]: beats that left the sensor. With groups, only the golden model's frame has their number."""
+        """int64[streams]: beats that left the sensor. With groups, only the golden model's frame
+        has their number.
+        """
         if FORMATS[self.config.format].grouped:
             return np.array([len(beats) for beats in self.trace.beats])
         return stream_beats(self.config, self.counter("stored"), self.counter("mg_stored"))
@@ -275,7 +302,9 @@ class Frame:
         return np.where(self.config.coincidence, self.counter("threshold_used"), 1)
 
     def depth(self, returns: int = 1) -> Depth:
-        """Return the frame's depth. The first return does not depend on the number of returns, so measures use it from here."""
+        """Return the frame's depth. The first return does not depend on the number of returns, so
+        measures use it from here.
+        """
         found = self.run.depth(self.estimator, frame=self.number, returns=returns)
         if self._first is None:
             self._first = found

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Setups of experiments: scene, light, detector, configuration, engine and estimators. Nothing is computed here."""
+"""Setups of experiments: scene, light, detector, configuration, engine and estimators. Nothing is
+computed here.
+"""
 
 from collections.abc import Callable
 from functools import cache, cached_property
@@ -30,7 +32,8 @@ if TYPE_CHECKING:
     from ..hdl.front_end_views import View
 
 SETTLING = 7  # frames of new photons under the controller before the one that counts
-Watch = Callable[[str, float, int], None]  # gets stage, its finished share, and edges so far; raises to end a run
+# gets stage, its finished share, and edges so far; raises to end a run
+Watch = Callable[[str, float, int], None]
 
 
 def unwatched(stage: str, share: float, edges: int) -> None:
@@ -39,7 +42,9 @@ def unwatched(stage: str, share: float, edges: int) -> None:
 
 @frozen(kw_only=True, eq=False)
 class PhotonInputs:
-    """Everything that the avalanches depend on, and nothing else; for example no thresholds, formats and FIFOs."""
+    """Everything that the avalanches depend on, and nothing else; for example no thresholds,
+    formats and FIFOs.
+    """
 
     light: Light
     spad: Spad
@@ -65,7 +70,10 @@ class PhotonInputs:
             made += len(chunk)
             watch("photons", float(chunk.pulse[-1] + 1) / self.pulses if len(chunk) else 0.0, made)
         return Edges(
-            *(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in ("pulse", "pixel", "tick"))
+            *(
+                np.concatenate([getattr(chunk, name) for chunk in chunks])
+                for name in ("pulse", "pixel", "tick")
+            )
         )
 
 
@@ -123,16 +131,32 @@ class Setup:
         subgroup: dict[str, Any] | None = None,
         **fields: Any,
     ) -> "Setup":
-        """Return the setup for a scene or its name, with the tables of a configuration file. Raises `InputError`."""
-        config = parse_config({"sensor": sensor or {}, "frame": frame or {}, "subgroup": subgroup or {}})
-        return cls(config=config, scene=scene_of(config, scene) if isinstance(scene, str) else scene, **fields)
+        """Return the setup for a scene or its name, with the tables of a configuration file. Raises
+        `InputError`.
+        """
+        config = parse_config(
+            {"sensor": sensor or {}, "frame": frame or {}, "subgroup": subgroup or {}}
+        )
+        return cls(
+            config=config,
+            scene=scene_of(config, scene) if isinstance(scene, str) else scene,
+            **fields,
+        )
 
     def but(
-        self, *, frame: dict[str, Any] | None = None, subgroup: dict[str, Any] | None = None, **fields: Any
+        self,
+        *,
+        frame: dict[str, Any] | None = None,
+        subgroup: dict[str, Any] | None = None,
+        **fields: Any,
     ) -> "Setup":
-        """Return a copy with other settings, given as tables of a configuration file, and with other fields."""
+        """Return a copy with other settings, given as tables of a configuration file, and with
+        other fields.
+        """
         config: Config = fields.pop("config", self.config)
-        return evolve(self, config=config.with_frame(**frame or {}).with_settings(**subgroup or {}), **fields)
+        return evolve(
+            self, config=config.with_frame(**frame or {}).with_settings(**subgroup or {}), **fields
+        )
 
     @property
     def seen(self) -> Scene:
@@ -157,16 +181,22 @@ class Setup:
 
     @cached_property
     def key(self) -> str:
-        """Digest of everything that the outcome depends on, including the sources of the project."""
+        """Digest of everything that the outcome depends on, including the sources of the
+        project.
+        """
         return fingerprint(self, versions(self.engine))
 
 
 def scene_of(config: Config, source: Scene | str | np.ndarray, **options: Any) -> Scene:
-    """Return the scene that `load_scene` makes from `source` and `options` for the pixels of a configuration."""
+    """Return the scene that `load_scene` makes from `source` and `options` for the pixels of a
+    configuration.
+    """
     if isinstance(source, Scene):
         return source
     sensor = config.sensor
-    return load_scene(source, sensor.rows, sensor.cols, range_m=Timing.from_config(config).range_m, **options)
+    return load_scene(
+        source, sensor.rows, sensor.cols, range_m=Timing.from_config(config).range_m, **options
+    )
 
 
 def seeded(setup: Setup, seeds: int) -> list[Setup]:
@@ -181,9 +211,15 @@ def fixed_thresholds(sensor: Sensor) -> range:
 
 @cache
 def versions(engine: str) -> dict[str, str]:
-    """Return the versions on which an engine's numbers depend. `code` is a digest of the sources that compute them."""
-    code = sources_digest("model", "lab", *(() if engine == "golden" else ("hdl", "host", "slices", "tb", "tools")))
-    return {"coincid": __version__, "code": code} | {name: version(name) for name in ("numba", "numpy", "scipy")}
+    """Return the versions on which an engine's numbers depend. `code` is a digest of the sources
+    that compute them.
+    """
+    code = sources_digest(
+        "model", "lab", *(() if engine == "golden" else ("hdl", "host", "slices", "tb", "tools"))
+    )
+    return {"coincid": __version__, "code": code} | {
+        name: version(name) for name in ("numba", "numpy", "scipy")
+    }
 
 
 def fingerprint(*values: Any) -> str:
@@ -208,7 +244,9 @@ def fingerprint(*values: Any) -> str:
         elif isinstance(value, list | tuple):
             inner = list(value)
         else:
-            assert value is None or isinstance(value, bool | int | float | str), f"{type(value)}: unknown content"
+            assert value is None or isinstance(value, bool | int | float | str), (
+                f"{type(value)}: unknown content"
+            )
         parts.append(f"{type(value).__qualname__} {len(inner)}" if inner else repr(value))
         pending += inner
     return digest(*parts)

@@ -11,16 +11,16 @@ from typing import TypeAlias
 
 from attrs import define, field, frozen
 
-from .netlist import ONE, ZERO, Block, NetlistError, Nets, Read, Table
-from .schedule import Call, Copy, Evaluate, Guard, Lit, Op, Put, Schedule, Write, settling, with_lit
+from .netlist import ONE, ZERO, Block, Instance, NetlistError, Nets, Read, Table
+from .schedule import Call, Copy, DarkTables, Evaluate, Guard, Op, Put, Schedule, Write, settling, with_dark_tables
 
 STATEMENTS = 400  # in a function, about
 Value: TypeAlias = Callable[[int], str]  # expression for a net
 
 
 @frozen
-class Sparse:
-    """A hint: the bits of a block's input port are nearly always 0, and so are most fields of `field_bits` bits."""
+class DarkInput:
+    """A hint: an input port of a block is dark, which means nearly always 0, and so are most fields of `field_bits` bits."""
 
     block: str
     port: str
@@ -33,7 +33,8 @@ class Layout:
 
     words, flags: how many there are. inputs, outputs: words of each port's bits. nets: words of those nets of the top that
     last from pass to pass; instances: the same for each instance. memories: first word of each; bit b of row r is at first
-    + r * width + b. ones: words that are 1 at the beginning. lit: flags to be set with bit b of a sparse port.
+    + r * width + b. ones: words that are 1 at the beginning. flags_of: flags to be set with bit b
+    of a dark input.
     """
 
     words: int = 0
@@ -44,7 +45,7 @@ class Layout:
     instances: dict[str, dict[int, int]] = field(factory=dict)
     memories: dict[str, int] = field(factory=dict)
     ones: list[int] = field(factory=list)
-    lit: dict[str, list[list[int]]] = field(factory=dict)
+    flags_of: dict[str, list[list[int]]] = field(factory=dict)
 
     def take(self, words: int = 1) -> int:
         """Add some words and return the first of them."""
@@ -74,12 +75,12 @@ class _Unit:
 class Emission:
     """C++ (`source`, `header`) and `layout` of the block `top`; the other blocks are units that repeat in it."""
 
-    def __init__(self, blocks: Mapping[str, Block], top: str, sparse: Sequence[Sparse] = ()):
+    def __init__(self, blocks: Mapping[str, Block], top: str, dark_inputs: Sequence[DarkInput] = ()):
         self.top, self.blocks = blocks[top], blocks
         self.layout = Layout()
         used = dict.fromkeys(instance.unit for instance in self.top.instances)
-        flags = {name: _fields(blocks[name], sparse) for name in (*used, top)}
-        nodes = {name: with_lit(blocks[name], flags[name]) for name in (*used, top)}
+        flags = {name: _dark_fields(blocks[name], dark_inputs) for name in (*used, top)}
+        nodes = {name: with_dark_tables(blocks[name], flags[name]) for name in (*used, top)}
         schedules = {name: Schedule(blocks[name], blocks, nodes[name], name != top) for name in (*used, top)}
         self._units = {name: self._unit(name, flags[name]) for name in used}
         text = []
@@ -123,73 +124,114 @@ class Emission:
         )
 
     def _place(self, homes: set[int], flags: Mapping[str, list[tuple[int, frozenset[int]]]]) -> int:
-        """Give a word to every net that lasts, and flags to every sparse field; return the first flag of the top."""
-        layout, top, place = self.layout, self.top, self.layout.nets
+        """Give a word to every net that lasts, and a flag to every dark field; return the first flag of the top."""
+        layout = self.layout
+        top = self.top
+        place = layout.nets
         place |= {ZERO: layout.take(), ONE: layout.take()}
         layout.ones.append(place[ONE])
-        lit: dict[int, list[int]] = defaultdict(list)  # net of the top -> flags
+        flags_of: dict[int, list[int]] = defaultdict(list)  # net of the top -> flags
         for name, unit in self._units.items():
-            unit.first_shared = layout.take(len(unit.shared) + unit.temporaries)
-            unit.first_own = layout.take(len(unit.own) * unit.instances)
-            unit.first_flag = layout.flags
-            layout.flags += len(unit.flags) * unit.instances
-            for k, instance in enumerate(i for i in top.instances if i.unit == name):
-                words = {net: unit.first_shared + at for net, at in unit.shared.items()}
-                words |= {net: unit.first_own + k * len(unit.own) + at for net, at in unit.own.items()}
-                layout.instances[instance.name] = words
-                layout.ones += [words[flop.output] for flop in unit.block.flops if flop.init]
-                outer: dict[int, int] = {}
-                for port, nets in unit.block.inputs.items():
-                    outer |= dict(zip(nets, instance.nets[port], strict=True))
-                for inner, net in outer.items():
-                    if net == ONE:
-                        layout.ones.append(words[inner])
-                    elif net in homes and net not in place:
-                        place[net] = words[inner]
-                    elif net > ONE and place.get(net) != words[inner]:
-                        unit.moves.append((words[inner], net))
-                for port, nets in unit.block.outputs.items():
-                    for inner, net in zip(nets, instance.nets.get(port, ()), strict=False):
-                        place[net] = words[inner] if inner > ONE else place[inner]
-                for number, fields in unit.flags:
-                    for inner in fields:
-                        lit[outer[inner]].append(unit.first_flag + k * len(unit.flags) + number)
-            unit.moves = list(dict.fromkeys(unit.moves))
+            self._place_unit(name, unit, homes, flags_of)
         first_flag = layout.flags
         layout.flags += len(flags[top.name])
         for number, fields in flags[top.name]:
             for net in fields:
-                lit[net].append(first_flag + number)
-        lasting = [net for nets in top.inputs.values() for net in nets] + [flop.output for flop in top.flops]
-        lasting += [net for nets in top.outputs.values() for net in nets]
+                flags_of[net].append(first_flag + number)
+        self._place_lasting()
+        self._place_memories()
+        layout.ones += [place[flop.output] for flop in top.flops if flop.init]
+        layout.inputs = {port: [place[net] for net in nets] for port, nets in top.inputs.items()}
+        layout.outputs = {port: [place[net] for net in nets] for port, nets in top.outputs.items()}
+        for port, nets in top.inputs.items():
+            if any(net in flags_of for net in nets):
+                layout.flags_of[port] = [flags_of[net] for net in nets]
+        return first_flag
+
+    def _place_unit(self, name: str, unit: _Unit, homes: set[int], flags_of: dict[int, list[int]]) -> None:
+        """Reserve the words and the flags of a unit, and place each instance in them."""
+        layout = self.layout
+        unit.first_shared = layout.take(len(unit.shared) + unit.temporaries)
+        unit.first_own = layout.take(len(unit.own) * unit.instances)
+        unit.first_flag = layout.flags
+        layout.flags += len(unit.flags) * unit.instances
+        instances = [instance for instance in self.top.instances if instance.unit == name]
+        for k, instance in enumerate(instances):
+            words = {net: unit.first_shared + at for net, at in unit.shared.items()}
+            words |= {net: unit.first_own + k * len(unit.own) + at for net, at in unit.own.items()}
+            layout.instances[instance.name] = words
+            layout.ones += [words[flop.output] for flop in unit.block.flops if flop.init]
+            outer = _outer_nets(unit.block, instance)
+            self._connect_inputs(unit, outer, words, homes)
+            self._connect_outputs(unit.block, instance, words)
+            first_flag = unit.first_flag + k * len(unit.flags)
+            for number, fields in unit.flags:
+                for inner in fields:
+                    flags_of[outer[inner]].append(first_flag + number)
+        unit.moves = list(dict.fromkeys(unit.moves))
+
+    def _connect_inputs(self, unit: _Unit, outer: Mapping[int, int], words: Mapping[int, int], homes: set[int]) -> None:
+        """Give nets of the top the words of the inputs that they drive, or else list their moves."""
+        place = self.layout.nets
+        for inner, net in outer.items():
+            if net == ONE:
+                self.layout.ones.append(words[inner])
+            elif net in homes and net not in place:
+                place[net] = words[inner]
+            elif net > ONE and place.get(net) != words[inner]:
+                unit.moves.append((words[inner], net))
+
+    def _connect_outputs(self, block: Block, instance: Instance, words: Mapping[int, int]) -> None:
+        """Give nets of the top the words of the outputs that drive them."""
+        place = self.layout.nets
+        for port, nets in block.outputs.items():
+            connected = instance.nets.get(port, ())
+            for inner, net in zip(nets, connected, strict=False):  # an output may be open
+                place[net] = words[inner] if inner > ONE else place[inner]
+
+    def _place_lasting(self) -> None:
+        """Give words to the rows that memories show, and to ports and flops of the top that have none yet."""
+        layout = self.layout
+        top = self.top
+        place = layout.nets
         for memory in top.memories:
             for read in memory.reads:  # a row's bits are neighbours
                 first = layout.take(memory.width)
                 place |= {net: first + k for k, net in enumerate(read.outputs)}
+        lasting = [net for nets in top.inputs.values() for net in nets]
+        lasting += [flop.output for flop in top.flops]
+        lasting += [net for nets in top.outputs.values() for net in nets]
         for net in lasting:
             if net > ONE and net not in place:
                 place[net] = layout.take()
-        for memory in top.memories:
-            layout.memories[memory.name] = first = layout.take(memory.rows * memory.width)
+
+    def _place_memories(self) -> None:
+        """Give words to the rows of the memories."""
+        layout = self.layout
+        for memory in self.top.memories:
+            first = layout.take(memory.rows * memory.width)
+            layout.memories[memory.name] = first
             for row, value in enumerate(memory.init):
-                layout.ones += [first + row * memory.width + bit for bit in range(memory.width) if value >> bit & 1]
-        layout.ones += [place[flop.output] for flop in top.flops if flop.init]
-        layout.inputs = {port: [place[net] for net in nets] for port, nets in top.inputs.items()}
-        layout.outputs = {port: [place[net] for net in nets] for port, nets in top.outputs.items()}
-        layout.lit = {
-            port: [lit[net] for net in nets] for port, nets in top.inputs.items() if any(net in lit for net in nets)
-        }
-        return first_flag
+                first_of_row = first + row * memory.width
+                layout.ones += [first_of_row + bit for bit in range(memory.width) if value >> bit & 1]
+
+
+def _outer_nets(block: Block, instance: Instance) -> dict[int, int]:
+    """Return the nets of the top at the inputs of an instance, by net of the block."""
+    outer: dict[int, int] = {}
+    for port, nets in block.inputs.items():
+        outer |= dict(zip(nets, instance.nets[port], strict=True))
+    return outer
 
 
 def _identifier(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name)
 
 
-def _fields(block: Block, sparse: Sequence[Sparse]) -> list[tuple[int, frozenset[int]]]:
-    """Return number and nets of the fields of a block's sparse inputs, and of all of them together."""
+def _dark_fields(block: Block, dark_inputs: Sequence[DarkInput]) -> list[tuple[int, frozenset[int]]]:
+    """Return number and nets of the fields of a block's dark inputs, and of all of them together."""
     fields = []
-    for hint in sparse:
+    for hint in dark_inputs:
         nets = block.inputs[hint.port] if hint.block == block.name else ()
         fields += [frozenset(nets[k : k + hint.field_bits]) for k in range(0, len(nets), hint.field_bits)]
     return list(enumerate([*fields, frozenset().union(*fields)] if len(fields) > 1 else fields))
@@ -213,17 +255,17 @@ def _header(layout: Layout) -> str:
         "#pragma once",
         '#include "word.h"',
         f"constexpr int SLICE_WORDS = {layout.words}, SLICE_FLAGS = {max(1, layout.flags)};",
-        "void slice_pass(W* __restrict V, uint8_t* L);    // a rising edge of the clock",
-        "void slice_settle(W* __restrict V, uint8_t* L);  // outputs that are not registers",
+        "void slice_pass(W* __restrict V, uint8_t* F);    // a rising edge of the clock",
+        "void slice_settle(W* __restrict V, uint8_t* F);  // outputs that are not registers",
         f"constexpr int SLICE_ONES[] = {{{_listed([*layout.ones, -1])}}};  // words that are 1 at the beginning, and -1",
     ]
     for kind, ports in (("IN", layout.inputs), ("OUT", layout.outputs)):
         lines += [f"constexpr int {kind}_{port}[] = {{{_listed(words)}}};" for port, words in ports.items() if words]
-    for port, flags in layout.lit.items():
+    for port, flags in layout.flags_of.items():
         most = max(map(len, flags))
         # A bit with fewer flags repeats its last one.
         rows = ["{" + _listed([*of, *of[-1:] * (most - len(of))]) + "}" for of in flags]
-        lines.append(f"constexpr int LIT_{port}[][{most}] = {{{', '.join(rows)}}};")
+        lines.append(f"constexpr int FLAGS_OF_{port}[][{most}] = {{{', '.join(rows)}}};")
     return "\n".join([*lines, ""])
 
 
@@ -245,7 +287,7 @@ class _Writer:
     places: expression of every net that lasts; first_temporary, first_flag: in their arrays.
     """
 
-    STATIC, PARAMETERS, ARGUMENTS = "static ", "W* __restrict M, W* __restrict C, const uint8_t* L", "M, C, L"
+    STATIC, PARAMETERS, ARGUMENTS = "static ", "W* __restrict M, W* __restrict C, const uint8_t* F", "M, C, F"
     TEMPORARIES = "C"
 
     def __init__(self, name: str, places: Mapping[int, str], first_temporary: int, first_flag: int = 0):
@@ -253,13 +295,13 @@ class _Writer:
         self._name, self._places, self._first_temporary, self._first_flag = name, places, first_temporary, first_flag
         self._parts: list[_Part] = []
         self._bodies: dict[Guard, list[_Part]] = {}
-        self._kept: dict[int, str] = {}  # value that several functions use -> expression of its word
+        self._shared_words: dict[int, str] = {}  # value that several functions use -> expression of its word
         self._locals = 0
 
     def text(self, ops: Sequence[Op]) -> list[str]:
         """Return the functions; the last one, called as the block's pass, calls the others."""
         whole = self._split(ops)
-        self._keep(whole)
+        self._find_shared(whole)
         lines = []
         for part in self._parts:
             lines.append(f"static void __attribute__((noinline)) {part.name}({self.PARAMETERS}) {{")
@@ -300,7 +342,7 @@ class _Writer:
                 if isinstance(op, Guard):
                     yield from self._walk(self._bodies.get(op, [_Part(part.name, list(op.body))]))
 
-    def _keep(self, parts: Sequence[_Part]) -> None:
+    def _find_shared(self, parts: Sequence[_Part]) -> None:
         """Find the values that several functions use, and give each a word from its first to its last use."""
         made: dict[int, tuple[int, str]] = {}
         last: dict[int, int] = {}
@@ -327,7 +369,7 @@ class _Writer:
             else:
                 word, self.temporaries = self.temporaries, self.temporaries + 1
             ending.append((last[value], word))
-            self._kept[value] = f"{self.TEMPORARIES}[{self._first_temporary + word}]"
+            self._shared_words[value] = f"{self.TEMPORARIES}[{self._first_temporary + word}]"
 
     def _reader(self, op: Op, values: Mapping[int, str]) -> Value:
         """Return a function that gives the expression of a net in an operation. values: net -> local variable."""
@@ -337,7 +379,7 @@ class _Writer:
             if net in (ZERO, ONE):
                 return "ONES" if net == ONE else "ZEROS"
             net = names.get(net, net)
-            return values.get(net) or self._kept.get(net) or self._places[net]
+            return values.get(net) or self._shared_words.get(net) or self._places[net]
 
         return value
 
@@ -348,8 +390,8 @@ class _Writer:
         if isinstance(op, Copy):
             yield from self._define(op.name, self._places[op.net], values)
         elif isinstance(op, Evaluate):
-            if isinstance(op.node, Lit):
-                yield from self._lit(op.node, value, values)
+            if isinstance(op.node, DarkTables):
+                yield from self._dark_tables(op.node, value, values)
             elif isinstance(op.node, Table):
                 yield from self._define(op.node.outputs[0], _expression(op.node, value), values)
         elif isinstance(op, Write):
@@ -365,17 +407,17 @@ class _Writer:
         yield from self._stored(name, values)
 
     def _stored(self, name: int, values: Mapping[int, str]) -> Iterator[str]:
-        word = self._kept.get(name) or self._places.get(name)
+        word = self._shared_words.get(name) or self._places.get(name)
         if word:
             yield f"{word} = {values[name]};"
 
-    def _lit(self, node: Lit, value: Value, values: dict[int, str]) -> Iterator[str]:
+    def _dark_tables(self, node: DarkTables, value: Value, values: dict[int, str]) -> Iterator[str]:
         found: dict[int, str] = {}
-        for net, dark in zip(node.outputs, node.dark, strict=True):
+        for net, value_in_dark in zip(node.outputs, node.dark_values, strict=True):
             self._locals += 1
             found[net] = f"t{self._locals}"
-            yield f"W {found[net]} = {'ONES' if dark else 'ZEROS'};"
-        yield f"if (L[{self._first_flag + node.flag}]) {{"
+            yield f"W {found[net]} = {'ONES' if value_in_dark else 'ZEROS'};"
+        yield f"if (F[{self._first_flag + node.flag}]) {{"
         inner: dict[int, str] = {}
         for table in node.tables:
             self._locals += 1
@@ -408,7 +450,7 @@ class _Writer:
 class _TopWriter(_Writer):
     """Functions of the top block's pass, which has memories and calls units."""
 
-    STATIC, PARAMETERS, ARGUMENTS = "", "W* __restrict V, uint8_t* L", "V, L"
+    STATIC, PARAMETERS, ARGUMENTS = "", "W* __restrict V, uint8_t* F", "V, F"
     TEMPORARIES = "V"
 
     def __init__(
@@ -453,7 +495,7 @@ class _TopWriter(_Writer):
         yield f"if (const W enable = {value(op.store.enable)}; any(enable)) {{"
         # Every bit of the row has a word, so that one loop serves all rows.
         names = [op.names.get(net, net) for net in op.store.data]
-        words = [self._kept.get(name) or self._places[name] for name in names]
+        words = [self._shared_words.get(name) or self._places[name] for name in names]
         yield f"    static const int FROM[] = {{{', '.join(word[2:-1] for word in words)}}};  // words of V"
         for row in range(memory.rows):
             yield f"    if (const W chosen = enable & {_row(op.store.address, row, value)}; any(chosen))"
@@ -467,7 +509,7 @@ class _TopWriter(_Writer):
             yield f"V[{word}] = {value(net)};"
         own, flags = len(unit.own), len(unit.flags)
         yield f"for (int k = 0; k < {unit.instances}; k++)"
-        arguments = f"V + {unit.first_own} + k * {own}, V + {unit.first_shared}, L + {unit.first_flag} + k * {flags}"
+        arguments = f"V + {unit.first_own} + k * {own}, V + {unit.first_shared}, F + {unit.first_flag} + k * {flags}"
         yield f"    {_identifier(name)}_{self._what}({arguments});"
 
 
@@ -478,7 +520,7 @@ def _row(address: Nets, row: int, value: Value) -> str:
 def _size(op: Op) -> int:
     if isinstance(op, Guard):
         return 2 + sum(map(_size, op.body))
-    if isinstance(op, Evaluate) and isinstance(op.node, Lit):
+    if isinstance(op, Evaluate) and isinstance(op.node, DarkTables):
         return len(op.node.tables) + len(op.node.outputs)
     return 1
 

@@ -94,9 +94,9 @@ class Probe:
                 rows = self._read(samples, node, inputs)
                 known |= {(instance, output): row for output, row in zip(node.outputs, rows, strict=True)}
             else:
-                known[instance, net] = self._kept(samples, instance, net)
+                known[instance, net] = self._sampled(samples, instance, net)
 
-    def _kept(self, samples: np.ndarray, instance: str, net: int) -> np.ndarray:
+    def _sampled(self, samples: np.ndarray, instance: str, net: int) -> np.ndarray:
         if net in (ZERO, ONE):
             return (ALL if net == ONE else ~ALL).repeat(samples.shape[1])
         return samples[self._places(instance)[net]]

@@ -4,7 +4,7 @@
 A pass is a clock edge: everything that it computes reads the registers as they were before. A register is written once
 its readers have been computed, so most need no second place; later readers get a copy (`Copy`). Flip-flops that
 share an enable, with the logic that only they need, are skipped if no lane enables them (`Guard`). Logic that is constant
-while some inputs are 0 is skipped if they are 0 in all lanes (`Lit`).
+while some inputs are dark (0) is skipped if they are dark in all lanes (`DarkTables`).
 """
 
 from collections import defaultdict
@@ -23,20 +23,20 @@ GUARD_MIN = 12  # flip-flops and nodes of a group for which it is worth asking w
 
 
 @frozen(eq=False)
-class Lit:
-    """Tables that are constant while some inputs are 0. flag: its number, set if one of these inputs is 1 in any lane.
+class DarkTables:
+    """Tables that are constant while some inputs are dark (0). flag: its number, set if one of these inputs is 1 in any lane.
 
-    outputs: those of the tables that others read; dark: their values while all is 0.
+    outputs: those of the tables that others read; dark_values: their values while all these inputs are dark.
     """
 
     flag: int
     inputs: Nets
     outputs: Nets
-    dark: Nets
+    dark_values: Nets
     tables: Sequence[Table]
 
 
-Node: TypeAlias = Table | Read | Lit
+Node: TypeAlias = Table | Read | DarkTables
 
 
 @frozen(eq=False)
@@ -122,14 +122,14 @@ def in_order(nodes: Iterable[Node]) -> list[Node]:
     return _last_first(nodes, lambda node: (producer[net] for net in node.inputs if net in producer))
 
 
-def with_lit(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) -> list[Node]:
+def with_dark_tables(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) -> list[Node]:
     """Return the tables of a block, gathered where they are dark together. flags: (number, inputs), smaller ones first."""
     order = [node for node in in_order(block.tables) if isinstance(node, Table)]
     chosen: dict[Table, int] = {}
-    dark: dict[int, int] = {}
+    dark_values: dict[int, int] = {}
     for k, (_, zeros) in enumerate(flags):
         known: dict[int, int] = dict.fromkeys(zeros, 0)
-        behind: set[int] = set()  # nets that depend on this Lit's tables, and are not among them
+        behind: set[int] = set()  # nets that depend on this DarkTables's tables, and are not among them
         mine: set[int] = set()
         for table in order:
             value = _constant(table, known)
@@ -137,7 +137,7 @@ def with_lit(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) -> list[
                 known[table.outputs[0]] = value
             if value is not None and table not in chosen and not behind & set(table.inputs):
                 chosen[table] = k
-                dark[table.outputs[0]] = value
+                dark_values[table.outputs[0]] = value
                 mine.add(table.outputs[0])
             elif (behind | mine) & set(table.inputs):
                 behind.add(table.outputs[0])
@@ -155,7 +155,11 @@ def with_lit(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) -> list[
         inputs = {net for table in tables for net in table.inputs} - own
         outputs = tuple(sorted(net for net in own if read_by[net] - {k}))
         if tables:
-            nodes.append(Lit(flags[k][0], tuple(sorted(inputs)), outputs, tuple(dark[net] for net in outputs), tables))
+            nodes.append(
+                DarkTables(
+                    flags[k][0], tuple(sorted(inputs)), outputs, tuple(dark_values[net] for net in outputs), tables
+                )
+            )
     return nodes
 
 
@@ -185,7 +189,7 @@ def _constant(table: Table, known: Mapping[int, int]) -> int | None:
 class Schedule:
     """Operations of one pass through a block, in `ops`. homes: nets whose place is an input of an instance.
 
-    units: the blocks of the instances; nodes: from `with_lit`; second names are numbers below 0. outputs: whether the
+    units: the blocks of the instances; nodes: from `with_dark_tables`; second names are numbers below 0. outputs: whether the
     pass also computes the outputs that are not registers, as they were before the edge.
     """
 
@@ -435,13 +439,13 @@ class Schedule:
                 self._copy(flop.output, self.ops)
         names = self._named((group.enable, group.reset))
         body: list[Op] = []
-        kept = dict(self._names)
+        names_before = dict(self._names)
         for flop in self._readers_within(group):
             self._need((flop.data,), body, group)
             self._read((flop.data,))
             self._write(flop, body)
         self._read(controls)
-        self._names = kept
+        self._names = names_before
         self.ops.append(Guard(group.enable, group.reset, names, body, group.flops))
 
     def _readers_within(self, group: _Group) -> list[Flop]:

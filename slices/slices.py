@@ -47,7 +47,7 @@ class Slices:
     def set(self, port: str, values: Sequence[int] | int) -> None:
         """Set an input. values: a number for every lane, or one for all of them."""
         self._put(self._layout.inputs[port], values)
-        for word, flags in zip(self._layout.inputs[port], self._layout.lit.get(port, ()), strict=False):
+        for word, flags in zip(self._layout.inputs[port], self._layout.flags_of.get(port, ()), strict=False):
             self._flags[flags] |= self.words[word].any()
 
     def get(self, port: str) -> list[int]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from ..model.shared.folders import build_root
 from ..model.shared.sources import sources_digest
 from ..tools.wheels import yosys_once
-from .emit import Emission, Sparse
+from .emit import DarkInput, Emission
 from .netlist import read_netlist
 
 ROWS_MIN = 4  # memories with fewer rows become flip-flops
@@ -26,7 +26,7 @@ class Design:
     """A design in slices: a `folder` with its netlist and C++, made once. Raises `ToolchainError`, `NetlistError`.
 
     name: of the build. sources: Verilog, or Yosys's RTLIL (`.il`), by file name. units: modules that repeat in the top;
-    their code is written once. sparse: inputs that are nearly always 0. before: commands of Yosys that come right after
+    their code is written once. dark_inputs: inputs that are nearly always 0. before: commands of Yosys that come right after
     reading.
     """
 
@@ -36,10 +36,10 @@ class Design:
         sources: Mapping[str, str],
         top: str,
         units: Sequence[str] = (),
-        sparse: Sequence[Sparse] = (),
+        dark_inputs: Sequence[DarkInput] = (),
         before: Sequence[str] = (),
     ):
-        self.top, self._sparse = top, tuple(sparse)
+        self.top, self._dark_inputs = top, tuple(dark_inputs)
         lines = _script(top, list(sources), units, before)
 
         def emit(scratch: Path) -> None:
@@ -47,7 +47,7 @@ class Design:
             (scratch / SOURCE).write_text(emission.source, encoding="utf-8")
             (scratch / HEADER).write_text(emission.header, encoding="utf-8")
 
-        state = [sources_digest("slices"), top, repr(self._sparse)]
+        state = [sources_digest("slices"), top, repr(self._dark_inputs)]
         self.folder = yosys_once(build_root() / "slices" / name, sources, lines, state, emit)
 
     def emission(self) -> Emission:
@@ -55,7 +55,7 @@ class Design:
         return self._emission(self.folder)
 
     def _emission(self, folder: Path) -> Emission:
-        return Emission(read_netlist(folder / NETLIST), self.top, self._sparse)
+        return Emission(read_netlist(folder / NETLIST), self.top, self._dark_inputs)
 
 
 def _script(top: str, files: Sequence[str], units: Sequence[str], before: Sequence[str]) -> list[str]:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Finds the threshold, window, format and link that suit a scene and its light: `coincid advise`.
 
-All thresholds and windows see the same photons. Several of them leave about the fewest wrong pixels and do not overload the
-link; the one of these with the fewest bits is chosen. For it, the slowest sufficient link is advised, and the format with
-the fewest bits on this link.
+All thresholds and windows see the same photons. Several of them leave about the fewest wrong pixels
+and do not overload the link; the one of these with the fewest bits is chosen. For it, the slowest
+sufficient link is advised, and the format with the fewest bits on this link.
 """
 
 import os
@@ -27,8 +27,10 @@ THRESHOLDS = (1, 2, 3, 4, 5, 6)
 WINDOWS_NS = (0.5, 1.0, 2.0)
 LINKS_GBPS = (1.0, 2.0, 4.0, 8.0, 16.0)
 FORMATS = ("compact", "id")
-WORSE_MAX = 0.002, 0.1  # more wrong pixels that count as equal: as a share of all, and of the best one's wrong pixels
-DROPPED_MAX = 0.01  # share of the events; a link that drops more, or has a load above 1, is overloaded
+# more wrong pixels that count as equal: as a share of all, and of the best one's wrong pixels
+WORSE_MAX = 0.002, 0.1
+# share of the events; a link that drops more, or has a load above 1, is overloaded
+DROPPED_MAX = 0.01
 TABLE, PICTURE, SETTINGS = "advise.csv", "advise.png", "advised.toml"
 HEADS = (
     "threshold",
@@ -46,7 +48,9 @@ Progress = Callable[[str, int, int], None]  # stage, done, in total
 
 @frozen(kw_only=True)
 class Tried:
-    """A configuration, and the outcome of its last frame. wrong, far: shares of pixels; load: of the link."""
+    """A configuration, and the outcome of its last frame. wrong, far: shares of pixels; load: of
+    the link.
+    """
 
     config: Config
     wrong: float
@@ -81,7 +85,9 @@ class Tried:
 
 @frozen(kw_only=True)
 class Advice:
-    """tried: all configurations in order; best: the advised one; klux: the light for which the power is told."""
+    """tried: all configurations in order; best: the advised one; klux: the light for which the
+    power is told.
+    """
 
     tried: list[Tried]
     best: Tried
@@ -91,7 +97,9 @@ class Advice:
     def sentence(self) -> str:
         best, config = self.best, self.best.config
         threshold = "the controller" if config.auto.any() else f"threshold {best.threshold}"
-        rate_gbps = best.bits / config.sensor.streams / (config.frame_cycles / config.clock_mhz * 1e3)
+        rate_gbps = (
+            best.bits / config.sensor.streams / (config.frame_cycles / config.clock_mhz * 1e3)
+        )
         return (
             f"Take {threshold}, a window of {best.window_ns:.3g} ns ({config.window[0]} ticks), the format {config.format} and a link of"
             f" {best.link_gbps:g} Gbit/s: {best.wrong:.1%} of the pixels are wrong ({best.far:.1%} by more than 15 cm), for"
@@ -102,20 +110,32 @@ class Advice:
         )
 
 
-def advise(setup: Setup, *, klux: float, progress: Progress = lambda stage, done, total: None) -> Advice:
-    """Try thresholds, windows, the controller, links and formats on a setup's scene and light. Raises `InputError`.
+def advise(
+    setup: Setup, *, klux: float, progress: Progress = lambda stage, done, total: None
+) -> Advice:
+    """Try thresholds, windows, the controller, links and formats on a setup's scene and light.
+    Raises `InputError`.
 
-    klux: ambient light, for the power. The sensor, its clock, period and pulses are those of the setup.
+    klux: ambient light, for the power. The sensor, its clock, period and pulses are those of the
+    setup.
     """
-    setup = setup.but(frame={"frames": SETTLING + 1, "format": FORMATS[0], "link_gbps": 8.0}, estimators=("planes",))
+    setup = setup.but(
+        frame={"frames": SETTLING + 1, "format": FORMATS[0], "link_gbps": 8.0},
+        estimators=("planes",),
+    )
     windows = sorted(
-        {min(setup.config.sensor.window_max, max(1, round(ns * 1e-9 / setup.config.tick_s))) for ns in WINDOWS_NS}
+        {
+            min(setup.config.sensor.window_max, max(1, round(ns * 1e-9 / setup.config.tick_s)))
+            for ns in WINDOWS_NS
+        }
     )
     thresholds = [one for one in THRESHOLDS if one <= setup.config.sensor.pixels]
     run = Run(setup, workers=os.cpu_count() or 1)
     progress("photons", 0, 1)
     _ = run.edges
-    total = len(windows) * (len(thresholds) + setup.config.sensor.controller) + len(LINKS_GBPS) * len(FORMATS)
+    total = len(windows) * (len(thresholds) + setup.config.sensor.controller) + len(
+        LINKS_GBPS
+    ) * len(FORMATS)
     tried: list[Tried] = []
 
     def tell(stage: str, found: Iterator[Tried]) -> list[Tried]:
@@ -137,7 +157,15 @@ def _settings(run: Run, thresholds: list[int], windows: list[int]) -> Iterator[T
     for window in windows:
         for threshold in thresholds:
             yield _tried(
-                run.alone(-1, subgroup={"auto": False, "coincidence": True, "threshold": threshold, "window": window})
+                run.alone(
+                    -1,
+                    subgroup={
+                        "auto": False,
+                        "coincidence": True,
+                        "threshold": threshold,
+                        "window": window,
+                    },
+                )
             )
         if run.config.sensor.controller:
             yield _tried(run.but(subgroup={"auto": True, "coincidence": True, "window": window}))
@@ -165,7 +193,9 @@ def _tried(run: Run) -> Tried:
 
 
 def cheapest(tried: list[Tried], price: Callable[[Tried], Any]) -> Tried:
-    """Return the one with the lowest price among those that are about as good as the best one, and not overloaded if possible."""
+    """Return the one with the lowest price among those that are about as good as the best one, and
+    not overloaded if possible.
+    """
     least = min(one.wrong for one in tried)
     absolute, relative = WORSE_MAX
     equal = [one for one in tried if one.wrong <= least + max(absolute, relative * least)]
@@ -173,7 +203,9 @@ def cheapest(tried: list[Tried], price: Callable[[Tried], Any]) -> Tried:
 
 
 def write_advice(out: Path, advice: Advice, heading: str) -> list[Path]:
-    """Write the table (CSV), the picture of the trade-off, and the advised settings; return the files."""
+    """Write the table (CSV), the picture of the trade-off, and the advised settings; return the
+    files.
+    """
     files = [out / name for name in (TABLE, PICTURE, SETTINGS)]
     write_csv(files[0], [HEADS, *(one.row() for one in advice.tried)])
     _draw(files[1], advice, heading)
@@ -182,7 +214,14 @@ def write_advice(out: Path, advice: Advice, heading: str) -> list[Path]:
     config = evolve(best, frame=evolve(best.frame, frames=frames))
     written = config.written()
     with whole_file(files[2], "w") as file:
-        file.write(toml_text({table: {k: v for k, v in of.items() if k != "mask"} for table, of in written.items()}))
+        file.write(
+            toml_text(
+                {
+                    table: {k: v for k, v in of.items() if k != "mask"}
+                    for table, of in written.items()
+                }
+            )
+        )
     return files
 
 
@@ -191,8 +230,12 @@ def _draw(path: Path, advice: Advice, heading: str) -> None:
     with style():
         figure = new_figure(7.5, 4.5)
         axis = figure.subplots()
-        compared = [one for one in advice.tried if one.link_gbps == 8.0 and one.config.format == FORMATS[0]]
-        for colour, window_ns in zip(SERIES[1::2], sorted({one.window_ns for one in compared}), strict=False):
+        compared = [
+            one for one in advice.tried if one.link_gbps == 8.0 and one.config.format == FORMATS[0]
+        ]
+        for colour, window_ns in zip(
+            SERIES[1::2], sorted({one.window_ns for one in compared}), strict=False
+        ):
             of_window = [one for one in compared if one.window_ns == window_ns]
             fixed = [one for one in of_window if not one.config.auto.any()]
             axis.plot(
@@ -203,14 +246,36 @@ def _draw(path: Path, advice: Advice, heading: str) -> None:
                 label=f"window of {window_ns:.3g} ns",
             )
             for one in fixed:
-                axis.annotate(one.threshold, (one.bits, one.wrong), (4, 3), textcoords="offset points", color=colour)
+                axis.annotate(
+                    one.threshold,
+                    (one.bits, one.wrong),
+                    (4, 3),
+                    textcoords="offset points",
+                    color=colour,
+                )
             own = [one for one in of_window if one.config.auto.any()]
-            axis.plot([one.bits for one in own], [one.wrong for one in own], "D", color=colour, markersize=7)
+            axis.plot(
+                [one.bits for one in own],
+                [one.wrong for one in own],
+                "D",
+                color=colour,
+                markersize=7,
+            )
         axis.plot([], [], "D", color=GREY, label="controller")
         axis.plot(
-            advice.best.bits, advice.best.wrong, "o", color=ALARM, markersize=15, fillstyle="none", label="advised"
+            advice.best.bits,
+            advice.best.wrong,
+            "o",
+            color=ALARM,
+            markersize=15,
+            fillstyle="none",
+            label="advised",
         )
-        axis.set(xscale="log", xlabel="bits per frame", ylabel="share of wrong pixels", ylim=(0, None))
-        axis.set_title(f"{heading}: thresholds (numbers) and windows, a link of 8 Gbit/s", loc="left")
+        axis.set(
+            xscale="log", xlabel="bits per frame", ylabel="share of wrong pixels", ylim=(0, None)
+        )
+        axis.set_title(
+            f"{heading}: thresholds (numbers) and windows, a link of 8 Gbit/s", loc="left"
+        )
         axis.legend()
         save_figure(figure, path)

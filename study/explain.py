@@ -22,27 +22,47 @@ def meaning(config: Config) -> list[tuple[str, str]]:
     frame_s = config.frame_cycles * cycle_ns * 1e-9
     sent_gbps = float(stream_gbps(config.clock_mhz))
     controlled = (
-        f", by the controller in {config.controlled.sum()} of {sensor.subgroups}" if config.controlled.any() else ""
+        f", by the controller in {config.controlled.sum()} of {sensor.subgroups}"
+        if config.controlled.any()
+        else ""
     )
-    off = f"; coincidence is off in {np.sum(~config.coincidence)}" if not config.coincidence.all() else ""
+    off = (
+        f"; coincidence is off in {np.sum(~config.coincidence)}"
+        if not config.coincidence.all()
+        else ""
+    )
     beats = event_beats(config)
+    streams = f"{sensor.streams} of {sent_gbps:.4g} Gbit/s"
+    link_share = f"{float(config.link_share):.1%}"
+    events_per_us = config.capacity / frame_s / 1e6
+    range_m = config.period_ticks * tick_s * metres_per_s
+    period_ns = config.period * cycle_ns
+    cycle_cm = cycle_ns * 1e-9 * metres_per_s * 100
+    tick_cm = tick_s * metres_per_s * 100
+    pixels = f"{sensor.rows} x {sensor.cols} pixels"
+    grouped = " with three pixels" * FORMATS[config.format].grouped
     return [
-        ("array", f"{sensor.rows} x {sensor.cols} pixels in {sensor.subgroups} subgroups of {_size(sensor.subgroup)}"),
+        ("array", f"{pixels} in {sensor.subgroups} subgroups of {_size(sensor.subgroup)}"),
         ("minigroups", f"{sensor.minigroups} of {_size(sensor.minigroup)} in a subgroup"),
-        ("clock", f"{config.clock_mhz:g} MHz: a cycle is {cycle_ns:.4g} ns, {cycle_ns * 1e-9 * metres_per_s * 100:.4g} cm"),
-        ("tick", f"{tick_s * 1e12:.4g} ps, {tick_s * metres_per_s * 100:.4g} cm ({sensor.phases} per cycle)"),
+        ("clock", f"{config.clock_mhz:g} MHz: a cycle is {cycle_ns:.4g} ns, {cycle_cm:.4g} cm"),
+        ("tick", f"{tick_s * 1e12:.4g} ps, {tick_cm:.4g} cm ({sensor.phases} per cycle)"),
         ("window", f"{window} ticks, {_span(config.window, tick_s * 1e9)} ns"),
         ("threshold", f"{threshold} pixels{controlled}{off}"),
-        ("laser period", f"{config.period} cycles, {config.period * cycle_ns:.4g} ns: {1e6 / (config.period * cycle_ns):.4g} kHz"),
-
-        ("range", f"{config.period_ticks * tick_s * metres_per_s:.4g} m; no window opens in the last {sensor.guard} cycles"),
-        ("frame", f"{config.pulses} pulses, {frame_s * 1e6:.4g} us: {1 / frame_s:,.0f} frames per second"),
-        ("event", f"{config.format}: {beats:.3g} beats of {BEAT_BITS} bits" + " with three pixels" * FORMATS[config.format].grouped),
-        ("stream", f"{sensor.streams} of {sent_gbps:.4g} Gbit/s; the link takes {float(config.link_share):.1%} of its beats"),
-        ("events that fit", f"{config.capacity:,} per stream and frame, {config.capacity / frame_s / 1e6:.4g} million per second"),
+        ("laser period", f"{config.period} cycles, {period_ns:.4g} ns: {1e6 / period_ns:.4g} kHz"),
+        ("range", f"{range_m:.4g} m; no window opens in the last {sensor.guard} cycles"),
+        (
+            "frame",
+            f"{config.pulses} pulses, {frame_s * 1e6:.4g} us: {1 / frame_s:,.0f} frames per second",
+        ),
+        ("event", f"{config.format}: {beats:.3g} beats of {BEAT_BITS} bits{grouped}"),
+        ("stream", f"{streams}; the link takes {link_share} of its beats"),
+        (
+            "events that fit",
+            f"{config.capacity:,} per stream and frame, {events_per_us:.4g} million per second",
+        ),
         ("area", f"about {um2_per_pixel(sensor):.0f} um2 per pixel in 45 nm"),
         ("power", f"about {uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux"),
-    ]  # fmt: skip
+    ]
 
 
 def warnings(config: Config) -> list[str]:
@@ -52,38 +72,79 @@ def warnings(config: Config) -> list[str]:
     link_beats = config.frame_cycles * float(config.link_share)
     sent_gbps = float(stream_gbps(config.clock_mhz))
     coarse_bits = int(config.period - 1).bit_length()
-    longest, pixels_on = int(config.window.max()), config.mask.sum(axis=1)
-    records = frame.minigroup_records
+    longest = int(config.window.max())
+    pixels_on = config.mask.sum(axis=1)
+    gate_end = config.gate_start + config.gate_len
+    full = "-full" * (config.format == "full")
+
+    coincidence_on = bool(config.coincidence.any())
+    lets_all_through = config.coincidence & (config.threshold == 1) & ~config.auto
+    never_commits = config.coincidence & (config.threshold > pixels_on)
+    controller_idle = config.auto & ~config.coincidence
+    controlled = bool(config.controlled.any())
+    gate_given = _any_given(config, "subgroup.gate_start", "subgroup.gate_len", "frame.gate_every")
+    gate_too_long = config.gating & (gate_end > config.period) & (config.gate_start > 0)
+    records_given = _any_given(config, "frame.mg_threshold", "frame.mg_window")
     found = {
-        f"streams = {sensor.streams} does not divide {sensor.subgroups} subgroups: some streams carry one subgroup more than others.":
-            sensor.subgroups % sensor.streams != 0,
-        f"link_gbps = {frame.link_gbps:g} is more than a stream sends, {sent_gbps:g} Gbit/s.": frame.link_gbps > sent_gbps,
-        f"Counters fill {counters / link_beats:.0%} of the link: with more pulses per frame, this share falls.":
-            counters > FILLED_BY_COUNTERS * link_beats,
-        f"window_max = {sensor.window_max} ticks is built, but the longest window has {longest}.": sensor.window_max > 2 * longest,
-        f"coarse_bits = {sensor.coarse_bits} counts {sensor.period_max} cycles; the period of {config.period} needs {coarse_bits} bits.":
-            sensor.coarse_bits > coarse_bits + 1,
-        "Coincidence is on, but threshold 1 lets every photon through, as with coincidence off.":
-            bool(np.any(config.coincidence & (config.threshold == 1) & ~config.auto)),
-        "window is set, but has no effect: coincidence is off.": "subgroup.window" in config.given and not config.coincidence.any(),
-        "The controller is on, but coincidence is off: it has no effect.": bool(np.any(config.auto & ~config.coincidence)),
-        "The controller is on for one frame, but needs a few frames to settle.": bool(config.controlled.any()) and config.frames == 1,
-        "The threshold is higher than the number of unmasked pixels: nothing can commit.":
-            bool(np.any(config.coincidence & (config.threshold > pixels_on))),
-        "A gate is set, but gating is off.":
-            not config.gating.any() and not config.given.isdisjoint(("subgroup.gate_start", "subgroup.gate_len", "frame.gate_every")),
-        "The gate moves by 0 cycles: gate_step is 0.": frame.gate_every > 0 and frame.gate_step == 0,
-        "The gate ends after the laser period.":
-            bool(np.any(config.gating & (config.gate_start + config.gate_len > config.period) & (config.gate_start > 0))),
-        f"format = '{config.format}' sends no map of pixels: there is no depth per pixel.": config.format not in WITH_MAP,
-        f"format = '{config.format}' sends a whole map; 'compact{'-full' * (config.format == 'full')}' carries the same events in fewer bits.":
-            config.format in ("id", "full"),
-        "mg_threshold and mg_window have no effect: minigroup_records is off.":
-            not records and not config.given.isdisjoint(("frame.mg_threshold", "frame.mg_window")),
-        "dither_seed has no effect: dither_bits is 0.": "frame.dither_seed" in config.given and not frame.dither_bits,
-        "capacity is 0: the controller raises every threshold to the highest.": bool(config.controlled.any()) and config.capacity == 0,
-    }  # fmt: skip
+        f"streams = {sensor.streams} does not divide {sensor.subgroups} subgroups: "
+        "some streams carry one subgroup more than others.": (
+            sensor.subgroups % sensor.streams != 0
+        ),
+        f"link_gbps = {frame.link_gbps:g} is more than a stream sends, {sent_gbps:g} Gbit/s.": (
+            frame.link_gbps > sent_gbps
+        ),
+        f"Counters fill {counters / link_beats:.0%} of the link: "
+        "with more pulses per frame, this share falls.": (
+            counters > FILLED_BY_COUNTERS * link_beats
+        ),
+        f"window_max = {sensor.window_max} ticks is built, "
+        f"but the longest window has {longest}.": sensor.window_max > 2 * longest,
+        f"coarse_bits = {sensor.coarse_bits} counts {sensor.period_max} cycles; "
+        f"the period of {config.period} needs {coarse_bits} bits.": (
+            sensor.coarse_bits > coarse_bits + 1
+        ),
+        "Coincidence is on, but threshold 1 lets every photon through, "
+        "as with coincidence off.": bool(lets_all_through.any()),
+        "window is set, but has no effect: coincidence is off.": (
+            _any_given(config, "subgroup.window") and not coincidence_on
+        ),
+        "The controller is on, but coincidence is off: it has no effect.": (
+            bool(controller_idle.any())
+        ),
+        "The controller is on for one frame, but needs a few frames to settle.": (
+            controlled and config.frames == 1
+        ),
+        "The threshold is higher than the number of unmasked pixels: nothing can commit.": (
+            bool(never_commits.any())
+        ),
+        "A gate is set, but gating is off.": gate_given and not config.gating.any(),
+        "The gate moves by 0 cycles: gate_step is 0.": (
+            frame.gate_every > 0 and frame.gate_step == 0
+        ),
+        "The gate ends after the laser period.": bool(gate_too_long.any()),
+        f"format = '{config.format}' sends no map of pixels: there is no depth per pixel.": (
+            config.format not in WITH_MAP
+        ),
+        f"format = '{config.format}' sends a whole map; "
+        f"'compact{full}' carries the same events in fewer bits.": (
+            config.format in ("id", "full")
+        ),
+        "mg_threshold and mg_window have no effect: minigroup_records is off.": (
+            records_given and not frame.minigroup_records
+        ),
+        "dither_seed has no effect: dither_bits is 0.": (
+            _any_given(config, "frame.dither_seed") and not frame.dither_bits
+        ),
+        "capacity is 0: the controller raises every threshold to the highest.": (
+            controlled and config.capacity == 0
+        ),
+    }
     return [sentence for sentence, holds in found.items() if holds]
+
+
+def _any_given(config: Config, *keys: str) -> bool:
+    """Return whether the configuration sets one of these keys itself."""
+    return not config.given.isdisjoint(keys)
 
 
 def _size(size: tuple[int, int]) -> str:

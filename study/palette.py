@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colours and text sizes of all pictures (Matplotlib and Bokeh). Pages have their colours in `study/show/page.css`."""
+"""Colours and text sizes of all pictures (Matplotlib and Bokeh). Pages have their colours in
+`study/show/page.css`.
+"""
 
 # Lines and areas beside the data.
 INK, DARK_GREY, GREY, LIGHT_GREY, PALE_GREY = "#222222", "#777777", "#999999", "#bbbbbb", "#eeeeee"
@@ -10,7 +12,14 @@ NO_VALUE_ON_PAGE, PAGE_INK = "#8c8c8c", "#7d8791"  # readable on light and dark
 GREEN, ORANGE, VIOLET, PINK = "#1b9e77", "#d95f02", "#7570b3", "#e7298a"
 
 # For fates, verdicts and surfaces: Okabe and Ito, which colour-blind people can tell apart.
-BLUE, SKY, TEAL, AMBER, VERMILION, MAUVE = "#0072b2", "#56b4e9", "#009e73", "#e69f00", "#d55e00", "#cc79a7"
+BLUE, SKY, TEAL, AMBER, VERMILION, MAUVE = (
+    "#0072b2",
+    "#56b4e9",
+    "#009e73",
+    "#e69f00",
+    "#d55e00",
+    "#cc79a7",
+)
 
 # For values with an order, from dark to bright: viridis.
 SERIES = ("#440154", "#46327e", "#365c8d", "#277f8e", "#1fa187", "#4ac16d", "#a0da39", "#fde725")

@@ -19,7 +19,8 @@ from .plot_style import DEPTH_MAP, legend_below, new_figure, save_figure, style
 
 PANEL_IN = 3.1
 PANELS_ACROSS = 5  # panels per row
-BLOCK_MAP, BLOCK_MAX = "Blues", 10  # light enough for black numbers up to the controller's highest threshold
+# light enough for black numbers up to the controller's highest threshold
+BLOCK_MAP, BLOCK_MAX = "Blues", 10
 REASONS = {  # colours of the marks
     Reason.NO_LIGHT: INK,
     Reason.BACKGROUND: AMBER,
@@ -34,7 +35,9 @@ SCALE_MARGIN = 0.05  # margin at both ends of the colour bar, relative to the ra
 
 @frozen(eq=False)
 class Panel:
-    """A depth picture. depth_m: float64[rows, cols], NaN = no depth; reason: `belief.Reason`, uint8[rows, cols], if known."""
+    """A depth picture. depth_m: float64[rows, cols], NaN = no depth; reason: `belief.Reason`,
+    uint8[rows, cols], if known.
+    """
 
     title: str
     depth_m: np.ndarray
@@ -50,7 +53,9 @@ def depth_row(
     blocks: tuple[str, np.ndarray] | None = None,
     tolerance_m: float = TOLERANCE_M,
 ) -> list[float]:
-    """Write the figure of `draw_row` to `path` (.png or .svg); return the share of wrong pixels of each panel."""
+    """Write the figure of `draw_row` to `path` (.png or .svg); return the share of wrong pixels of
+    each panel.
+    """
     figure, shares = draw_row(panels, truth_m, heading, blocks=blocks, tolerance_m=tolerance_m)
     save_figure(figure, path)
     return shares
@@ -64,12 +69,13 @@ def draw_row(
     blocks: tuple[str, np.ndarray] | None = None,
     tolerance_m: float = TOLERANCE_M,
 ) -> tuple[Figure, list[float]]:
-    """Draw the truth and `panels` side by side, at most five per row; return the figure, and each panel's wrong share.
+    """Draw the truth and `panels` side by side, at most five per row; return the figure, and each
+    panel's wrong share.
 
-    blocks: title and small integers [subgroups down, across]; the last panel shows them as numbers on the subgroups.
-    All panels share one colour scale in metres. It spans the truth; depths beyond it have the colour of the nearer end.
-    Pixels without an estimate are grey; pixels without a truth also have a cross. Titles give the share of wrong pixels
-    (`wrong_share`).
+    blocks: title and small integers [subgroups down, across]; the last panel shows them as numbers
+    on the subgroups. All panels share one colour scale in metres. It spans the truth; depths beyond
+    it have the colour of the nearer end. Pixels without an estimate are grey; pixels without a
+    truth also have a cross. Titles give the share of wrong pixels (`wrong_share`).
     """
     shares = [wrong_share(panel.depth_m, truth_m, tolerance_m) for panel in panels]
     near_m, far_m = np.nanmin(truth_m), np.nanmax(truth_m)
@@ -80,15 +86,26 @@ def draw_row(
     across = min(places, PANELS_ACROSS)
     down = -(-places // across)
     with style(axes_grid=False):
-        figure = new_figure(PANEL_IN * across + 0.9, (height_in + 0.75) * down + (0.6 if heading else 0.35))
+        figure = new_figure(
+            PANEL_IN * across + 0.9, (height_in + 0.75) * down + (0.6 if heading else 0.35)
+        )
         grid = figure.subplots(down, across, squeeze=False)
         axes = grid.ravel()
         colours = matplotlib.colormaps[DEPTH_MAP].with_extremes(bad=NO_VALUE)
-        for axis, panel in zip(axes, (Panel("truth", truth_m), *panels)):
-            image = axis.imshow(panel.depth_m, cmap=colours, vmin=near_m - margin_m, vmax=far_m + margin_m)
+        of_panels = axes[1 : 1 + len(panels)]
+        for axis, panel in zip(
+            (axes[0], *of_panels), (Panel("truth", truth_m), *panels), strict=True
+        ):
+            image = axis.imshow(
+                panel.depth_m, cmap=colours, vmin=near_m - margin_m, vmax=far_m + margin_m
+            )
             for row, col in np.argwhere(np.isnan(truth_m)):
-                axis.plot([col - 0.3, col + 0.3], [row - 0.3, row + 0.3], color="black", linewidth=0.6)
-                axis.plot([col - 0.3, col + 0.3], [row + 0.3, row - 0.3], color="black", linewidth=0.6)
+                axis.plot(
+                    [col - 0.3, col + 0.3], [row - 0.3, row + 0.3], color="black", linewidth=0.6
+                )
+                axis.plot(
+                    [col - 0.3, col + 0.3], [row + 0.3, row - 0.3], color="black", linewidth=0.6
+                )
             axis.set_title(panel.title)
             axis.set_xlabel("column")
             axis.spines[:].set_visible(False)
@@ -98,11 +115,13 @@ def draw_row(
             axis.set_visible(False)
         if blocks is not None:
             _draw_blocks(axes[places - 1], *blocks, truth_m.shape)
-        for axis, panel, share in zip(axes[1:], panels, shares):
+        for axis, panel, share in zip(of_panels, panels, shares, strict=True):
             axis.set_title(f"{panel.title}\n{share:.1%} of pixels wrong")
             wrong = np.argwhere(wrong_pixels(panel.depth_m, truth_m, tolerance_m))
             frames = [Rectangle((col - 0.5, row - 0.5), 1, 1) for row, col in wrong]
-            axis.add_collection(PatchCollection(frames, facecolor="none", edgecolor=ALARM, linewidth=0.5))
+            axis.add_collection(
+                PatchCollection(frames, facecolor="none", edgecolor=ALARM, linewidth=0.5)
+            )
             if panel.reason is not None:
                 _draw_reasons(axis, panel.reason)
         figure.colorbar(image, ax=list(axes), label="depth in m", extend="both", pad=0.01)

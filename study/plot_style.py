@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The common style of all pictures, and functions that write them: each appears whole, and equal data give equal bytes."""
+"""The common style of all pictures, and functions that write them: each appears whole, and equal
+data give equal bytes.
+"""
 
 import io
 from contextlib import AbstractContextManager
@@ -13,7 +15,8 @@ from matplotlib.figure import Figure
 from ..model.shared.files import FilePath, whole_file
 from .palette import GREEN, INK, LEGEND_PT, ORANGE, PINK, TEXT_PT, TITLE_PT, VIOLET
 
-HASH_SALT = "coincid"  # element names of an SVG are hashes of this and a counter, so they are the same in every run
+# element names of an SVG are hashes of this and a counter, so they are the same in every run
+HASH_SALT = "coincid"
 STYLE: dict[Any, Any] = {
     "font.size": TEXT_PT,
     "axes.titlesize": TITLE_PT,
@@ -45,8 +48,12 @@ _UNDATED = {"png": {"Software": None}, "svg": {"Date": None, "Creator": None}}
 
 
 def style(**others: Any) -> AbstractContextManager[None]:
-    """Return a context in which figures have the common style; `others` are further rc parameters, with `_` for the first `.`."""
-    return matplotlib.rc_context(STYLE | {name.replace("_", ".", 1): value for name, value in others.items()})
+    """Return a context in which figures have the common style; `others` are further rc parameters,
+    with `_` for the first `.`.
+    """
+    return matplotlib.rc_context(
+        STYLE | {name.replace("_", ".", 1): value for name, value in others.items()}
+    )
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
@@ -58,12 +65,23 @@ def legend_below(figure: Figure, columns: int = 6) -> None:
     """Draw one legend below all axes, with each label once."""
     entries: dict[str, Any] = {}
     for axis in figure.axes:
-        entries |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels()) if label not in entries}
-    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=min(columns, len(entries)))
+        entries |= {
+            label: handle
+            for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+            if label not in entries
+        }
+    figure.legend(
+        list(entries.values()),
+        list(entries),
+        loc="outside lower center",
+        ncols=min(columns, len(entries)),
+    )
 
 
 def share_axis(axis: Axes, **others: Any) -> None:
-    """Scale an axis for shares from 0 to 1: linear up to 0.1 %, then logarithmic; `others` are for `Axes.set`."""
+    """Scale an axis for shares from 0 to 1: linear up to 0.1 %, then logarithmic; `others` are for
+    `Axes.set`.
+    """
     axis.set(**others)
     axis.set_yscale("symlog", linthresh=1e-3, linscale=0.4)
     axis.set_ylim(0, 1)

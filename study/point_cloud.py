@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turns depth into points in space, and writes them as a PLY file for any viewer of point clouds."""
+"""Turns depth into points in space, and writes them as a PLY file for any viewer of point
+clouds.
+"""
 
 import numpy as np
 
@@ -16,7 +18,8 @@ _PLY_TYPES = {"f": "float", "u": "uchar"}
 
 
 def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = False) -> np.ndarray:
-    """Return one point in space per depth, row by row, with the returns of a pixel together; no point without depth.
+    """Return one point in space per depth, row by row, with the returns of a pixel together; no
+    point without depth.
 
     A pixel looks along the ray through its middle, and its depth is the length along that ray.
 
@@ -24,15 +27,18 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
     ----------
     depth : Depth
     optics : Optics or None
-        The pixels share its field of view and are evenly spaced in the plane of the sensor; None: that of the paper.
+        The pixels share its field of view and are evenly spaced in the plane of the sensor; None:
+        that of the paper.
     normals : bool
-        Whether to add the unit normal of the surface, towards the sensor (NaN where the slope is not known).
+        Whether to add the unit normal of the surface, towards the sensor (NaN where the slope is
+        not known).
 
     Returns
     -------
     numpy.ndarray
-        Structured array with the fields `x` (to the right), `y` (down) and `z` (along the axis) in metres from the lens, `confidence`,
-        `reason` (uint8, that of the pixel), and `nx`, `ny`, `nz` with normals.
+        Structured array with the fields `x` (to the right), `y` (down) and `z` (along the axis) in
+        metres from the lens, `confidence`, `reason` (uint8, that of the pixel), and `nx`, `ny`,
+        `nz` with normals.
 
     Raises
     ------
@@ -48,12 +54,13 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
     ray /= np.linalg.norm(ray, axis=2, keepdims=True)
     seen = ~np.isnan(depth.depth_m)
     points = np.empty(np.count_nonzero(seen), POINT_WITH_NORMAL if normals else POINT)
-    for name, part in zip("xyz", np.moveaxis(ray, 2, 0)):
+    for name, part in zip("xyz", np.moveaxis(ray, 2, 0), strict=True):
         points[name] = (part[:, :, None] * depth.depth_m)[seen]
     points["confidence"] = depth.confidence[seen]
     points["reason"] = np.broadcast_to(depth.reason[:, :, None], seen.shape)[seen]
     if normals and depth.slope_m is not None:
-        for name, part in zip(_NORMAL, np.moveaxis(_normals(depth.depth_m, depth.slope_m, right, down, ray), 3, 0)):
+        normals_of = _normals(depth.depth_m, depth.slope_m, right, down, ray)
+        for name, part in zip(_NORMAL, np.moveaxis(normals_of, 3, 0), strict=True):
             points[name] = part[seen]
     return points
 
@@ -61,11 +68,16 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
 def _normals(
     depth_m: np.ndarray, slope_m: np.ndarray, right: np.ndarray, down: np.ndarray, ray: np.ndarray
 ) -> np.ndarray:
-    """float64[rows, cols, returns, 3]: unit normals of the first returns, NaN for others. right, down: tangents; ray: unit vectors."""
+    """float64[rows, cols, returns, 3]: unit normals of the first returns, NaN for others. right,
+    down: tangents; ray: unit vectors.
+    """
     length = 1 / ray[:, :, 2]
-    along = []  # movement of a point on the surface from one row to the next, and from one column to the next
+    # movement of a point on the surface from one row to the next, and from one column to the next
+    along = []
     for axis, tangent in enumerate((down, right)):
-        step = np.gradient(tangent, axis=axis) if tangent.shape[axis] > 1 else np.zeros_like(tangent)
+        step = (
+            np.gradient(tangent, axis=axis) if tangent.shape[axis] > 1 else np.zeros_like(tangent)
+        )
         unit = np.zeros_like(ray)
         unit[:, :, 1 - axis] = 1
         turn = (unit - ray * ray[:, :, [1 - axis]]) * (step / length)[:, :, None]
@@ -79,15 +91,24 @@ def _normals(
 
 
 def _tangents(pixels: int, fov_deg: float) -> np.ndarray:
-    """Return the tangents of the angles between the axis and the middles of pixels that share a field of view."""
+    """Return the tangents of the angles between the axis and the middles of pixels that share a
+    field of view.
+    """
     return (2 * np.arange(pixels) + 1 - pixels) / pixels * np.tan(np.radians(fov_deg) / 2)
 
 
 def write_ply(path: FilePath, points: np.ndarray) -> None:
     """Write points (`point_cloud`) as binary PLY, whole or not at all."""
-    header = ["ply", "format binary_little_endian 1.0", "comment metres; x right, y down, z forward"]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment metres; x right, y down, z forward",
+    ]
     header += [f"comment reason {reason}: {told}" for reason, told in SENTENCES.items()]
-    fields = [f"property {_PLY_TYPES[points.dtype[name].kind]} {name}" for name in points.dtype.names or ()]
+    fields = [
+        f"property {_PLY_TYPES[points.dtype[name].kind]} {name}"
+        for name in points.dtype.names or ()
+    ]
     header += [f"element vertex {len(points)}", *fields, "end_header", ""]
     with whole_file(path) as file:
         file.write("\n".join(header).encode() + points.tobytes())

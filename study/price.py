@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates area and power in 45 nm from the project's measurements; nothing is synthesized here.
 
-Areas come from `make cost` (docs/cost.md), which varies one parameter at a time; their ratios are multiplied. Power comes from
-`make power` (docs/power.md) for the default subgroup, and is scaled in proportion to area and clock. Use both to compare
-configurations; an exact number needs synthesis.
+Areas come from `make cost` (docs/cost.md), which varies one parameter at a time; their ratios are
+multiplied. Power comes from `make power` (docs/power.md) for the default subgroup, and is scaled in
+proportion to area and clock. Use both to compare configurations; an exact number needs synthesis.
 """
 
 import numpy as np
@@ -36,7 +36,13 @@ def um2_per_pixel(sensor: Sensor) -> float:
 def uw_per_pixel(config: Config, klux: float) -> float:
     """Return the power per pixel under ambient light."""
     measured = float(np.interp(klux, *UW_PER_PIXEL))
-    return measured * config.clock_mhz / MEASURED_MHZ * um2_per_pixel(config.sensor) / um2_per_pixel(Sensor())
+    return (
+        measured
+        * config.clock_mhz
+        / MEASURED_MHZ
+        * um2_per_pixel(config.sensor)
+        / um2_per_pixel(Sensor())
+    )
 
 
 def _between(name: str, value: int) -> float:

@@ -14,19 +14,29 @@ COMPILES = "compiling the models, first run only"
 
 
 def first_time(stage: str, module: str) -> str:
-    """Return the name of a stage, with a note if the kernels of a module's room are still to be compiled."""
+    """Return the name of a stage, with a note if the kernels of a module's room are still to be
+    compiled.
+    """
     return stage if is_compiled(module) else f"{stage} ({COMPILES})"
 
 
 class Bar:
-    """Shows progress in stages, as a context manager: a bar on a terminal; elsewhere, if `lines`, a line at the start of each stage
-    and every few seconds.
+    """Shows progress in stages, as a context manager: a bar on a terminal; elsewhere, if `lines`, a
+    line at the start of each stage and every few seconds.
     """
 
     def __init__(self, console: Console, lines: bool = False) -> None:
         percent = TextColumn("{task.percentage:>3.0f} %")
-        columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), percent, TimeElapsedColumn())
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        columns = (
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            percent,
+            TimeElapsedColumn(),
+        )
+        self._progress = Progress(
+            *columns, console=console, transient=True, disable=not console.is_terminal
+        )
         self._lines = lines and not console.is_terminal
         self._task: TaskID | None = None
         self._stage, self._began, self._ended = "", 0.0, Event()
@@ -49,7 +59,9 @@ class Bar:
         self._progress.stop()
 
     def stage(self, name: str, total: int | None = None) -> None:
-        """Begin a stage. total: the amount at which it is done (`done`), None if that is unknown."""
+        """Begin a stage. total: the amount at which it is done (`done`), None if that is
+        unknown.
+        """
         if self._task is not None:
             self._progress.remove_task(self._task)
         self._task = self._progress.add_task(name, total=total)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The main entry of the library: `simulate`, and the run that it returns, with methods for the usual next steps."""
+"""The main entry of the library: `simulate`, and the run that it returns, with methods for the
+usual next steps.
+"""
 
 import os
 import sys
@@ -35,7 +37,8 @@ if TYPE_CHECKING:
 class Run(outcomes.Run):
     """A simulated run: its inputs, and the sensor's output in all its frames.
 
-    `simulate` returns it. Each method has the arguments and errors of the function that its docstring names.
+    `simulate` returns it. Each method has the arguments and errors of the function that its
+    docstring names.
 
     Attributes
     ----------
@@ -56,7 +59,8 @@ class Run(outcomes.Run):
         return events_table(self.result)
 
     def histogram(self, pixel: int | tuple[int, int], **options: Any) -> "PixelHistogram":
-        """Return the hits of one pixel per tick (see `pixel_histogram`). A notebook draws them with the truth and the candidates.
+        """Return the hits of one pixel per tick (see `pixel_histogram`). A notebook draws them with
+        the truth and the candidates.
 
         pixel: (row, column), or row * columns + column.
         """
@@ -64,7 +68,9 @@ class Run(outcomes.Run):
 
         return PixelHistogram.of(self, pixel_number(self.config.sensor, pixel), **options)
 
-    def point_cloud(self, optics: Optics | None = None, *, normals: bool = False, **options: Any) -> np.ndarray:
+    def point_cloud(
+        self, optics: Optics | None = None, *, normals: bool = False, **options: Any
+    ) -> np.ndarray:
         """Return points in space; `options` are those of `estimate_depth`. See `point_cloud`."""
         return point_cloud(self.depth(**options), optics, normals=normals)
 
@@ -73,13 +79,17 @@ class Run(outcomes.Run):
         return self.events()
 
     def plot(self, **options: Any) -> "Shown":
-        """Return all views of one frame, linked to each other, for a notebook (`frame`, `method`)."""
+        """Return all views of one frame, linked to each other, for a notebook (`frame`,
+        `method`).
+        """
         from .show.notebook import plot
 
         return plot(self, **options)
 
     def timeline(self, subgroup: int, pulse: int, **options: Any) -> "Shown":
-        """Return every edge and window of one subgroup in one laser period, for a notebook (`frame`)."""
+        """Return every edge and window of one subgroup in one laser period, for a notebook
+        (`frame`).
+        """
         from .show.notebook import plot_timeline
 
         return plot_timeline(self, subgroup, pulse, **options)
@@ -93,7 +103,9 @@ class Run(outcomes.Run):
     def to_ply(self, path: str | Path, **options: Any) -> None:
         """Write `point_cloud` as a PLY file; its folder must exist."""
         if not Path(path).parent.is_dir():
-            raise InputError(f"{path}: cannot be written: the folder {Path(path).parent} does not exist")
+            raise InputError(
+                f"{path}: cannot be written: the folder {Path(path).parent} does not exist"
+            )
         write_ply(path, self.point_cloud(**options))
 
     def save_depth(self, path: str | Path, **options: Any) -> None:
@@ -130,13 +142,15 @@ def simulate(
     Parameters
     ----------
     config : Config, str, Path or None
-        A configuration, or what `load_config` accepts: a TOML file, the name of a preset, or None for the defaults.
+        A configuration, or what `load_config` accepts: a TOML file, the name of a preset, or None
+        for the defaults.
     {options}
     **settings
-        Settings of the configuration by their names, such as threshold=3, pulses=50 or rows=64, instead of those of `config`.
+        Settings of the configuration by their names, such as threshold=3, pulses=50 or rows=64,
+        instead of those of `config`.
 
-    An array of distances is in metres, has any shape (rows, cols), and may be followed by `reflectivity`, a number or an
-    array of that shape; 0 and NaN are holes.
+    An array of distances is in metres, has any shape (rows, cols), and may be followed by
+    `reflectivity`, a number or an array of that shape; 0 and NaN are holes.
 
     Returns
     -------
@@ -151,13 +165,21 @@ def simulate(
     _check_order(config)
     config = with_settings(config if isinstance(config, Config) else load_config(config), settings)
     if isinstance(scene, Scene):
-        given = {"scale": scale != 1, "unit": unit is not None, "reflectivity": np.any(reflectivity != REFLECTIVITY)}
+        given = {
+            "scale": scale != 1,
+            "unit": unit is not None,
+            "reflectivity": np.any(reflectivity != REFLECTIVITY),
+        }
         for name in (name for name, is_given in given.items() if is_given):
-            raise InputError(f"{name}: goes with depth files and arrays of distances, not with a Scene")
+            raise InputError(
+                f"{name}: goes with depth files and arrays of distances, not with a Scene"
+            )
     setup = Setup(
         config=config,
         scene=scene_of(config, scene, scale=scale, unit=unit, reflectivity=reflectivity),
-        klux=usual_klux(str(scene) if isinstance(scene, str | os.PathLike) else "") if klux is None else klux,
+        klux=usual_klux(str(scene) if isinstance(scene, str | os.PathLike) else "")
+        if klux is None
+        else klux,
         background=background,
         seed=seed,
         spad=spad or Spad(),
@@ -182,17 +204,28 @@ def _check_order(config: object) -> None:
         if str(config).partition(":")[0] not in NAMES or Path(config).exists():
             return
         told = f"{config!r}: is a scene"
-    raise InputError(f"config = {told}; the configuration comes first: simulate(None, scene), or simulate(scene=...)")
+    raise InputError(
+        f"config = {told}; the configuration comes first: simulate(None, scene), or simulate(scene=...)"
+    )
 
 
 def with_settings(config: Config, settings: dict[str, Any]) -> Config:
-    """Return a copy of `config` with other settings, by their names in any table. Raises `InputError`."""
+    """Return a copy of `config` with other settings, by their names in any table. Raises
+    `InputError`.
+    """
     for name in settings:
         if name not in SETTINGS:
-            raise InputError(f"{name}: unknown argument or setting, must be one of {', '.join((*OPTIONS, *SETTINGS))}")
-    of = {table: {name: value for name, value in settings.items() if name in keys} for table, keys in TABLES.items()}
+            raise InputError(
+                f"{name}: unknown argument or setting, must be one of {', '.join((*OPTIONS, *SETTINGS))}"
+            )
+    of = {
+        table: {name: value for name, value in settings.items() if name in keys}
+        for table, keys in TABLES.items()
+    }
     config = config.with_sensor(**of["sensor"]) if of["sensor"] else config
     if "pulses" in of["frame"]:  # the controller's bounds and capacity change in proportion
-        pulses = SETTINGS["pulses"].checked("frame.pulses", of["frame"].pop("pulses"), config.sensor)
+        pulses = SETTINGS["pulses"].checked(
+            "frame.pulses", of["frame"].pop("pulses"), config.sensor
+        )
         config = config.with_pulses(pulses)
     return config.with_frame(**of["frame"]).with_settings(**of["subgroup"])

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulates a scene for `coincid sim`: its light, its frames through the sensor in three schemes, and the depth of each scheme.
+"""Simulates a scene for `coincid sim`: its light, its frames through the sensor in three schemes,
+and the depth of each scheme.
 
-The scheme `off` has coincidence off (the paper's scheme 1), `fixed` has one threshold for all subgroups, and `auto` has the
-thresholds of the controller, which first settles in frames of new photons. The compared frames see the same photons. Every
-beat and commit of the RTL is checked against the golden model while it runs.
+The scheme `off` has coincidence off (the paper's scheme 1), `fixed` has one threshold for all
+subgroups, and `auto` has the thresholds of the controller, which first settles in frames of new
+photons. The compared frames see the same photons. Every beat and commit of the RTL is checked
+against the golden model while it runs.
 """
 
 import json
@@ -59,7 +61,8 @@ SCHEMES = {  # name: (title, settings that differ), in the order of the frames
 }
 CONTROLLED = "auto"
 LINK_GBPS = 8.0  # if nothing else sets the rate: the pins of such a chip can carry this much
-LINK_FORMAT = "compact"  # if the configuration sets no format: such a link carries the most events in it
+# if the configuration sets no format: such a link carries the most events in it
+LINK_FORMAT = "compact"
 SLOW_ENGINE, SLOW_SETTLING = "icarus", 2
 Progressed = Callable[[int], None]
 
@@ -68,8 +71,9 @@ Progressed = Callable[[int], None]
 class Played:
     """All frames of the schemes, which one sensor played in turn.
 
-    runs: one per scheme, with the golden model's traces; its last frame represents the scheme. arrays: the result file
-    (`model/contract/result.py`) of all frames. cycles: of all frames; checked: number of compared beats and commits;
+    runs: one per scheme, with the golden model's traces; its last frame represents the scheme.
+    arrays: the result file (`model/contract/result.py`) of all frames. cycles: of all frames;
+    checked: number of compared beats and commits;
     seconds: time that the engine took. wave: path of the waveform or None.
     """
 
@@ -87,7 +91,9 @@ class Played:
 
 
 def with_link(config: Config, link_gbps: float | None = None) -> Config:
-    """Return a configuration with a link. link_gbps: its rate; None: that of the configuration if it has one, else `LINK_GBPS`."""
+    """Return a configuration with a link. link_gbps: its rate; None: that of the configuration if
+    it has one, else `LINK_GBPS`.
+    """
     if link_gbps is not None or not config.frame.link_gbps:
         config = config.with_frame(link_gbps=LINK_GBPS if link_gbps is None else link_gbps)
     return config if "frame.format" in config.given else config.with_frame(format=LINK_FORMAT)
@@ -95,11 +101,15 @@ def with_link(config: Config, link_gbps: float | None = None) -> Config:
 
 def schemes_of(sensor: Sensor) -> dict[str, tuple[str, dict[str, bool]]]:
     """Return those of `SCHEMES` that a sensor supports."""
-    return {name: scheme for name, scheme in SCHEMES.items() if sensor.controller or name != CONTROLLED}
+    return {
+        name: scheme for name, scheme in SCHEMES.items() if sensor.controller or name != CONTROLLED
+    }
 
 
 def best_threshold(run: Run) -> int:
-    """Return the threshold with the fewest wrong pixels in the last frame of the golden model, the lowest among equals."""
+    """Return the threshold with the fewest wrong pixels in the last frame of the golden model, the
+    lowest among equals.
+    """
     _, settings = SCHEMES["fixed"]
     wrong = {
         threshold: run.alone(-1, subgroup=settings | {"threshold": threshold})["wrong_share"]
@@ -109,15 +119,21 @@ def best_threshold(run: Run) -> int:
 
 
 def scheme_runs(run: Run, threshold: ArrayLike) -> dict[str, Run]:
-    """Return the run of each scheme. `auto` sees the photons of all frames; the others only see those of the last frame."""
+    """Return the run of each scheme. `auto` sees the photons of all frames; the others only see
+    those of the last frame.
+    """
     golden, runs = Golden(run.config.sensor), {}
     for name, (_, settings) in schemes_of(run.config.sensor).items():
         if name == CONTROLLED:
             own = run.but(subgroup=settings)
         else:
-            own = run.alone(-1, subgroup=settings | ({"threshold": threshold} if name == "fixed" else {}))
+            own = run.alone(
+                -1, subgroup=settings | ({"threshold": threshold} if name == "fixed" else {})
+            )
         traces = [golden.frame(own.config, own.frame_edges(k)) for k in range(own.config.frames)]
-        runs[name] = Run(own.setup, workers=run.workers, light=run.light, edges=own.edges, traces=traces)
+        runs[name] = Run(
+            own.setup, workers=run.workers, light=run.light, edges=own.edges, traces=traces
+        )
     return runs
 
 
@@ -131,17 +147,21 @@ def play_schemes(
     progress: Progressed = lambda cycles: None,
     view: "str | View" = DEFAULT_VIEW,
 ) -> Played:
-    """Play the frames of `scheme_runs` through an engine of `tb/engines.py`; a simulator's log goes to `out`.
+    """Play the frames of `scheme_runs` through an engine of `tb/engines.py`; a simulator's log goes
+    to `out`.
 
-    progress: called with the number of finished cycles; view: as in `replay.chosen_view`. Raises `Mismatch` at the first difference between
-    RTL and golden model, `SimulationError`, `ToolchainError`.
+    progress: called with the number of finished cycles; view: as in `replay.chosen_view`. Raises
+    `Mismatch` at the first difference between RTL and golden model, `SimulationError`,
+    `ToolchainError`.
     """
     chosen = chosen_view(engine, view, run.config.clock_mhz)
     wave: Path | None = None
     began = time.perf_counter()
     runs = scheme_runs(run, threshold)
     jobs = [
-        FrameJob(one.config, one.frame_edges(k), trace) for one in runs.values() for k, trace in enumerate(one.traces)
+        FrameJob(one.config, one.frame_edges(k), trace)
+        for one in runs.values()
+        for k, trace in enumerate(one.traces)
     ]
     frames: Sequence[Trace | Recorded] = [trace for one in runs.values() for trace in one.traces]
     if chosen is not None:
@@ -162,7 +182,7 @@ def _cycles(frame: Recorded | Trace) -> int:
     return getattr(frame, "cycles", None) or 1 + max(int(cycles[-1]) for cycles in frame.beat_cycle)
 
 
-def simulate(
+def simulate_to_folder(
     setup: Setup,
     *,
     out: Path,
@@ -172,13 +192,15 @@ def simulate(
     waves: bool = False,
     **told: Any,
 ) -> dict[str, Any]:
-    """Simulate a scene; leave `PICTURES`, report.html, events.npz, depth.npz and report.json in `out`, and return the report.
+    """Simulate a scene; leave `PICTURES`, report.html, events.npz, depth.npz and report.json in
+    `out`, and return the report.
 
-    threshold: of `fixed`; None: that of the configuration if it gives one, else the best of 1 to 7 for this scene. settling:
-    number of frames of `auto`, of which the last one counts (None: `SETTLING` + 1); unused without the controller. told:
-    further entries of the report. events.npz is a result file of all frames, in the order of `SCHEMES`; depth.npz is
-    `Depth.save` of the last frame. Raises `InputError`, and the errors of `play_schemes`; after a `Mismatch`, only the report
-    exists, with `mismatches` = 1.
+    threshold: of `fixed`; None: that of the configuration if it gives one, else the best of 1 to 7
+    for this scene. settling: number of frames of `auto`, of which the last one counts (None:
+    `SETTLING` + 1); unused without the controller. told: further entries of the report. events.npz
+    is a result file of all frames, in the order of `SCHEMES`; depth.npz is `Depth.save` of the last
+    frame. Raises `InputError`, and the errors of `play_schemes`; after a `Mismatch`, only the
+    report exists, with `mismatches` = 1.
     """
     config, engine, view = setup.config, setup.engine, setup.view
     shown = chosen_view(engine, view, config.clock_mhz, waves)
@@ -187,7 +209,9 @@ def simulate(
         config = config.with_settings(threshold=threshold)
     settling = settling or (SLOW_SETTLING if engine == SLOW_ENGINE else SETTLING + 1)
     timing, ambient = Timing.from_config(config), told_klux(setup.klux)
-    golden = setup.but(config=config, frame={"frames": settling}, engine="golden", view=DEFAULT_VIEW)
+    golden = setup.but(
+        config=config, frame={"frames": settling}, engine="golden", view=DEFAULT_VIEW
+    )
     run = Run(golden, workers=os.cpu_count() or 1)
     given = {"scene": run.scene.name} | told
     given |= {
@@ -219,20 +243,24 @@ def simulate(
         total = sum(settling if name == CONTROLLED else 1 for name in schemes)
         bar.stage(f"{total} frames on {engine}", total * config.frame_cycles)
         try:
-            played = play_schemes(run, fixed, engine, out, waves=waves, progress=bar.done, view=view)
+            played = play_schemes(
+                run, fixed, engine, out, waves=waves, progress=bar.done, view=view
+            )
         except Mismatch as mismatch:
             for path in results:  # from an earlier run
                 path.unlink(missing_ok=True)
             _write_report(out, {"mismatches": 1, "mismatch": str(mismatch)} | given)
             raise
         bar.stage(first_time("depth", estimate_depth.__module__))
-        titles = {name: title.format(threshold=_span(fixed)) for name, (title, _) in schemes.items()}
+        titles = {
+            name: title.format(threshold=_span(fixed)) for name, (title, _) in schemes.items()
+        }
         ambient_shown = ambient if isinstance(ambient, str) else f"{ambient:g}"
         heading = f"{run.scene.name}, {ambient_shown} klux, {config.pulses} laser pulses"
         shares = _pictures(out, heading, titles, played.frames)
     write_result(out / EVENTS, played.arrays)
     list(played.frames.values())[-1].first.save(out / DEPTH)
-    if not _write_page(out / PAGE, heading, titles, played.frames):
+    if not _write_report_page(out / PAGE, heading, titles, played.frames):
         results.remove(out / PAGE)
     report = _report(played) | shares | given
     _write_report(out, report)
@@ -249,7 +277,9 @@ def simulate(
 
 
 def _prepare(engine: str, sensor: Sensor, waves: bool, view: "View | None") -> None:
-    """Import the drawing modules, and compile the RTL for its engine (view None: the golden model); both take long."""
+    """Import the drawing modules, and compile the RTL for its engine (view None: the golden model);
+    both take long.
+    """
     from . import pictures  # noqa: F401
 
     with suppress(InputError), extra("explore"):
@@ -260,8 +290,12 @@ def _prepare(engine: str, sensor: Sensor, waves: bool, view: "View | None") -> N
         prepare(engine, sensor, waves, view)
 
 
-def _write_page(path: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]) -> bool:
-    """Write the views of the compared frames as one HTML file; return False if the extra `explore` is not installed."""
+def _write_report_page(
+    path: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]
+) -> bool:
+    """Write the views of the compared frames as one HTML file; return False if the extra `explore`
+    is not installed.
+    """
     try:
         with extra("explore"):
             from .show.report import write_report
@@ -272,8 +306,12 @@ def _write_page(path: Path, heading: str, titles: dict[str, str], seen: dict[str
     return True
 
 
-def _pictures(out: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]) -> dict[str, Number]:
-    """Write `PICTURES`; return the shares of wrong pixels, by the paper's criterion and by 15 cm, under the report's keys."""
+def _pictures(
+    out: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]
+) -> dict[str, Number]:
+    """Write `PICTURES`; return the shares of wrong pixels, by the paper's criterion and by 15 cm,
+    under the report's keys.
+    """
     from .pictures import Panel, depth_row
 
     shares: dict[str, Number] = {}
@@ -282,7 +320,9 @@ def _pictures(out: Path, heading: str, titles: dict[str, str], seen: dict[str, F
     blocks = told, subgroup_image(last.threshold, last.config.sensor)
     for file, (method, suffix, what) in PICTURES.items():
         frames = {name: frame.by(method) for name, frame in seen.items()}
-        panels = [Panel(titles[name], frame.depth_m, frame.first.reason) for name, frame in frames.items()]
+        panels = [
+            Panel(titles[name], frame.depth_m, frame.first.reason) for name, frame in frames.items()
+        ]
         depth_row(out / file, panels, last.truth_m, f"{heading}: {what}", blocks=blocks)
         for name, frame in frames.items():
             key = f"wrong_share_{name}{suffix}"
@@ -291,9 +331,13 @@ def _pictures(out: Path, heading: str, titles: dict[str, str], seen: dict[str, F
 
 
 def settings_of(config: Config) -> dict[str, Any]:
-    """Return the configuration as tables of its file; a setting of the subgroups is a list if they differ."""
+    """Return the configuration as tables of its file; a setting of the subgroups is a list if they
+    differ.
+    """
     subgroup = {name: getattr(config, name).tolist() for name in SUBGROUP}
-    subgroup["mask"] = [f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask]
+    subgroup["mask"] = [
+        f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask
+    ]
     derived = {"auto_bounds": config.auto_bounds.tolist(), "capacity": config.capacity}
     return {
         "sensor": sensor_table(config.sensor) | own_rule(config.sensor),
@@ -303,7 +347,9 @@ def settings_of(config: Config) -> dict[str, Any]:
 
 
 def _report(played: Played) -> dict[str, Any]:
-    """Return the report with flat keys: totals of all frames, and numbers of a scheme under keys that end with its name."""
+    """Return the report with flat keys: totals of all frames, and numbers of a scheme under keys
+    that end with its name.
+    """
     arrays = played.arrays
     report: dict[str, Any] = {
         "cycles": played.cycles,

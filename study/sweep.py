@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs a sweep: a grid of points on Dask workers, each from photons to depth, into one Parquet file.
+"""Runs a sweep: a grid of points on Dask workers, each from photons to depth, into one Parquet
+file.
 
-Each finished point is stored beside the result, in a small file that is named by a digest of everything that the point depends
-on. A sweep that was killed therefore continues where it stopped, a changed SPEC only runs its new points, and the result has
-the same bytes in both cases.
+Each finished point is stored beside the result, in a small file that is named by a digest of
+everything that the point depends on. A sweep that was killed therefore continues where it stopped,
+a changed SPEC only runs its new points, and the result has the same bytes in both cases.
 """
 
 import json
@@ -47,11 +48,13 @@ def sweep(
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Summary:
-    """Run the points of `spec` that are not finished, and write the table and its plot (`out` with .png).
+    """Run the points of `spec` that are not finished, and write the table and its plot (`out` with
+    .png).
 
-    workers: number of processes of a cluster on this machine, unless `scheduler` is the address of another cluster. progress:
-    called with the number of finished points. A point that fails has no row, and runs again next time. Raises `InputError`
-    (another sweep writes `out`, or nothing answers at `scheduler`) and `SchedulerLost`.
+    workers: number of processes of a cluster on this machine, unless `scheduler` is the address of
+    another cluster. progress: called with the number of finished points. A point that fails has no
+    row, and runs again next time. Raises `InputError` (another sweep writes `out`, or nothing
+    answers at `scheduler`) and `SchedulerLost`.
     """
     plot = out.with_suffix(".png")
     points, failed = spec.keys, dict[str, BaseException]()
@@ -72,11 +75,15 @@ def sweep(
             out.unlink(missing_ok=True)
             plot.unlink(missing_ok=True)
     reasons = {points[key].name: reason(error) for key, error in failed.items()}
-    return Summary(sum(point.key in found for point in spec.points), before, dict(sorted(reasons.items())))
+    return Summary(
+        sum(point.key in found for point in spec.points), before, dict(sorted(reasons.items()))
+    )
 
 
 class Finished(FinishedFiles):
-    """Finished points of a result file, in a folder beside it; a context manager that only one sweep can enter at a time."""
+    """Finished points of a result file, in a folder beside it; a context manager that only one
+    sweep can enter at a time.
+    """
 
     def __init__(self, out: Path):
         super().__init__(out.with_name(f"{out.name}.points"), SWEPT)
@@ -90,7 +97,9 @@ class Finished(FinishedFiles):
         except Timeout:
             raise InputError(f"out = {str(self._out)!r}: another sweep is writing it") from None
         except OSError as error:
-            raise InputError(f"out = {str(self._out)!r}: cannot be written: {error.strerror}") from None
+            raise InputError(
+                f"out = {str(self._out)!r}: cannot be written: {error.strerror}"
+            ) from None
         for path in self.folder.glob(".*"):  # from a sweep that was killed while it wrote
             path.unlink()
         return self
@@ -100,21 +109,29 @@ class Finished(FinishedFiles):
 
 
 def write_table(path: Path, spec: Spec, found: dict[str, dict[str, Number]]) -> None:
-    """Write a row for each point of `spec` whose key is in `found`; the bytes depend only on these two.
+    """Write a row for each point of `spec` whose key is in `found`; the bytes depend only on these
+    two.
 
-    Columns: the swept values, `SWEPT`, the point's settings as JSON, and its key. The file's metadata,
-    under `METADATA`: base, axes and versions as JSON.
+    Columns: the swept values, `SWEPT`, the point's settings as JSON, and its key. The file's
+    metadata, under `METADATA`: base, axes and versions as JSON.
     """
     points = [point for point in spec.points if point.key in found]
     table = to_table(
         [point.values for point in points],
         [found[point.key] for point in points],
-        settings=("everything that was set, as JSON", [json.dumps(point.settings) for point in points]),
+        settings=(
+            "everything that was set, as JSON",
+            [json.dumps(point.settings) for point in points],
+        ),
         point=("name of the point's file", [point.key for point in points]),
     )
     engines = sorted({point.setup.engine for point in points})
     described = json.dumps(
-        {"base": spec.base, "axes": spec.axes, "versions": {engine: versions(engine) for engine in engines}}
+        {
+            "base": spec.base,
+            "axes": spec.axes,
+            "versions": {engine: versions(engine) for engine in engines},
+        }
     )
     table = table.replace_schema_metadata({METADATA: described})
     with whole_file(path) as file:

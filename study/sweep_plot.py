@@ -25,7 +25,8 @@ WIDTH_IN, HEIGHT_IN = 3.6, 2.7  # of a panel
 LOG_RATIO = 20  # ratio of the largest to the smallest value above which an axis is logarithmic
 BRIGHTEST = 0.9  # used share of the colour map; its bright end is hard to see on white
 REPEATS = {"seed"}  # an axis with only these keys shows noise, so it becomes a band at any position
-LABELS = {setting.key: ("", setting.unit) for setting in SETTINGS.values()} | {  # key: (meaning, unit)
+# key: (meaning, unit)
+LABELS = {setting.key: ("", setting.unit) for setting in SETTINGS.values()} | {
     "klux": ("background light", "klux"),
     "clock_mhz": ("system clock", "MHz"),
     "frame.clock_mhz": ("system clock", "MHz"),
@@ -33,10 +34,12 @@ LABELS = {setting.key: ("", setting.unit) for setting in SETTINGS.values()} | { 
 
 
 def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict[str, Any]]) -> None:
-    """Draw `PANELS` for the points whose keys are in `found` into `path` (.png); the bytes depend only on the arguments.
+    """Draw `PANELS` for the points whose keys are in `found` into `path` (.png); the bytes depend
+    only on the arguments.
 
-    The first axis of the SPEC runs across, and the second one gives the lines; an axis of seeds is used only if there is no
-    other. Lines are means over the remaining axes, and bands span minimum and maximum.
+    The first axis of the SPEC runs across, and the second one gives the lines; an axis of seeds is
+    used only if there is no other. Lines are means over the remaining axes, and bands span minimum
+    and maximum.
     """
     order = sorted(range(len(spec.axes)), key=lambda i: set(spec.axes[i]) <= REPEATS)
     across, lines = (spec.axes[i] if i is not None else {} for i in (order + [None, None])[:2])
@@ -53,11 +56,14 @@ def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict[str, An
         down = -(-len(PANELS) // ACROSS)
         figure = new_figure(WIDTH_IN * ACROSS, HEIGHT_IN * down + 0.8)
         places = figure.subplots(down, ACROSS, sharex=True).ravel()
-        for axis, (measure, (label, factor)) in zip(places, PANELS.items(), strict=False):  # the last row may have room
+        # the last row may have room
+        for axis, (measure, (label, factor)) in zip(places, PANELS.items(), strict=False):
             x = _scale(axis, across)
             for k, (name, colour) in enumerate(zip(names, colours, strict=True)):
                 at = [(i, k)[: min(2, len(order))] for i in range(len(x))]
-                low, mean, high = np.array([_span(cells.get(cell, []), measure) for cell in at]).T * factor
+                low, mean, high = (
+                    np.array([_span(cells.get(cell, []), measure) for cell in at]).T * factor
+                )
                 axis.plot(x, mean, "-o", color=colour, label=name or None)
                 axis.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
             axis.set_ylabel(label)
@@ -67,7 +73,9 @@ def write_plot(path: Path, title: str, spec: Spec, found: dict[str, dict[str, An
         if lines:
             legend_below(figure, columns=8)
             figure.legends[0].set_title(_label(lines))
-        figure.suptitle(title + (f"; mean and span over {', '.join(others)}" if others else ""), fontsize=11)
+        figure.suptitle(
+            title + (f"; mean and span over {', '.join(others)}" if others else ""), fontsize=11
+        )
     save_figure(figure, path)
 
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads the points of a sweep from its SPEC file, and checks all of them before the first one runs.
 
-A SPEC is a configuration file with additional keys: `SETTINGS`, `config` (a file or preset that its tables extend), and
-[[axis]] tables. The keys of an axis vary together. The axes are crossed, and the first one varies slowest.
+A SPEC is a configuration file with additional keys: `SETTINGS`, `config` (a file or preset that its
+tables extend), and [[axis]] tables. The keys of an axis vary together. The axes are crossed, and
+the first one varies slowest.
 """
 
 import math
@@ -37,7 +38,8 @@ SETTINGS = {  # of a point, in addition to its configuration, with their default
     "method": DEFAULT_METHOD,
     "spad_gate": False,
 }
-CLOCK, FRAME_CLOCK = "clock_mhz", "frame.clock_mhz"  # the same key; a SPEC may also write it outside its table
+# the same key; a SPEC may also write it outside its table
+CLOCK, FRAME_CLOCK = "clock_mhz", "frame.clock_mhz"
 ENGINES = ("golden", "sliced")
 POINTS_MAX = 100_000
 
@@ -63,7 +65,9 @@ class Point:
 
 @frozen(eq=False)
 class Spec:
-    """A SPEC file. base: its document without the axes, `config` resolved. axes: lists of values by key. points: in order."""
+    """A SPEC file. base: its document without the axes, `config` resolved. axes: lists of values by
+    key. points: in order.
+    """
 
     base: dict[str, Any]
     axes: list[dict[str, list[Any]]]
@@ -76,21 +80,28 @@ class Spec:
 
 
 def read_spec(path: FilePath) -> Spec:
-    """Read and check a SPEC file. Raises `InputError` with the point, its field and the legal range."""
+    """Read and check a SPEC file. Raises `InputError` with the point, its field and the legal
+    range.
+    """
     try:
         document = read_toml(path)
         axes = _axes(document.pop("axis", []))
         _place_clock(document)
         base = _resolved(document)
         scenes = cache(load_scene)
-        points = [_point(document, axes, at, scenes) for at in np.ndindex(*(_length(axis) for axis in axes))]
+        points = [
+            _point(document, axes, at, scenes)
+            for at in np.ndindex(*(_length(axis) for axis in axes))
+        ]
     except InputError as error:
         raise error.within(path) from None
     return Spec(base, axes, points)
 
 
 def _axes(tables: object) -> list[dict[str, list[Any]]]:
-    """Return the [[axis]] tables as lists of values by key, such as `subgroup.threshold` or `klux`."""
+    """Return the [[axis]] tables as lists of values by key, such as `subgroup.threshold` or
+    `klux`.
+    """
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise InputError("axis: must be written as [[axis]]")
     axes: list[dict[str, list[Any]]] = []
@@ -108,7 +119,10 @@ def _axes(tables: object) -> list[dict[str, list[Any]]]:
             if name not in alone and name.partition(".")[0] not in TABLES or name in TABLES:
                 legal = ", ".join((*alone, *(f"{table}.KEY" for table in TABLES)))
                 raise InputError(f"{where}: cannot be swept, must be one of {legal}")
-            if any(_placed(name) in map(_placed, other) for other in (*axes, [one for one in axis if one != name])):
+            if any(
+                _placed(name) in map(_placed, other)
+                for other in (*axes, [one for one in axis if one != name])
+            ):
                 raise InputError(f"{where}: is swept by another axis")
             if not isinstance(values, list) or not values:
                 raise InputError(f"{where} = {values!r}: must be a list of values")
@@ -145,7 +159,9 @@ def _length(axis: dict[str, list[Any]]) -> int:
 
 
 def _resolved(document: dict[str, Any]) -> dict[str, Any]:
-    """Return `document` with the tables of its `config`. Its own keys replace those of the file; its own lists follow those of the file."""
+    """Return `document` with the tables of its `config`. Its own keys replace those of the file;
+    its own lists follow those of the file.
+    """
     document = dict(document)
     given = document.pop("config", None)
     if given is None:
@@ -165,7 +181,9 @@ def _resolved(document: dict[str, Any]) -> dict[str, Any]:
 @cache
 def _configuration(given: str) -> dict[str, Any]:
     if not isinstance(given, str):
-        raise InputError(f"config = {given!r}: must be the name of a file or one of {', '.join(PRESETS)}")
+        raise InputError(
+            f"config = {given!r}: must be the name of a file or one of {', '.join(PRESETS)}"
+        )
     try:
         return read_toml(PRESETS.get(given, given))
     except InputError as error:
@@ -173,23 +191,36 @@ def _configuration(given: str) -> dict[str, Any]:
 
 
 def _point(
-    document: dict[str, Any], axes: list[dict[str, list[Any]]], at: tuple[int, ...], scenes: Callable[..., Scene]
+    document: dict[str, Any],
+    axes: list[dict[str, list[Any]]],
+    at: tuple[int, ...],
+    scenes: Callable[..., Scene],
 ) -> Point:
-    """Return the checked point of `document` at an index along each axis. scenes: a `load_scene` with a cache."""
+    """Return the checked point of `document` at an index along each axis. scenes: a `load_scene`
+    with a cache.
+    """
     document, values = (
         dict(document),
-        {name: listed[i] for axis, i in zip(axes, at, strict=True) for name, listed in axis.items()},
+        {
+            name: listed[i]
+            for axis, i in zip(axes, at, strict=True)
+            for name, listed in axis.items()
+        },
     )
     for name, value in values.items():
         table, dot, key = _placed(name).partition(".")
         if not dot:
             document[name] = value
-        elif isinstance(document.setdefault(table, {}), dict):  # otherwise `parse_config` reports the error
+        elif isinstance(
+            document.setdefault(table, {}), dict
+        ):  # otherwise `parse_config` reports the error
             document[table] = document[table] | {key: value}
     name = " ".join(f"{name}={_shown(value)}" for name, value in values.items()) or "the only point"
     try:
         document = _resolved(document)
-        settings = _settings({name: document.pop(name, default) for name, default in SETTINGS.items()})
+        settings = _settings(
+            {name: document.pop(name, default) for name, default in SETTINGS.items()}
+        )
         config = parse_config(document)
         config.check_map()
         range_m = Timing.from_config(config).range_m
@@ -215,7 +246,9 @@ def _settings(given: dict[str, Any]) -> dict[str, Any]:
         raise InputError(f"scene = {given['scene']!r}: must be a string")
     check_switch("spad_gate", given["spad_gate"])
     return given | {
-        "klux": given["klux"] if isinstance(given["klux"], str) else check_real("klux", given["klux"], 0),
+        "klux": given["klux"]
+        if isinstance(given["klux"], str)
+        else check_real("klux", given["klux"], 0),
         "background": check_choice("background", given["background"], BACKGROUNDS),
         "seed": check_integer("seed", given["seed"], 0, SEED_MAX),
         "engine": check_choice("engine", given["engine"], ENGINES),

@@ -14,6 +14,7 @@ from typing import Any
 import cocotb
 import numpy as np
 from cocotb.clock import Clock
+from cocotb.task import Task
 from cocotb.triggers import FallingEdge, RisingEdge, Timer
 from cocotb_bus.drivers.amba import AXI4LiteMaster
 
@@ -98,85 +99,141 @@ class SensorBench:
         progress: Callable[[int], None] = lambda cycle: None,
     ) -> Recorded:
         """Play a frame and return its record. `board` raises at the first difference from the golden model."""
-        sensor = self.sensor
         words = self.shine(config, edges)
         ready = config.tready(ready)
-        low = {int(c) for c in np.flatnonzero(ready == 0)}
+        stalled = {int(cycle) for cycle in np.flatnonzero(ready == 0)}
         await self.program(config)
-        started = cocotb.start_soon(self.write("control", registers.control("start")[1]))
+        inputs = _Inputs(self, words, stalled)
+        outputs = _Outputs(self, board)
         falling = FallingEdge(self.dut.clk)
-        laser = self.dut.laser
-        for line in self.tready:
-            line.value = 0
-        while True:
-            await falling
-            if laser.value == 1:
-                break
-            if started.done():
-                started.result()  # a refused start raises here
-        driven: set[int] = set()
-        was_ready: bool | None = None
-        beats: list[list[int]] = [[] for _ in range(sensor.streams)]
-        beat_cycle: list[list[int]] = [[] for _ in range(sensor.streams)]
-        commits: list[tuple[int, int]] = []
-        running = list(range(sensor.streams))
-        limit, frame_cycles = cycle_limit(config, len(ready)), config.frame_cycles
-        first = [sensor.stream_subgroups(stream).start for stream in range(sensor.streams)]
+        started = await self._start(falling)
+        limit = cycle_limit(config, len(ready))
+        frame_cycles = config.frame_cycles
         cycle = 0
         while True:
-            now = words.get(cycle, ())
-            for s, word in now:
-                self.spad[s].value = word
-            if driven:
-                for s in driven.difference(s for s, _ in now):
-                    self.spad[s].value = 0
-            driven = {s for s, _ in now}
-            is_ready = cycle not in low
-            if is_ready is not was_ready:
-                for line in self.tready:
-                    line.value = int(is_ready)
-                was_ready = is_ready
-            for stream, stored in enumerate(self.stored):
-                bits = int(stored.value)
-                while bits:
-                    lowest = bits & -bits
-                    bits ^= lowest
-                    subgroup = first[stream] + lowest.bit_length() - 1
-                    commits.append((subgroup, cycle - STORED_TO_COMMIT))
-                    if board:
-                        board.commit(*commits[-1])
+            is_ready = inputs.drive(cycle)
+            outputs.read_commits(cycle)
             if is_ready:
-                for stream in tuple(running):
-                    if self.tvalid[stream].value == 1:
-                        data, last = int(self.tdata[stream].value), self.tlast[stream].value == 1
-                        beats[stream].append(data)
-                        beat_cycle[stream].append(cycle)
-                        if board:
-                            board.beat(stream, cycle, data, last)
-                        if last:
-                            running.remove(stream)
+                outputs.read_beats(cycle)
             cycle += 1
             if cycle % PROGRESS_CYCLES == 0:
                 progress(cycle)
-            if not running and cycle >= frame_cycles:
+            if not outputs.running and cycle >= frame_cycles:
                 break
             assert cycle < limit, f"no frame end after {cycle} cycles: the sensor hangs"
             await falling
         if board:
             board.finish()
         await started
-        while not await self.read("status") >> registers.BY_NAME["status"].bit("done") & 1:
+        await self._acknowledge()
+        return outputs.record(cycle)
+
+    async def _start(self, falling: FallingEdge) -> Task[None]:
+        """Start a frame and wait for cycle 0 of its first period; return the task that writes the register."""
+        started = cocotb.start_soon(self.write("control", registers.control("start")[1]))
+        laser = self.dut.laser
+        for line in self.tready:
+            line.value = 0
+        while True:
+            await falling
+            if laser.value == 1:
+                return started
+            if started.done():
+                started.result()  # a refused start raises here
+
+    async def _acknowledge(self) -> None:
+        """Wait until the sensor is done, and clear this bit of its status."""
+        done = registers.BY_NAME["status"].bit("done")
+        while not await self.read("status") >> done & 1:
             pass
-        await self.write("status", 1 << registers.BY_NAME["status"].bit("done"))
-        commits.sort(key=lambda commit: commit[0])
-        subgroups, cycles = np.array(commits, np.int64).reshape(-1, 2).T
+        await self.write("status", 1 << done)
+
+
+class _Inputs:
+    """The light and `tready` of a frame. A line is written only when its value changes.
+
+    words: (subgroup, word) by cycle of the frame. stalled: cycles without `tready`.
+    """
+
+    def __init__(self, bench: SensorBench, words: dict[int, list[tuple[int, int]]], stalled: set[int]):
+        self._spad = bench.spad
+        self._tready = bench.tready
+        self._words = words
+        self._stalled = stalled
+        self._driven: set[int] = set()  # subgroups with light in the cycle before
+        self._was_ready: bool | None = None
+
+    def drive(self, cycle: int) -> bool:
+        """Set the inputs of a cycle, and return `tready`."""
+        now = self._words.get(cycle, ())
+        for subgroup, word in now:
+            self._spad[subgroup].value = word
+        driven = {subgroup for subgroup, _ in now}
+        for subgroup in self._driven - driven:
+            self._spad[subgroup].value = 0
+        self._driven = driven
+        is_ready = cycle not in self._stalled
+        if is_ready is not self._was_ready:
+            for line in self._tready:
+                line.value = int(is_ready)
+            self._was_ready = is_ready
+        return is_ready
+
+
+class _Outputs:
+    """The commits and beats of a frame. `board` raises at the first that differs from the golden model.
+
+    running: streams whose last beat has not been read.
+    """
+
+    def __init__(self, bench: SensorBench, board: Scoreboard | None):
+        streams = range(bench.sensor.streams)
+        self.running = list(streams)
+        self._bench = bench
+        self._board = board
+        self._first = [bench.sensor.stream_subgroups(stream).start for stream in streams]
+        self._commits: list[tuple[int, int]] = []  # (subgroup, cycle)
+        self._beats: list[list[int]] = [[] for _ in streams]
+        self._beat_cycle: list[list[int]] = [[] for _ in streams]
+
+    def read_commits(self, cycle: int) -> None:
+        """Read which subgroups stored an event in a cycle."""
+        for stream, stored in enumerate(self._bench.stored):
+            bits = int(stored.value)
+            while bits:
+                lowest = bits & -bits
+                bits ^= lowest
+                subgroup = self._first[stream] + lowest.bit_length() - 1
+                commit_cycle = cycle - STORED_TO_COMMIT
+                self._commits.append((subgroup, commit_cycle))
+                if self._board:
+                    self._board.commit(subgroup, commit_cycle)
+
+    def read_beats(self, cycle: int) -> None:
+        """Read the beats that the running streams transfer in a cycle with `tready`."""
+        bench = self._bench
+        for stream in tuple(self.running):
+            if bench.tvalid[stream].value == 1:
+                data = int(bench.tdata[stream].value)
+                last = bench.tlast[stream].value == 1
+                self._beats[stream].append(data)
+                self._beat_cycle[stream].append(cycle)
+                if self._board:
+                    self._board.beat(stream, cycle, data, last)
+                if last:
+                    self.running.remove(stream)
+
+    def record(self, cycles: int) -> Recorded:
+        """Return the record of a frame that took some cycles."""
+        self._commits.sort(key=lambda commit: commit[0])
+        commit_subgroup, commit_cycle = np.array(self._commits, np.int64).reshape(-1, 2).T
         return Recorded(
-            [np.array(b, np.uint64) for b in beats],
-            [np.array(c, np.int64) for c in beat_cycle],
-            subgroups,
+            [np.array(beats, np.uint64) for beats in self._beats],
+            [np.array(cycle, np.int64) for cycle in self._beat_cycle],
+            commit_subgroup,
+            commit_cycle,
             cycles,
-            cycle,
-            board.checked if board else 0,
+            self._board.checked if self._board else 0,
         )
 
 

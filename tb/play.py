@@ -73,7 +73,7 @@ def play_in(
     *,
     lines: bool = False,
     progress: Callable[[int], None] | None = None,
-) -> tuple[list[Recorded], toolchain.Run]:
+) -> tuple[list[Recorded], toolchain.SimulationFiles]:
     """Play frames in a compiled simulator by the cocotb test; `lines` as in `save_job`, the rest as in `play`."""
 
     def line(text: str) -> None:

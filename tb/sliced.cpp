@@ -268,7 +268,7 @@ private:
             uint64_t& chunk = lanes.slice->chunk(IN_words[edge.bit], lanes.chunk);
             if (on) {
                 chunk |= bit;
-                for (int flag : LIT_words[edge.bit]) lanes.slice->flags()[flag] = 1;
+                for (int flag : FLAGS_OF_words[edge.bit]) lanes.slice->flags()[flag] = 1;
             } else chunk &= ~bit;
         }
     }

@@ -29,7 +29,7 @@ from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import port_bits
 from ..model.shared.folders import build_root
-from ..slices.emit import Sparse
+from ..slices.emit import DarkInput
 from ..slices.library import LANES, compiled, library, widest
 from ..slices.probe import Probe, numbers
 from ..slices.synthesis import Design
@@ -60,7 +60,7 @@ def design(sensor: Sensor) -> Design:
         {path.name: path.read_text(encoding="utf-8") for path in files},
         Slice.unit_name,
         units=[Minigroup.unit_name],
-        sparse=[Sparse(Minigroup.unit_name, "words", sensor.phases)],
+        dark_inputs=[DarkInput(Minigroup.unit_name, "words", sensor.phases)],
     )
 
 

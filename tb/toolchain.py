@@ -113,7 +113,7 @@ def verilator() -> Path:
 
 
 @dataclass(frozen=True)
-class Run:
+class SimulationFiles:
     """Files of a passed simulation: the simulator's `log`, cocotb's `results` (JUnit XML), `wave` (FST) or None."""
 
     log: Path
@@ -139,7 +139,7 @@ class Build:
         out_dir: Path | str,
         seed: int = 1,
         echo: bool | Callable[[str], None] = False,
-    ) -> Run:
+    ) -> SimulationFiles:
         """Run the tests of the Python module(s) `test_module` (comma-separated) in the simulator.
 
         out_dir: working folder, and place of log, results and waveform (`<top>.fst`).
@@ -171,7 +171,7 @@ class Build:
         dumped = wave if wave.exists() else None
         if (reason := _failure(results, code)) is not None:
             raise SimulationError(f"{test_module} on {self.simulator}: {reason}{tail(log)}", log, dumped)
-        return Run(log, results, dumped)
+        return SimulationFiles(log, results, dumped)
 
 
 def build(

@@ -10,7 +10,9 @@ from coincid.cli import app
 
 
 def command(words: str, *more: object) -> Result:
-    """Return the result of `coincid`. words: as one types them; more: further words, whatever is in them."""
+    """Return the result of `coincid`. words: as one types them; more: further words, whatever is in
+    them.
+    """
     return CliRunner().invoke(app, [*shlex.split(words), *map(str, more)])
 
 

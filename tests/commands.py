@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The commands that this project tells people to type, read from where it tells them.
 
-`python -m tests.commands` lists them with the places that name them. `tests/commands.toml` says for each command what
-runs it.
+`python -m tests.commands` lists them with the places that name them. `tests/commands.toml` says for
+each command what runs it.
 """
 
 import ast
@@ -21,7 +21,20 @@ from coincid.cli import app
 
 ROOT = Path(__file__).parents[1]
 TABLE = Path(__file__).with_name("commands.toml")
-ROOMS = ("src", "model", "tools", "host", "hdl", "slices", "tb", "flow", "formal", "lab", "study", "board")
+ROOMS = (
+    "src",
+    "model",
+    "tools",
+    "host",
+    "hdl",
+    "slices",
+    "tb",
+    "flow",
+    "formal",
+    "lab",
+    "study",
+    "board",
+)
 SWEEPS = sorted((ROOT / "docs").glob("sweep-*.toml"))
 PAGES = [
     ROOT / "README.md",
@@ -33,9 +46,9 @@ PAGES = [
 
 COMMANDS = set(get_command(app).commands)  # of `coincid`
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
-NEEDS = re.search(r'^needs="([^"]*)"', (ROOT / "scripts" / "setup").read_text(encoding="utf-8"), re.MULTILINE)[
-    1
-].split()
+NEEDS = re.search(
+    r'^needs="([^"]*)"', (ROOT / "scripts" / "setup").read_text(encoding="utf-8"), re.MULTILINE
+)[1].split()
 TARGETS = set(re.findall(r"^([a-z]+):", MAKEFILE, re.MULTILINE))
 PROGRAMS = "apt-get cd dask fujprog fusesoc git gtkwave iverilog openFPGALoader pip printf surfer uv verilator vvp"
 # What a command begins with. The name of a program alone is no command.
@@ -98,7 +111,9 @@ def of_pages() -> dict[str, set[str]]:
         for command in (*in_blocks(text), *in_code(text)):
             found[command].add(str(page.relative_to(ROOT)))
     for path in SWEEPS:
-        for command in re.findall(r"^# (coincid sweep \S+): ", path.read_text(encoding="utf-8"), re.MULTILINE):
+        for command in re.findall(
+            r"^# (coincid sweep \S+): ", path.read_text(encoding="utf-8"), re.MULTILINE
+        ):
             found[command].add(str(path.relative_to(ROOT)))
     return dict(found)
 
@@ -112,7 +127,9 @@ def in_docstring(text: str) -> Iterator[str]:
 
 
 def in_message(text: str) -> Iterator[str]:
-    """Yield what a string of the program recommends: in backticks, after `run:`, or by the names of known commands."""
+    """Yield what a string of the program recommends: in backticks, after `run:`, or by the names of
+    known commands.
+    """
     yield from in_code(text)
     for found in TOLD.finditer(CODE.sub("", text)):
         if found[0] != "{}":  # a constant, whose string is looked at, too
@@ -120,7 +137,9 @@ def in_message(text: str) -> Iterator[str]:
 
 
 def _strings(tree: ast.Module) -> Iterator[tuple[bool, str]]:
-    """Yield whether it is a docstring, and the text, of every string; `{}` stands for a value in it."""
+    """Yield whether it is a docstring, and the text, of every string; `{}` stands for a value in
+    it.
+    """
     parts = set()
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     for node in ast.walk(tree):
@@ -129,13 +148,20 @@ def _strings(tree: ast.Module) -> Iterator[tuple[bool, str]]:
             yield True, text
         elif isinstance(node, ast.JoinedStr):
             parts |= set(node.values)
-            yield False, "".join(part.value if isinstance(part, ast.Constant) else "{}" for part in node.values)
+            yield (
+                False,
+                "".join(
+                    part.value if isinstance(part, ast.Constant) else "{}" for part in node.values
+                ),
+            )
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in parts:
             yield False, node.value
 
 
 def sources() -> Iterator[Path]:
-    """Yield the Python files of the rooms, the examples, and the programs and helpers of the pages and tests."""
+    """Yield the Python files of the rooms, the examples, and the programs and helpers of the pages
+    and tests.
+    """
     for room in (*ROOMS, "examples"):
         for path in sorted((ROOT / room).rglob("*.py")):
             yield path
@@ -187,7 +213,8 @@ def all_commands() -> dict[str, set[str]]:
 
 
 def pattern_of(named: str) -> re.Pattern[str]:
-    """Return what the commands look like that a page means by one: optional words may be missing, capitals and `{}` differ.
+    """Return what the commands look like that a page means by one: optional words may be missing,
+    capitals and `{}` differ.
 
     The name of a program alone, such as `coincid sweep`, means any of its commands.
     """
@@ -197,11 +224,15 @@ def pattern_of(named: str) -> re.Pattern[str]:
     escaped = re.sub(r"(?<![\w/])[A-Z]{3,}(\\\.){0,3}(?=\\ |$)(?<!NAME)", r".+", escaped)
     escaped = re.sub(r"NAME$", r"\\w+", escaped)
     alone = r"coincid [a-z]+|python -m [\w.]+"
-    return re.compile(escaped + (r"( .*)?" if required != named or re.fullmatch(alone, named) else ""))
+    return re.compile(
+        escaped + (r"( .*)?" if required != named or re.fullmatch(alone, named) else "")
+    )
 
 
 def played_lines(command: str) -> list[str]:
-    """Return a command, and those that it consists of if it is a target, without the folder of the environment."""
+    """Return a command, and those that it consists of if it is a target, without the folder of the
+    environment.
+    """
     lines = [command, *(commands_of_make(command) if command.startswith("make ") else ())]
     return [line.removeprefix(".venv/bin/") for line in lines]
 

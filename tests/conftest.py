@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hypothesis under pytest: reproducible by default, settable from outside.
 
-`--hypothesis-seed=N` chooses other random examples (default 0, so that every run tests the same ones).
-`HYPOTHESIS_PROFILE=thorough` tries ten times as many unless a test fixes their number. A test that needs an extra is marked
-with it (`needs.py`) and skipped without it. `--no-skips` makes a skipped test fail; with all extras installed, no test is
-skipped. `--skipped-before` plays the tests that the last run skipped. A failure ends with the command that repeats it.
+`--hypothesis-seed=N` chooses other random examples (default 0, so that every run tests the same
+ones). `HYPOTHESIS_PROFILE=thorough` tries ten times as many unless a test fixes their number. A
+test that needs an extra is marked with it (`needs.py`) and skipped without it. `--no-skips` makes a
+skipped test fail; with all extras installed, no test is skipped. `--skipped-before` plays the tests
+that the last run skipped. A failure ends with the command that repeats it.
 """
 
 import os
@@ -17,11 +18,14 @@ import pytest
 from .needs import missing
 
 DEFAULT_SEED = "0"
-SKIPPED = "coincid/skipped"  # in pytest's cache: the tests that the last run skipped, for what they need
-# Here compiling takes longer than running. In the environment, so that commands that tests start do it, too.
+# in pytest's cache: the tests that the last run skipped, for what they need
+SKIPPED = "coincid/skipped"
+# Here compiling takes longer than running. In the environment, so that commands that tests start do
+# it, too.
 os.environ.setdefault("COINCID_OPTIMISE", "-O1")
 
-# No deadline, because a first example may compile. The blob repeats a failure without the database of examples.
+# No deadline, because a first example may compile. The blob repeats a failure without the database
+# of examples.
 hypothesis.settings.register_profile("coincid", deadline=None, print_blob=True)
 hypothesis.settings.register_profile("thorough", deadline=None, print_blob=True, max_examples=1000)
 
@@ -32,7 +36,8 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.option.hypothesis_profile is None:
         config.option.hypothesis_profile = os.environ.get("HYPOTHESIS_PROFILE", "coincid")
     config.addinivalue_line("markers", "needs(name): the test needs an extra of tests/needs.py")
-    if not hasattr(config, "workerinput"):  # not in a worker of xdist, which sends its reports to this process
+    # not in a worker of xdist, which sends its reports to this process
+    if not hasattr(config, "workerinput"):
         config.pluginmanager.register(_Skipped(config), "coincid-skipped")
 
 
@@ -43,12 +48,16 @@ def pytest_report_header(config: pytest.Config) -> str:
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--no-skips", action="store_true", help="a test that is skipped fails")
     parser.addoption(
-        "--skipped-before", action="store_true", help="only tests that the last run skipped for their needs"
+        "--skipped-before",
+        action="store_true",
+        help="only tests that the last run skipped for their needs",
     )
 
 
 class _Skipped:
-    """Keeps the names of the tests that this run skips for what they need."""
+    """Collects the names of the tests that are skipped because something that they need is
+    missing.
+    """
 
     def __init__(self, config: pytest.Config) -> None:
         self.config = config

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coverage of the regression: how often each situation of the contract occurs in its random frames; fails below a goal.
+"""Coverage of the regression: how often each situation of the contract occurs in its random frames;
+fails below a goal.
 
-Situations are counted on the golden model's traces, which equal those of RTL and plain model beat by beat and fate by
-fate. So one table covers all engines and needs no simulator, while cocotb-coverage would count in only one of them.
+Situations are counted on the golden model's traces, which equal those of RTL and plain model beat
+by beat and fate by fate. So one table covers all engines and needs no simulator, while
+cocotb-coverage would count in only one of them.
 """
 
 import collections
@@ -26,7 +28,10 @@ from . import random_cases
 SEED, EXAMPLES = 1, 120  # frames per sensor
 MODES = [f"coincidence={c} gating={g} auto={a}" for c, g, a in itertools.product((0, 1), repeat=3)]
 COUNTED = dict(  # by counters
-    dropped="events dropped", rejected="window rejected", mg_stored="record stored", mg_dropped="record dropped"
+    dropped="events dropped",
+    rejected="window rejected",
+    mg_stored="record stored",
+    mg_dropped="record dropped",
 )
 SITUATIONS = {  # name -> required number
     **{f"{mode}, {name}": 10 for mode in MODES for name in FORMAT_NAMES},
@@ -59,7 +64,9 @@ SITUATIONS = {  # name -> required number
 }
 
 
-def situations(config: Config, edges, trace: Trace, ready: str, counts: collections.Counter) -> None:
+def situations(
+    config: Config, edges, trace: Trace, ready: str, counts: collections.Counter
+) -> None:
     """Count what happened in a frame."""
     sensor, table = config.sensor, pixel_table(config.sensor)
     c = {name: trace.counters[:, k] for k, name in enumerate(COUNTER_NAMES)}
@@ -93,11 +100,20 @@ def situations(config: Config, edges, trace: Trace, ready: str, counts: collecti
             counts["window ends with a cycle"] += end % sensor.phases == 0
             counts["window goes over a cycle's end"] += close > at
             counts["opening in cycle 0"] += at == 0
-            counts["opening in the last cycle before the guard"] += at == config.period - sensor.guard - 1
-        counts["edge at a window's last tick is counted"] += fate == Fate.COUNTED and tick == end - 1
-        counts["edge a tick after a window's end"] += tick == end and fate not in (Fate.MASKED, Fate.GATED)
+            counts["opening in the last cycle before the guard"] += (
+                at == config.period - sensor.guard - 1
+            )
+        counts["edge at a window's last tick is counted"] += (
+            fate == Fate.COUNTED and tick == end - 1
+        )
+        counts["edge a tick after a window's end"] += tick == end and fate not in (
+            Fate.MASKED,
+            Fate.GATED,
+        )
         counts["two edges at the opening tick"] += fate == Fate.COUNTED and tick == opened
-        counts["blind in the guard's first cycle"] += fate == Fate.BLIND and at == config.period - sensor.guard
+        counts["blind in the guard's first cycle"] += (
+            fate == Fate.BLIND and at == config.period - sensor.guard
+        )
         if config.gating[s] and not config.frame.gate_every and fate != Fate.MASKED:
             start, length = int(config.gate_start[s]), int(config.gate_len[s])
             counts["edge in the gate's first cycle"] += at == start and length > 0
@@ -119,7 +135,9 @@ def main() -> None:
     counts: collections.Counter = collections.Counter()
     for name in ("default", "tiny", "coarse", "odd"):
         sensor = random_cases.SENSORS[name]
-        configs = random_cases.drawn(random_cases.configurations(sensor, frames_max=1), EXAMPLES, SEED)
+        configs = random_cases.drawn(
+            random_cases.configurations(sensor, frames_max=1), EXAMPLES, SEED
+        )
         seeds = random_cases.drawn(st.integers(0, 2**32 - 1), EXAMPLES, SEED)
         kinds = itertools.cycle(random_cases.READY_KINDS)
         for config, seed, kind in zip(configs, seeds, kinds, strict=False):
@@ -128,9 +146,14 @@ def main() -> None:
             for _ in range(2):  # the controller acts in the second
                 situations(config, edges, golden.frame(config, edges, ready), kind, counts)
         golden = Golden(random_cases.built_sensor(sensor))
-        for number, config in enumerate(config for config in random_cases.modes(sensor) for _ in range(2)):
+        for number, config in enumerate(
+            config for config in random_cases.modes(sensor) for _ in range(2)
+        ):
             kind = random_cases.READY_KINDS[number % len(random_cases.READY_KINDS)]
-            edges, ready = random_cases.trouble(config, number, 12.0), random_cases.ready_pattern(number, kind, 400)
+            edges, ready = (
+                random_cases.trouble(config, number, 12.0),
+                random_cases.ready_pattern(number, kind, 400),
+            )
             situations(config, edges, golden.frame(config, edges, ready), kind, counts)
         golden = Golden(golden.sensor)
         traces = [

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every command of an export's README, run as it stands there: `python -m tests.exports [NAMES] [--verilator FOLDER]`.
+"""Every command of an export's README, run as it stands there:
+`python -m tests.exports [NAMES] [--verilator FOLDER]`.
 
-The exports differ in size, phases and form of light. `--verilator` names a folder with another `verilator` than the
-project's, such as /usr/bin, and may be given several times. The exit code is 1 if a command fails.
+The exports differ in size, phases and form of light. `--verilator` names a folder with another
+`verilator` than the project's, such as /usr/bin, and may be given several times. The exit code is 1
+if a command fails.
 """
 
 import argparse
@@ -21,7 +23,14 @@ from coincid.tb import toolchain
 
 from .random_cases import LEAN
 
-SMALLEST = {"rows": 4, "cols": 4, "subgroup": [4, 4], "minigroup": [1, 1], "phases": 4, "window_max": 20}
+SMALLEST = {
+    "rows": 4,
+    "cols": 4,
+    "subgroup": [4, 4],
+    "minigroup": [1, 1],
+    "phases": 4,
+    "window_max": 20,
+}
 EXPORTS = {  # name -> tables of the configuration (or a preset), view
     "smallest": ({"sensor": SMALLEST, "frame": {"period": 100}}, POLYPHASE),
     "subgroup": ({"sensor": {"rows": 8, "cols": 8}}, POLYPHASE),
@@ -44,16 +53,20 @@ def write_export(folder: Path, name: str) -> None:
 def readme_commands(folder: Path) -> list[str]:
     """Return the commands of the README of an export, in order."""
     section = re.search(
-        r"^## Lint and smoke test$(.*?)^## ", (folder / "README.md").read_text(encoding="utf-8"), re.M | re.S
+        r"^## Lint and smoke test$(.*?)^## ",
+        (folder / "README.md").read_text(encoding="utf-8"),
+        re.M | re.S,
     )
     assert section is not None
     return re.findall(r"^    (.+)$", section[1], re.M)
 
 
 def complaint(command: str, folder: Path, verilator: Path, cheap: bool = False) -> str:
-    """Run a command of the README with the programs of `verilator` first, and return "" if it did what the README says.
+    """Run a command of the README with the programs of `verilator` first, and return "" if it did
+    what the README says.
 
-    cheap: the C++ is compiled without optimisation, for a sensor that runs for less time than it compiles.
+    cheap: the C++ is compiled without optimisation, for a sensor that runs for less time than it
+    compiles.
     """
     search = [str(verilator), str(Path(sys.executable).parent), os.environ["PATH"]]
     environment = os.environ | {"PATH": os.pathsep.join(search), "HOME": str(folder)}
@@ -80,7 +93,12 @@ def complaint(command: str, folder: Path, verilator: Path, cheap: bool = False) 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="tests.exports", description=__doc__)
     parser.add_argument("names", nargs="*", help=f"exports, default all: {', '.join(EXPORTS)}")
-    parser.add_argument("--verilator", type=Path, action="append", help="folder of a verilator, default the project's")
+    parser.add_argument(
+        "--verilator",
+        type=Path,
+        action="append",
+        help="folder of a verilator, default the project's",
+    )
     given = parser.parse_args(arguments)
     for name in given.names:
         if name not in EXPORTS:
@@ -94,7 +112,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for command in readme_commands(Path(folder)):
                     told = complaint(command, Path(folder), verilator)
                     failed += bool(told)
-                    print(f"{name}, {verilator}: {'FAILED ' + told if told else 'ok ' + command}", flush=True)
+                    print(
+                        f"{name}, {verilator}: {'FAILED ' + told if told else 'ok ' + command}",
+                        flush=True,
+                    )
     return 1 if failed else 0
 
 

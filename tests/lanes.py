@@ -20,7 +20,15 @@ from coincid.tb.frame_record import cycle_limit
 from coincid.tools.libraries import Functions, array_at, load
 
 SOURCE = Path(__file__).with_suffix(".cpp")
-OUTCOMES = ("fine", "the bus waits", "never done", "start refused", "no laser", "no tlast", "error told")
+OUTCOMES = (
+    "fine",
+    "the bus waits",
+    "never done",
+    "start refused",
+    "no laser",
+    "no tlast",
+    "error told",
+)
 FRAMES = ("upset", "first", "second")  # of a trial
 AFTER = len(FRAMES)  # in the place of a frame: the settings as they read at the end
 GAP = 30  # idle cycles between frames
@@ -29,11 +37,14 @@ Access: TypeAlias = tuple[
 ]  # address, value, strobe (0: a read; RESET), skew, hold: as in `lanes.cpp`
 RESET = 16
 ACCESS = np.dtype(
-    [(name, np.uint32) for name in ("address", "value", "strobe")] + [(name, np.int32) for name in ("skew", "hold")]
+    [(name, np.uint32) for name in ("address", "value", "strobe")]
+    + [(name, np.int32) for name in ("skew", "hold")]
 )
 UPSET = np.dtype([("word", np.int32), ("cycle", np.int64), ("source", np.int32)], align=True)
 FLIPS = -1  # the source of an upset flip-flop that takes no other's value
-ROW = np.dtype([(name, np.int32) for name in ("trial", "frame", "outcome", "shown", "write", "cycles")])
+ROW = np.dtype(
+    [(name, np.int32) for name in ("trial", "frame", "outcome", "shown", "write", "cycles")]
+)
 BEAT = np.dtype([("data", np.uint64), ("cycle", np.int64)])
 
 
@@ -57,7 +68,10 @@ class Lanes:
         functions: Functions = {
             "new": (pointer, []),
             "delete": (None, [pointer]),
-            "recipe": (None, [pointer, *5 * [i64, pointer], *[i64, *3 * [pointer]], *[i64, pointer], i64, i64]),
+            "recipe": (
+                None,
+                [pointer, *5 * [i64, pointer], *[i64, *3 * [pointer]], *[i64, pointer], i64, i64],
+            ),
             "warm_up": (None, [pointer]),
             "run": (None, [pointer, pointer, ctypes.c_int]),
             "together": (None, [pointer, i64, pointer, pointer]),
@@ -68,7 +82,9 @@ class Lanes:
             "lasers": (i64, [pointer, ctypes.c_int, lists]),
             "gates": (ctypes.c_uint64, [pointer, ctypes.c_int]),
         }
-        self._library = load(library(design, width, SOURCE, _wiring_header(sensor)), "lanes", functions)
+        self._library = load(
+            library(design, width, SOURCE, _wiring_header(sensor)), "lanes", functions
+        )
         self._lanes = self._library.lanes_new()
 
     def __enter__(self) -> "Lanes":
@@ -102,12 +118,19 @@ class Lanes:
         if patient:
             limit = 2 * limit + 2 * config.pulses * 2 * self._sensor.period_max
         lists = [
-            *((np.array(list(accesses), ACCESS),) for accesses in (settings, during, after, beside)),
+            *(
+                (np.array(list(accesses), ACCESS),)
+                for accesses in (settings, during, after, beside)
+            ),
             (np.array(sorted(upsets, key=lambda upset: upset[1]), UPSET),),
             tuple(np.ascontiguousarray(column[order], np.int64) for column in columns),
             (np.ascontiguousarray(ready, np.uint8),),
         ]
-        arguments = [x for arrays in lists for x in (len(arrays[0]), *(array.ctypes.data for array in arrays))]
+        arguments = [
+            x
+            for arrays in lists
+            for x in (len(arrays[0]), *(array.ctypes.data for array in arrays))
+        ]
         self._library.lanes_recipe(self._lanes, *arguments, config.frame_cycles, limit)
 
     def warm_up(self) -> np.ndarray:
@@ -122,7 +145,9 @@ class Lanes:
         rows = self._rows()
         return rows[np.argsort(rows["trial"], kind="stable")]
 
-    def together(self, faults: Sequence[int], watched: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
+    def together(
+        self, faults: Sequence[int], watched: Sequence[int] = ()
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Let one host play all lanes from power-up; return its rows, and at which frame each lane begins to differ from lane 0.
 
         faults: of each lane except lane 0, the word of an input that turns its fault on. watched: words of registers that
@@ -133,7 +158,9 @@ class Lanes:
             chunks[lane // 64] |= np.uint64(1 << lane % 64)
         differs = np.zeros(self._width, np.int32)
         words = np.array(watched, np.int32)
-        self._library.lanes_together(self._lanes, len(words), words.ctypes.data, differs.ctypes.data)
+        self._library.lanes_together(
+            self._lanes, len(words), words.ctypes.data, differs.ctypes.data
+        )
         return self._rows(), differs
 
     def shown(self, number: int) -> Shown:
@@ -144,7 +171,9 @@ class Lanes:
         ]
         lasers = self._list("lasers", np.dtype(np.int64), ctypes.c_int(number))
         gates = self._library.lanes_gates(self._lanes, number)
-        return Shown([beat["data"] for beat in beats], [beat["cycle"] for beat in beats], lasers, gates)
+        return Shown(
+            [beat["data"] for beat in beats], [beat["cycle"] for beat in beats], lasers, gates
+        )
 
     def _rows(self) -> np.ndarray:
         """Return the rows since the last call: trial, frame, outcome, number of the record, cycles with the gap."""

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Typical human mistakes (`planted.toml`), planted one at a time: each must be caught by the regression or by a proof.
+"""Typical human mistakes (`planted.toml`), planted one at a time: each must be caught by the
+regression or by a proof.
 
-`python -m tests.planted [--all] [NAMES]` plants each bug in a copy of the sources and runs the proofs and tests that must
-notice it, all of them part of `make test` or `make formal`, until one does; with `--all`, every one must.
-`test_planted.py` keeps the list in step with the sources.
+`python -m tests.planted [--all] [NAMES]` plants each bug in a copy of the sources and runs the
+proofs and tests that must notice it, all of them part of `make test` or `make formal`, until one
+does; with `--all`, every one must. `test_planted.py` keeps the list in step with the sources.
 """
 
 import os
@@ -20,7 +21,20 @@ from attrs import frozen
 from coincid.tb.toolchain import build_root
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("model", "tools", "host", "hdl", "slices", "tb", "formal", "flow", "lab", "study", "board", "docs/studies")
+PACKAGES = (
+    "model",
+    "tools",
+    "host",
+    "hdl",
+    "slices",
+    "tb",
+    "formal",
+    "flow",
+    "lab",
+    "study",
+    "board",
+    "docs/studies",
+)
 
 
 @frozen
@@ -37,17 +51,24 @@ class Bug:
 
 def _bugs() -> list[Bug]:
     table = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-    return [Bug(**bug | {"tests": [table["tests"][name] for name in bug["tests"]]}) for bug in table["bug"]]
+    return [
+        Bug(**bug | {"tests": [table["tests"][name] for name in bug["tests"]]})
+        for bug in table["bug"]
+    ]
 
 
 BUGS = _bugs()
 
 
 def copy_of_sources(folder: Path) -> dict[str, str]:
-    """Copy packages and tests, and return the environment in which Python finds them before the installed ones."""
+    """Copy packages and tests, and return the environment in which Python finds them before the
+    installed ones.
+    """
     for name in ("src", "tests", *PACKAGES):
         ignored = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(ROOT / name, folder / name, symlinks=True, ignore=ignored, dirs_exist_ok=True)
+        shutil.copytree(
+            ROOT / name, folder / name, symlinks=True, ignore=ignored, dirs_exist_ok=True
+        )
     for name in ("pyproject.toml", "docs/__init__.py"):
         shutil.copy(ROOT / name, folder / name)
     search = os.pathsep.join([str(folder / "src"), str(folder)])
@@ -58,23 +79,37 @@ def plant(bug: Bug, folder: Path) -> None:
     """Put a bug into a copy of the sources."""
     path = folder / bug.file
     text = path.read_text(encoding="utf-8")
-    assert text.count(bug.old) == 1, f"{bug.name}: {bug.file} has {text.count(bug.old)} times {bug.old!r}"
+    assert text.count(bug.old) == 1, (
+        f"{bug.name}: {bug.file} has {text.count(bug.old)} times {bug.old!r}"
+    )
     path.write_text(text.replace(bug.old, bug.new), encoding="utf-8")
 
 
 def caught_by(bug: Bug, thorough: bool) -> dict[str, bool]:
-    """Return proof or test -> whether it noticed a bug; up to the first that does, unless `thorough`."""
+    """Return proof or test -> whether it noticed a bug; up to the first that does, unless
+    `thorough`.
+    """
     with tempfile.TemporaryDirectory(prefix="coincid-planted-") as scratch:
         folder = Path(scratch)
         builds = build_root() / "planted" / bug.name
-        environment = copy_of_sources(folder) | {"COINCID_BUILD": str(builds), "NUMBA_DISABLE_JIT": "1"}
+        environment = copy_of_sources(folder) | {
+            "COINCID_BUILD": str(builds),
+            "NUMBA_DISABLE_JIT": "1",
+        }
         plant(bug, folder)
         checks = [(f"proof {name}", ["coincid", "formal", name]) for name in bug.proofs]
-        checks += [(" ".join(test), ["pytest", "-x", "-q", "-p", "no:cacheprovider", *test]) for test in bug.tests]
+        checks += [
+            (" ".join(test), ["pytest", "-x", "-q", "-p", "no:cacheprovider", *test])
+            for test in bug.tests
+        ]
         result = {}
         for name, command in checks:
             done = subprocess.run(
-                [sys.executable, "-m", *command], cwd=folder, env=environment, capture_output=True, check=False
+                [sys.executable, "-m", *command],
+                cwd=folder,
+                env=environment,
+                capture_output=True,
+                check=False,
             )
             result[name] = done.returncode == 1
             if result[name] and not thorough:
@@ -94,7 +129,9 @@ def main() -> None:
         missed += not (all if thorough else any)(result.values())
         print(
             f"{bug.name:26}",
-            ", ".join(f"{what}: {'caught' if caught else 'MISSED'}" for what, caught in result.items()),
+            ", ".join(
+                f"{what}: {'caught' if caught else 'MISSED'}" for what, caught in result.items()
+            ),
             flush=True,
         )
 

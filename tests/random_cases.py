@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random configurations and edges that provoke trouble: ties, window and gate boundaries, guards, overfull FIFOs."""
+"""Random configurations and edges that provoke trouble: ties, window and gate boundaries, guards,
+overfull FIFOs.
+"""
 
 import itertools
 from typing import Any
@@ -19,12 +21,21 @@ from coincid.model.contract.table import Kind, Setting
 from coincid.model.golden.frame import Golden
 from coincid.tb.frame_record import FrameJob
 
-SENSORS = {  # small ones, so that a case is fast; together they change every parameter from its default
+# small ones, so that a case is fast; together they change every parameter from its default
+SENSORS = {
     "default": dict(rows=8, cols=16),
     "one": dict(rows=8, cols=8),
     "coarse": dict(rows=8, cols=16, phases=8, window_max=16, rearm=2, fifo_depth=2),
     "tiny": dict(
-        rows=12, cols=4, subgroup=[4, 4], minigroup=[1, 1], phases=4, window_max=20, rearm=1, fifo_depth=1, streams=3
+        rows=12,
+        cols=4,
+        subgroup=[4, 4],
+        minigroup=[1, 1],
+        phases=4,
+        window_max=20,
+        rearm=1,
+        fifo_depth=1,
+        streams=3,
     ),
     "fine": dict(
         rows=16,
@@ -38,15 +49,33 @@ SENSORS = {  # small ones, so that a case is fast; together they change every pa
         streams=2,
     ),
     "wide": dict(
-        rows=16, cols=16, subgroup=[16, 16], minigroup=[2, 2], phases=16, rearm=3, fifo_depth=5, offset_phases=4
+        rows=16,
+        cols=16,
+        subgroup=[16, 16],
+        minigroup=[2, 2],
+        phases=16,
+        rearm=3,
+        fifo_depth=5,
+        offset_phases=4,
     ),
     "odd": dict(
-        rows=6, cols=15, subgroup=[6, 3], minigroup=[2, 3], phases=16, window_max=33, offset_phases=8, streams=2
+        rows=6,
+        cols=15,
+        subgroup=[6, 3],
+        minigroup=[2, 3],
+        phases=16,
+        window_max=33,
+        offset_phases=8,
+        streams=2,
     ),
 }
-LEAN = dict(rows=8, cols=16, offsets=0, records=0, controller=0, counter_bits=9, held=0, fifo_depth=3)
+LEAN = dict(
+    rows=8, cols=16, offsets=0, records=0, controller=0, counter_bits=9, held=0, fifo_depth=3
+)
 # For fault and mutation tests, which run slow simulators many times: two subgroups of 16 pixels.
-SMALL = dict(rows=4, cols=8, subgroup=[4, 4], phases=8, coarse_bits=9, window_max=100, rearm=1, fifo_depth=3)
+SMALL = dict(
+    rows=4, cols=8, subgroup=[4, 4], phases=8, coarse_bits=9, window_max=100, rearm=1, fifo_depth=3
+)
 
 
 def configured(
@@ -54,7 +83,14 @@ def configured(
 ) -> Config:
     """Return the configuration of a file with these tables."""
     table = sensor_table(sensor) if isinstance(sensor, Sensor) else sensor
-    return parse_config({"sensor": table, "frame": frame or {}, "subgroup": subgroup or {}, "override": list(override)})
+    return parse_config(
+        {
+            "sensor": table,
+            "frame": frame or {},
+            "subgroup": subgroup or {},
+            "override": list(override),
+        }
+    )
 
 
 def built_sensor(sensor: dict) -> Sensor:
@@ -70,7 +106,11 @@ def legal_values(setting: Setting, sensor: Sensor) -> st.SearchStrategy:
         return st.sampled_from((False, True)[: 1 + setting.limits(sensor)[1]])
     if setting.name == "format":
         return st.sampled_from(built_formats(sensor))
-    return st.sampled_from(setting.choices) if setting.choices else st.integers(*setting.limits(sensor))
+    return (
+        st.sampled_from(setting.choices)
+        if setting.choices
+        else st.integers(*setting.limits(sensor))
+    )
 
 
 @st.composite
@@ -96,7 +136,9 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
         "threshold": st.integers(1, 9),  # including values above the controller's highest
         "window": st.one_of(st.integers(1, built.window_max), st.sampled_from(ends)),
         "gate_start": st.integers(0, period - 1),
-        "gate_len": st.one_of(st.integers(0, period + 3), st.integers(0, 15).map(lambda bit: 1 << bit)),
+        "gate_len": st.one_of(
+            st.integers(0, period + 3), st.integers(0, 15).map(lambda bit: 1 << bit)
+        ),
     }
     frame, of_subgroup = (
         {
@@ -110,7 +152,8 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
     frame = draw(st.fixed_dictionaries(frame))
     base = {"window": draw(rare["window"])} | draw(settings)
     overrides = [
-        {"subgroups": draw(st.lists(st.integers(0, built.subgroups - 1), min_size=1, max_size=2))} | draw(settings)
+        {"subgroups": draw(st.lists(st.integers(0, built.subgroups - 1), min_size=1, max_size=2))}
+        | draw(settings)
         for _ in range(draw(st.integers(0, 2)))
     ]
     return parse_config({"sensor": sensor, "frame": frame, "subgroup": base, "override": overrides})
@@ -118,7 +161,9 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
 
 @st.composite
 def controlled(draw, sensor: dict, frames: int) -> Config:
-    """Draw frames of a sensor under the threshold controller, with a capacity that is sometimes too small."""
+    """Draw frames of a sensor under the threshold controller, with a capacity that is sometimes too
+    small.
+    """
     built = built_sensor(sensor)
     alone = {"subgroups": draw(st.lists(st.integers(0, built.subgroups - 1), max_size=1))}
     return configured(
@@ -132,13 +177,19 @@ def controlled(draw, sensor: dict, frames: int) -> Config:
             "capacity": draw(st.integers(0, 60)) * built.subgroups,
             "threshold_floor": draw(st.integers(0, 2)),
         },
-        {"auto": True, "threshold": draw(st.integers(1, 9)), "window": draw(st.integers(1, built.window_max))},
+        {
+            "auto": True,
+            "threshold": draw(st.integers(1, 9)),
+            "window": draw(st.integers(1, built.window_max)),
+        },
         alone | draw(st.sampled_from(({"auto": False}, {"coincidence": False}))),
     )
 
 
 def scarce(sensor: dict) -> list[Config]:
-    """Return consecutive frames of a stream with changing capacity, so that budgets and thresholds rise and fall."""
+    """Return consecutive frames of a stream with changing capacity, so that budgets and thresholds
+    rise and fall.
+    """
     config = configured(
         sensor,
         {"period": 60, "pulses": 4, "auto_bounds": [0, 0, 3, 20, 40, 60]},
@@ -146,7 +197,10 @@ def scarce(sensor: dict) -> list[Config]:
         {"subgroups": [0], "threshold": 12},
     )
     capacities = (10, 10, 10, 6, 6, 24, 24, 24, 24, 24, 40, 40, 16, 16, 60, 60)
-    return [config.with_frame(capacity=capacity, threshold_floor=int(capacity == 60) * 3) for capacity in capacities]
+    return [
+        config.with_frame(capacity=capacity, threshold_floor=int(capacity == 60) * 3)
+        for capacity in capacities
+    ]
 
 
 def modes(sensor: dict) -> list[Config]:
@@ -155,15 +209,29 @@ def modes(sensor: dict) -> list[Config]:
     return [
         configured(
             sensor,
-            dict(period=60, pulses=3, format=name, minigroup_records=True, auto_bounds=[4, 8, 16, 32, 64, 128]),
-            {"coincidence": coincidence, "gating": gating, "auto": auto, "gate_start": 8, "gate_len": 30},
+            dict(
+                period=60,
+                pulses=3,
+                format=name,
+                minigroup_records=True,
+                auto_bounds=[4, 8, 16, 32, 64, 128],
+            ),
+            {
+                "coincidence": coincidence,
+                "gating": gating,
+                "auto": auto,
+                "gate_start": 8,
+                "gate_len": 30,
+            },
         )
         for coincidence, gating, auto, name in switches
     ]
 
 
 def gate_bits(sensor: dict) -> list[Config]:
-    """Return frames in which every bit of a gate's start and length decides in one subgroup or the other."""
+    """Return frames in which every bit of a gate's start and length decides in one subgroup or the
+    other.
+    """
     built = built_sensor(sensor)
     highest, length = built.period_max - 1, BY_NAME["gate_len"].high(built).bit_length()
 
@@ -177,15 +245,22 @@ def gate_bits(sensor: dict) -> list[Config]:
 
     return [
         gates({"gate_start": 0x5555 & highest, "gate_len": 40}, {"gate_start": 0xAAAA & highest}),
-        *(gates({"gate_start": 0, "gate_len": 1 << bit}, {"gate_len": 2 << bit}) for bit in range(0, length, 2)),
+        *(
+            gates({"gate_start": 0, "gate_len": 1 << bit}, {"gate_len": 2 << bit})
+            for bit in range(0, length, 2)
+        ),
     ]
 
 
 def collections(sensor: dict) -> list[Config]:
-    """Return a frame for every length of a minigroup's collection, with records that need two pixels, if there are two."""
+    """Return a frame for every length of a minigroup's collection, with records that need two
+    pixels, if there are two.
+    """
     built = built_sensor(sensor)
     register = BY_NAME["mg_window"]
-    frame = dict(period=60, pulses=16, minigroup_records=True, mg_threshold=min(2, built.minigroup_pixels))
+    frame = dict(
+        period=60, pulses=16, minigroup_records=True, mg_threshold=min(2, built.minigroup_pixels)
+    )
     windows = range(register.low(built), register.high(built) + 1)
     return [configured(sensor, frame | {"mg_window": cycles}) for cycles in windows]
 
@@ -195,13 +270,20 @@ def dithered(sensor: dict) -> Config:
     built = built_sensor(sensor)
     return configured(
         sensor,
-        dict(period=built.guard + 8, pulses=20, dither_bits=BY_NAME["dither_bits"].high(built), dither_seed=0xACE1),
+        dict(
+            period=built.guard + 8,
+            pulses=20,
+            dither_bits=BY_NAME["dither_bits"].high(built),
+            dither_seed=0xACE1,
+        ),
         {"threshold": 1},
     )
 
 
 def overfull(sensor: dict) -> Config:
-    """Return a frame that, with a stalling stream, drops events and records, stores some again, and drops once more."""
+    """Return a frame that, with a stalling stream, drops events and records, stores some again, and
+    drops once more.
+    """
     return configured(
         sensor,
         {"period": 60, "pulses": 8, "format": "full", "minigroup_records": True, "mg_threshold": 1},
@@ -229,7 +311,9 @@ def lengthy(sensor: dict) -> Config:
 
 
 def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
-    """Return edges that crowd at rule boundaries, on average `per_subgroup_period` per subgroup and period."""
+    """Return edges that crowd at rule boundaries, on average `per_subgroup_period` per subgroup and
+    period.
+    """
     rng = np.random.default_rng(seed)
     sensor, periods = config.sensor, config.frames * config.pulses
     n = rng.poisson(per_subgroup_period * sensor.subgroups * periods)
@@ -244,15 +328,25 @@ def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
         window = config.window[table.subgroup[pixel[other]]]
         armed = sensor.phases * (sensor.rearm + 1) - tick[other] % sensor.phases
         collected = config.frame.mg_window * sensor.phases
-        steps = np.stack(np.broadcast_arrays(0, 1, window - 1, window, window + 1, sensor.phases, armed, collected))
-        tick = np.where(near, tick[other] + steps[rng.integers(0, len(steps), n), np.arange(n)], tick)
+        steps = np.stack(
+            np.broadcast_arrays(
+                0, 1, window - 1, window, window + 1, sensor.phases, armed, collected
+            )
+        )
+        tick = np.where(
+            near, tick[other] + steps[rng.integers(0, len(steps), n), np.arange(n)], tick
+        )
         pulse = np.where(near, pulse[other], pulse)
         neighbours = np.flatnonzero(near & (rng.random(n) < 0.8))
         members = [np.flatnonzero(table.subgroup == s) for s in range(sensor.subgroups)]
-        pixel[neighbours] = [rng.choice(members[table.subgroup[pixel[other[k]]]]) for k in neighbours]
+        pixel[neighbours] = [
+            rng.choice(members[table.subgroup[pixel[other[k]]]]) for k in neighbours
+        ]
         # Some are at the borders of gate, guard and period.
         start, guarded = config.gate_start, config.period - sensor.guard
-        special = np.r_[0, config.period - 1, guarded, guarded - 1, start, start + config.gate_len, start - 1]
+        special = np.r_[
+            0, config.period - 1, guarded, guarded - 1, start, start + config.gate_len, start - 1
+        ]
         special = special.clip(0, config.period - 1)
         at_special = rng.random(n) < 0.1
         border = rng.choice(special, n) * sensor.phases + rng.choice((0, sensor.phases - 1), n)
@@ -264,12 +358,18 @@ def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
 
 
 def aged(sensor: dict) -> tuple[Config, Edges, np.ndarray]:
-    """Return a frame, its edges and a pattern of `tready`, so that some events are as old as a group allows, and others too old.
+    """Return a frame, its edges and a pattern of `tready`, so that some events are as old as a
+    group allows, and others too old.
 
-    The stream stalls in rounds of 60 pulses: every other subgroup has events early in a round, and the others later.
+    The stream stalls in rounds of 60 pulses: every other subgroup has events early in a round, and
+    the others later.
     """
     period = built_sensor(sensor).guard + 6
-    config = configured(sensor, {"period": period, "pulses": 600, "format": "compact"}, {"threshold": 1, "window": 2})
+    config = configured(
+        sensor,
+        {"period": period, "pulses": 600, "format": "compact"},
+        {"threshold": 1, "window": 2},
+    )
     edges = trouble(config, 0, 20.0)
     number, within = np.divmod(edges.pulse, 60)
     early = pixel_table(config.sensor).subgroup[edges.pixel] % 2 == 0
@@ -296,14 +396,18 @@ def ready_pattern(seed: int, kind: str, cycles: int) -> np.ndarray:
     return np.repeat(rng.random(cycles // 16 + 1) < 0.5, 16).astype(np.uint8)
 
 
-def predicted(golden: Golden, config: Config, edges: Edges, ready: np.ndarray | None = None) -> FrameJob:
+def predicted(
+    golden: Golden, config: Config, edges: Edges, ready: np.ndarray | None = None
+) -> FrameJob:
     """Return a frame to play, with its prediction; the golden model goes on to the next frame."""
     ready = np.zeros(0, np.uint8) if ready is None else ready.astype(np.uint8)
     return FrameJob(config, edges, golden.frame(config, edges, ready), ready)
 
 
 def generated(examples: int) -> settings:
-    """Return settings with which a program draws so many examples, without pytest; with a seed, the same in every run."""
+    """Return settings with which a program draws so many examples, without pytest; with a seed, the
+    same in every run.
+    """
     return settings(
         max_examples=examples,
         phases=[Phase.generate],
@@ -314,7 +418,8 @@ def generated(examples: int) -> settings:
 
 
 def drawn(strategy: st.SearchStrategy[Any], number: int, of: int | None = None) -> list[Any]:
-    """Return so many values. A generator begins with the simplest ones, so the later half of twice as many is taken.
+    """Return so many values. A generator begins with the simplest ones, so the later half of twice
+    as many is taken.
 
     of: seed; None: that of pytest's run.
     """

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Release folders of small sensors, written once for the state of the sources, for all tests that look at them."""
+"""Release folders of small sensors, written once for the state of the sources, for all tests that
+look at them.
+"""
 
 from pathlib import Path
 
@@ -27,11 +29,15 @@ def release(folder, name):
 
 
 def small_releases() -> Path:
-    """Return a folder with one release per name in `SMALL`, written one after the other in one process."""
+    """Return a folder with one release per name in `SMALL`, written one after the other in one
+    process.
+    """
 
     def make(folder):
         for name in SMALL:
             release(folder / name, name)
 
-    key = digest(repr((SMALL, CLOCK_MHZ)), sources_digest("hdl", "flow", "model.contract", "model.shared"))
+    key = digest(
+        repr((SMALL, CLOCK_MHZ)), sources_digest("hdl", "flow", "model.contract", "model.shared")
+    )
     return build_once(build_root() / "releases" / key, make)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Soak test: many consecutive frames, golden model and RTL (sliced engine) in step, in sunlight and at saturation.
+"""Soak test: many consecutive frames, golden model and RTL (sliced engine) in step, in sunlight and
+at saturation.
 
-`python -m tests.soak [--frames N] [--pulses N] [--seed N]` uses a whole array; a short form is part of the regression.
+`python -m tests.soak [--frames N] [--pulses N] [--seed N]` uses a whole array; a short form is part
+of the regression.
 """
 
 import argparse
@@ -31,7 +33,9 @@ def sunlight(config: Config, frame: int, seed: int) -> Edges:
 
 
 def saturation(config: Config, frame: int, seed: int) -> Edges:
-    """Return the edges of a frame in which every pixel fires every 8 ns, each with a phase of its own."""
+    """Return the edges of a frame in which every pixel fires every 8 ns, each with a phase of its
+    own.
+    """
     pixels = config.sensor.array_pixels
     first = np.random.default_rng([seed, frame]).integers(0, DEAD_TICKS, pixels)
     total = config.pulses * config.period_ticks
@@ -41,9 +45,11 @@ def saturation(config: Config, frame: int, seed: int) -> Edges:
 
 
 def soak(config: Config, light: str, frames: int, seed: int) -> Iterator[int]:
-    """Play `frames` frames; yield after each the number of equal beats and commits. Raises `Mismatch` at the first difference.
+    """Play `frames` frames; yield after each the number of equal beats and commits. Raises
+    `Mismatch` at the first difference.
 
-    Back-pressure changes from frame to frame, so FIFOs overflow in some; the threshold controller is on.
+    Back-pressure changes from frame to frame, so FIFOs overflow in some; the threshold controller
+    is on.
     """
     golden, checked = Golden(config.sensor), 0
     make = {"sun": sunlight, "saturation": saturation}[light]
@@ -51,7 +57,9 @@ def soak(config: Config, light: str, frames: int, seed: int) -> Iterator[int]:
         for frame in range(frames):
             edges = make(config, frame, seed)
             rng = np.random.default_rng([seed, frame, 1])
-            ready = (rng.random(config.pulses * config.period) < (1.0, 0.5, 0.05)[frame % 3]).astype(np.uint8)
+            ready = (
+                rng.random(config.pulses * config.period) < (1.0, 0.5, 0.05)[frame % 3]
+            ).astype(np.uint8)
             expected = golden.frame(config, edges, ready)
             checked += check(config.sensor, expected, sensor.frame(config, edges, ready), frame)
             yield checked
@@ -59,7 +67,14 @@ def soak(config: Config, light: str, frames: int, seed: int) -> Iterator[int]:
 
 def configuration(sensor: dict, pulses: int) -> Config:
     """Return a configuration with everything on that a frame can have."""
-    frame = dict(pulses=pulses, format="full", minigroup_records=True, gate_every=3, gate_step=5, gate_steps=4)
+    frame = dict(
+        pulses=pulses,
+        format="full",
+        minigroup_records=True,
+        gate_every=3,
+        gate_step=5,
+        gate_steps=4,
+    )
     return configured(
         sensor,
         frame,
@@ -77,10 +92,15 @@ def main() -> None:
     given = parser.parse_args()
     for light in LIGHTS:
         begin = time.monotonic()
-        for frame, checked in enumerate(soak(configuration({}, given.pulses), light, given.frames, given.seed), 1):
+        for frame, checked in enumerate(
+            soak(configuration({}, given.pulses), light, given.frames, given.seed), 1
+        ):
             if frame % 100 == 0:
                 seconds = time.monotonic() - begin
-                print(f"{light}: {frame} frames, {checked:,} beats and commits equal, {seconds:.0f} s", flush=True)
+                print(
+                    f"{light}: {frame} frames, {checked:,} beats and commits equal, {seconds:.0f} s",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The edge of the `coincid` command: bad input, remaining files, and the output of replay and export."""
+"""The edge of the `coincid` command: bad input, remaining files, and the output of replay and
+export.
+"""
 
 import json
 import os
@@ -51,7 +53,10 @@ REPLAY = "replay --config config.toml --edges edges.npz --out out/result.npz"
 
 def some_edges(n=200):
     rng = np.random.default_rng(5)
-    return {name: rng.integers(0, high, n) for name, high in zip(NAMES, (PULSES, PIXELS, PERIOD_TICKS), strict=True)}
+    return {
+        name: rng.integers(0, high, n)
+        for name, high in zip(NAMES, (PULSES, PIXELS, PERIOD_TICKS), strict=True)
+    }
 
 
 @pytest.fixture
@@ -63,13 +68,18 @@ def files(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("text", ["[subgroup]\nthreshhold = 2", "threshold:"])  # contract/test_config.py has the others
-@pytest.mark.parametrize("job", ["replay --edges edges.npz --out out/x", "sim --out out", "verilog --out out", "lint"])
+# contract/test_config.py has the others
+@pytest.mark.parametrize("text", ["[subgroup]\nthreshhold = 2", "threshold:"])
+@pytest.mark.parametrize(
+    "job", ["replay --edges edges.npz --out out/x", "sim --out out", "verilog --out out", "lint"]
+)
 def test_bad_configuration(files, text, job):
     (files / "config.toml").write_text(text, encoding="utf-8")
     words = ("TOML",) if ":" in text else ("threshhold", "threshold")
     assert_refused(command(f"{job} --config config.toml"), "config.toml", *words)
-    assert_refused(command(f"{job} --config none.toml"), "none.toml", "no such file", "silicon", "fpga")
+    assert_refused(
+        command(f"{job} --config none.toml"), "none.toml", "no such file", "silicon", "fpga"
+    )
     assert not (files / "out").exists()
 
 
@@ -125,14 +135,20 @@ def test_files_that_are_no_edges(files):
     ("words", "told"),
     [
         (f"{REPLAY} --stall -1", ("stall = -1", "from 0 to")),
-        (f"{REPLAY} --engine cocotb-verilator", ("engine = 'cocotb-verilator'", "golden, sliced, verilator, icarus")),
+        (
+            f"{REPLAY} --engine cocotb-verilator",
+            ("engine = 'cocotb-verilator'", "golden, sliced, verilator, icarus"),
+        ),
         ("sim --out out --scene letter-g", ("letter-g",)),
         ("sim --out out --klux -1", ("klux = -1",)),
         ("sim --out out --klux nan", ("klux = nan",)),
         ("sim --out out --pulses 0", ("pulses = 0", "from 1 to 65536")),
         ("sim --out out --seed -1", ("seed = -1", "from 0 to")),
         ("sim --out out --engine vcs", ("engine = 'vcs'", "golden, sliced, verilator, icarus")),
-        ("sim --out out --engine sliced --waves", ("engine = 'sliced'", "waveform", "verilator and icarus")),
+        (
+            "sim --out out --engine sliced --waves",
+            ("engine = 'sliced'", "waveform", "verilator and icarus"),
+        ),
         ("sim --out out --engine sliced --view async", ("async = 'sliced'", "verilator, icarus")),
         ("sim --out out --clock-mhz 0", ("clock",)),
         ("sim --out out --set format=short", ("frame.format = 'short'",)),
@@ -182,12 +198,20 @@ def test_empty_edge_file_is_an_empty_frame(files, dtype):
 @pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("inherited", [signal.SIG_DFL, signal.SIG_IGN])
 def test_interrupt_leaves_nothing(files, number, code, inherited):
-    """A signal is inherited as the default by a command on a terminal, and as ignored by one in the background."""
+    """A signal is inherited as the default by a command on a terminal, and as ignored by one in the
+    background.
+    """
     (files / "edges.npz").unlink()
     os.mkfifo("edges.npz")
-    words, disposition = [sys.executable, "-m", "coincid", *REPLAY.split()], partial(signal.signal, number, inherited)
-    process = subprocess.Popen(words, preexec_fn=disposition, stderr=subprocess.PIPE, text=True, encoding="utf-8")
-    with process, open("edges.npz", "wb"):  # opens when the command does, which then waits for bytes
+    words, disposition = (
+        [sys.executable, "-m", "coincid", *REPLAY.split()],
+        partial(signal.signal, number, inherited),
+    )
+    process = subprocess.Popen(
+        words, preexec_fn=disposition, stderr=subprocess.PIPE, text=True, encoding="utf-8"
+    )
+    # opens when the command does, which then waits for bytes
+    with process, open("edges.npz", "wb"):
         process.send_signal(number)
         stderr = process.communicate(timeout=60)[1]
     assert (process.returncode, stderr) == (code, "coincid: interrupted\n")
@@ -210,7 +234,9 @@ def letters(text):
 
 
 def test_budget_for_programs_and_people():
-    result = command("budget --distance-m 4 --reflectivity 0.4 --klux 50 --spectrum planck --form corrected --json")
+    result = command(
+        "budget --distance-m 4 --reflectivity 0.4 --klux 50 --spectrum planck --form corrected --json"
+    )
     wanted = link_budget(4.0, 0.4, 50.0, spectrum="planck", form="corrected").json()
     assert json.loads(result.stdout) == wanted
     text = command("budget").stdout
@@ -219,7 +245,9 @@ def test_budget_for_programs_and_people():
 
 @pytest.fixture(scope="session")
 def exports(tmp_path_factory):
-    """Exports of the default sensor over an earlier export, and of 8 x 16 pixels: name -> {file: bytes}."""
+    """Exports of the default sensor over an earlier export, and of 8 x 16 pixels: name -> {file:
+    bytes}.
+    """
     folder = tmp_path_factory.mktemp("rtl")
     (folder / FILE_LIST).write_text("stale.v\n", encoding="utf-8")
     (folder / "stale.v").write_text("module stale; endmodule\n", encoding="utf-8")
@@ -229,7 +257,11 @@ def exports(tmp_path_factory):
 
 def contents(folder):
     """Return the files in a folder and in its folders: path -> bytes."""
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 @pytest.mark.xdist_group("exports")
@@ -239,7 +271,9 @@ def test_export_has_the_files_that_its_list_names(exports):
     for files in exports.values():
         listed = files[FILE_LIST].decode().split()
         for_cells = files[CELLS_LIST].decode().split() if CELLS_LIST in files else []
-        assert {*listed, *for_cells} == {name for name in files if name.endswith(".v") and "smoke" not in name}
+        assert {*listed, *for_cells} == {
+            name for name in files if name.endswith(".v") and "smoke" not in name
+        }
         assert f"{TOP}.v" in listed
         sizes.append(sum(len(files[name]) for name in listed))
     assert max(sizes) <= 1.3 * min(sizes)  # it does not grow with the array
@@ -263,7 +297,9 @@ def test_export_replaces_nothing_but_an_export(tmp_path):
 def test_register_files_agree_with_the_register_table(exports, tmp_path):
     files, sensor = exports["default"], parse_config({}).sensor
     described = json.loads(files[JSON])
-    assert {register["name"] for register in described["global"] + described["subgroup"]} == set(BY_NAME)
+    assert {register["name"] for register in described["global"] + described["subgroup"]} == set(
+        BY_NAME
+    )
     for register in described["subgroup"]:
         at = described["subgroup_base"] + 3 * described["subgroup_stride"] + register["offset"]
         assert at == address(register["name"], 3)
@@ -276,7 +312,9 @@ def test_register_files_agree_with_the_register_table(exports, tmp_path):
         checks.append(f'_Static_assert({macro} == {address(name, 3, index)}u, "{name}");')
     (tmp_path / "check.c").write_text("\n".join(checks), encoding="utf-8")
     (tmp_path / HEADER).write_bytes(files[HEADER])
-    subprocess.run(["gcc", "-std=c11", "-Wall", "-Werror", "-fsyntax-only", tmp_path / "check.c"], check=True)
+    subprocess.run(
+        ["gcc", "-std=c11", "-Wall", "-Werror", "-fsyntax-only", tmp_path / "check.c"], check=True
+    )
 
 
 def lint(sensor, view="polyphase"):
@@ -305,7 +343,9 @@ def test_lint_finds_what_is_waived_and_nothing_else(monkeypatch, view, own):
     waivers = re.findall(r'^lint_off (-rule \w+ -file ".*" -match ".*")$', exact, re.MULTILINE)
     patterns = [re.escape(waiver).replace(r"\*", ".*") for waiver in waivers]
     shown = [f'-rule {rule} -file "{file}" -match "{message}"' for rule, file, message in warnings]
-    assert [one for one in shown if not any(re.fullmatch(pattern, one) for pattern in patterns)] == []
+    assert [
+        one for one in shown if not any(re.fullmatch(pattern, one) for pattern in patterns)
+    ] == []
     needed = {
         waiver
         for waiver, pattern in zip(waivers, patterns, strict=True)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each command that pages, docstrings and messages name is run by something, and `commands.toml` says by what."""
+"""Each command that pages, docstrings and messages name is run by something, and `commands.toml`
+says by what.
+"""
 
 import ast
 import re
@@ -63,13 +65,17 @@ def test_the_table_has_its_kinds_and_no_command_twice():
 def test_every_command_is_run(named):
     lines = [line for command in in_table() for line in played_lines(command)]
     for command in uncovered(named, lines):
-        pytest.fail(f"{', '.join(sorted(named[command]))} names `{command}`, and nothing runs it; {DO}")
+        pytest.fail(
+            f"{', '.join(sorted(named[command]))} names `{command}`, and nothing runs it; {DO}"
+        )
 
 
 def test_every_command_of_the_table_is_named(named):
     for command in in_table():
         lines = played_lines(command)
-        assert len(uncovered(named, lines)) < len(named), f"nothing names `{command}`; remove it from commands.toml"
+        assert len(uncovered(named, lines)) < len(named), (
+            f"nothing names `{command}`; remove it from commands.toml"
+        )
 
 
 @pytest.mark.parametrize("entry", table()["test"], ids=lambda entry: entry["test"])
@@ -77,7 +83,9 @@ def test_tests_of_the_table_run_the_command(entry):
     path, _, name = entry["test"].partition("::")
     source = (ROOT / path).read_text(encoding="utf-8")
     (function,) = [
-        node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef) and node.name == name
+        node
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.FunctionDef) and node.name == name
     ]
     assert entry["has"] in ast.get_source_segment(source, function), (entry["test"], entry["has"])
 
@@ -101,7 +109,9 @@ def test_programs_are_called(entry):
 
 
 def test_programs_of_pages_have_the_commands():
-    """They are the targets that the Makefile lists so, studies and drawings; `docs/pages.toml` names each, if it is there."""
+    """They are the targets that the Makefile lists so, studies and drawings; `docs/pages.toml`
+    names each, if it is there.
+    """
     commands = [command for entry in table()["pages"] for command in entry["commands"]]
     for command in commands:
         line = re.search(rf"^{command.removeprefix('make ')}: ## (.*)", MAKEFILE, re.MULTILINE)
@@ -114,7 +124,9 @@ def test_programs_of_pages_have_the_commands():
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_a_block_that_is_not_for_a_shell_has_a_language(page):
-    """The commands in a block without a language are read; a block in the language of a shell would be left out."""
+    """The commands in a block without a language are read; a block in the language of a shell would
+    be left out.
+    """
     found = {language for language, _ in BLOCK.findall(page.read_text(encoding="utf-8"))}
     assert found <= {"", "html", "python", "text", "toml", "verilog"}
 
@@ -143,9 +155,16 @@ def test_commands_are_found():
     assert list(in_code(PAGE)) == ["make sim SCALE=3", "coincid show my.toml"]
     assert list(in_blocks(PAGE)) == ["coincid edges a.ptu --out b.npz"]
     docstring = "Draws.\n\n    python -m coincid.study.x [NAME ...]\n\nNeeds `make raytrace`. They make sense."
-    assert sorted(in_docstring(docstring)) == ["make raytrace", "python -m coincid.study.x [NAME ...]"]
+    assert sorted(in_docstring(docstring)) == [
+        "make raytrace",
+        "python -m coincid.study.x [NAME ...]",
+    ]
     message = "x is not installed; run: make raytrace (elsewhere: pip install 'coincid[x]'), or use coincid sim"
-    assert sorted(in_message(message)) == ["coincid sim", "make raytrace", "pip install 'coincid[x]'"]
+    assert sorted(in_message(message)) == [
+        "coincid sim",
+        "make raytrace",
+        "pip install 'coincid[x]'",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -222,7 +241,9 @@ def extra_of(block):
 
 
 def others_behind(modules):
-    """Return the packages of others that some modules import when they are imported, directly or through modules of ours."""
+    """Return the packages of others that some modules import when they are imported, directly or
+    through modules of ours.
+    """
     others, todo, done = set(), list(modules), set()
     while todo:
         name = todo.pop()
@@ -250,16 +271,22 @@ def packages_of(extra):
         wanted.add(key[0])
         for line in requires(one.name) or ():
             more = Requirement(line)
-            if more.marker is None or any(more.marker.evaluate({"extra": name}) for name in ("", *one.extras)):
+            if more.marker is None or any(
+                more.marker.evaluate({"extra": name}) for name in ("", *one.extras)
+            ):
                 todo.append(more)
     return wanted
 
 
 @pytest.mark.parametrize(("extra", "modules"), imported_under_extras().items())
 def test_an_extra_brings_what_its_block_imports(extra, modules):
-    """Otherwise a missing package would be told with the name of an extra that does not install it."""
+    """Otherwise a missing package would be told with the name of an extra that does not install
+    it.
+    """
     distributions = packages_distributions()
     brought = packages_of(extra)
     for module in others_behind(modules):
         names = {canonicalize_name(name) for name in distributions.get(module, ())}
-        assert not names or names & brought, f"{module} comes with {names}, not with coincid[{extra}]"
+        assert not names or names & brought, (
+            f"{module} comes with {names}, not with coincid[{extra}]"
+        )

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A new setting and a new format of events are one entry each: CONTRIBUTING.md's examples, put into a copy of the sources."""
+"""A new setting and a new format of events are one entry each: CONTRIBUTING.md's examples, put into
+a copy of the sources.
+"""
 
 import re
 import subprocess
@@ -88,17 +90,26 @@ assert "0 times (with offsets)" in header_table()
 @pytest.fixture(scope="module")
 def extended(tmp_path_factory):
     """Return a function that runs Python in a copy of the sources with the examples."""
-    folder, page = tmp_path_factory.mktemp("extended"), (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    folder, page = (
+        tmp_path_factory.mktemp("extended"),
+        (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"),
+    )
     environment = copy_of_sources(folder) | {"NUMBA_DISABLE_JIT": "1"}
-    examples = map(textwrap.dedent, re.findall(r"^ *```python\n(.*?)^ *```", page, re.DOTALL | re.MULTILINE))
+    examples = map(
+        textwrap.dedent, re.findall(r"^ *```python\n(.*?)^ *```", page, re.DOTALL | re.MULTILINE)
+    )
     for example, (file, before) in zip(examples, PLACES.items(), strict=True):
         text = (folder / file).read_text(encoding="utf-8")
         assert text.count(before) == 1
-        (folder / file).write_text(text.replace(before, textwrap.indent(example, "    ") + before), encoding="utf-8")
+        (folder / file).write_text(
+            text.replace(before, textwrap.indent(example, "    ") + before), encoding="utf-8"
+        )
 
     def run(*arguments):
         command = [sys.executable, *arguments]
-        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, encoding="utf-8")
+        done = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, encoding="utf-8"
+        )
         assert done.returncode == 0, done.stdout + done.stderr
 
     return run

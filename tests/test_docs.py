@@ -15,6 +15,7 @@ from typer.main import get_command
 from coincid.cli import app
 from coincid.model.contract import latency
 from coincid.model.contract.packet import FORMATS, HEADER, header_field
+from coincid.model.contract.preset_files import PRESETS
 from coincid.study.sweep import sweep
 from coincid.study.sweep_spec import read_spec
 from docs.studies.drawings import waveform as picture
@@ -51,12 +52,22 @@ def test_readme_snippet_runs():
 
 def blocks(page, language):
     """Return the fenced blocks of a page in a language; "": without one."""
-    return [block for name, block in BLOCK.findall(page.read_text(encoding="utf-8")) if name == language]
+    return [
+        block for name, block in BLOCK.findall(page.read_text(encoding="utf-8")) if name == language
+    ]
 
 
 def test_all_python_blocks_are_tested():
     """By this file, `test_extend.py` and `board/test_emulator.py`; a block on another page needs a test, too."""
-    tested = {"README.md", "light.md", "explorer.md", "experiments.md", "sweeps.md", "board.md", "extend.md"}
+    tested = {
+        "README.md",
+        "light.md",
+        "explorer.md",
+        "experiments.md",
+        "sweeps.md",
+        "board.md",
+        "extend.md",
+    }
     assert {page.name for page in PAGES if blocks(page, "python")} == tested
 
 
@@ -78,7 +89,12 @@ def test_a_study_is_one_file(tmp_path):
     (code,) = blocks(ROOT / "docs" / "experiments.md", "python")
     (tmp_path / "thresholds.py").write_text(code, encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "thresholds.py"], cwd=tmp_path, capture_output=True, text=True, check=True, encoding="utf-8"
+        [sys.executable, "thresholds.py"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+        encoding="utf-8",
     )
     table = ast.literal_eval(done.stdout)
     assert list(table) == ["klux", "threshold", "wrong_share", "events_per_s"]
@@ -102,7 +118,9 @@ def test_sweep_blocks_run(tmp_path, monkeypatch):
 def test_recording_example_runs(tmp_path, monkeypatch):
     """Run the commands of the page's example, one after the other."""
     monkeypatch.chdir(tmp_path)
-    (example,) = [block for block in blocks(ROOT / "docs" / "recordings.md", "") if block.startswith("printf")]
+    (example,) = [
+        block for block in blocks(ROOT / "docs" / "recordings.md", "") if block.startswith("printf")
+    ]
     first, *lines = example.splitlines()
     subprocess.run(["sh", "-c", first], check=True)
     for line in lines:
@@ -124,27 +142,71 @@ def test_commands_in_blocks_have_their_options(page):
 
 
 def test_latency_table():
-    table = {name: int(cycles) for name, cycles, *_ in rows(ROOT / "docs" / "architecture.md", "name")}
+    table = {
+        name: int(cycles) for name, cycles, *_ in rows(ROOT / "docs" / "architecture.md", "name")
+    }
     assert table == {name: value for name, value in vars(latency).items() if name.isupper()}
 
 
+def test_the_page_of_files_names_every_preset():
+    text = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
+    named = re.search(r"which\s+have a name instead of a path: (.*?)\.", text, re.DOTALL)[1]
+    assert set(re.findall("`(.+?)`", named)) == set(PRESETS)
+
+
+def test_places_of_behaviours_exist():
+    """Every class and function in the table *Where is it?* is defined in a file of its row."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    table = page.split("| behaviour |", 1)[1].split("\n\n", 1)[0]
+    for row in table.splitlines()[2:]:
+        quoted = re.findall("`(.+?)`", row.split("|", 2)[2])
+        files = [name for name in quoted if "/" in name]
+        source = "\n".join((ROOT / name).read_text(encoding="utf-8") for name in files)
+        for name in set(quoted) - set(files):
+            for part in name.split("."):
+                defined = rf"\b(?:class|def) {part}\b|^ *{part}\b.* = "
+                assert re.search(defined, source, re.MULTILINE), f"{name} is not in {files}"
+
+
 def test_waveform_picture_shows_the_stages():
-    """In the simulation behind the picture, each stage is where the page says, and so is the decoded word."""
+    """In the simulation behind the picture, each stage is where the page says, and so is the
+    decoded word.
+    """
     values = picture.one_period()
-    opens, closes = picture.EDGES[1][1], picture.EDGES[-1][1]  # cycles of the window with four photons
+    # cycles of the window with four photons
+    opens, closes = picture.EDGES[1][1], picture.EDGES[-1][1]
 
     def first(name, begin):
         return next(cycle for cycle, value in enumerate(values[name]) if cycle >= begin and value)
 
     assert first("spad", opens) == opens
     assert first("root", opens) == opens + 1
-    assert next(c for c, word in enumerate(picture.covered(values)) if c >= opens and word) == opens + 2
-    assert [bin(values["hits"][cycle]).count("1") for cycle in (opens + 4, opens + 5, opens + 6)] == [1, 3, 4]
+    assert (
+        next(c for c, word in enumerate(picture.covered(values)) if c >= opens and word)
+        == opens + 2
+    )
+    assert [
+        bin(values["hits"][cycle]).count("1") for cycle in (opens + 4, opens + 5, opens + 6)
+    ] == [1, 3, 4]
     assert first("closed", opens + 4) == closes + 7
     assert first("commit", 0) == closes + latency.COMMIT
-    sent = closes + latency.COMMIT + latency.STORE_TO_GRANT + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT
+    sent = (
+        closes
+        + latency.COMMIT
+        + latency.STORE_TO_GRANT
+        + latency.GRANT_TO_BEAT
+        + latency.BEAT_TO_PORT
+    )
     assert first("tvalid", opens) == sent
-    fields = dict(kind=FORMATS["id"].code, overrun=0, subgroup=0, pulse=0, count=4, winner=9, stamp=8 * 32 + 22)
+    fields = dict(
+        kind=FORMATS["id"].code,
+        overrun=0,
+        subgroup=0,
+        pulse=0,
+        count=4,
+        winner=9,
+        stamp=8 * 32 + 22,
+    )
     assert {name: header_field(values["tdata"][sent], name) for name in HEADER} == fields
     assert values["tdata"][sent + 1] == sum(1 << pixel for pixel, *_ in picture.EDGES[1:])
 
@@ -161,5 +223,7 @@ def test_named_files_and_commands_exist(page):
     for name in re.findall(r"`((?:model|hdl|tb|docs|scripts|tests)/[\w/.]*)`", text):
         assert (ROOT / name).exists(), name
     assert set(re.findall(r"`coincid (\w+)", text)) <= get_command(app).commands.keys()
-    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    targets = set(
+        re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    )
     assert set(re.findall(r"(?:^|`)make (\w+)", text, re.MULTILINE)) <= targets

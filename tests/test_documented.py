@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plays the commands of `commands.toml` as they are written, with further words that make them small.
+"""Plays the commands of `commands.toml` as they are written, with further words that make them
+small.
 
-The commands of a session run one after the other in a folder that holds the files they name. A target of the Makefile is
-played by the commands that `make -n` prints, except `scripts/setup`, which has run before. Sessions that take long have
-the marker `documented`: `make test PYTEST_ARGS="-m documented"` plays them.
+The commands of a session run one after the other in a folder that holds the files they name. A
+target of the Makefile is played by the commands that `make -n` prints, except `scripts/setup`,
+which has run before. Sessions that take long have the marker `documented`:
+`make test PYTEST_ARGS="-m documented"` plays them.
 """
 
 import json
@@ -38,9 +40,12 @@ SESSIONS = table()["session"]
 CONFIG = "[sensor]\nrows = 8\ncols = 8\n[frame]\nperiod = 60\npulses = 4\n"
 
 
-OUTSIDE_OF_MAKE = {"MAKEFLAGS": "", "MAKEOVERRIDES": ""}  # a make that runs these tests hands its options to no other
+# a make that runs these tests hands its options to no other
+OUTSIDE_OF_MAKE = {"MAKEFLAGS": "", "MAKEOVERRIDES": ""}
 
-QUESTION = "(set-logic QF_BV)\n(declare-const a (_ BitVec 2))\n(assert (distinct a a))\n(check-sat)\n"
+QUESTION = (
+    "(set-logic QF_BV)\n(declare-const a (_ BitVec 2))\n(assert (distinct a a))\n(check-sat)\n"
+)
 
 
 def picture(path, samples):
@@ -48,7 +53,9 @@ def picture(path, samples):
 
 
 def make_files(folder):
-    """Write the files that the commands name: a room, a configuration, edges, a recording, specifications of sweeps."""
+    """Write the files that the commands name: a room, a configuration, edges, a recording,
+    specifications of sweeps.
+    """
     import OpenEXR
 
     (folder / "my.toml").write_text(CONFIG, encoding="utf-8")
@@ -61,7 +68,9 @@ def make_files(folder):
     picture(folder / "colour.jpg", colours)
     picture(folder / "room.jpg", colours)
     header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {"Z": depth_mm.astype(np.float32) / 1000}).write(str(folder / "street.exr"))
+    OpenEXR.File(header, {"Z": depth_mm.astype(np.float32) / 1000}).write(
+        str(folder / "street.exr")
+    )
     timing = Timing.from_config(load_config(folder / "my.toml"))
     tick = np.array([100, 101, 102])
     pulse = np.array([0, 1, 3])
@@ -78,7 +87,9 @@ SMALL_VALUES = {"sensor.rows": [8, 8], "sensor.cols": [16, 16], "frame.pulses": 
 
 
 def small_sweep(path):
-    """Return the text of a sweep with the same keys, on a small sensor, with few pulses and two points."""
+    """Return the text of a sweep with the same keys, on a small sensor, with few pulses and two
+    points.
+    """
     spec = tomllib.loads(path.read_text(encoding="utf-8"))
     axes = spec.pop("axis")
     spec["sensor"] = spec.get("sensor", {}) | {"rows": 8, "cols": 8}
@@ -125,7 +136,9 @@ def folder(files, tmp_path, monkeypatch):
 
 
 def typed(step, place):
-    """Return the command lines of a step, with the words that make it small; of a target, those that it consists of."""
+    """Return the command lines of a step, with the words that make it small; of a target, those
+    that it consists of.
+    """
     line = step["command"]
     for before, after in step.get("instead", {}).items():
         assert before in line, (before, line)
@@ -140,12 +153,17 @@ def typed(step, place):
 
 
 def finished(line, folder, environment):
-    """Return exit code and output of a command line. `coincid` runs in this process unless it has an environment."""
+    """Return exit code and output of a command line. `coincid` runs in this process unless it has
+    an environment.
+    """
     program, _, words = line.partition(" ")
     program = program.removeprefix(".venv/bin/")
     if program == "coincid" and not environment:
         done = command(words)
-        assert done.exception is None or isinstance(done.exception, SystemExit), (line, done.exception)
+        assert done.exception is None or isinstance(done.exception, SystemExit), (
+            line,
+            done.exception,
+        )
         return done.exit_code, done.output
     done = subprocess.run(
         as_here(line),
@@ -215,17 +233,26 @@ def test_session(name, folder):
 
 
 def copied(folder):
-    """Copy the sources and the pages for programs that write pages; return the environment in which the copy is found."""
+    """Copy the sources and the pages for programs that write pages; return the environment in which
+    the copy is found.
+    """
     shutil.copytree(ROOT / "docs", folder / "docs")
     shutil.copytree(ROOT / "scripts", folder / "scripts")
-    for path in (*ROOT.glob("*.md"), *ROOT.glob("requirements*.lock"), ROOT / "CITATION.cff", ROOT / "Makefile"):
+    for path in (
+        *ROOT.glob("*.md"),
+        *ROOT.glob("requirements*.lock"),
+        ROOT / "CITATION.cff",
+        ROOT / "Makefile",
+    ):
         shutil.copy(path, folder)
     return copy_of_sources(folder) | {"COINCID_BUILD": str(build_root())}
 
 
 @contextmanager
 def served(line):
-    """Start a command that serves until it is interrupted; yield it and its first line with an address."""
+    """Start a command that serves until it is interrupted; yield it and its first line with an
+    address.
+    """
     words = shlex.split(as_here(line))
     environment = os.environ | {"BROWSER": "true"}  # a program that opens nothing
     process = subprocess.Popen(
@@ -301,6 +328,8 @@ def extras():
 
 @pytest.mark.parametrize("line", extras())
 def test_extras_have_their_packages(line):
-    """Everything of an extra that a message recommends is installed here, in a version that it accepts."""
+    """Everything of an extra that a message recommends is installed here, in a version that it
+    accepts.
+    """
     code, told = finished(f"{line} --dry-run --no-index --disable-pip-version-check", ROOT, {})
     assert code == 0 and "does not provide the extra" not in told, told

@@ -33,9 +33,15 @@ def test_every_example_is_listed():
 
 @pytest.mark.parametrize("example", list(examples()))
 def test_example_runs(example, tmp_path):
-    more = {"MPLBACKEND": "agg", "TMPDIR": str(tmp_path), "PYTHONWARNINGS": "ignore:FigureCanvasAgg"}
+    more = {
+        "MPLBACKEND": "agg",
+        "TMPDIR": str(tmp_path),
+        "PYTHONWARNINGS": "ignore:FigureCanvasAgg",
+    }
     script = tmp_path / example.name
     script.write_text(f"{example.read_text(encoding='utf-8')}{DRAWN}", encoding="utf-8")
     command, environment = [sys.executable, script], os.environ | more
-    done = subprocess.run(command, cwd=EXAMPLES, env=environment, capture_output=True, text=True, encoding="utf-8")
+    done = subprocess.run(
+        command, cwd=EXAMPLES, env=environment, capture_output=True, text=True, encoding="utf-8"
+    )
     assert done.returncode == 0 and done.stdout, done.stderr

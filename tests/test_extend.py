@@ -44,7 +44,11 @@ SMALL = {"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 100, "frames": 3,
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     """Return the page's code blocks, one after the other, as a module in a folder of its own."""
-    code = [block for language, block in BLOCK.findall(PAGE.read_text(encoding="utf-8")) if language == "python"]
+    code = [
+        block
+        for language, block in BLOCK.findall(PAGE.read_text(encoding="utf-8"))
+        if language == "python"
+    ]
     folder = tmp_path_factory.mktemp("own")
     (folder / "own_parts.py").write_text("\n\n".join(code), encoding="utf-8")
     sys.path.insert(0, str(folder))
@@ -103,10 +107,18 @@ def test_estimator_of_the_page_measures_the_wall(page):
     assert np.nanmedian(page.depth.depth_m) == pytest.approx(5, abs=0.03)
     run = page.run
     more = run.frame(0, page.Median()).depth(returns=3)
-    assert np.array_equal(more.depth_m[:, :, :1], page.depth.depth_m) and np.isnan(more.depth_m[:, :, 1:]).all()
-    with pytest.raises(coincid.InputError, match=r"method = 'mean': must be one of maximum, .*, planes, median$"):
+    assert (
+        np.array_equal(more.depth_m[:, :, :1], page.depth.depth_m)
+        and np.isnan(more.depth_m[:, :, 1:]).all()
+    )
+    with pytest.raises(
+        coincid.InputError, match=r"method = 'mean': must be one of maximum, .*, planes, median$"
+    ):
         run.depth("mean")
-    with pytest.raises(coincid.InputError, match="source = 'subgroup': must be left out, because the estimator median"):
+    with pytest.raises(
+        coincid.InputError,
+        match="source = 'subgroup': must be left out, because the estimator median",
+    ):
         run.depth("median/subgroup")
 
 
@@ -145,7 +157,10 @@ def test_a_kept_point_is_not_taken_for_another_version(tmp_path):
         register_estimator(Far(version))
         (point,) = read_spec(tmp_path / "spec.toml").points
         setups = {"object": Setup.of("flat:5,0.4", **SMALL, estimators=(Far(version),))}
-        setups |= {"name": Setup.of("flat:5,0.4", **SMALL, estimators=("far",)), "sweep": point.setup}
+        setups |= {
+            "name": Setup.of("flat:5,0.4", **SMALL, estimators=("far",)),
+            "sweep": point.setup,
+        }
         for _ in range(2):
             with Processes(1) as workers:
                 campaign(setups, seen, workers, finished=finished)
@@ -157,7 +172,9 @@ def test_spad_of_the_page_recovers_slowly(page):
     often = Run(page.recovering.setup.but(spad=Ready(), klux=1000.0)).edges
     less = Run(page.recovering.setup.but(klux=1000.0)).edges
     assert len(edges) > 100 and 0.3 * len(often) < len(less) < 0.9 * len(often)
-    assert np.all(np.diff(edges.pulse) >= 0) and edges.tick.max() < page.recovering.config.period_ticks
+    assert (
+        np.all(np.diff(edges.pulse) >= 0) and edges.tick.max() < page.recovering.config.period_ticks
+    )
     assert page.recovering["wrong_share"] < 0.3
 
 
@@ -172,12 +189,16 @@ def test_a_spad_that_is_always_ready_gets_the_photons_of_the_built_in_one():
     ready = generate_edges(light, Spad(dead_time_s=0.0, jitter_fwhm_s=0.0), timing, **options)
     same = (own.pulse == ready.pulse) & (own.pixel == ready.pixel) & (own.tick == ready.tick)
     assert len(own) == len(ready) > 500
-    assert same.mean() > 0.9  # a photon within a sixteenth of a tick of a tap's border may change its tick
+    assert (
+        same.mean() > 0.9
+    )  # a photon within a sixteenth of a tick of a tap's border may change its tick
     assert np.abs(own.tick - ready.tick)[own.pixel == ready.pixel].max() <= 1
 
 
 def touches(maps):
-    return (maps[:, :, 1:] & maps[:, :, :-1]).any(axis=(1, 2)) | (maps[:, 1:] & maps[:, :-1]).any(axis=(1, 2))
+    return (maps[:, :, 1:] & maps[:, :, :-1]).any(axis=(1, 2)) | (maps[:, 1:] & maps[:, :-1]).any(
+        axis=(1, 2)
+    )
 
 
 def maps_of(result):
@@ -188,11 +209,17 @@ def maps_of(result):
 def test_rule_of_the_page_keeps_windows_with_neighbours_only(page):
     all_events = maps_of(Run(page.setup).result)
     events = maps_of(page.touching.result)
-    assert np.array_equal(events, all_events[touches(all_events)]) and 10 < len(events) < len(all_events)
+    assert np.array_equal(events, all_events[touches(all_events)]) and 10 < len(events) < len(
+        all_events
+    )
     counters = page.touching.traces[0].counters
     other = Run(page.setup).traces[0].counters
     count = dict(zip(COUNTER_NAMES, counters[0].tolist(), strict=True))
-    assert count["opened"] == count["committed"] + count["rejected"] == other[0, COUNTER_NAMES.index("opened")]
+    assert (
+        count["opened"]
+        == count["committed"] + count["rejected"]
+        == other[0, COUNTER_NAMES.index("opened")]
+    )
 
 
 def test_circuit_of_the_page_is_its_rule(page):
@@ -242,16 +269,22 @@ def test_a_threshold_means_to_light_what_the_rule_says(page):
     light = {"threshold": 2, "window_ticks": 40, "pulses": 100, "timing": Timing(period_cycles=40)}
     own = Sensor(rows=8, cols=8, rule=page.Neighbours())
     of_pairs, of_neighbours = (
-        histogram(2.0, 0.05, 1e6, form=FORMS[1], sensor=sensor, **light).sum() for sensor in (None, own)
+        histogram(2.0, 0.05, 1e6, form=FORMS[1], sensor=sensor, **light).sum()
+        for sensor in (None, own)
     )
     assert 0.05 * of_pairs < of_neighbours < 0.5 * of_pairs
-    with pytest.raises(coincid.InputError, match="knows only the paper's rule, not sensor.rule = 'neighbours'"):
+    with pytest.raises(
+        coincid.InputError, match="knows only the paper's rule, not sensor.rule = 'neighbours'"
+    ):
         histogram(2.0, 0.05, 1e6, form=FORMS[0], sensor=own, **light)
 
 
 def test_a_rule_without_a_circuit_is_refused_by_the_rtl():
     config = Setup.of("flat:5,0.4", **SMALL).config.with_rule(Counts())
-    with pytest.raises(coincid.InputError, match="sensor.rule = 'counts': has no circuit, so only the engine golden"):
+    with pytest.raises(
+        coincid.InputError,
+        match="sensor.rule = 'counts': has no circuit, so only the engine golden",
+    ):
         Counts().circuit(Signal(64), Signal(7), Signal(7), SHAPE)
     edges = Edges(*(np.zeros(0, np.int64) for _ in range(3)))
     for engine in ("sliced", "icarus"):
@@ -267,7 +300,8 @@ def test_view_of_the_page_has_its_own_front_end(page):
     config = Setup.of("flat:5,0.4", **SMALL).config
     edges = Edges(*(np.zeros(0, np.int64) for _ in range(3)))
     with pytest.raises(
-        coincid.InputError, match="engine of the view watched = 'sliced': must be one of verilator, icarus"
+        coincid.InputError,
+        match="engine of the view watched = 'sliced': must be one of verilator, icarus",
     ):
         replay("sliced", config, edges, view=page.Watched())
     taken = type("Taken", (Polyphase,), {})()

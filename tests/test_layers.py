@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The layers: permitted imports, and no cycle between files. All import lines are read, also lazy ones inside functions."""
+"""The layers: permitted imports, and no cycle between files. All import lines are read, also lazy
+ones inside functions.
+"""
 
 import ast
 import re
@@ -34,11 +36,18 @@ OPTIONAL = ("mitsuba", "mitransient", "drjit")  # of the extra `raytrace`
 
 @cache
 def rooms() -> dict[str, list[str]]:
-    """Return README's table: room -> the rooms from which its files may import, in addition to its own."""
+    """Return README's table: room -> the rooms from which its files may import, in addition to its
+    own.
+    """
     text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `([\w/]+)/` \|.*\|([^|]*)\|$", text, re.MULTILINE)
-    found = {room: re.findall(r"`([\w/]+)`", named) for room, named in rows if room not in NOT_ROOMS}
-    return {room.replace("/", "."): [name.replace("/", ".") for name in named] for room, named in found.items()}
+    found = {
+        room: re.findall(r"`([\w/]+)`", named) for room, named in rows if room not in NOT_ROOMS
+    }
+    return {
+        room.replace("/", "."): [name.replace("/", ".") for name in named]
+        for room, named in found.items()
+    }
 
 
 def package_of(room: str) -> str:
@@ -74,7 +83,9 @@ def imports() -> dict[str, set[str]]:
             if isinstance(node, ast.ImportFrom):
                 base = resolve_name("." * node.level + (node.module or ""), package)
                 inner = {alias.name: f"{base}.{alias.name}" for alias in node.names}
-                found[name] |= {inner[alias] if inner[alias] in files() else base for alias in inner}
+                found[name] |= {
+                    inner[alias] if inner[alias] in files() else base for alias in inner
+                }
             elif isinstance(node, ast.Import):
                 found[name] |= {alias.name for alias in node.names}
         found[name] = (found[name] & files().keys()) - {name}
@@ -93,7 +104,9 @@ def test_rooms_import_only_what_readme_names(room):
     members = {module: targets for module, targets in imports().items() if inside(module, room)}
     assert len(members) > 1
     for module, targets in members.items():
-        assert not [target for target in targets if not any(inside(target, other) for other in allowed)], module
+        assert not [
+            target for target in targets if not any(inside(target, other) for other in allowed)
+        ], module
 
 
 def test_every_file_is_in_a_room():
@@ -103,7 +116,11 @@ def test_every_file_is_in_a_room():
 
 def test_only_the_command_knows_the_board():
     """The board's room is an application: it uses the others, which neither import nor name it."""
-    knowing = {module for module, targets in imports().items() if any(inside(target, "board") for target in targets)}
+    knowing = {
+        module
+        for module, targets in imports().items()
+        if any(inside(target, "board") for target in targets)
+    }
     assert len(knowing) > 10
     assert not [module for module in knowing if not inside(module, "board")]
     others = {room.partition(".")[0] for room in rooms() if room not in ("board", STUDIES)}
@@ -119,7 +136,9 @@ def test_no_cycle_between_files():
 
 @pytest.mark.parametrize("room", NEVER)
 def test_rooms_do_not_load(room):
-    """Import a whole room in a fresh process: then everything that it needs is loaded, and nothing else."""
+    """Import a whole room in a fresh process: then everything that it needs is loaded, and nothing
+    else.
+    """
     program = f"""
 import importlib, sys
 for name in sys.argv[1:]:
@@ -131,16 +150,32 @@ print([name for name in {NEVER[room]!r} if name in sys.modules])
 """
     modules = [module for module in imports() if inside(module, room)]
     done = subprocess.run(
-        [sys.executable, "-c", program, *modules], capture_output=True, text=True, check=True, encoding="utf-8"
+        [sys.executable, "-c", program, *modules],
+        capture_output=True,
+        text=True,
+        check=True,
+        encoding="utf-8",
     )
     assert done.stdout.strip() == "[]"
 
 
 def test_kernels_take_in_only_what_renews_their_compiled_code():
-    """`compiled.py` names compiled code by a digest of the kernel's own room, the contract and `model.shared`."""
-    holders = {module for module, targets in imports().items() if "coincid.model.shared.compiled" in targets}
+    """`compiled.py` names compiled code by a digest of the kernel's own room, the contract and
+    `model.shared`.
+    """
+    holders = {
+        module
+        for module, targets in imports().items()
+        if "coincid.model.shared.compiled" in targets
+    }
     assert len(holders) > 5
     for module in holders:
-        renew = (module.removeprefix("coincid.").rpartition(".")[0], "model.contract", "model.shared")
+        renew = (
+            module.removeprefix("coincid.").rpartition(".")[0],
+            "model.contract",
+            "model.shared",
+        )
         targets = imports()[module] & holders
-        assert not [target for target in targets if not any(inside(target, room) for room in renew)], module
+        assert not [
+            target for target in targets if not any(inside(target, room) for room in renew)
+        ], module

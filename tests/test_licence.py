@@ -16,10 +16,18 @@ def test_every_source_file_names_the_licence():
     paths = (path for path in ROOT.rglob("*") if not OUTSIDE & set(path.relative_to(ROOT).parts))
     sources = [path for path in paths if path.suffix in SOURCES and path.is_file()]
     assert len(sources) > 100
-    assert [path.name for path in sources if SPDX not in path.read_text(encoding="utf-8").split("\n\n")[0]] == []
+    assert [
+        path.name
+        for path in sources
+        if SPDX not in path.read_text(encoding="utf-8").split("\n\n")[0]
+    ] == []
 
 
 def test_every_exported_source_file_names_the_licence():
     sources = [path for path in small_releases().rglob("*") if path.suffix in {".v", ".vh", ".h"}]
     assert len(sources) > 30
-    assert [path.name for path in sources if SPDX not in path.read_text(encoding="utf-8").partition("\n")[0]] == []
+    assert [
+        path.name
+        for path in sources
+        if SPDX not in path.read_text(encoding="utf-8").partition("\n")[0]
+    ] == []

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests say what they need beside `make test` in one way, and without it they are skipped with the command that installs it."""
+"""Tests say what they need beside `make test` in one way, and without it they are skipped with the
+command that installs it.
+"""
 
 import ast
 from pathlib import Path
@@ -32,7 +34,11 @@ def test_the_marker_is_the_only_way_to_skip():
         if path in BY_THE_MARKER:
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Attribute) and node.attr in OTHER_WAYS and _is_of_pytest(node.value):
+            if (
+                isinstance(node, ast.Attribute)
+                and node.attr in OTHER_WAYS
+                and _is_of_pytest(node.value)
+            ):
                 found.append(f"{path.relative_to(TESTS)}:{node.lineno}: {node.attr}")
     assert not found, f"use @pytest.mark.needs (tests/needs.py): {found}"
 
@@ -44,7 +50,9 @@ def _is_of_pytest(node: ast.expr) -> bool:
 
 @pytest.fixture
 def project(pytester, monkeypatch):
-    """A folder with two tests, of which one needs something that is not installed until `installed` is called."""
+    """A folder with two tests, of which one needs something that is not installed until `installed`
+    is called.
+    """
     lacking = needs.Need("a thing", "make a-thing", lambda: False)
     monkeypatch.setitem(needs.NEEDS, "thing", lacking)
     pytester.makeconftest("from tests.conftest import *")
@@ -58,7 +66,9 @@ def test_what_is_missing_is_said_and_played_later(project, monkeypatch):
     assert (len(passed), len(skipped), len(failed)) == (1, 1, 0)
     assert "make a-thing" in str(skipped[0].longrepr)
     monkeypatch.setitem(needs.NEEDS, "thing", needs.Need("a thing", "make a-thing", lambda: True))
-    passed, skipped, failed = project.inline_run("-p", "no:randomly", "--skipped-before").listoutcomes()
+    passed, skipped, failed = project.inline_run(
+        "-p", "no:randomly", "--skipped-before"
+    ).listoutcomes()
     assert [report.nodeid.partition("::")[2] for report in passed] == ["test_marked"]
     assert (skipped, failed) == ([], [])
 

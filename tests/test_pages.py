@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of the pages: regions and their programs, what makes them stale, what cheap programs write, and a release."""
+"""Numbers of the pages: regions and their programs, what makes them stale, what cheap programs
+write, and a release.
+"""
 
 import importlib.util
 import os
@@ -37,11 +39,18 @@ def copy_of_sources(folder):
     package.mkdir(parents=True)
     for path in (ROOT / PACKAGE).iterdir():
         if path.is_dir() and path.name != "__pycache__":
-            shutil.copytree(ROOT / path.name, folder / path.name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(
+                ROOT / path.name, folder / path.name, ignore=shutil.ignore_patterns("__pycache__")
+            )
             (package / path.name).symlink_to(folder / path.name)
         elif path.is_file():
             shutil.copy(path, package)
-    for path in (*ROOT.glob("requirements*.lock"), *ROOT.glob("*.md"), ROOT / "pyproject.toml", ROOT / "CITATION.cff"):
+    for path in (
+        *ROOT.glob("requirements*.lock"),
+        *ROOT.glob("*.md"),
+        ROOT / "pyproject.toml",
+        ROOT / "CITATION.cff",
+    ):
         shutil.copy(path, folder)
     shutil.copytree(ROOT / "docs", folder / "docs")
     return folder
@@ -57,7 +66,7 @@ def copied(tmp_path_factory):
 
 def pages_of(folder):
     """Return the pages of a copy; modules that did not change are not parsed again."""
-    return Pages(folder, PAGES.kept)
+    return Pages(folder, PAGES.cache)
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=lambda path: str(path.relative_to(ROOT)))
@@ -65,25 +74,39 @@ def test_every_marker_is_that_of_a_region_of_the_table(path):
     page, text = str(path.relative_to(ROOT)), path.read_text(encoding="utf-8")
     found = {region.name: region for region in regions(page, text)}
     assert len(re.findall(r"^<!-- (begin|end) ", text, re.MULTILINE)) == 2 * len(found)
-    listed = {name: program for program in PAGES.programs.values() for name in program.writes.get(page, ())}
+    listed = {
+        name: program
+        for program in PAGES.programs.values()
+        for name in program.writes.get(page, ())
+    }
     assert found.keys() == listed.keys()
-    assert {name: region.command for name, region in found.items()} == {n: p.command for n, p in listed.items()}
+    assert {name: region.command for name, region in found.items()} == {
+        n: p.command for n, p in listed.items()
+    }
 
 
 def test_every_picture_is_made_by_one_program_and_shown_in_its_regions():
     made = [picture for program in PAGES.programs.values() for picture in program.pictures]
     assert len(made) == len(set(made))
-    assert {Path(name).name for name in made} | BY_HAND == {path.name for path in (ROOT / "docs" / "images").iterdir()}
+    assert {Path(name).name for name in made} | BY_HAND == {
+        path.name for path in (ROOT / "docs" / "images").iterdir()
+    }
     shown = {}
     for path in TEXTS:
         page = str(path.relative_to(ROOT))
         outside = path.read_text(encoding="utf-8")
         for region in regions(page, outside):
             for name in re.findall(r"!\[[^\]]*\]\((?:docs/)?images/([^)]+)\)", region.text):
-                shown.setdefault(f"docs/images/{name}", set()).add(PAGES.writer(page, region.name).name)
+                shown.setdefault(f"docs/images/{name}", set()).add(
+                    PAGES.writer(page, region.name).name
+                )
             outside = outside.replace(region.text, "")
         assert {*re.findall(r"!\[[^\]]*\]\((?:docs/)?images/([^)]+)\)", outside)} <= BY_HAND, page
-    makers = {picture: {program.name} for program in PAGES.programs.values() for picture in program.pictures}
+    makers = {
+        picture: {program.name}
+        for program in PAGES.programs.values()
+        for picture in program.pictures
+    }
     assert shown == {name: maker for name, maker in makers.items() if not name.endswith(".csv")}
 
 
@@ -92,14 +115,18 @@ def test_programs_exist():
         module, _, function = program.run.partition(":")
         text = PAGES.sources.modules[module].read_text(encoding="utf-8")
         assert re.search(rf"^def {function}\(", text, re.MULTILINE), program.name
-        assert all((ROOT / name).exists() for name in (*program.data, *program.pictures)), program.name
+        assert all((ROOT / name).exists() for name in (*program.data, *program.pictures)), (
+            program.name
+        )
         assert program.cheap != bool(program.minutes), program.name
 
 
 def named(before, after):
     """Return the pages with a region whose program has another stamp."""
     changed = {
-        name for name in before.programs if before.stamp(before.programs[name]) != after.stamp(after.programs[name])
+        name
+        for name in before.programs
+        if before.stamp(before.programs[name]) != after.stamp(after.programs[name])
     }
     return {page for name in changed for page in before.programs[name].writes}
 
@@ -131,7 +158,12 @@ SHOW_DEPTH = {
 def test_a_change_of_a_depth_kernel_makes_the_pages_stale_that_show_depth(copied):
     assert named(PAGES, pages_of(copied)) == set()
     assert (
-        changed_to(copied, "model/depth/patchmatch.py", "import numpy as np", "import numpy as np\n\nOTHER = 1")
+        changed_to(
+            copied,
+            "model/depth/patchmatch.py",
+            "import numpy as np",
+            "import numpy as np\n\nOTHER = 1",
+        )
         == SHOW_DEPTH
     )
 
@@ -143,8 +175,13 @@ def test_comments_and_docstrings_make_nothing_stale(copied):
 
 def test_data_files_and_versions_count(copied):
     assert changed_to(copied, "tb/async_stress.v", "module", "module /* */") <= {"docs/async.md"}
-    assert changed_to(copied, "docs/studies/power_page.md", "Power", "power") == {"docs/power.md", "docs/silicon.md"}
-    assert "docs/raytrace.md" in changed_to(copied, "requirements-raytrace.lock", "mitsuba==", "mitsuba==1")
+    assert changed_to(copied, "docs/studies/power_page.md", "Power", "power") == {
+        "docs/power.md",
+        "docs/silicon.md",
+    }
+    assert "docs/raytrace.md" in changed_to(
+        copied, "requirements-raytrace.lock", "mitsuba==", "mitsuba==1"
+    )
     assert changed_to(copied, "requirements-layout.lock", "klayout==", "klayout==1") == {
         "docs/layout.md",
         "docs/silicon.md",
@@ -171,16 +208,28 @@ def test_a_program_that_reads_what_its_stamp_does_not_cover_is_found():
     program = PAGES.programs["ports"]
     undeclared = driver().undeclared
     assert (
-        undeclared(PAGES, program, ["flow/ports.py", "flow/__pycache__/ports.cpython-311.pyc", "docs/pages.toml"]) == []
+        undeclared(
+            PAGES,
+            program,
+            ["flow/ports.py", "flow/__pycache__/ports.cpython-311.pyc", "docs/pages.toml"],
+        )
+        == []
     )
     read = ["model/depth/planes.py", "flow/__pycache__/synth.cpython-311.pyc", "flow/coincid.sdc"]
-    assert undeclared(PAGES, program, read) == ["flow/coincid.sdc", "flow/synth.py", "model/depth/planes.py"]
+    assert undeclared(PAGES, program, read) == [
+        "flow/coincid.sdc",
+        "flow/synth.py",
+        "model/depth/planes.py",
+    ]
 
 
 def test_the_recorder_sees_reads_of_all_processes(tmp_path):
     code = "import subprocess, sys; from pathlib import Path; Path('pyproject.toml').read_bytes(); "
     code += "subprocess.run([sys.executable, '-c', 'import coincid.model.contract.latency'], check=True)"
-    environment = {"PYTHONPATH": str(ROOT / "docs" / "recorder"), "COINCID_READ": str(tmp_path / "read")}
+    environment = {
+        "PYTHONPATH": str(ROOT / "docs" / "recorder"),
+        "COINCID_READ": str(tmp_path / "read"),
+    }
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=os.environ | environment, check=True)
     read = (tmp_path / "read").read_text(encoding="utf-8")
     assert "pyproject.toml" in read.split() and "latency" in read
@@ -196,12 +245,19 @@ def test_cheap_programs_write_what_the_pages_show(name, tmp_path):
     code = f"if __name__ == '__main__': from {module} import {function}; {function}()"
     environment = os.environ | {writing.FOLDER: str(tmp_path)}
     command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, encoding="utf-8")
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, encoding="utf-8"
+    )
     assert done.returncode == 0, done.stderr
     for page, names in program.writes.items():
-        written = {region.name: region.text for region in regions(page, (tmp_path / page).read_text(encoding="utf-8"))}
+        written = {
+            region.name: region.text
+            for region in regions(page, (tmp_path / page).read_text(encoding="utf-8"))
+        }
         for region in names:
-            assert written[region] == PAGES.region(page, region).text, f"{page}: {region}: make pages NAMES={name}"
+            assert written[region] == PAGES.region(page, region).text, (
+                f"{page}: {region}: make pages NAMES={name}"
+            )
     for picture in program.pictures:
         if picture.endswith(".svg"):
             assert (tmp_path / picture).read_bytes() == (ROOT / picture).read_bytes(), picture

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The set-up: one version of each package, needs that have all that they ask for, and a sentence where nothing can be reached."""
+"""The set-up: one version of each package, needs that have all that they ask for, and a sentence
+where nothing can be reached.
+"""
 
 import os
 import re
@@ -18,7 +20,9 @@ from coincid.tools.locked import missing, uv_options
 
 ROOT = Path(__file__).parents[1]
 LOCKS = sorted(ROOT.glob("requirements*.lock"))
-EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+    "optional-dependencies"
+]
 MARKED = {"extra": ""}
 
 
@@ -75,14 +79,21 @@ def test_uv_looks_where_pip_looks(tmp_path):
         ":env:.extra-index-url='file:///not-there https://more.example'\n"
         "global.timeout='9'\n"
     )
-    wanted = ["--find-links", str(tmp_path), "--no-index", "--default-index", "https://mirror.example/simple"]
+    wanted = [
+        "--find-links",
+        str(tmp_path),
+        "--no-index",
+        "--default-index",
+        "https://mirror.example/simple",
+    ]
     assert uv_options(settings) == [*wanted, "--index", "https://more.example"]
 
 
 def test_missing_packages_are_found(tmp_path):
     lock = tmp_path / "some.lock"
     lock.write_text(
-        "# pytest==0\nnot-there==1.0\npytest==0.1\npackaging==" + version("packaging") + "\n", encoding="utf-8"
+        "# pytest==0\nnot-there==1.0\npytest==0.1\npackaging==" + version("packaging") + "\n",
+        encoding="utf-8",
     )
     assert missing([str(lock)]) == ["not-there==1.0", "pytest==0.1"]
 
@@ -95,7 +106,9 @@ def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):
     environment = os.environ | {"PIP_NO_INDEX": "1", "COINCID_PIP": f"{sys.executable} -m pip"}
     program = tmp_path / "venv" / "bin" / "python"
     command = [str(program), str(ROOT / "tools" / "locked.py"), str(lock)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, encoding="utf-8")
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, encoding="utf-8"
+    )
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("missing Python packages: not-there==1.0; ")
@@ -103,6 +116,8 @@ def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):
 
 
 def test_an_unknown_need_is_refused():
-    done = subprocess.run([ROOT / "scripts" / "setup", "nothing"], capture_output=True, text=True, encoding="utf-8")
+    done = subprocess.run(
+        [ROOT / "scripts" / "setup", "nothing"], capture_output=True, text=True, encoding="utf-8"
+    )
     assert done.returncode == 2
     assert "known: rtl, explore" in done.stderr

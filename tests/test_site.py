@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The documentation site: links and anchors lead somewhere, docstrings are well-formed, and pages are whole.
+"""The documentation site: links and anchors lead somewhere, docstrings are well-formed, and pages
+are whole.
 
 The examples do not run here (`test_examples.py` runs them). The search is tried in a browser.
 """
@@ -59,5 +60,7 @@ def test_a_bad_link_is_the_only_warning(tmp_path):
         prose = re.sub(r"<(pre|code|script)\b.*?</\1>", "", page, flags=re.DOTALL)
         assert "](" not in prose, f"{path}: has a link that is not one"
         pictures = re.findall(r"<img\b[^>]*>", prose)
-        assert all(re.search(r'alt="[^"]+"', picture) for picture in pictures), f"{path}: a picture says nothing"
+        assert all(re.search(r'alt="[^"]+"', picture) for picture in pictures), (
+            f"{path}: a picture says nothing"
+        )
     search_from_a_file(site)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The built wheel contains everything that the program reads, and runs where it is unpacked, away from the checkout."""
+"""The built wheel contains everything that the program reads, and runs where it is unpacked, away
+from the checkout.
+"""
 
 import os
 import shutil
@@ -28,7 +30,9 @@ assert all(path.exists() for path in view_at("async", 500).macros)
 def copy_of_the_project(source):
     """Copy what is built, so that the checkout stays unchanged."""
     for name in (*ROOMS, "src"):
-        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns(*CACHES))
+        shutil.copytree(
+            ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns(*CACHES)
+        )
     for name in ("pyproject.toml", "README.md", "LICENSE", "NOTICE"):
         shutil.copy(ROOT / name, source / name)
 
@@ -41,7 +45,11 @@ def wheel(tmp_path_factory):
     copy_of_the_project(source)
     words = "-m pip wheel . --no-deps --no-build-isolation --quiet -w"
     done = subprocess.run(
-        [sys.executable, *words.split(), folder], cwd=source, capture_output=True, text=True, encoding="utf-8"
+        [sys.executable, *words.split(), folder],
+        cwd=source,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
     )
     assert done.returncode == 0, done.stderr
     (built,) = folder.glob("*.whl")
@@ -64,7 +72,9 @@ def test_the_wheel_runs_by_itself(wheel, tmp_path):
     environment = os.environ | {"PYTHONPATH": str(site), "COINCID_BUILD": str(tmp_path / "build")}
     for words in (("-c", PRESETS_AND_SCENES.format(here=str(site))), ("-m", "coincid", "--help")):
         command = [sys.executable, *words]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, encoding="utf-8")
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, encoding="utf-8"
+        )
         assert done.returncode == 0, done.stderr
     assert "explore" in done.stdout
 
@@ -73,18 +83,29 @@ def test_a_script_beside_the_clone_finds_the_package(tmp_path):
     """The clone's folder has the package's name, and lies where the script does."""
     clone, python = tmp_path / "coincid", tmp_path / "env" / "bin" / "python"
     copy_of_the_project(clone)
-    subprocess.run([sys.executable, "-m", "venv", "--system-site-packages", tmp_path / "env"], check=True)
-    own = os.environ | {"PYTHONPATH": str(Path(attrs.__path__[0]).parent)}  # setuptools, for the build alone
+    subprocess.run(
+        [sys.executable, "-m", "venv", "--system-site-packages", tmp_path / "env"], check=True
+    )
+    # setuptools, for the build alone
+    own = os.environ | {"PYTHONPATH": str(Path(attrs.__path__[0]).parent)}
     words = "-m pip install --no-deps --no-build-isolation --quiet --editable"
     subprocess.run([python, *words.split(), clone], check=True, env=own)
     (tmp_path / "script.py").write_text(
         "import coincid; print(coincid.__file__, coincid.__version__)", encoding="utf-8"
     )
-    done = subprocess.run([python, "script.py"], cwd=tmp_path, capture_output=True, text=True, encoding="utf-8")
-    assert done.stdout.startswith(str(clone / "src" / "coincid" / "__init__.py")), done.stdout + done.stderr
+    done = subprocess.run(
+        [python, "script.py"], cwd=tmp_path, capture_output=True, text=True, encoding="utf-8"
+    )
+    assert done.stdout.startswith(str(clone / "src" / "coincid" / "__init__.py")), (
+        done.stdout + done.stderr
+    )
     for room in (*ROOMS, "docs", "tests"):
         alone = subprocess.run(
-            [python, "-c", f"import {room}"], cwd=tmp_path, capture_output=True, text=True, encoding="utf-8"
+            [python, "-c", f"import {room}"],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
         )
         assert "ModuleNotFoundError" in alone.stderr, f"`import {room}` works in anybody's project"
 
@@ -97,6 +118,10 @@ def test_a_clone_without_links_says_so(tmp_path):
         (package / room).unlink()
         (package / room).write_text(f"../../{room}", encoding="utf-8")
     done = subprocess.run(
-        [sys.executable, "-c", "import coincid"], cwd=tmp_path, capture_output=True, text=True, encoding="utf-8"
+        [sys.executable, "-c", "import coincid"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
     )
     assert "git config --global core.symlinks true" in done.stderr, done.stderr

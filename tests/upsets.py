@@ -70,7 +70,13 @@ MODULE = re.compile(r"^module (\\?\S+)\s*\(.*?^endmodule", re.MULTILINE | re.DOT
 
 def cases() -> dict[str, Config]:
     """Return the sensor's settings, by name: together they cover every kind of packet, gating, dither, the controller."""
-    frame = {"period": 24, "pulses": 4, "format": "full", "minigroup_records": True, "mg_threshold": 1}
+    frame = {
+        "period": 24,
+        "pulses": 4,
+        "format": "full",
+        "minigroup_records": True,
+        "mg_threshold": 1,
+    }
     return {
         "steps": configured(
             SMALL,
@@ -81,7 +87,13 @@ def cases() -> dict[str, Config]:
         "led": configured(
             SMALL,
             frame
-            | {"format": "id", "dither_bits": 3, "dither_seed": 9, "capacity": 20, "auto_bounds": [0, 1, 4, 6, 9, 12]},
+            | {
+                "format": "id",
+                "dither_bits": 3,
+                "dither_seed": 9,
+                "capacity": 20,
+                "auto_bounds": [0, 1, 4, 6, 9, 12],
+            },
             {"threshold": 2, "window": 6, "auto": True},
             {"subgroups": [2], "coincidence": False, "auto": False},
         ),
@@ -110,10 +122,16 @@ def registers_of(sources: Sequence[Path]) -> dict[str, int]:
     found, todo = {}, [("", TOP)]
     while todo:
         at, name = todo.pop()
-        found |= {f"{at}{register}": int(top or 0) + 1 for top, register in REGISTER.findall(modules[name])}
+        found |= {
+            f"{at}{register}": int(top or 0) + 1
+            for top, register in REGISTER.findall(modules[name])
+        }
         for top, memory, last in MEMORY.findall(modules[name]):
             found |= {f"{at}{memory}[{row}]": int(top) + 1 for row in range(int(last) + 1)}
-        todo += [(f"{at}{inner}.", of.strip().lstrip("\\")) for of, inner in INSTANCE.findall(modules[name])]
+        todo += [
+            (f"{at}{inner}.", of.strip().lstrip("\\"))
+            for of, inner in INSTANCE.findall(modules[name])
+        ]
     return dict(sorted(found.items()))
 
 
@@ -146,7 +164,10 @@ def flops(sensor: Sensor) -> tuple[list[Flop], Counter]:
                 found.append(Flop(register, bit, word))
     # A memory's read register has no name of its own in the Verilog.
     found += [
-        Flop(name, bit, words.pop(net)) for name, nets in names.items() for bit, net in enumerate(nets) if net in words
+        Flop(name, bit, words.pop(net))
+        for name, nets in names.items()
+        for bit, net in enumerate(nets)
+        if net in words
     ]
     assert not words
     return found, absent
@@ -189,7 +210,9 @@ class Campaign:
         self.config, self.sensor = config, config.sensor
         self.flops, self.absent = flops(self.sensor)
         self.edges = [trouble(config, seed + k, 9.0) for k in range(3)]
-        self.ready = [(np.random.default_rng(k).random(200) < 0.7).astype(np.uint8) for k in range(2)]
+        self.ready = [
+            (np.random.default_rng(k).random(200) < 0.7).astype(np.uint8) for k in range(2)
+        ]
         self.ready.append(np.zeros(0, np.uint8))
         self._lanes = Lanes(self.sensor, design(self.sensor))
         for edges, ready in zip(self.edges, self.ready, strict=True):
@@ -199,12 +222,16 @@ class Campaign:
         self.span = int(rows["cycles"][-1])
         self.expected = [self._lanes.shown(number) for number in rows["shown"][:3]]
         # Most trials show the same frames.
-        self._difference = cache(lambda shown, frame: self.difference(self._lanes.shown(shown), self.expected[frame]))
+        self._difference = cache(
+            lambda shown, frame: self.difference(self._lanes.shown(shown), self.expected[frame])
+        )
         golden = Golden(self.sensor)
         for edges, ready, shown in zip(
             self.edges, self.ready, self.expected, strict=True
         ):  # the sensor itself is right
-            for one, other in zip(shown.beats, golden.frame(config, edges, ready).beats, strict=True):
+            for one, other in zip(
+                shown.beats, golden.frame(config, edges, ready).beats, strict=True
+            ):
                 assert np.array_equal(one, other)
 
     def __enter__(self) -> "Campaign":
@@ -213,7 +240,9 @@ class Campaign:
     def __exit__(self, *_: object) -> None:
         self._lanes.__exit__()
 
-    def trials(self, instants: int = INSTANTS, seed: int = 0, only: str = "") -> list[tuple[Flop, int]]:
+    def trials(
+        self, instants: int = INSTANTS, seed: int = 0, only: str = ""
+    ) -> list[tuple[Flop, int]]:
         """Return flip-flops whose register's name contains `only`, each at some moments, as `run` takes them."""
         rng = random.Random(seed)
         targets = [flop for flop in self.flops if only in flop.register]
@@ -256,9 +285,16 @@ class Campaign:
             return "gates"
         wanted, wanted_cycles = expected.beats, expected.cycles
         if self.config.controlled.any():
-            used = [counters[:, USED] for counters in map(self._counters, shown.beats, range(self.sensor.streams))]
+            used = [
+                counters[:, USED]
+                for counters in map(self._counters, shown.beats, range(self.sensor.streams))
+            ]
             threshold = np.concatenate(used)
-            if len(threshold) != self.sensor.subgroups or threshold.min() < 1 or threshold.max() > THRESHOLD_MAX:
+            if (
+                len(threshold) != self.sensor.subgroups
+                or threshold.min() < 1
+                or threshold.max() > THRESHOLD_MAX
+            ):
                 return f"thresholds {threshold.tolist()}"
             led = evolve(self.config, threshold=threshold, auto=np.zeros_like(self.config.auto))
             trace = Golden(self.sensor).frame(led, self.edges[2], self.ready[2])
@@ -278,7 +314,9 @@ class Campaign:
     def _counters(self, beats: np.ndarray, stream: int) -> np.ndarray:
         """Return the counters of a frame, int64[subgroups of the stream, counters]; empty if there is no whole frame."""
         try:
-            return decode_frame(beats, self.sensor, len(self.sensor.stream_subgroups(stream))).counters
+            return decode_frame(
+                beats, self.sensor, len(self.sensor.stream_subgroups(stream))
+            ).counters
         except ValueError:
             return np.zeros((0, len(COUNTER_NAMES)), np.int64)
 
@@ -293,8 +331,12 @@ def without_number(beats: np.ndarray) -> np.ndarray:
 
 
 def main(arguments: list[str]) -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.upsets", description=__doc__.splitlines()[0])
-    parser.add_argument("--instants", type=int, default=INSTANTS, help="moments at which each flip-flop flips")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.upsets", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument(
+        "--instants", type=int, default=INSTANTS, help="moments at which each flip-flop flips"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="only flip-flops whose path contains this")
     parser.add_argument("--case", choices=cases(), help="only this setting of the sensor")
@@ -304,13 +346,17 @@ def main(arguments: list[str]) -> int:
         if options.case not in (None, name):
             continue
         with Campaign(config) as campaign:
-            absent = ", ".join(f"{bits} of {register}" for register, bits in campaign.absent.items())
+            absent = ", ".join(
+                f"{bits} of {register}" for register, bits in campaign.absent.items()
+            )
             print(
                 f"{name}: {len(campaign.flops)} flip-flops, {campaign.span} cycles; constant bits, without one: {absent}"
             )
             report = campaign.run(campaign.trials(options.instants, options.seed, options.only))
         unhealed = len(report.failures)
-        print(f"{name}: {report.trials} trials, {report.changed} seen in their frame, {unhealed} did not heal")
+        print(
+            f"{name}: {report.trials} trials, {report.changed} seen in their frame, {unhealed} did not heal"
+        )
         print(f"  writes that were upset on their way, with consequences: {len(report.misled)}")
         for outcome, count in sorted(report.outcomes.items()):
             print(f"  {outcome}: {count}")

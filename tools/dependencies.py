@@ -68,15 +68,15 @@ class Closure:
 
 
 class Sources:
-    """The sources of a checkout. root: the folder of pyproject.toml. kept: a file in which `keep` leaves what was read."""
+    """The sources of a checkout. root: the folder of pyproject.toml. cache: a file in which `keep` leaves what was read."""
 
-    def __init__(self, root: Path, kept: Path | None = None) -> None:
+    def __init__(self, root: Path, cache: Path | None = None) -> None:
         self.root = root
-        self._kept = kept
+        self._cache = cache
         self._facts: dict[str, Facts] = {}
         self._names: dict[str, str] = {}
         self._files: dict[str, set[Path]] = {}
-        self._before: dict[str, list[Any]] = _load(kept) if kept else {}
+        self._before: dict[str, list[Any]] = _load(cache) if cache else {}
 
     @cached_property
     def modules(self) -> dict[str, Path]:
@@ -183,9 +183,9 @@ class Sources:
         return Facts(frozenset(imports), frozenset(packages), frozenset(texts), code)
 
     def keep(self) -> None:
-        """Leave what was read in the file `kept`, so that the next process need not read it."""
-        if self._kept:
-            with whole_file(self._kept, "w") as file:
+        """Leave what was read in the file `cache`, so that the next process need not read it."""
+        if self._cache:
+            with whole_file(self._cache, "w") as file:
                 json.dump({name: self._before[name] for name in sorted(self._names.values())}, file)
 
     def _parsed(self, module: str, text: str) -> Facts:
@@ -251,10 +251,10 @@ class Sources:
 def _load(path: Path) -> dict[str, list[Any]]:
     """Return what an earlier process left; nothing if it is missing or damaged."""
     try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return kept if isinstance(kept, dict) else {}
+    return found if isinstance(found, dict) else {}
 
 
 @cache
@@ -300,7 +300,7 @@ def _texts(tree: ast.AST) -> Iterator[str]:
 def _code(text: str, tree: ast.AST) -> str:
     """Return the code of a module without its docstrings, whole lines of comments and empty lines."""
     lines = text.splitlines()
-    kept = [True] * len(lines)
+    stays = [True] * len(lines)
     inside_text = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant | ast.JoinedStr) and node.end_lineno and node.end_lineno > node.lineno:
@@ -312,10 +312,10 @@ def _code(text: str, tree: ast.AST) -> str:
                 and isinstance(first.value, ast.Constant)
                 and isinstance(first.value.value, str)
             ):
-                kept[first.lineno - 1 : first.end_lineno] = [False] * (
+                stays[first.lineno - 1 : first.end_lineno] = [False] * (
                     (first.end_lineno or first.lineno) - first.lineno + 1
                 )
     for number, line in enumerate(lines):
         if number not in inside_text and (not line.strip() or line.lstrip().startswith("#")):
-            kept[number] = False
-    return "\n".join(line for line, keep in zip(lines, kept, strict=True) if keep)
+            stays[number] = False
+    return "\n".join(line for line, keep in zip(lines, stays, strict=True) if keep)

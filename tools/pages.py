@@ -71,10 +71,10 @@ class Program:
 
 @frozen(eq=False)
 class Pages:
-    """The pages of a checkout and their programs. root: the folder of pyproject.toml. kept: as of `Sources`."""
+    """The pages of a checkout and their programs. root: the folder of pyproject.toml. cache: as of `Sources`."""
 
     root: Path
-    kept: Path | None = None
+    cache: Path | None = None
     programs: dict[str, Program] = field(init=False)
     sources: Sources = field(init=False)
 
@@ -94,7 +94,7 @@ class Pages:
 
     @sources.default
     def _sources(self) -> Sources:
-        return Sources(self.root, self.kept)
+        return Sources(self.root, self.cache)
 
     def closure(self, program: Program) -> Closure:
         """Return what a program depends on, except for the data files that only the table names."""

@@ -32,34 +32,34 @@ class StreamSlice(Unit):
     def __init__(self):
         super().__init__(s_axis=In(STREAM), m_axis=Out(STREAM))
         self.valid = Signal()  # there is a beat at the output
-        self.kept = Signal()  # there is a beat in the second register
+        self.spare_valid = Signal()  # there is a beat in the second register
         self.spare = Signal(BEAT_BITS, reset_less=True)  # the second register
 
     def elaborate(self, platform):
         m = Module()
         valid = self.valid
         spare = self.spare
-        kept = self.kept
+        spare_valid = self.spare_valid
         data = Signal(BEAT_BITS, reset_less=True)
         comes = Signal()
         waits = Signal()
         m.d.comb += [
-            self.s_axis.tready.eq(~kept),
+            self.s_axis.tready.eq(~spare_valid),
             self.m_axis.tdata.eq(data),
             self.m_axis.tvalid.eq(valid),
             self.m_axis.tlast.eq(0),
-            comes.eq(self.s_axis.tvalid & ~kept),
+            comes.eq(self.s_axis.tvalid & ~spare_valid),
             waits.eq(valid & ~self.m_axis.tready),
         ]
-        with m.If(~kept):
+        with m.If(~spare_valid):
             m.d.sync += spare.eq(self.s_axis.tdata)
         with m.If(waits):
-            m.d.sync += kept.eq(kept | comes)
+            m.d.sync += spare_valid.eq(spare_valid | comes)
         with m.Else():
             m.d.sync += [
-                valid.eq(kept | comes),
-                kept.eq(0),
-                data.eq(Mux(kept, spare, self.s_axis.tdata)),
+                valid.eq(spare_valid | comes),
+                spare_valid.eq(0),
+                data.eq(Mux(spare_valid, spare, self.s_axis.tdata)),
             ]
         return m
 

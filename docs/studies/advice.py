@@ -14,4 +14,8 @@ SCENE, KLUX = "five-objects", 50.0
 def make() -> None:
     """Write the answer into its page."""
     sentence = advise(Setup.of(SCENE, klux=KLUX), klux=KLUX).sentence
-    put("docs/advise.md", "answer", textwrap.fill(sentence, COLUMNS, initial_indent="> ", subsequent_indent="> "))
+    put(
+        "docs/advise.md",
+        "answer",
+        textwrap.fill(sentence, COLUMNS, initial_indent="> ", subsequent_indent="> "),
+    )

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures the cost of the parts that a sensor may leave out: area, power, and the wrong pixels in the scene of `make sim`."""
+"""Measures the cost of the parts that a sensor may leave out: area, power, and the wrong pixels in
+the scene of `make sim`.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -37,11 +39,16 @@ HEADS = "um2", "um2, asynchronous", "mW, dark", "mW, 50 klux", "mW between frame
 
 
 def choices() -> list[dict[str, Any]]:
-    """Return one row per choice: area and power of a subgroup, and the wrong pixels in the scene of `make sim`."""
+    """Return one row per choice: area and power of a subgroup, and the wrong pixels in the scene of
+    `make sim`.
+    """
     asynchronous, rows = VIEWS["async"].at(CLOCK_MHZ), []
     for name, parameters in CHOICES.items():
         sensor = Sensor(**parameters)
-        areas = [map_block(Subgroup(sensor, view), view).area_um2 / sensor.pixels for view in (POLYPHASE, asynchronous)]
+        areas = [
+            map_block(Subgroup(sensor, view), view).area_um2 / sensor.pixels
+            for view in (POLYPHASE, asynchronous)
+        ]
         (dark, lit), between = measure(lambda told: None, (DARK, MIDDLE), **parameters)
         rows.append(
             {
@@ -58,7 +65,9 @@ def choices() -> list[dict[str, Any]]:
 
 
 def wrong_share(sensor: Sensor) -> float:
-    """Return the share of wrong pixels in the better of the formats in groups, with the controller or else the best threshold."""
+    """Return the share of wrong pixels in the better of the formats in groups, with the controller
+    or else the best threshold.
+    """
     wrong = []
     for name in set(built_formats(sensor)) & {"compact", "compact-full"}:
         frame = {"format": name, "link_gbps": SCENE_GBPS, "frames": SETTLING + 1}
@@ -81,7 +90,15 @@ def text(rows: Sequence[dict[str, Any]]) -> str:
     for row in rows:
         name, um2, um2_async, dark, lit, between, wrong = row.values()
         cells.append(
-            (name, f"{um2:.1f}", f"{um2_async:.1f}", f"{dark:.2f}", f"{lit:.2f}", f"{between:.2f}", f"{wrong:.2f} %")
+            (
+                name,
+                f"{um2:.1f}",
+                f"{um2_async:.1f}",
+                f"{dark:.2f}",
+                f"{lit:.2f}",
+                f"{between:.2f}",
+                f"{wrong:.2f} %",
+            )
         )
     return text_table(("sensor", *HEADS), cells)
 

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compares this sensor with its rivals (`other_schemes.py`) on the same photons: their depth, and the bits that they send.
+"""Compares this sensor with its rivals (`other_schemes.py`) on the same photons: their depth, and
+the bits that they send.
 
-All schemes share the edges and the macro-pixels. Schemes with a window and a threshold use the same ones. Schemes that send
-words have the same FIFOs and stream. Schemes that keep a histogram per macro-pixel have the same memory (`MEMORY_BITS`), and
-those that compress a histogram per pixel send everything that they keep. The estimator is a matched filter on every pixel's
-histogram, or one that fits the compressed form. Schemes whose words fit the estimator of planes also use that one.
+All schemes share the edges and the macro-pixels. All schemes with a window and a threshold use the
+same window and the same threshold. Schemes that send words have the same FIFOs and stream. Schemes
+that store a histogram per macro-pixel have the same memory (`MEMORY_BITS`). Schemes that compress a
+histogram per pixel send everything that they store. The estimator is a matched filter on every
+pixel's histogram. Compressed histograms have an estimator of their own. Schemes that send words
+which the estimator of planes can read use it, too.
 """
 
 import math
@@ -41,26 +44,37 @@ NEAR_BINS = 1  # bins on either side of a coarse peak that its centre is compute
 
 
 class Shot:
-    """Input of all schemes. run: all frames of this sensor; photons: those of the last frame, by macro-pixel."""
+    """Input of all schemes. run: all frames of this sensor; photons: those of the last frame, by
+    macro-pixel.
+    """
 
     def __init__(self, run: Run) -> None:
         self.run, self.config = run, run.config
-        self.photons = other_schemes.macro_pixels(run.frame_edges(-1), run.config.sensor, run.config.pulses)
+        self.photons = other_schemes.macro_pixels(
+            run.frame_edges(-1), run.config.sensor, run.config.pulses
+        )
         self.window, self.threshold = int(self.config.window[0]), int(self.config.threshold[0])
         self.sigma_ticks = pulse_sigma_ticks(self.config)
 
 
 class Found(NamedTuple):
-    """Result of a scheme. depth_m: float64[rows, cols, RETURNS], the most likely first. bits: sent off the chip per frame."""
+    """Result of a scheme. depth_m: float64[rows, cols, RETURNS], the most likely first. bits: sent
+    off the chip per frame.
+    """
 
     depth_m: np.ndarray
     bits: int
 
 
 def compared(
-    seen: Scene | Light, threshold: int = THRESHOLD, frame: dict[str, Any] | None = None, **fields: Any
+    seen: Scene | Light,
+    threshold: int = THRESHOLD,
+    frame: dict[str, Any] | None = None,
+    **fields: Any,
 ) -> Setup:
-    """Return `FRAMES` frames on a sensor of the size of `seen`; otherwise the silicon preset. fields: of `Setup`."""
+    """Return the setup of `FRAMES` frames: the preset `silicon` with as many pixels as `seen`.
+    fields: of `Setup`.
+    """
     return Setup.of(
         sensor={"rows": seen.rows, "cols": seen.cols},
         frame={"pulses": PULSES, "frames": FRAMES} | (frame or {}),
@@ -70,7 +84,8 @@ def compared(
 
 
 def _winner_takes_all(shot: Shot) -> Found:
-    words = other_schemes.windows(shot.photons, 1, shot.config.sensor.phases)  # the paper's scheme 1
+    # the paper's scheme 1
+    words = other_schemes.windows(shot.photons, 1, shot.config.sensor.phases)
     return _by_words(shot, words, words.stamp + 0.5, "short")
 
 
@@ -82,7 +97,9 @@ def _sliding_window(shot: Shot) -> Found:
 def _photon_counts(shot: Shot) -> Found:
     clock = round(ADDER_S / shot.config.tick_s)
     return _by_memory(
-        shot, other_schemes.photon_counts(shot.photons, clock, -(-shot.config.period_ticks // clock)), clock
+        shot,
+        other_schemes.photon_counts(shot.photons, clock, -(-shot.config.period_ticks // clock)),
+        clock,
     )
 
 
@@ -93,8 +110,14 @@ def _time_stamps(shot: Shot, most: int) -> Found:
 
 
 def _zoomed(shot: Shot, bins: int) -> Found:
-    """Fill histograms in turn, each from a part of the pulses: first over the period, then around the highest bin."""
-    period, pulses, pixels = shot.config.period_ticks, shot.photons.pulses, shot.config.sensor.array_pixels
+    """Fill histograms in turn, each from a part of the pulses: first over the period, then around
+    the highest bin.
+    """
+    period, pulses, pixels = (
+        shot.config.period_ticks,
+        shot.photons.pulses,
+        shot.config.sensor.array_pixels,
+    )
     margin = math.ceil(PULSE_SIGMAS * shot.sigma_ticks)
     widths = [-(-period // bins)]
     while widths[-1] > FINE_SIGMAS * shot.sigma_ticks:
@@ -105,24 +128,36 @@ def _zoomed(shot: Shot, bins: int) -> Found:
         if number:
             start += counts.argmax(axis=1) * widths[number - 1] - margin
             start = np.clip(start, 0, period - bins * width)
-        counts = other_schemes.zoomed_counts(shot.photons, range(begin[number], begin[number + 1]), start, width, bins)
-    bits = bins * bits_for(pulses - begin[-2]) + _stamp_bits(shot)  # the last histogram, and its first tick
-    return _of_pixels(shot, start[:, None] + coarse_peaks(counts, widths[-1], shot.sigma_ticks), bits)
+        counts = other_schemes.zoomed_counts(
+            shot.photons, range(begin[number], begin[number + 1]), start, width, bins
+        )
+    # the last histogram, and its first tick
+    bits = bins * bits_for(pulses - begin[-2]) + _stamp_bits(shot)
+    return _of_pixels(
+        shot, start[:, None] + coarse_peaks(counts, widths[-1], shot.sigma_ticks), bits
+    )
 
 
 def _fourier(shot: Shot, codes: int) -> Found:
-    """Take the time at which a pulse with the same frequencies correlates best with the sums."""
+    """Return the time at which a pulse, coded at the same frequencies, correlates best with the
+    sums.
+    """
     period, photons = shot.config.period_ticks, shot.photons
     sums = other_schemes.fourier_sums(photons, codes, period)
     pulse = np.exp(-0.5 * (2 * np.pi / period * np.arange(sums.shape[1]) * shot.sigma_ticks) ** 2)
     ticks = np.full((len(sums), RETURNS), np.nan)
-    for part in (slice(first, first + photons.pixels) for first in range(0, len(sums), photons.pixels)):
+    for part in (
+        slice(first, first + photons.pixels) for first in range(0, len(sums), photons.pixels)
+    ):
         ticks[part, 0] = np.fft.irfft(sums[part] * pulse, period).argmax(axis=1) + 0.5
-    return _of_pixels(shot, ticks, codes * (1 + bits_for(other_schemes.CODE_MAX * photons.pulses)))  # with signs
+    # with signs
+    return _of_pixels(shot, ticks, codes * (1 + bits_for(other_schemes.CODE_MAX * photons.pulses)))
 
 
 def _equi_depth(shot: Shot, bins: int) -> Found:
-    """Take the most likely time of a pulse in uniform background, near one of the boundaries."""
+    """Return the most likely time of a pulse in uniform background. It is near one of the
+    boundaries.
+    """
     edges = other_schemes.equi_depth(shot.photons, bins, shot.config.period_ticks)
     background = np.maximum(np.diff(edges), 1) / shot.config.period_ticks
     best, ticks = np.full(len(edges), -np.inf), np.full((len(edges), RETURNS), np.nan)
@@ -155,7 +190,9 @@ SCHEMES: dict[str, Callable[[Shot], Found]] = {
     "this: fixed planes": lambda shot: _this(shot, {}, "planes"),
     "this: controller planes": lambda shot: _this(shot, {"auto": True}, "planes"),
     "this: fixed compact planes": lambda shot: _this(shot, {}, "planes", format="compact"),
-    "this: controller compact planes": lambda shot: _this(shot, {"auto": True}, "planes", format="compact"),
+    "this: controller compact planes": lambda shot: _this(
+        shot, {"auto": True}, "planes", format="compact"
+    ),
     **{f"zoomed: {bins} bins": partial(_zoomed, bins=bins) for bins in (16, 32, 64)},
     **{f"Fourier: {codes} codes": partial(_fourier, codes=codes) for codes in (8, 16, 32)},
     **{f"equi-depth: {bins} bins": partial(_equi_depth, bins=bins) for bins in (8, 16, 32)},
@@ -170,7 +207,9 @@ def schemes(run: Run, names: Sequence[str] = tuple(SCHEMES)) -> dict[str, Found]
 
 
 def _by_words(shot: Shot, words: other_schemes.Words, arrival: np.ndarray, form: str) -> Found:
-    """Return depth from the words that the stream carries. form: a format of this sensor with packets of the same length."""
+    """Return depth from the words that the stream carries. form: a format of this sensor with
+    packets of the same length.
+    """
     config, sensor = shot.config, shot.config.sensor
     beats = layout(sensor).length(FORMATS[form])
     sent = other_schemes.read_out(shot.photons, words, sensor, sensor.phases, config.period, beats)
@@ -182,12 +221,17 @@ def _by_stamps(shot: Shot, words: other_schemes.Words, arrival: np.ndarray, bits
     histograms = other_schemes.pixel_histograms(
         shot.photons, words, arrival, shot.config.sensor, shot.config.period_ticks
     )
-    peaks = [pixel_peaks(histogram, "matched", None, shot.sigma_ticks, RETURNS)[0] for histogram in histograms]
+    peaks = [
+        pixel_peaks(histogram, "matched", None, shot.sigma_ticks, RETURNS)[0]
+        for histogram in histograms
+    ]
     return Found(_pixel_metres(shot, np.concatenate(peaks)), bits)
 
 
 def _by_memory(shot: Shot, histogram: np.ndarray, width: int) -> Found:
-    """Return depth from one histogram per macro-pixel, in bins of `width` ticks. All pixels of a macro-pixel get the same depth."""
+    """Return depth from one histogram per macro-pixel, in bins of `width` ticks. All pixels of a
+    macro-pixel get the same depth.
+    """
     sensor = shot.config.sensor
     bits = histogram.shape[1] * (shot.photons.pulses * sensor.pixels).bit_length()
     if bits > MEMORY_BITS:
@@ -197,13 +241,18 @@ def _by_memory(shot: Shot, histogram: np.ndarray, width: int) -> Found:
 
 
 def coarse_peaks(histogram: np.ndarray, width: int, sigma_ticks: float) -> np.ndarray:
-    """float64[n, RETURNS]: peaks in ticks, from histograms int64[n, bins] with bins of `width` ticks.
+    """float64[n, RETURNS]: peaks in ticks, from histograms int64[n, bins] with bins of `width`
+    ticks.
 
-    Peaks are the highest bins above the median; the neighbours of a peak give its centre. Histograms with bins narrower than
-    the pulse are first filtered with the pulse. Returns are as far apart as those of a pixel (`peaks.py`).
+    Peaks are the highest bins above the median; the neighbours of a peak give its centre.
+    Histograms with bins narrower than the pulse are first filtered with the pulse. Returns are as
+    far apart as those of a pixel (`peaks.py`).
     """
     excess = histogram - np.median(histogram, axis=1, keepdims=True)
-    near, apart = (max(NEAR_BINS, math.ceil(sigmas * sigma_ticks / width)) for sigmas in (NEAR_SIGMAS, APART_SIGMAS))
+    near, apart = (
+        max(NEAR_BINS, math.ceil(sigmas * sigma_ticks / width))
+        for sigmas in (NEAR_SIGMAS, APART_SIGMAS)
+    )
     left = (
         np.apply_along_axis(np.convolve, 1, excess, _pulse_shape(sigma_ticks / width), "same")
         if sigma_ticks > width / 2
@@ -238,7 +287,9 @@ def _stamp_bits(shot: Shot) -> int:
 
 
 def _pixel_metres(shot: Shot, ticks: np.ndarray) -> np.ndarray:
-    """float64[rows, cols, RETURNS] from ticks of all pixels by subgroup, float64[pixels, RETURNS]."""
+    """float64[rows, cols, RETURNS] from ticks of all pixels by subgroup, float64[pixels,
+    RETURNS].
+    """
     sensor = shot.config.sensor
     image = pixel_image(ticks.reshape(sensor.subgroups, sensor.pixels, RETURNS), sensor)
     return image * shot.config.tick_s * SPEED_OF_LIGHT_M_S / 2

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sets the law of confidence (`model/depth/belief.py`) on random scenes, and tries it on others.
 
-`python -m docs.studies.confidence` prints the weights of the law, and writes tables for scenes that were not used to set
-them, and a picture, into docs/depth.md. It needs the extra `raytrace`. Half of the random scenes have one distance per
-pixel, like a depth file. In the other half a pixel sees many points, as it does behind a lens, so surfaces mix at their
-edges, and slanted surfaces widen the pulse.
+`python -m docs.studies.confidence` prints the weights of the law, and writes tables for scenes that
+were not used to set them, and a picture, into docs/depth.md. It needs the extra `raytrace`. Half of
+the random scenes have one distance per pixel, like a depth file. In the other half a pixel sees
+many points, as it does behind a lens, so surfaces mix at their edges, and slanted surfaces widen
+the pulse.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,7 +46,11 @@ BUILT_IN = (
 ANALYTIC_KLUX = 50.0
 # Runs that also set the law: scene, klux, frame, threshold.
 REAL: tuple[tuple[str, float, dict[str, float], int], ...] = (
-    *(("ray:five-objects", klux, {"link_gbps": link}, 2) for klux in (10.0, 50.0) for link in (0.0, 8.0)),
+    *(
+        ("ray:five-objects", klux, {"link_gbps": link}, 2)
+        for klux in (10.0, 50.0)
+        for link in (0.0, 8.0)
+    ),
     ("ray:five-objects", 50.0, {"pulses": 400}, 2),
     ("ray:glass", 50.0, {}, 2),
     ("tunnel", 100.0, {}, 2),
@@ -61,7 +66,8 @@ PICTURE = "docs/images/depth_confidence.png"
 
 
 class Seen(NamedTuple):
-    """The pixels of a run with depth and truth, by method. features: of the law, float64[n, features]. right: bool[n].
+    """The pixels of a run with depth and truth, by method. features: of the law, float64[n,
+    features]. right: bool[n].
 
     on_surface: bool[n], whether the depth is on any surface that the pixel sees.
     """
@@ -84,7 +90,10 @@ def random_setup(seed: int) -> Setup:
         inside = (y > top) & (y < top + high) & (x > left) & (x < left + wide)
         near_m, albedo = _surface(rng, x, y, rng.uniform(2.5, 6), slanted)
         inside &= near_m < distance_m
-        distance_m, reflectivity = np.where(inside, near_m, distance_m), np.where(inside, albedo, reflectivity)
+        distance_m, reflectivity = (
+            np.where(inside, near_m, distance_m),
+            np.where(inside, albedo, reflectivity),
+        )
     distance_m, reflectivity = (
         part.reshape(SIDE, points, SIDE, points).swapaxes(1, 2).reshape(SIDE, SIDE, points**2)
         for part in (distance_m * rng.choice([1.0, 1.5, 3.0]), reflectivity)
@@ -109,7 +118,9 @@ def random_setup(seed: int) -> Setup:
 def _surface(
     rng: np.random.Generator, x: np.ndarray, y: np.ndarray, distance_m: float, slanted: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return distance and reflectivity of a plane. It is slanted with the probability `slanted`, and sometimes has patches."""
+    """Return distance and reflectivity of a plane. It is slanted with the probability `slanted`,
+    and sometimes has patches.
+    """
     slopes = rng.normal(0, 1.5, 2) * (rng.random() < slanted)
     plane_m = np.maximum(distance_m + slopes[0] * (x - 0.5) + slopes[1] * (y - 0.5), 1.0)
     albedo = np.exp(rng.uniform(np.log(0.05), np.log(0.8)))
@@ -123,7 +134,9 @@ def truth_m(scene: Scene) -> np.ndarray:
     """float64[rows, cols]: the surface that most points of a pixel see, in metres; NaN = none."""
     if scene.distance_m.shape[2] == 1:
         return scene.truth_m
-    return dominant_surface_m(scene.distance_m.reshape(-1, scene.distance_m.shape[2])).reshape(scene.truth_m.shape)
+    return dominant_surface_m(scene.distance_m.reshape(-1, scene.distance_m.shape[2])).reshape(
+        scene.truth_m.shape
+    )
 
 
 def look(run: Run) -> Seen:
@@ -134,7 +147,14 @@ def look(run: Run) -> Seen:
     for method in METHODS:
         with Threads(1) as alone:
             found = find_returns(
-                run.result, run.config, method, "map", frame, returns=1, threads=alone, system_fwhm_s=SYSTEM_FWHM_S
+                run.result,
+                run.config,
+                method,
+                "map",
+                frame,
+                returns=1,
+                threads=alone,
+                system_fwhm_s=SYSTEM_FWHM_S,
             )
             signs = found.signs(run.config, alone)
         known = signs.known & ~np.isnan(right_m)
@@ -146,12 +166,16 @@ def look(run: Run) -> Seen:
 
 
 def law(seen: Sequence[Seen], method: str) -> np.ndarray:
-    """float64[features + 1]: the weights and the constant with the highest likelihood; every scene has the same weight."""
+    """float64[features + 1]: the weights and the constant with the highest likelihood; every scene
+    has the same weight.
+    """
     seen = [one for one in seen if len(one.right[method])]
     x = np.concatenate([one.features[method] for one in seen])
     x = np.column_stack([x, np.ones(len(x))])
     right = np.concatenate([one.right[method] for one in seen])
-    count = np.concatenate([np.full(len(one.right[method]), 1 / len(one.right[method])) for one in seen])
+    count = np.concatenate(
+        [np.full(len(one.right[method]), 1 / len(one.right[method])) for one in seen]
+    )
     scale = np.maximum(x.std(axis=0), 1e-9)
     scale[-1] = 1
     x, weights = x / scale, np.zeros(x.shape[1])
@@ -164,20 +188,28 @@ def law(seen: Sequence[Seen], method: str) -> np.ndarray:
 
 
 def rows(seen: Mapping[str, Sequence[Seen]]) -> Iterator[Sequence[str]]:
-    """Yield the rows of a table: for pixels with a confidence of 90 %, the share that is right, and their number."""
+    """Yield the rows of a table: for pixels with a confidence of 90 %, the share that is right, and
+    their number.
+    """
     for name, runs in seen.items():
         cells = []
         for method in METHODS:
-            sure = np.concatenate([chance_of_right(one.features[method], LAW[method]) for one in runs])
+            sure = np.concatenate(
+                [chance_of_right(one.features[method], LAW[method]) for one in runs]
+            )
             chosen = (sure >= NINETY[0]) & (sure < NINETY[1])
             right = np.concatenate([one.right[method] for one in runs])[chosen]
             enough = len(right) >= PIXELS_MIN
-            cells.append(f"{right.mean():.0%} of {len(right)}" if enough else f"({len(right)} pixels)")
+            cells.append(
+                f"{right.mean():.0%} of {len(right)}" if enough else f"({len(right)} pixels)"
+            )
         yield name, *cells
 
 
 def ray_rows(seen: Mapping[str, Sequence[Seen]]) -> Iterator[Sequence[str]]:
-    """Yield rows for `planes`: of the pixels with a confidence of 90 %, the shares right, and on any surface of the pixel."""
+    """Yield rows for `planes`: of the pixels with a confidence of 90 %, the shares right, and on
+    any surface of the pixel.
+    """
     method = "planes"
     for name, runs in seen.items():
         sure = np.concatenate([chance_of_right(one.features[method], LAW[method]) for one in runs])
@@ -194,12 +226,21 @@ def draw(seen: Sequence[Seen], path: Path) -> None:
         axis = figure.add_subplot()
         axis.plot([0, 100], [0, 100], color=GREY, linewidth=0.8)
         for method, mark in zip(METHODS, "sv^o", strict=True):
-            sure = np.concatenate([chance_of_right(one.features[method], LAW[method]) for one in seen])
+            sure = np.concatenate(
+                [chance_of_right(one.features[method], LAW[method]) for one in seen]
+            )
             right = np.concatenate([one.right[method] for one in seen])
             bins = [(sure >= low) & (sure < high) for low, high in pairwise(BINS)]
-            points = [(sure[one].mean(), right[one].mean()) for one in bins if one.sum() >= PIXELS_MIN]
+            points = [
+                (sure[one].mean(), right[one].mean()) for one in bins if one.sum() >= PIXELS_MIN
+            ]
             axis.plot(*(100 * np.array(points).T), f"-{mark}", label=method)
-        axis.set(xlabel="confidence in %", ylabel="pixels within 3.45 cm in %", xlim=(0, 101), ylim=(0, 101))
+        axis.set(
+            xlabel="confidence in %",
+            ylabel="pixels within 3.45 cm in %",
+            xlim=(0, 101),
+            ylim=(0, 101),
+        )
         axis.legend()
         save_figure(figure, path)
 
@@ -207,27 +248,43 @@ def draw(seen: Sequence[Seen], path: Path) -> None:
 def real_setups() -> list[Setup]:
     """Return the setups of `REAL`."""
     return [
-        Setup.of(scene, klux=klux, frame=frame, subgroup={"threshold": threshold}, seed=seed, estimators=())
+        Setup.of(
+            scene,
+            klux=klux,
+            frame=frame,
+            subgroup={"threshold": threshold},
+            seed=seed,
+            estimators=(),
+        )
         for scene, klux, frame, threshold in REAL
         for seed in REAL_SEEDS
     ]
 
 
 def tried() -> dict[str, list[Setup]]:
-    """Return setups that are not used to set the law, by their name in the table; their sensor is the default."""
+    """Return setups that are not used to set the law, by their name in the table; their sensor is
+    the default.
+    """
     scenes = analytic_scenes().values()
     return {
         "random, one distance per pixel": [random_setup(seed) for seed in TRIED if seed % 2 == 0],
         "random, mixed": [random_setup(seed) for seed in TRIED if seed % 2],
         "analytic": [Setup.of(scene, klux=ANALYTIC_KLUX, estimators=()) for scene in scenes],
-        **{f"{name}, {klux:g} klux": [Setup.of(name, klux=klux, estimators=())] for name, klux in BUILT_IN},
+        **{
+            f"{name}, {klux:g} klux": [Setup.of(name, klux=klux, estimators=())]
+            for name, klux in BUILT_IN
+        },
     }
 
 
 def ray_traced() -> dict[str, list[Setup]]:
-    """Return setups of ray-traced scenes, whose pixels see several surfaces, by their name in the table."""
+    """Return setups of ray-traced scenes, whose pixels see several surfaces, by their name in the
+    table.
+    """
     return {
-        f"ray:{name}": [Setup.of(f"ray:{name}", klux=RAY_KLUX, seed=seed, estimators=()) for seed in RAY_SEEDS]
+        f"ray:{name}": [
+            Setup.of(f"ray:{name}", klux=RAY_KLUX, seed=seed, estimators=()) for seed in RAY_SEEDS
+        ]
         for name in RAY_TRACED
     }
 
@@ -238,13 +295,20 @@ def make() -> None:
         looked = list(campaign({seed: random_setup(seed) for seed in SET}, look, run).values())
         looked += REAL_COUNT * list(campaign(dict(enumerate(real_setups())), look, run).values())
         unseen, rays = (
-            {name: list(campaign(dict(enumerate(group)), look, run).values()) for name, group in groups.items()}
+            {
+                name: list(campaign(dict(enumerate(group)), look, run).values())
+                for name, group in groups.items()
+            }
             for groups in (tried(), ray_traced())
         )
     for method in METHODS:
         print(f'    "{method}": ({", ".join(f"{weight:.3g}" for weight in law(looked, method))}),')
     everything = [one for group in unseen.values() for one in group]
-    put("docs/depth.md", "confidence", text_table(("scene", *METHODS), rows(unseen | {"all of them": everything})))
+    put(
+        "docs/depth.md",
+        "confidence",
+        text_table(("scene", *METHODS), rows(unseen | {"all of them": everything})),
+    )
     head = "ray-traced scene", "right", "on one of the pixel's surfaces"
     put("docs/depth.md", "confidence in rays", text_table(head, ray_rows(rays)))
     set_by = {"all scenes of the fit": looked}

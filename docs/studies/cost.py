@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures the cost of the paper's parameters: area, bits of an event and readout rate.
 
-The area is that of a subgroup per pixel, in NanGate 45 nm standard cells, without SPADs and wires. For another process, only
-ratios of areas are meaningful.
+The area is that of a subgroup per pixel, in NanGate 45 nm standard cells, without SPADs and wires.
+For another process, only ratios of areas are meaningful.
 """
 
 from itertools import cycle
@@ -22,8 +22,12 @@ from coincid.study.palette import BLUE, GREEN, INK, ORANGE, VIOLET
 from coincid.study.plot_style import legend_below, new_figure, save_figure, style
 from coincid.tools.pages import picture, put
 
-SWEEPS: dict[str, tuple[str, list[Any]]] = {  # parameter: its label, and the values besides the default
-    "subgroup": ("pixels of a subgroup (bits of threshold and count)", [(4, 4), (8, 4), (8, 8), (16, 16)]),
+# parameter: its label, and the values besides the default
+SWEEPS: dict[str, tuple[str, list[Any]]] = {
+    "subgroup": (
+        "pixels of a subgroup (bits of threshold and count)",
+        [(4, 4), (8, 4), (8, 8), (16, 16)],
+    ),
     "minigroup": ("pixels of a minigroup", [(1, 1), (2, 2), (4, 4)]),
     "phases": ("phases of a clock cycle", [8, 16, 32, 64]),
 }
@@ -37,12 +41,21 @@ def area_per_pixel_um2(sensor: Sensor) -> float:
 
 
 def point(sensor: Sensor) -> dict[str, float]:
-    """Return the costs of a sensor: area, and for each format the bits of an event and the million events per second of a stream."""
+    """Return the costs of a sensor: area, and for each format the bits of an event and the million
+    events per second of a stream.
+    """
     config = parse_config({"sensor": sensor_table(sensor)})
-    cycles = {name: layout(sensor).length(packet) for name, packet in FORMATS.items()}  # the coder takes as many
+    # the coder takes as many
+    cycles = {name: layout(sensor).length(packet) for name, packet in FORMATS.items()}
     return (
-        {"area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1), "threshold_bits": sensor.count_bits}
-        | {f"bits_{name}": round(BEAT_BITS * event_beats(config.with_frame(format=name))) for name in FORMATS}
+        {
+            "area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1),
+            "threshold_bits": sensor.count_bits,
+        }
+        | {
+            f"bits_{name}": round(BEAT_BITS * event_beats(config.with_frame(format=name)))
+            for name in FORMATS
+        }
         | {f"mevents_per_s_{name}": round(CLOCK_MHZ / n, 1) for name, n in cycles.items()}
     )
 
@@ -53,7 +66,9 @@ def sweep() -> list[dict[str, Any]]:
     for parameter, (_, values) in SWEEPS.items():
         for value in values:
             size = value[0] * value[1] if isinstance(value, tuple) else value
-            rows.append({"parameter": parameter, "value": size} | point(Sensor(**{parameter: value})))
+            rows.append(
+                {"parameter": parameter, "value": size} | point(Sensor(**{parameter: value}))
+            )
     return rows
 
 
@@ -68,7 +83,12 @@ def make() -> None:
 
 def _cells(row: dict[str, Any]) -> list[str]:
     """Return the cells of a row of `sweep`."""
-    numbers = f"{row['area_um2_per_pixel']:,.0f}", row["bits_id"], row["bits_full"], row["mevents_per_s_id"]
+    numbers = (
+        f"{row['area_um2_per_pixel']:,.0f}",
+        row["bits_id"],
+        row["bits_full"],
+        row["mevents_per_s_id"],
+    )
     return [row["parameter"], row["value"], *map(str, numbers)]
 
 
@@ -82,12 +102,24 @@ def _draw(rows: list[dict[str, Any]]) -> Figure:
             area, bits, rate = grid[:, column]
             area.plot(at, [row["area_um2_per_pixel"] / 1000 for row in points], "o-", color=INK)
             for name, colour in zip(FORMATS, cycle((GREEN, ORANGE, VIOLET, BLUE, INK))):
-                bits.plot(at, [row[f"bits_{name}"] for row in points], "o-", color=colour, label=f"format {name}")
+                bits.plot(
+                    at,
+                    [row[f"bits_{name}"] for row in points],
+                    "o-",
+                    color=colour,
+                    label=f"format {name}",
+                )
                 rate.plot(
-                    at, [row[f"mevents_per_s_{name}"] for row in points], "o-", color=colour, label=f"format {name}"
+                    at,
+                    [row[f"mevents_per_s_{name}"] for row in points],
+                    "o-",
+                    color=colour,
+                    label=f"format {name}",
                 )
             ticks = [
-                f"{row['value']} ({row['threshold_bits']})" if parameter == "subgroup" else str(row["value"])
+                f"{row['value']} ({row['threshold_bits']})"
+                if parameter == "subgroup"
+                else str(row["value"])
                 for row in points
             ]
             for axis in (area, bits, rate):

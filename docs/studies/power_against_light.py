@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures the power of a subgroup against the light on it, and what threshold, gate and a gated clock save.
+"""Measures the power of a subgroup against the light on it, and what threshold, gate and a gated
+clock save.
 
-A sensor of one subgroup in standard cells plays one short frame for each case; `flow/power.py` computes milliwatts from the
-frame. The scene is a target at the reference distance under ambient light, seen by the paper's SPADs.
+A sensor of one subgroup in standard cells plays one short frame for each case; `flow/power.py`
+computes milliwatts from the frame. The scene is a target at the reference distance under ambient
+light, seen by the paper's SPADs.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +17,7 @@ from attrs import field, frozen
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from coincid.flow.power import Power, clock_tree_mw, design, power, power_at_rest, simulate
+from coincid.flow.power import Power, clock_tree_mw, count_toggles, design, power, power_at_rest
 from coincid.flow.yosys import CLOCK_BUFFER, SINKS_MAX
 from coincid.lab.setup import Setup
 from coincid.model.golden.frame import Golden
@@ -31,9 +33,16 @@ SATURATION_KLUX = 1e5  # every SPAD fires again as soon as its dead time ends
 PICTURE, TEMPLATE = "power.png", "power_page.md"
 SIDE, PIXELS = 8, 64
 WIRE_FF = 0.34  # wire per input: the mean of the routed minigroup (docs/layout.md)
-KINDS = (("clock", "clock"), ("internal", "inside cells"), ("switching", "driven pins"), ("leakage", "leakage"))
-RATES_HZ, VIDEO_PULSES, PERIOD_US = (30, 100), 100, 0.5  # frames per second; pulses of a frame, and their period
-GATE = {"gating": True, "gate_start": 3, "gate_len": 25}  # 50 ns of 500 ns, around the light of the target
+KINDS = (
+    ("clock", "clock"),
+    ("internal", "inside cells"),
+    ("switching", "driven pins"),
+    ("leakage", "leakage"),
+)
+# frames per second; pulses of a frame, and their period
+RATES_HZ, VIDEO_PULSES, PERIOD_US = (30, 100), 100, 0.5
+# 50 ns of 500 ns, around the light of the target
+GATE = {"gating": True, "gate_start": 3, "gate_len": 25}
 
 
 @frozen
@@ -47,7 +56,13 @@ class Case:
 
 
 DARK, MIDDLE = Case("dark", None), Case("50 klux", 50.0)
-LIGHT = (DARK, Case("5 klux", 5.0), MIDDLE, Case("100 klux", 100.0), Case("saturation", SATURATION_KLUX))
+LIGHT = (
+    DARK,
+    Case("5 klux", 5.0),
+    MIDDLE,
+    Case("100 klux", 100.0),
+    Case("saturation", SATURATION_KLUX),
+)
 AT_KLUX = 100.0
 SETTINGS = (
     Case("coincidence off", AT_KLUX, {"coincidence": False}),
@@ -59,7 +74,8 @@ SETTINGS = (
     Case("saturation, gate of 50 ns", SATURATION_KLUX, GATE),
 )
 CASES = (*LIGHT, *SETTINGS)
-GROUPS = (  # (beginning of an instance's name, name in the table); the innermost matching instance decides
+# (beginning of an instance's name, name in the table); the innermost matching instance decides
+GROUPS = (
     ("minigroup", "minigroups (16)"),
     ("tree", "tree"),
     ("fifo", "FIFO"),
@@ -73,11 +89,17 @@ GROUPS = (  # (beginning of an instance's name, name in the table); the innermos
 
 
 def setup(case: Case, **sensor: Any) -> Setup:
-    """Return the setup of a short frame on a sensor with one subgroup, whose gate switches the SPADs off."""
+    """Return the setup of a short frame on a sensor with one subgroup, whose gate switches the
+    SPADs off.
+    """
     shape = SIDE, SIDE
     distance_m = np.full(shape, np.nan if case.klux is None else REFERENCE_DISTANCE_M)
     return Setup.of(
-        Scene(name=case.name, distance_m=distance_m, reflectivity=np.full(shape, REFERENCE_REFLECTIVITY)),
+        Scene(
+            name=case.name,
+            distance_m=distance_m,
+            reflectivity=np.full(shape, REFERENCE_REFLECTIVITY),
+        ),
         sensor={"rows": SIDE, "cols": SIDE} | sensor,
         frame={"pulses": PULSES} | dict(case.frame),
         subgroup=dict(case.subgroup),
@@ -89,8 +111,8 @@ def setup(case: Case, **sensor: Any) -> Setup:
 
 @frozen
 class Measured:
-    """Measurements of a case. edges_cps: per pixel. groups: power of the subgroup by the names of `GROUPS`. wired: its total with
-    wires, in mW. tree: that of a clock tree, in mW."""
+    """Measurements of a case. edges_cps: per pixel. groups: power of the subgroup by the names of
+    `GROUPS`. wired: its total with wires, in mW. tree: that of a clock tree, in mW."""
 
     case: Case
     edges_cps: float
@@ -105,11 +127,18 @@ class Measured:
 
 
 def group_of(block: str) -> str | None:
-    """Return the group of a block, from the names of its instances; None: the block is not in a subgroup."""
+    """Return the group of a block, from the names of its instances; None: the block is not in a
+    subgroup.
+    """
     instances = block.split(".")
     if not any(instance.startswith("subgroup") for instance in instances):
         return None
-    return next(name for instance in reversed(instances) for begin, name in GROUPS if instance.startswith(begin))
+    return next(
+        name
+        for instance in reversed(instances)
+        for begin, name in GROUPS
+        if instance.startswith(begin)
+    )
 
 
 def _grouped(blocks: dict[str, Power]) -> dict[str, Power]:
@@ -121,8 +150,12 @@ def _grouped(blocks: dict[str, Power]) -> dict[str, Power]:
     return groups
 
 
-def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor: Any) -> tuple[list[Measured], Power]:
-    """Return the power of the subgroup in each case, and between frames. sensor: parameters that differ from the preset."""
+def measure(
+    tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor: Any
+) -> tuple[list[Measured], Power]:
+    """Return the power of the subgroup in each case, and between frames. sensor: parameters that
+    differ from the preset.
+    """
     setups = [setup(case, **sensor) for case in cases]
     config = setups[0].config
     golden = Golden(config.sensor)  # one for all frames, because it numbers them
@@ -132,25 +165,28 @@ def measure(tell: Callable[[str], None], cases: Sequence[Case] = CASES, **sensor
         jobs.append(FrameJob(one.config, edges, golden.frame(one.config, edges)))
     whole = design(config.sensor)
     tell(f"simulating {len(jobs)} frames of {config.frame_cycles} cycles on the netlist")
-    toggles = simulate(config.sensor, jobs)
+    toggles = count_toggles(config.sensor, jobs)
     measured = []
-    for number, (case, job) in enumerate(zip(cases, jobs)):
+    for number, (case, job) in enumerate(zip(cases, jobs, strict=True)):
         cycles = job.config.frame_cycles
         seconds = cycles / (config.clock_mhz * 1e6)
         groups, wired = (
-            _grouped(power(whole, toggles, number, cycles, config.clock_mhz, wire_ff)) for wire_ff in (0.0, WIRE_FF)
+            _grouped(power(whole, toggles, number, cycles, config.clock_mhz, wire_ff))
+            for wire_ff in (0.0, WIRE_FF)
         )
         edges_cps = len(job.edges) / config.sensor.pixels / seconds
         assert job.expected is not None
         events_cps = len(job.expected.commit_subgroup) / seconds
         trees = clock_tree_mw(whole, toggles, number, cycles, config.clock_mhz, WIRE_FF)
         tree = sum(mw for block, mw in trees.items() if group_of(block))
-        measured.append(Measured(case, edges_cps, events_cps, groups, sum(wired.values(), Power()).total, tree))
+        measured.append(
+            Measured(case, edges_cps, events_cps, groups, sum(wired.values(), Power()).total, tree)
+        )
         tell(f"{case.name}: {measured[-1].total.total:.2f} mW")
     return measured, sum(_grouped(power_at_rest(whole, config.clock_mhz)).values(), Power())
 
 
-def write_page() -> None:
+def write_power_page() -> None:
     """Measure, and write docs/power.md and its picture."""
     measured, between = measure(partial(print, flush=True))
     save_figure(draw(measured), picture(f"docs/images/{PICTURE}"))
@@ -172,7 +208,9 @@ def page(measured: list[Measured], between: Power) -> str:
     blocks.append(["and a clock tree", *(f"{one.wired + one.tree:.2f}" for one in by_light)])
     blocks.append(["uW per pixel", *(f"{1000 * one.total.total / PIXELS:.0f}" for one in by_light)])
     blocks.append(["edges per pixel and us", *(f"{one.edges_cps / 1e6:.2f}" for one in by_light)])
-    kinds = [[label, *(f"{getattr(one.total, name):.2f}" for one in by_light)] for name, label in KINDS]
+    kinds = [
+        [label, *(f"{getattr(one.total, name):.2f}" for one in by_light)] for name, label in KINDS
+    ]
     users = [["in a frame, mW", *(f"{one.total.total:.2f}" for one in by_light)]]
     users.append(["between frames, mW", *(f"{between.total:.2f}" for _ in by_light)])
     for rate_hz in RATES_HZ:
@@ -183,14 +221,31 @@ def page(measured: list[Measured], between: Power) -> str:
     users.append(["events per us", *(f"{one.events_cps / 1e6:.1f}" for one in by_light)])
     dark = by_light[0].total.total
     users.append(["nJ per event, all power", *(_nj(one, one.total.total) for one in by_light)])
-    users.append(["nJ per event, more than in the dark", *(_nj(one, one.total.total - dark) for one in by_light)])
-    energies = [[name, *(_nj(one, one.groups[name].total) for one in by_light[1:])] for _, name in GROUPS]
+    users.append(
+        [
+            "nJ per event, more than in the dark",
+            *(_nj(one, one.total.total - dark) for one in by_light),
+        ]
+    )
+    energies = [
+        [name, *(_nj(one, one.groups[name].total) for one in by_light[1:])] for _, name in GROUPS
+    ]
     settings = []
     for one in others:
         base = brightest if one.case.klux == SATURATION_KLUX else reference
         saved = base.total.total - one.total.total
-        settings.append([one.case.name, f"{one.total.total:.2f}", f"{saved:+.2f}", f"{saved / base.total.total:+.1%}"])
-    gates = [[name, f"{middle.groups[name].clock:.2f}", f"{middle.groups[name].idle:.2f}"] for _, name in GROUPS]
+        settings.append(
+            [
+                one.case.name,
+                f"{one.total.total:.2f}",
+                f"{saved:+.2f}",
+                f"{saved / base.total.total:+.1%}",
+            ]
+        )
+    gates = [
+        [name, f"{middle.groups[name].clock:.2f}", f"{middle.groups[name].idle:.2f}"]
+        for _, name in GROUPS
+    ]
     gates.append(["**subgroup**", f"**{middle.total.clock:.2f}**", f"**{middle.total.idle:.2f}**"])
     return (
         Path(__file__)
@@ -214,7 +269,9 @@ def page(measured: list[Measured], between: Power) -> str:
             blocks="\n".join(table(["block", *names], blocks)),
             kinds="\n".join(table(["kind", *names], kinds)),
             settings="\n".join(table(["setting", "mW", "saves mW", "share"], settings)),
-            gates="\n".join(table(["block", "clock, mW", "of it in cycles without a change, mW"], gates)),
+            gates="\n".join(
+                table(["block", "clock, mW", "of it in cycles without a change, mW"], gates)
+            ),
         )
     )
 
@@ -233,12 +290,15 @@ def draw(measured: list[Measured]) -> Figure:
         by_block, by_kind = figure.subplots(1, 2, sharey=True)
         stacks = (
             (by_block, {name: [one.groups[name].total for one in shown] for _, name in GROUPS}),
-            (by_kind, {label: [getattr(one.total, name) for one in shown] for name, label in KINDS}),
+            (
+                by_kind,
+                {label: [getattr(one.total, name) for one in shown] for name, label in KINDS},
+            ),
         )
         for axis, values in stacks:
             below = np.zeros(len(shown))
             colours = colormaps["viridis"](np.linspace(0.05, 0.95, len(values)))
-            for (label, heights), colour in zip(values.items(), colours):
+            for (label, heights), colour in zip(values.items(), colours, strict=True):
                 axis.bar(names, heights, bottom=below, label=label, color=colour, width=0.65)
                 below += heights
             axis.legend(loc="upper left", ncols=2, fontsize=7.5)
@@ -248,4 +308,4 @@ def draw(measured: list[Measured]) -> Figure:
 
 
 if __name__ == "__main__":
-    write_page()
+    write_power_page()

@@ -10,4 +10,8 @@ ROUNDS = 3
 
 def make() -> None:
     """Measure, and write the table into its page."""
-    put("docs/performance.md", "bench", table(benchmark(build_root() / "bench.json", repeats=ROUNDS)))
+    put(
+        "docs/performance.md",
+        "bench",
+        table(benchmark(build_root() / "bench.json", repeats=ROUNDS)),
+    )

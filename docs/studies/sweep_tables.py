@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes the tables that sweeps make into their pages, from the SPEC files in docs/.
 
-Only the measures of the table are computed. Finished points are kept in the build folder, so a run that was interrupted
-continues.
+Only the measures of the table are computed. Finished points are kept in the build folder, so a run
+that was interrupted continues.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,9 @@ def points(name: str, measures: Sequence[str]) -> tuple[Spec, dict[str, Row]]:
     finished.folder.mkdir(parents=True, exist_ok=True)
     with Processes(progress=counted) as run:
         setups = {key: point.setup for key, point in spec.keys.items()}
-        return spec, campaign(setups, partial(read_measures, names=measures), run, finished=finished)
+        return spec, campaign(
+            setups, partial(read_measures, names=measures), run, finished=finished
+        )
 
 
 def rows_of(name: str, *measures: str) -> list[Row]:
@@ -66,9 +68,15 @@ def compact() -> None:
         beats = []
         for threshold in (1, 2, 3):
             some = only(rows, subgroup__threshold=threshold, frame__format=form)
-            beats.append(f"{np.mean([(row['beats'] - FRAME_BEATS) / row['events'] for row in some]):.2f}")
+            beats.append(
+                f"{np.mean([(row['beats'] - FRAME_BEATS) / row['events'] for row in some]):.2f}"
+            )
         cells.append((f"`{form}`", *beats))
-    put("docs/compact.md", "beats", text_table(("form", "threshold 1", "threshold 2", "threshold 3"), cells))
+    put(
+        "docs/compact.md",
+        "beats",
+        text_table(("form", "threshold 1", "threshold 2", "threshold 3"), cells),
+    )
 
 
 def links() -> None:
@@ -93,8 +101,18 @@ def settling() -> None:
     cells = []
     for number in frames:
         some = [only(rows, frame__frames=number, klux=klux)[0] for klux in lights]
-        cells.append((number, *(f"{one['threshold_mean']:.2f} ({100 * one['stream_load']:.0f} %)" for one in some)))
-    dropped = [100 * only(rows, frame__frames=number, klux=100)[0]["dropped_share"] for number in frames]
+        cells.append(
+            (
+                number,
+                *(
+                    f"{one['threshold_mean']:.2f} ({100 * one['stream_load']:.0f} %)"
+                    for one in some
+                ),
+            )
+        )
+    dropped = [
+        100 * only(rows, frame__frames=number, klux=100)[0]["dropped_share"] for number in frames
+    ]
     told = f"At 100 klux the first frame drops {dropped[0]:.0f} % of its events, and later frames drop at most "
     told += f"{max(dropped[1:]):.1f} %."
     table = text_table(("frame", *lights.values()), cells, left=())
@@ -113,9 +131,15 @@ def gains() -> None:
             best = {}
             controlled = {}
             for scene, klux in scenes:
-                best[scene, klux] = min(row["wrong_share"] for row in only(constant, scene=scene, klux=klux))
-                controlled[scene, klux] = only(some, scene=scene, klux=klux, subgroup__auto=True)[0]["wrong_share"]
-            by_threshold = {t: mean(only(constant, subgroup__threshold=t), "wrong_share") for t in range(1, 8)}
+                best[scene, klux] = min(
+                    row["wrong_share"] for row in only(constant, scene=scene, klux=klux)
+                )
+                controlled[scene, klux] = only(some, scene=scene, klux=klux, subgroup__auto=True)[
+                    0
+                ]["wrong_share"]
+            by_threshold = {
+                t: mean(only(constant, subgroup__threshold=t), "wrong_share") for t in range(1, 8)
+            }
             one = min(by_threshold, key=lambda threshold: by_threshold[threshold])
             behind = max(scenes, key=lambda key: controlled[key] - best[key])
             lost = 100 * (controlled[behind] - best[behind])
@@ -132,7 +156,14 @@ def gains() -> None:
                     f"{lost:.1f} points ({where})",
                 )
             )
-    head = ["pixels", "link, Gbit/s", "estimator", "best of each scene", "controller", "one constant for all"]
+    head = [
+        "pixels",
+        "link, Gbit/s",
+        "estimator",
+        "best of each scene",
+        "controller",
+        "one constant for all",
+    ]
     table = text_table((*head, "controller behind the best, at most"), cells, left=(0, 2, 6))
     put("docs/controller.md", "gains", table)
 
@@ -150,8 +181,16 @@ def fifo() -> None:
     cells = []
     for klux in (5, 50, 100):
         for name, (threshold, auto, form) in settings.items():
-            some = only(rows, klux=klux, subgroup__threshold=threshold, subgroup__auto=auto, frame__format=form)
-            shares = [mean(only(some, sensor__fifo_depth=depth), "dropped_share") for depth in depths]
+            some = only(
+                rows,
+                klux=klux,
+                subgroup__threshold=threshold,
+                subgroup__auto=auto,
+                frame__format=form,
+            )
+            shares = [
+                mean(only(some, sensor__fifo_depth=depth), "dropped_share") for depth in depths
+            ]
             cells.append((klux, name, *(f"{100 * share:.2f} %" for share in shares)))
     head = ("klux", "setting", *(f"{depth} places" for depth in depths))
     put("docs/silicon.md", "fifo", text_table(head, cells, left=(1,)))
@@ -159,12 +198,16 @@ def fifo() -> None:
 
 def streams() -> None:
     """Write how many streams an array needs."""
-    rows = rows_of("streams", "beats", "events", "dropped", "dropped_share", "mg_records", "mg_dropped")
+    rows = rows_of(
+        "streams", "beats", "events", "dropped", "dropped_share", "mg_records", "mg_dropped"
+    )
     cells = []
     for side in ((32, 32), (64, 64), (128, 256)):
         for threshold in (2, 3):
             for form in FORMATS:
-                some = only(rows, sensor__rows=side[0], subgroup__threshold=threshold, frame__format=form)
+                some = only(
+                    rows, sensor__rows=side[0], subgroup__threshold=threshold, frame__format=form
+                )
                 plain = only(some, frame__minigroup_records=False)
                 recorded = only(some, frame__minigroup_records=True)
                 enough = next((row for row in plain if not row["dropped"]), plain[-1])
@@ -205,5 +248,17 @@ def mixed() -> None:
     cells = []
     for pulses in (100, 400):
         some = only(rows, frame__pulses=pulses)
-        cells.append((pulses, *(f"{100 * mean(some, name):.1f} %" for name in ("wrong_share", "off_surface_share"))))
-    put("docs/two-surfaces.md", "wrong", text_table(("pulses", "wrong", "on none of its surfaces"), cells, left=()))
+        cells.append(
+            (
+                pulses,
+                *(
+                    f"{100 * mean(some, name):.1f} %"
+                    for name in ("wrong_share", "off_surface_share")
+                ),
+            )
+        )
+    put(
+        "docs/two-surfaces.md",
+        "wrong",
+        text_table(("pulses", "wrong", "on none of its surfaces"), cells, left=()),
+    )

@@ -58,7 +58,7 @@ def scaled(sdf: str, factor: float) -> str:
     )
 
 
-def simulate(sensor: Sensor, unit: Unit, layout: Path, factor: float, view: View) -> tuple[int, int]:
+def play_with_delays(sensor: Sensor, unit: Unit, layout: Path, factor: float, view: View) -> tuple[int, int]:
     """Play random frames through a sensor with a routed block, whose delays are multiplied by `factor`.
 
     layout: the folder of the block's netlist and delays. Returns the number of checked words and commits, and the cycles.

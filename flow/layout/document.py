@@ -15,7 +15,7 @@ from ...model.shared.files import whole_file
 from ...tb.rtl_errors import Mismatch
 from ...tools.pages import picture, put, put_page
 from ..mapped import map_block, slacks_ns
-from .delays import INPUT_NS, simulate
+from .delays import INPUT_NS, play_with_delays
 from .flow import FINAL, lay_out
 
 PAGE = Path(__file__).with_name("page.md")
@@ -26,7 +26,7 @@ TOO_SLOW = 6.0  # factor on all delays; the sensor must fail with it
 Column = list[tuple[str, str]]  # name and value of every row
 
 
-def write_page(out: Path | None = None, tell: Callable[[str], None] = print) -> None:
+def write_layout_page(out: Path | None = None, tell: Callable[[str], None] = print) -> None:
     """Lay out both minigroups of the preset `silicon`.
 
     Write docs/layout.md and its pictures, or the page to the file `out` and pictures to the folder `images` beside it.
@@ -61,9 +61,9 @@ def write_page(out: Path | None = None, tell: Callable[[str], None] = print) -> 
 def played_with_delays(unit: Unit, view: View, folder: Path, tell: Callable[[str], None]) -> Column:
     """Simulate a layout with its delays, then with delays `TOO_SLOW` times as long, which must fail. Raises `Mismatch`."""
     tell(f"{unit.unit_name}: simulating the sensor with the routed minigroups and their delays")
-    checked, cycles = simulate(SMALL, unit, folder, 1.0, view)
+    checked, cycles = play_with_delays(SMALL, unit, folder, 1.0, view)
     try:
-        simulate(SMALL, unit, folder, TOO_SLOW, view)
+        play_with_delays(SMALL, unit, folder, TOO_SLOW, view)
     except Mismatch:
         return [("words and commits", str(checked)), ("cycles", str(cycles)), ("mismatches", "0")]
     raise Mismatch(f"the sensor passes with delays {TOO_SLOW:g} times as long, so the delays have no effect")

@@ -67,9 +67,9 @@ def lay_out(
 ) -> tuple[Path, dict[str, Any]]:
     """Return the layout of a flattened block without its macros: the folder of its files, and the facts of `finish`.
 
-    It is made once for each state of the Verilog. The nets of the block have one bit and plain names; constants come from
-    cells. Raises `InputError` if the tools are missing, and `ToolchainError` if no attempt succeeds, or the wires are not
-    those of the netlist.
+    A layout is made once for each version of the Verilog. The nets of the block have one bit and
+    plain names, and cells drive constants. Raises `InputError` if the tools are missing, and
+    `ToolchainError` if no attempt succeeds or the wires differ from the netlist.
     """
     cells = layout_cells()
     top = unit.unit_name

@@ -16,8 +16,9 @@ DITHER_BITS_MAX = 8
 def start_cycles(pulses: int, period_cycles: int, bits: int = 0, seed: int = 1) -> np.ndarray:
     """int64[pulses + 1]: cycle at which each period of a frame begins, starting at 0.
 
-    The last element is where one more period would begin. The wait after a period is the low `bits` of the LFSR at its
-    end. The LFSR starts each frame at `seed` and steps once per cycle of the periods, not while waiting.
+    The last element is the cycle in which one more period would begin. After each period, the low
+    `bits` of the LFSR are the number of cycles to wait. The LFSR starts each frame at `seed`. It
+    steps once in each cycle of a period, and not in a cycle of waiting.
     """
     waits = np.zeros(pulses, np.int64)
     if bits:

@@ -4,7 +4,7 @@
 It reports what is damaged.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -65,7 +65,7 @@ CHECK_TABLE = _check_table()
 
 
 @part(inlined=False)
-def check_of(beats):
+def check_of(beats: np.ndarray) -> np.uint64:
     """Return the check of a group, from all its beats; the check in its last beat counts as 0."""
     check = _CHECK_MASK
     for k in range(len(beats)):
@@ -106,7 +106,7 @@ def ungroup(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> Ungrouped:
 
 
 @njit
-def _spans(beats, at):
+def _spans(beats: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return first beat and end of every good group, int64[n, 2], and the damaged beats.
 
     Of two equal groups in a row, the second one is a copy. A gap in the numbers means that groups
@@ -167,7 +167,7 @@ def _spans(beats, at):
 
 
 @part(inlined=False)
-def _read(beats, bit, width):
+def _read(beats: np.ndarray, bit: int, width: int) -> Any:
     """Return `width` bits, at most 32, of the string of a group's payloads; behind it are zeros."""
     value = np.uint64(0)
     taken = 0
@@ -183,7 +183,7 @@ def _read(beats, bit, width):
 
 
 @njit
-def _events(beats, widths, minigroup, rows, n):
+def _events(beats: np.ndarray, widths: _Widths, minigroup: np.ndarray, rows: Ungrouped, n: int) -> int:
     """Decode the events of a group into the rows from `n` on, and return the next row."""
     end = len(beats) * groups.PAYLOAD_BITS - groups.CHECK_BITS
     number_bit = groups.HEAD.pulse + groups.HEAD.number
@@ -214,7 +214,7 @@ def _events(beats, widths, minigroup, rows, n):
 
 
 @part
-def _numbers(beats, bit, head, widths, pulse, row):
+def _numbers(beats: np.ndarray, bit: int, head: _Head, widths: _Widths, pulse: int, row: np.ndarray) -> tuple[int, int]:
     """Read the numbers of an event from `bit` on; return the bit behind the stamp, and the pulse.
 
     pulse: of the event before, which is also that of this one if no age is told.
@@ -236,7 +236,7 @@ def _numbers(beats, bit, head, widths, pulse, row):
 
 
 @part
-def _pixels(beats, bit, listed, widths, hit):
+def _pixels(beats: np.ndarray, bit: int, listed: int, widths: _Widths, hit: np.ndarray) -> int:
     """Read the pixels of an event, from its winner on, into `hit`; return the bit behind them."""
     hit[:] = False
     if listed == groups.MAPPED:
@@ -251,7 +251,7 @@ def _pixels(beats, bit, listed, widths, hit):
 
 
 @part
-def _note_hits(hit, minigroup, in_hit, words):
+def _note_hits(hit: np.ndarray, minigroup: np.ndarray, in_hit: np.ndarray, words: np.ndarray) -> int:
     """Write the map of an event and the minigroups that were hit; return the number of pixels."""
     number = 0
     in_hit[:] = False
@@ -264,7 +264,7 @@ def _note_hits(hit, minigroup, in_hit, words):
 
 
 @part(allocates=True)
-def _offsets(beats, bit, widths, in_hit, offsets):
+def _offsets(beats: np.ndarray, bit: int, widths: _Widths, in_hit: np.ndarray, offsets: np.ndarray) -> int:
     """Read the offsets of the minigroups that were hit; return the bit behind them.
 
     Their order is the lowest, the highest, and on to the middle.

@@ -110,12 +110,14 @@ def _ticks_of(
     nearby = none
     busy = none
     room = none
-    kept = np.ones(ticks)
+    stored_share = np.ones(ticks)
     if dropping:
         number = events.pulse[span] % pulses
-        kept, found = _while_dropping(number, stamp, armed, overrun, committed, pulses, config)
+        stored_share, found = _while_dropping(
+            number, stamp, armed, overrun, committed, pulses, config
+        )
         room = found.astype(np.float32)
-    dropped = 1 / kept
+    dropped = 1 / stored_share
     dropped *= committed / max(1.0, dropped[stamp].sum())  # windows per stored window
     if dropping:
         nearby = _share_between(np.maximum(0, stamp - reach), armed, dropped, pulses)
@@ -183,14 +185,14 @@ def _while_dropping(
     np.add.at(full, stamp_cycles[later], -1)
     whole_periods = (pulse[later] - pulse[later - 1]).sum()
     clear = 1 - (np.cumsum(full)[:cells] + whole_periods) / pulses
-    kept = np.clip(clear, 1 / pulses, 1)
+    stored_share = np.clip(clear, 1 / pulses, 1)
     found = np.zeros(cells)
     for _ in range(DROPPING_ROUNDS if len(later) else 0):
-        rate = np.bincount(stamp_cycles, minlength=cells) / kept
+        rate = np.bincount(stamp_cycles, minlength=cells) / stored_share
         rate *= committed / pulses / rate.sum()
         found = _room_found(begin[later - 1], end[later], rate)
-        kept = np.clip(clear + (1 - clear) * found, 1 / pulses, 1)
-    return np.repeat(kept, phases), np.repeat(found, phases)
+        stored_share = np.clip(clear + (1 - clear) * found, 1 / pulses, 1)
+    return np.repeat(stored_share, phases), np.repeat(found, phases)
 
 
 @njit

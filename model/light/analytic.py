@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Analytic model of detection in a subgroup: equations (3) to (18) of paper III-B, each in two forms of one signature.
+"""Analytic model of detection in a subgroup: equations (3) to (18) of paper III-B.
 
-"literal": as printed. "corrected": as we derive it for the behaviour of the sensor; each docstring says where the two
+Each equation has two forms, which take the same arguments. "literal" is the equation as printed.
+"corrected" is our own derivation for the behaviour of the sensor. Each docstring says where the two
 differ. Numbers and arrays broadcast. In the corrected form, "photons" are equivalent Poisson means: a pixel that detects
 at most once, with probability p, has -log(1 - p) photons.
 
@@ -42,8 +43,8 @@ PRINTED_TIME_UNIT_S = 1e-12
 _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
-class Photons(NamedTuple):
-    """Photons in the interval of interest per pixel, in the pixel's minigroup and in its subgroup (floats or arrays)."""
+class MeanPhotons(NamedTuple):
+    """Mean number of photons in the interval of interest per pixel, in the pixel's minigroup and in its subgroup (floats or arrays)."""
 
     pixel: Numbers
     minigroup: Numbers
@@ -79,8 +80,8 @@ def noise_photons(
 ) -> Numbers:
     """(3): noise photons of a pixel in the coincidence window of `window_s`.
 
-    Literal: the dead time of `threshold` pixels, spread over all pixels, shortens the window (a negative one is taken as
-    0). Corrected: dead times of distinct pixels do not shorten it.
+    Literal: the dead time of `threshold` pixels, spread over all pixels, shortens the window, but
+    not below 0. Corrected: the dead time of one pixel does not shorten the window of another.
     """
     if _literal(form):
         return effective_noise_cps * np.maximum(window_s - threshold * dead_time_s / pixels, 0)
@@ -119,7 +120,7 @@ def rest_probability(photons_rest: Numbers, threshold: Numbers, pixels_rest: int
     return stats.binom.pmf(threshold - 1, pixels_rest, _share(photons_rest, pixels_rest))
 
 
-def others_probability(photons: Photons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
+def others_probability(photons: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
     """(13): probability that the other pixels of the subgroup contribute the missing threshold - 1 detections.
 
     Literal: union of (10) and (12), assumed independent. Corrected: at least threshold - 1 of the others, in any split.
@@ -132,12 +133,12 @@ def others_probability(photons: Photons, threshold: Numbers, sizes: Sizes, form:
     return stats.binom.sf(threshold - 2, sizes.subgroup - 1, _share(photons.subgroup, sizes.subgroup))
 
 
-def coincidence_probability(photons: Photons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
+def coincidence_probability(photons: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
     """(8), (14): probability that a pixel detects and the threshold is met, of noise or of signal alone."""
     return pixel_probability(photons.pixel, form) * others_probability(photons, threshold, sizes, form)
 
 
-def signal_probability(noise: Photons, signal: Photons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
+def signal_probability(noise: MeanPhotons, signal: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
     """(15): probability that a pixel detects a signal photon in an event, in the presence of noise.
 
     Literal: no noise in the pixel, no noise event, a signal event. Corrected: the other pixels count whether they detect
@@ -148,22 +149,26 @@ def signal_probability(noise: Photons, signal: Photons, threshold: Numbers, size
             1 - coincidence_probability(noise, threshold, sizes, form)
         )
         return quiet * coincidence_probability(signal, threshold, sizes, form)
-    both = Photons(*(n + s for n, s in zip(noise, signal, strict=True)))
+    both = MeanPhotons(*(n + s for n, s in zip(noise, signal, strict=True)))
     return pixel_probability(signal.pixel, form) * others_probability(both, threshold, sizes, form)
 
 
 def windows_per_period(effective_noise_sg_cps: Numbers, period_s: float, busy_s: float, form: str) -> Numbers:
-    """Windows that noise opens in a laser period. (16a) assumes one. Corrected: each occupies the tree for `busy_s`."""
+    """Windows that noise opens in a laser period. Literal: one, as (16a) assumes. Corrected: each
+    window occupies the tree for `busy_s`.
+    """
     if _literal(form):
         return np.ones_like(np.asarray(effective_noise_sg_cps, float))
     return effective_noise_sg_cps * period_s / (1 + effective_noise_sg_cps * busy_s)
 
 
-def noise_counts(noise: Photons, threshold: Numbers, pulses: int, windows: Numbers, sizes: Sizes, form: str) -> Numbers:
+def noise_counts(
+    noise: MeanPhotons, threshold: Numbers, pulses: int, windows: Numbers, sizes: Sizes, form: str
+) -> Numbers:
     """(16a): noise counts of a pixel in a frame.
 
-    Literal: (8) times `pulses`. Corrected: `windows` of each period are opened by a photon, the pixel's own or
-    another's.
+    Literal: (8) times `pulses`. Corrected: a photon, of this or of another pixel, opens each of the
+    `windows` of a period.
     """
     if _literal(form):
         return coincidence_probability(noise, threshold, sizes, form) * pulses
@@ -174,7 +179,7 @@ def noise_counts(noise: Photons, threshold: Numbers, pulses: int, windows: Numbe
 
 
 def signal_counts(
-    noise: Photons, signal: Photons, threshold: Numbers, pulses: int, armed: Numbers, sizes: Sizes, form: str
+    noise: MeanPhotons, signal: MeanPhotons, threshold: Numbers, pulses: int, armed: Numbers, sizes: Sizes, form: str
 ) -> Numbers:
     """(16b): signal counts of a pixel in a frame: (15) times `pulses`. Corrected: times `armed`, P(the tree is armed)."""
     counts = signal_probability(noise, signal, threshold, sizes, form) * pulses
@@ -202,7 +207,10 @@ def signal_per_bin(
 
 
 def busy_s(window_ticks: int, rearm_cycles: int, timing: Timing) -> float:
-    """Mean time from the opening of a window, in a random phase, to the start of the cycle in which the tree is armed."""
+    """Mean time from the opening of a window to the cycle in which the tree is armed again.
+
+    A window opens in any phase of a cycle with equal probability.
+    """
     phase = np.arange(timing.phases)
     armed_ticks = armed_cycle(close_cycle(phase, window_ticks, timing.phases), rearm_cycles) * timing.phases
     return float(np.mean(armed_ticks - phase) * timing.tick_s)
@@ -255,9 +263,9 @@ def histogram(
 def success_probability(expected: np.ndarray, flight_s: float, timing: Timing) -> float:
     """Probability that the largest bin of a pixel's histogram lies within `SUCCESS_TOLERANCE_S` of the target.
 
-    expected: float64[ticks], mean counts, assumed to be independent and Poisson. The target is where the mean has its
-    maximum within a nanosecond of the time of flight: the lead of first photons is assumed to be calibrated. Ties count
-    half.
+    expected: float64[ticks], mean counts, assumed to be independent and Poisson. The target is at
+    the maximum of the mean within a nanosecond of the time of flight. So the lead of the first
+    photons is assumed to be calibrated. A tie counts half.
     """
     time_s = (np.arange(len(expected)) + 0.5) * timing.tick_s
     near = np.abs(time_s - flight_s) < 1e-9
@@ -287,15 +295,16 @@ def success_by_threshold(
 
 
 def expected_threshold(success: np.ndarray, slack: float = 0.01) -> int:
-    """The highest threshold whose success is within `slack` of the best: among equals, the one with the fewest events.
+    """The highest threshold whose success is within `slack` of the best.
 
-    Fig. 7 shows it against the activity. The paper does not say how it chooses; this rule is our choice.
+    Of equally good thresholds, the highest one sends the fewest events. Fig. 7 shows it against the
+    activity. The paper does not give its rule; this one is our choice.
     """
     return int(_tolerated(success, slack).max())
 
 
 def lowest_threshold(success: np.ndarray, slack: float = 0.01) -> int:
-    """The lowest threshold whose success is within `slack` of the best: the lowest that the light requires."""
+    """The lowest threshold whose success is within `slack` of the best."""
     return int(_tolerated(success, slack).min())
 
 
@@ -314,7 +323,7 @@ def _equivalent_mean(probability: Numbers) -> Numbers:
 
 
 def _share(photons: Numbers, pixels: int) -> Numbers:
-    """Probability that one of `pixels` equal pixels detects, if together they have `photons`."""
+    """Probability that one of `pixels` equal pixels detects; `photons` is the mean of all together."""
     return -np.expm1(-np.asarray(photons, float) / pixels)
 
 
@@ -348,11 +357,11 @@ def _literal_histogram(of: _Case) -> np.ndarray:
     return np.asarray(floor + peak)
 
 
-def _grouped(photons: Numbers, sensor: Sensor) -> Photons:
-    """(5), (6): a subgroup's pixels [pixels] with the sums over their minigroups and over the subgroup."""
+def _grouped(photons: Numbers, sensor: Sensor) -> MeanPhotons:
+    """(5), (6): the photons of each pixel of a subgroup, of its minigroup and of the subgroup."""
     minigroup = pixel_table(sensor).minigroup
     sums = np.bincount(minigroup, photons, sensor.minigroups)
-    return Photons(photons, sums[minigroup], float(np.sum(sums)))
+    return MeanPhotons(photons, sums[minigroup], float(np.sum(sums)))
 
 
 def _corrected_histogram(of: _Case) -> np.ndarray:

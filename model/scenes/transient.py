@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transients: the light that every pixel of a rendered scene sends back, sorted by time of flight.
+"""Transients: how the light that returns to each pixel of a rendered scene is spread over the time
+of flight.
 
 The unit is that of equation (1): a Lambertian surface of reflectivity r that fills the pixel at distance d sends back r /
 (pi d^2). So a transient is independent of laser, lens and detector, and the link budget turns it into photons.
@@ -27,7 +28,8 @@ _ARRAYS = ("first", "index", "strength_per_m2", "ambient", "surface_m", "lost_pe
 
 @frozen(kw_only=True, eq=False)
 class Transient:
-    """Transients of rows x cols pixels, sparse: those of pixel p are the bins first[p] to first[p + 1].
+    """Transients of rows x cols pixels. Only bins with light are stored: those of pixel p are
+    first[p] to first[p + 1].
 
     first: int64[pixels + 1]. index: int64[n], ascending in a pixel; bin i holds flights of [i, i + 1) x `BIN_S`, there
     and back. strength_per_m2: float64[n], returned light in the bin, in units of r / (pi d^2). ambient: float64[rows,
@@ -58,9 +60,9 @@ class Transient:
         return sums.reshape(self.surface_m.shape)
 
     def depth_m(self) -> np.ndarray:
-        """float64[rows, cols]: distance of each pixel's strongest return, from the mean flight around the brightest bin.
+        """float64[rows, cols]: distance of each pixel's strongest return.
 
-        NaN without any return.
+        It is the mean flight around the brightest bin, or NaN if no light returns.
         """
         near = round(SURFACE_GAP_M / (BIN_S * SPEED_OF_LIGHT_M_S / 2) / 2)
         depth_m = np.full(self.surface_m.size, np.nan)
@@ -97,7 +99,9 @@ class Transient:
 
 @cache
 def photons_per_strength(optics: Optics, laser: Laser) -> float:
-    """Return the detected photons per pixel and pulse if 1 / m2 returns: the budget at 1 m for r = 1, which returns 1 / pi.
+    """Return the detected photons per pixel and pulse for a returned light of 1 / m2.
+
+    The link budget at 1 m with r = 1 gives them, because such a surface returns 1 / pi.
 
     As everywhere in the project, a pixel has the light of one of `optics.pixels` pixels, whatever the size of the array.
     """

@@ -35,7 +35,8 @@ BAD_INPUT = 2
 DIFFERS = 1
 STALL_CYCLES_MAX = 1 << 24
 PULSES_MAX = 1 << 16
-ASYNC_PULSES, ASYNC_FRAMES = 4, 1  # for `sim --view async`; Icarus takes about three minutes for them
+# for `sim --view async`; Icarus takes about three minutes for them
+ASYNC_PULSES, ASYNC_FRAMES = 4, 1
 FRAMES_MAX = 1000  # for the controller
 REPEATS_MAX = 1000
 BAUD_MAX = 100_000_000
@@ -81,7 +82,9 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help=("Open, cycle-accurate model of a SPAD direct time-of-flight sensor with coincidence detection."),
+    help=(
+        "Open, cycle-accurate model of a SPAD direct time-of-flight sensor with coincidence detection."
+    ),
 )
 
 
@@ -101,7 +104,8 @@ def argument(help: str, metavar: str) -> Any:
 
 def command(function: Callable[..., None]) -> Callable[..., None]:
     """Make a function a command of its name. Its parameters are options and arguments, its docstring is the help."""
-    return app.command(help=escape(getdoc(function) or ""))(function)  # square brackets are no markup
+    # square brackets are no markup
+    return app.command(help=escape(getdoc(function) or ""))(function)
 
 
 def tabled(name: str, flag: str | None = None, default: str | None = None) -> Any:
@@ -131,8 +135,12 @@ ChangesOption = Annotated[
         "--set",
     ),
 ]
-ClockOption = Annotated[float | None, option("System clock; default: the configuration's (frame.clock_mhz).")]
-EdgesOutOption = Annotated[Path, option("Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.", "FILE")]
+ClockOption = Annotated[
+    float | None, option("System clock; default: the configuration's (frame.clock_mhz).")
+]
+EdgesOutOption = Annotated[
+    Path, option("Edges: .npz, .csv, .h5 or (up to 64 pixels) .ptu.", "FILE")
+]
 
 
 @command
@@ -146,7 +154,9 @@ def sim(
     background: BackgroundOption = "reflected",
     pulses: Annotated[
         int | None,
-        option("Laser pulses per frame; default: the configuration's. The controller's bounds change in proportion."),
+        option(
+            "Laser pulses per frame; default: the configuration's. The controller's bounds change in proportion."
+        ),
     ] = None,
     threshold: Annotated[
         int | None,
@@ -155,20 +165,28 @@ def sim(
             "default: the configuration's if it gives one, otherwise the best of 1 to 7."
         ),
     ] = None,
-    frames: Annotated[int | None, option("Frames of new photons in which the controller settles; default: 8.")] = None,
+    frames: Annotated[
+        int | None, option("Frames of new photons in which the controller settles; default: 8.")
+    ] = None,
     link_gbps: Annotated[
         float | None,
-        option("Rate of a stream's link in Gbit/s; 0: 64 bits per cycle; default: the configuration's, otherwise 8."),
+        option(
+            "Rate of a stream's link in Gbit/s; 0: 64 bits per cycle; default: the configuration's, otherwise 8."
+        ),
     ] = None,
     config: ConfigOption = None,
     changes: ChangesOption = None,
     seed: SeedOption = 1,
     engine: Annotated[
-        str | None, tabled("engine", default="sliced; with --waves verilator, with --view async icarus")
+        str | None,
+        tabled("engine", default="sliced; with --waves verilator, with --view async icarus"),
     ] = None,
     out: Annotated[Path, option("Folder of the results.", "DIR")] = Path("build/sim"),
     waves: Annotated[
-        bool, option("Also write a waveform (FST) and views of it for GTKWave and Surfer.", flag="--waves")
+        bool,
+        option(
+            "Also write a waveform (FST) and views of it for GTKWave and Surfer.", flag="--waves"
+        ),
     ] = False,
     clock_mhz: ClockOption = None,
     spad: SpadOption = None,
@@ -176,7 +194,7 @@ def sim(
     view: ViewOption = "polyphase",
 ) -> None:
     """Simulate frames of a scene and check every word against the golden model; write depth.png, events.npz and report.json."""
-    from coincid.study.simulate import simulate, with_link
+    from coincid.study.simulate import simulate_to_folder, with_link
     from coincid.tb.replay import DEFAULT_VIEW, chosen_view
 
     settings = _config(config, changes, clock_mhz)
@@ -189,7 +207,7 @@ def sim(
     settings = with_link(settings, link_gbps)
     engine = engine or ("verilator" if waves else "sliced")
     chosen_view(engine, view, settings.clock_mhz, waves)
-    simulate(
+    simulate_to_folder(
         _setup(
             settings,
             scene,
@@ -227,7 +245,9 @@ def advise(
     changes: ChangesOption = None,
     seed: SeedOption = 1,
     spad: SpadOption = None,
-    out: Annotated[Path, option("Folder of table, picture and advised settings.", "DIR")] = Path("build/advise"),
+    out: Annotated[Path, option("Folder of table, picture and advised settings.", "DIR")] = Path(
+        "build/advise"
+    ),
 ) -> None:
     """Try thresholds, windows, the controller, formats and links on a scene; recommend one combination and state its cost."""
     import numpy as np
@@ -251,7 +271,9 @@ def advise(
     )
     looked_at = setup.seen
     _folder(out)
-    mean_klux = float(np.mean(ambient_klux(setup.klux, looked_at.rows, looked_at.cols) * looked_at.sunlit))
+    mean_klux = float(
+        np.mean(ambient_klux(setup.klux, looked_at.rows, looked_at.cols) * looked_at.sunlit)
+    )
     with Bar(console, lines=True) as bar:
         advice = run(setup, klux=mean_klux, progress=bar.at)
         bar.stage("table and picture")
@@ -274,7 +296,9 @@ def advise(
 
 @command
 def show(
-    *, config: Annotated[str | None, argument(CONFIG_DOC, "CONFIG")] = None, changes: ChangesOption = None
+    *,
+    config: Annotated[str | None, argument(CONFIG_DOC, "CONFIG")] = None,
+    changes: ChangesOption = None,
 ) -> None:
     """Print what follows from a configuration: sizes, rates, distances, share of the link, area, power; and warn of waste."""
     from coincid.study.explain import meaning, warnings
@@ -289,11 +313,17 @@ def show(
 @command
 def explore(
     *,
-    port: Annotated[int | None, option("Port on this machine; default: 5006, or the next free one.")] = None,
+    port: Annotated[
+        int | None, option("Port on this machine; default: 5006, or the next free one.")
+    ] = None,
     no_browser: Annotated[bool, option("Only print the address.", flag="--no-browser")] = False,
     changes: Annotated[
         list[str] | None,
-        option("Initial value of a control, or a picture: depth_file, colour_file, sun_file.", "NAME=VALUE", "--set"),
+        option(
+            "Initial value of a control, or a picture: depth_file, colour_file, sun_file.",
+            "NAME=VALUE",
+            "--set",
+        ),
     ] = None,
 ) -> None:
     """Serve the explorer, which shows the effect of every setting in the browser. It serves this machine only and sends no requests."""
@@ -311,8 +341,12 @@ def replay(
     out: Annotated[Path, option("Result (NPZ).", "FILE")],
     config: ConfigOption = None,
     changes: ChangesOption = None,
-    engine: Annotated[str | None, tabled("engine", default="golden; with --view async icarus")] = None,
-    stall: Annotated[int, option("Keep tready low for the first N cycles of every frame.", "N")] = 0,
+    engine: Annotated[
+        str | None, tabled("engine", default="golden; with --view async icarus")
+    ] = None,
+    stall: Annotated[
+        int, option("Keep tready low for the first N cycles of every frame.", "N")
+    ] = 0,
     view: ViewOption = "polyphase",
     offset_seed: Annotated[
         int | None,
@@ -335,14 +369,23 @@ def replay(
     settings = _config(config, changes)
     chosen_view(engine, view, settings.clock_mhz)
     pulses = settings.frames * settings.pulses
-    loaded = load_edges(edges, pixels=settings.sensor.array_pixels, pulses=pulses, period_ticks=settings.period_ticks)
+    loaded = load_edges(
+        edges,
+        pixels=settings.sensor.array_pixels,
+        pulses=pulses,
+        period_ticks=settings.period_ticks,
+    )
     _file(out)
     if offset_seed is not None:
         with extra("rtl"):
             from coincid.tb.stimulus import off_centre
-        loaded = off_centre(settings, loaded, check_integer("offset_seed", offset_seed, 0, SEED_MAX))
+        loaded = off_centre(
+            settings, loaded, check_integer("offset_seed", offset_seed, 0, SEED_MAX)
+        )
 
-    with _progress(pulses * settings.period, f"{len(loaded)} edges, {settings.frames} frames, {engine}") as bar:
+    with _progress(
+        pulses * settings.period, f"{len(loaded)} edges, {settings.frames} frames, {engine}"
+    ) as bar:
         result = run(engine, settings, loaded, low(stall), bar.done, view=view)
     write_result(out, result)
     print(
@@ -354,7 +397,10 @@ def replay(
 @command
 def sweep(
     *,
-    spec: Annotated[Path, argument("TOML file: a configuration, its scene and light, and axes to sweep.", "SPEC")],
+    spec: Annotated[
+        Path,
+        argument("TOML file: a configuration, its scene and light, and axes to sweep.", "SPEC"),
+    ],
     out: Annotated[
         Path | None,
         option(
@@ -365,12 +411,19 @@ def sweep(
     ] = None,
     scheduler: Annotated[
         str | None,
-        option("Dask scheduler, such as tcp://HOST:8786; default: a cluster on this machine alone.", "ADDRESS"),
+        option(
+            "Dask scheduler, such as tcp://HOST:8786; default: a cluster on this machine alone.",
+            "ADDRESS",
+        ),
     ] = None,
-    workers: Annotated[int | None, option("Processes on this machine; default: one per core.")] = None,
+    workers: Annotated[
+        int | None, option("Processes on this machine; default: one per core.")
+    ] = None,
 ) -> None:
     """Run a grid of configurations, scenes and light on many processes or machines; the table has one row per point."""
-    workers = check_integer("workers", os.cpu_count() or 1 if workers is None else workers, 1, WORKERS_MAX)
+    workers = check_integer(
+        "workers", os.cpu_count() or 1 if workers is None else workers, 1, WORKERS_MAX
+    )
     out = out or Path("build") / f"{spec.stem}.parquet"
     if out.suffix != ".parquet":
         raise InputError(f"out = {str(out)!r}: must end with .parquet")
@@ -381,8 +434,12 @@ def sweep(
     with extra("sweep"):
         from coincid.study.sweep import sweep as run
     with _progress(len(grid.keys), spec.name) as bar:
-        summary = run(grid, out, workers=workers, scheduler=scheduler, title=spec.stem, progress=bar.done)
-    print(f"{out}: {summary.rows} of {len(grid.points)} points, {summary.finished_before} of them finished before")
+        summary = run(
+            grid, out, workers=workers, scheduler=scheduler, title=spec.stem, progress=bar.done
+        )
+    print(
+        f"{out}: {summary.rows} of {len(grid.points)} points, {summary.finished_before} of them finished before"
+    )
     _all_met(f"point {name}: {why}" for name, why in summary.failed.items())
 
 
@@ -429,12 +486,18 @@ def photons(
 @command
 def edges(
     *,
-    recording: Annotated[Path, argument("Photons: .ptu, .csv, .npz or .h5 (docs/recordings.md).", "RECORDING")],
+    recording: Annotated[
+        Path, argument("Photons: .ptu, .csv, .npz or .h5 (docs/recordings.md).", "RECORDING")
+    ],
     out: EdgesOutOption,
     config: ConfigOption = None,
     changes: ChangesOption = None,
     channels: Annotated[
-        str | None, option("CHANNEL:PIXEL,... or a CSV file with these columns; default: channel k is pixel k.", "MAP")
+        str | None,
+        option(
+            "CHANNEL:PIXEL,... or a CSV file with these columns; default: channel k is pixel k.",
+            "MAP",
+        ),
     ] = None,
     sync_channel: Annotated[
         int | None, option("Channel of the laser trigger, for recordings with absolute times.", "N")
@@ -447,7 +510,12 @@ def edges(
 ) -> None:
     """Convert recorded photons into edges, or edges into another format; count the photons that are out of range."""
     from coincid.model.light.timing import Timing
-    from coincid.model.recorded.exchange import check_suffix, parse_channels, read_recording, write_edges
+    from coincid.model.recorded.exchange import (
+        check_suffix,
+        parse_channels,
+        read_recording,
+        write_edges,
+    )
     from coincid.model.recorded.recordings import period_note, recorded_edges, told
 
     settings = _config(config, changes, clock_mhz)
@@ -463,7 +531,9 @@ def edges(
         raise error.within(recording) from None
     write_edges(out, converted, timing)
     print(f"{recording}: {recorded.kind}, {len(recorded.sync):,} photons")
-    for note in filter(None, (period_note(recorded, timing), f"left out: {told(lost)}" if lost else "")):
+    for note in filter(
+        None, (period_note(recorded, timing), f"left out: {told(lost)}" if lost else "")
+    ):
         print(note)
     print(f"{out}: {len(converted):,} edges")
 
@@ -471,7 +541,9 @@ def edges(
 @command
 def verilog(
     *,
-    out: Annotated[Path, option("Folder of the export; replaces an earlier one.", "DIR")] = Path("build/rtl"),
+    out: Annotated[Path, option("Folder of the export; replaces an earlier one.", "DIR")] = Path(
+        "build/rtl"
+    ),
     config: ConfigOption = None,
     changes: ChangesOption = None,
     view: ViewOption = "polyphase",
@@ -488,13 +560,14 @@ def verilog(
 def synth(
     *,
     out: Annotated[
-        Path | None, option("Markdown page with the cost of the presets; default: docs/synthesis.md.", "FILE")
+        Path | None,
+        option("Markdown page with the cost of the presets; default: docs/synthesis.md.", "FILE"),
     ] = None,
 ) -> None:
-    """Synthesize both presets to gates, standard cells and ECP5, and write the table of their cost."""
+    """Synthesize the presets silicon and fpga to gates, standard cells and ECP5, and write the table of their cost."""
     with extra("rtl"):
-        from coincid.flow.synth import write_page
-    write_page(out and _file(out))
+        from coincid.flow.synth import write_synthesis_page
+    write_synthesis_page(out and _file(out))
     print(out or "docs/synthesis.md")
 
 
@@ -511,16 +584,19 @@ def gls() -> None:
 def layout(
     *,
     out: Annotated[
-        Path | None, option("Markdown page; the pictures go to images/ beside it; default: docs/layout.md.", "FILE")
+        Path | None,
+        option(
+            "Markdown page; the pictures go to images/ beside it; default: docs/layout.md.", "FILE"
+        ),
     ] = None,
 ) -> None:
     """Lay out a minigroup in standard cells: place, route, check, time with its wires, and simulate with their delays."""
     with extra("rtl"):
         from coincid.flow.layout.tools import layout_cells
     layout_cells()
-    from coincid.flow.layout.document import write_page
+    from coincid.flow.layout.document import write_layout_page
 
-    write_page(out and _file(out), partial(print, flush=True))
+    write_layout_page(out and _file(out), partial(print, flush=True))
     print(out or "docs/layout.md")
 
 
@@ -528,7 +604,8 @@ def layout(
 def pnr(
     *,
     out: Annotated[
-        Path | None, option("Markdown report of Fmax and resources; default: docs/place-and-route.md.", "FILE")
+        Path | None,
+        option("Markdown report of Fmax and resources; default: docs/place-and-route.md.", "FILE"),
     ] = None,
 ) -> None:
     """Place and route a module of the FPGA preset on an ECP5, with five seeds. Exit code 1: a clock misses its goal."""
@@ -540,7 +617,7 @@ def pnr(
         _file(out)
     board = fpga_module()
     placements = pnr.place(board)
-    pnr.write_page(board, placements, out)
+    pnr.write_placement_page(board, placements, out)
     print(out or board.page)
     _all_met(pnr.missed(board, placements))
 
@@ -549,17 +626,27 @@ def pnr(
 def emulator(
     *,
     kind: Annotated[
-        str, argument("ulx3s: Verilog and bitstream for that board; serial, axi: Verilog alone, linted.", "KIND")
+        str,
+        argument(
+            "ulx3s: Verilog and bitstream for that board; serial, axi: Verilog alone, linted.",
+            "KIND",
+        ),
     ] = "ulx3s",
     config: Annotated[
-        str | None, option("TOML file or preset; default: emulator, and emulator-axi for axi.", "FILE")
+        str | None,
+        option("TOML file or preset; default: emulator, and emulator-axi for axi.", "FILE"),
     ] = None,
     changes: ChangesOption = None,
     buffer_beats: Annotated[int, option("Size of the frame buffer in beats.", "N")] = 8192,
-    out: Annotated[Path, option("Folder of Verilog, register map and bitstream.", "DIR")] = Path("build/emulator"),
+    out: Annotated[Path, option("Folder of Verilog, register map and bitstream.", "DIR")] = Path(
+        "build/emulator"
+    ),
     page: Annotated[
         Path | None,
-        option("With ulx3s: Markdown report of Fmax and resources; default: docs/emulator-board.md.", "FILE"),
+        option(
+            "With ulx3s: Markdown report of Fmax and resources; default: docs/emulator-board.md.",
+            "FILE",
+        ),
     ] = None,
 ) -> None:
     """Build the emulator for a board. Exit code 1: lint found something, or one of five seeds misses a clock."""
@@ -577,20 +664,24 @@ def emulator(
     settings = _config(config or usual, changes)
     files = release.emulator_release(settings, kind, buffer_beats)
     written = release.write_emulator(_folder(out), files)
-    print(f"{out}: {len(written)} files, {sum(path.stat().st_size for path in written) / 1000:.0f} kB")
+    print(
+        f"{out}: {len(written)} files, {sum(path.stat().st_size for path in written) / 1000:.0f} kB"
+    )
     _all_clean(lint_emulator(files, release.TOPS[kind]))
     if on_board:
         board = ulx3s(settings, Emulator.of(settings, buffer_beats))
         placements = pnr.place(board)
         bitstream = out / f"{board.top}.bit"
         bitstream.write_bytes(pnr.fastest(placements).bitstream.read_bytes())
-        pnr.write_page(board, placements, page)
+        pnr.write_placement_page(board, placements, page)
         print(f"{bitstream}\n{page or board.page}")
         _all_met(pnr.missed(board, placements))
 
 
 @command
-def lint(*, config: ConfigOption = None, changes: ChangesOption = None, view: ViewOption = "polyphase") -> None:
+def lint(
+    *, config: ConfigOption = None, changes: ChangesOption = None, view: ViewOption = "polyphase"
+) -> None:
     """Check the exported Verilog with Verilator's lint, and with Icarus if it is installed."""
     settings = _config(config, changes)
     with extra("rtl"):
@@ -600,7 +691,9 @@ def lint(*, config: ConfigOption = None, changes: ChangesOption = None, view: Vi
 
 
 @command
-def formal(*, names: Annotated[list[str] | None, argument("Proofs; default: all.", "NAMES")] = None) -> None:
+def formal(
+    *, names: Annotated[list[str] | None, argument("Proofs; default: all.", "NAMES")] = None
+) -> None:
     """Prove the RTL's properties for all inputs and all time; takes a few minutes."""
     with extra("rtl"):
         from coincid.formal.prove import HEAD, prove
@@ -608,7 +701,10 @@ def formal(*, names: Annotated[list[str] | None, argument("Proofs; default: all.
     verdicts = prove(names or (), tell=print)
     failed = [verdict for verdict in verdicts if verdict.reason]
     print(f"{len(verdicts) - len(failed)} of {len(verdicts)} proofs hold", flush=True)
-    _all_met(f"{verdict.proof.name}: {verdict.reason}; log: {verdict.folder / 'log'}" for verdict in failed)
+    _all_met(
+        f"{verdict.proof.name}: {verdict.reason}; log: {verdict.folder / 'log'}"
+        for verdict in failed
+    )
 
 
 @command
@@ -618,8 +714,12 @@ def budget(
     reflectivity: Annotated[float, option("Reflectivity of the target, 0 to 1.")] = 0.4,
     klux: Annotated[float, option("Sunlight in klux.")] = 50.0,
     spectrum: Annotated[str | None, option("am15g or planck; default: am15g.", "SPECTRUM")] = None,
-    form: Annotated[str, option("literal (as printed in the paper) or corrected.", "FORM")] = "literal",
-    json: Annotated[bool, option("Print JSON with flat keys, for programs.", flag="--json")] = False,
+    form: Annotated[
+        str, option("literal (as printed in the paper) or corrected.", "FORM")
+    ] = "literal",
+    json: Annotated[
+        bool, option("Print JSON with flat keys, for programs.", flag="--json")
+    ] = False,
 ) -> None:
     """Print the link budget, equations (1) and (2) of the paper, line by line."""
     from json import dumps
@@ -632,18 +732,29 @@ def budget(
         print(dumps(result.json(), indent=2))
         return
     for name, value, unit, source in result.rows():
-        print(f"{name:22} {value if isinstance(value, str) else format(value, '.6g'):>12} {unit:6} {source}")
+        print(
+            f"{name:22} {value if isinstance(value, str) else format(value, '.6g'):>12} {unit:6} {source}"
+        )
 
 
 @command
 def emulate(
     *,
-    port: Annotated[str | None, option("Serial port of the board, such as /dev/ttyUSB0.", "DEVICE")] = None,
+    port: Annotated[
+        str | None, option("Serial port of the board, such as /dev/ttyUSB0.", "DEVICE")
+    ] = None,
     simulate: Annotated[
-        bool, option("Use the emulator's simulated RTL behind its serial pins instead.", flag="--simulate")
+        bool,
+        option(
+            "Use the emulator's simulated RTL behind its serial pins instead.", flag="--simulate"
+        ),
     ] = False,
     netlist: Annotated[
-        bool, option("With --simulate: the netlist of the FPGA of an ULX3S instead of the RTL.", flag="--netlist")
+        bool,
+        option(
+            "With --simulate: the netlist of the FPGA of an ULX3S instead of the RTL.",
+            flag="--netlist",
+        ),
     ] = False,
     scene: Annotated[str, option("Scene, as in coincid sim.", "SCENE")] = "five-objects",
     klux: KluxOption = None,
@@ -652,11 +763,15 @@ def emulate(
     ] = "emulator",
     changes: ChangesOption = None,
     frames: Annotated[int, option("Frames to take.", "N")] = 20,
-    pulses: Annotated[int | None, option("Laser pulses per frame; default: the configuration's.", "N")] = None,
+    pulses: Annotated[
+        int | None, option("Laser pulses per frame; default: the configuration's.", "N")
+    ] = None,
     seed: Annotated[int, option("Seed of the photon source.")] = 1,
     baud: Annotated[
         int | None,
-        option("Baud rate of the serial line; default: 3,000,000 on a board, the fastest possible in simulation."),
+        option(
+            "Baud rate of the serial line; default: 3,000,000 on a board, the fastest possible in simulation."
+        ),
     ] = None,
     out: Annotated[Path, option("Folder of the depth picture.", "DIR")] = Path("build/emulate"),
 ) -> None:
@@ -681,7 +796,12 @@ def emulate(
     if simulate:
         with extra("rtl"):
             from coincid.board.netlist import emulator_netlist
-            from coincid.board.simulated import PATIENCE_S, SIMULATED_CLOCKS_PER_BIT, SimulatedPort, simulated
+            from coincid.board.simulated import (
+                PATIENCE_S,
+                SIMULATED_CLOCKS_PER_BIT,
+                SimulatedPort,
+                simulated,
+            )
         clocks = SIMULATED_CLOCKS_PER_BIT
         if baud is not None:
             clocks = round(settings.clock_mhz * 1e6 / check_integer("baud", baud, 1, BAUD_MAX))
@@ -707,18 +827,22 @@ def emulate(
             tell=lambda so_far: bar.done(so_far.frames),
         )
         if simulate:
-            print(f"{tally.seconds_on_line / tally.frames * 1e3:.3g} ms of simulated time per frame")
+            print(
+                f"{tally.seconds_on_line / tally.frames * 1e3:.3g} ms of simulated time per frame"
+            )
     print(f"{tally.frames} frames, {tally.beats} words, all as the golden model predicts")
     rate = f"{tally.frames / tally.seconds:.3g} frames per second"
-    print(f"{rate}; {transport.repeats} requests repeated, {tally.recoveries} recoveries\n{out / DEPTH}")
+    print(
+        f"{rate}; {transport.repeats} requests repeated, {tally.recoveries} recoveries\n{out / DEPTH}"
+    )
 
 
 @command
 def bench(
     *,
-    out: Annotated[Path, option("JSON, flat keys; a Markdown table goes beside it.", "FILE")] = Path(
-        "build/bench.json"
-    ),
+    out: Annotated[
+        Path, option("JSON, flat keys; a Markdown table goes beside it.", "FILE")
+    ] = Path("build/bench.json"),
     repeats: Annotated[int, option("Number of rounds; the results are medians.", "N")] = 5,
 ) -> None:
     """Measure the speed of the model, the simulators, whole frames and builds from scratch; takes about ten minutes."""
@@ -757,15 +881,23 @@ def _spad(given: Iterable[str] | None) -> "Spad":
     for text in given or ():
         name, _, value = text.partition("=")
         if name not in fields_dict(Spad):
-            raise InputError(f"--spad {text}: must be NAME=VALUE with a name of {', '.join(fields_dict(Spad))}")
+            raise InputError(
+                f"--spad {text}: must be NAME=VALUE with a name of {', '.join(fields_dict(Spad))}"
+            )
         try:
-            values[name] = value == "true" if isinstance(fields_dict(Spad)[name].default, bool) else float(value)
+            values[name] = (
+                value == "true"
+                if isinstance(fields_dict(Spad)[name].default, bool)
+                else float(value)
+            )
         except ValueError:
             raise InputError(f"--spad {text}: must be a number") from None
     return Spad(**values)
 
 
-def _config(config: str | None, changes: list[str] | None, clock_mhz: float | None = None) -> "Config":
+def _config(
+    config: str | None, changes: list[str] | None, clock_mhz: float | None = None
+) -> "Config":
     """Return the configuration of a file or preset with the changes of the command line."""
     from coincid.model.contract.config import changes_of_text, load_config
 
@@ -788,7 +920,9 @@ def _folder(path: Path) -> Path:
 
 
 def _writable(path: Path, folder: Path) -> None:
-    nearest = next(parent for parent in (folder, *folder.absolute().parents) if os.path.exists(parent))
+    nearest = next(
+        parent for parent in (folder, *folder.absolute().parents) if os.path.exists(parent)
+    )
     if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
         why = "not writable" if nearest.is_dir() else "no folder"
         raise InputError(f"out = {str(path)!r}: cannot be written: {nearest} is {why}")

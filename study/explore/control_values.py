@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Converts the values of the controls to checked settings, and settings back to the text of a file, a command or a link."""
+"""Converts the values of the controls to checked settings, and settings back to the text of a file,
+a command or a link.
+"""
 
 import re
 from math import isfinite
@@ -11,7 +13,14 @@ import numpy as np
 from attrs import evolve, frozen
 
 from ...lab.setup import Setup
-from ...model.contract.config import SETTINGS, Config, frame_table, parse_config, sensor_table, toml_text
+from ...model.contract.config import (
+    SETTINGS,
+    Config,
+    frame_table,
+    parse_config,
+    sensor_table,
+    toml_text,
+)
 from ...model.contract.settings import SUBGROUP
 from ...model.contract.table import Kind
 from ...model.light.light import NEAREST_M, Light
@@ -27,12 +36,15 @@ from .uploads import KINDS, Uploads
 PIXEL_PULSES_MAX = 1 << 25  # pixels x pulses x frames: some ten seconds of work
 PERCENT = 100
 KILO = 1000
-_KEY = re.compile(r"\b(?:sensor|frame|subgroup)\.(\w+)")  # a key of the configuration, as messages have it
+# a key of the configuration, as messages have it
+_KEY = re.compile(r"\b(?:sensor|frame|subgroup)\.(\w+)")
 
 
 @frozen(eq=False)
 class Settings:
-    """Checked settings. values: one for each of `CONTROLS`. uploads: files for the scene and its light."""
+    """Checked settings. values: one for each of `CONTROLS`. uploads: files for the scene and its
+    light.
+    """
 
     values: dict[str, Any]
     uploads: Uploads
@@ -46,7 +58,9 @@ class Settings:
         return {name: value for name, value in self.values.items() if value != DEFAULTS[name]}
 
     def told(self, control: Control) -> str:
-        """Return range and unit of a control of the configuration. The value is added if it is a time, or differs from the field."""
+        """Return range and unit of a control of the configuration. The value is added if it is a
+        time, or differs from the field.
+        """
         assert control.where is not None
         table, key = control.where
         config, shown = self.config, self.values[control.name]
@@ -79,7 +93,9 @@ class Settings:
         name = values["scene"]
         if name == "upload":
             if self.uploads.depth is None:
-                message = "scene = 'upload': choose a depth picture (PNG of 16 bits, NPY, PFM or EXR)"
+                message = (
+                    "scene = 'upload': choose a depth picture (PNG of 16 bits, NPY, PFM or EXR)"
+                )
                 raise InputError(message, field="scene")
             source = str(self.uploads.depth)
         else:
@@ -99,7 +115,10 @@ class Settings:
             raise InputError(self.uploads.named(str(error)), field="scene") from None
         scaled_m = scene.distance_m * values["scale"]
         if np.nanmax(scaled_m) >= self.timing.range_m or np.nanmin(scaled_m) < NEAREST_M:
-            low, high = NEAREST_M / np.nanmin(scene.distance_m), self.timing.range_m / np.nanmax(scene.distance_m)
+            low, high = (
+                NEAREST_M / np.nanmin(scene.distance_m),
+                self.timing.range_m / np.nanmax(scene.distance_m),
+            )
             raise InputError(
                 f"scale = {values['scale']:g}: must be a number from {low:.3g} to {high:.3g} with this scene"
                 f" (the laser period holds {self.timing.range_m:.4g} m)",
@@ -117,7 +136,9 @@ class Settings:
             share[:, scene.cols // 2 :] = 0
         elif values["sun"] == "picture":
             if self.uploads.sun is None:
-                message = "sun = 'picture': choose a picture of the sun (white) and the shade (black)"
+                message = (
+                    "sun = 'picture': choose a picture of the sun (white) and the shade (black)"
+                )
                 raise InputError(message, field="sun")
             share = self.uploads.sun_share(scene.rows, scene.cols)
         klux = share * values["klux"] + (1 - share) * values["shade_klux"]
@@ -125,11 +146,18 @@ class Settings:
 
 
 def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Settings:
-    """Return `Settings` from values of controls; missing values get their defaults. Raises `InputError`."""
+    """Return `Settings` from values of controls; missing values get their defaults. Raises
+    `InputError`.
+    """
     for name in values:
         if name not in CONTROL:
-            raise InputError(f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", field=name)
-    values = {control.name: _checked(control, values.get(control.name, control.default)) for control in CONTROLS}
+            raise InputError(
+                f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", field=name
+            )
+    values = {
+        control.name: _checked(control, values.get(control.name, control.default))
+        for control in CONTROLS
+    }
     config = parse_config(_document(values)).with_pulses(values["pulses"])
     work = config.sensor.array_pixels * config.pulses * config.frames
     if work > PIXEL_PULSES_MAX:
@@ -147,13 +175,17 @@ def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Se
 
 
 def _checked(control: Control, value: Any) -> Any:
-    """Return `value` in the type of its control. The parser of the configuration makes its own checks later."""
+    """Return `value` in the type of its control. The parser of the configuration makes its own
+    checks later.
+    """
     if control.kind == "choice":
         return check_choice(control.name, value, control.choices)
     if control.kind == "switch":
         return check_choice(control.name, value, (True, False))
     if value is None and control.default is not None:
-        message = f"{control.name}: is empty, must be a number from {control.low:g} to {control.high:g}"
+        message = (
+            f"{control.name}: is empty, must be a number from {control.low:g} to {control.high:g}"
+        )
         raise InputError(message, field=control.name, low=control.low, high=control.high)
     if control.kind == "real":
         return check_real(control.name, value, control.low, control.high)
@@ -165,13 +197,21 @@ def _checked(control: Control, value: Any) -> Any:
 
 
 def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the tables of the configuration file, with the default pulses and without values that are defaults of the file."""
-    document: dict[str, dict[str, Any]] = {"sensor": {}, "frame": {"frames": values["frames"]}, "subgroup": {}}
+    """Return the tables of the configuration file, with the default pulses and without values that
+    are defaults of the file.
+    """
+    document: dict[str, dict[str, Any]] = {
+        "sensor": {},
+        "frame": {"frames": values["frames"]},
+        "subgroup": {},
+    }
     for control in CONTROLS:
         value = values[control.name]
         if control.where and (value != control.default or value != SETTINGS[control.name].default):
             table, key = control.where
-            document[table][key] = [int(n) for n in value.split("x")] if SETTINGS[key].kind is Kind.SIZE else value
+            document[table][key] = (
+                [int(n) for n in value.split("x")] if SETTINGS[key].kind is Kind.SIZE else value
+            )
     return document
 
 
@@ -183,7 +223,9 @@ def control_of(error: InputError) -> Control | None:
 
 
 def told_by_labels(error: InputError) -> str:
-    """Return the message of an error with labels of controls in place of keys of the configuration."""
+    """Return the message of an error with labels of controls in place of keys of the
+    configuration.
+    """
     control = control_of(error)
     message = str(error) if control is None else error.renamed(control.label)
     return _KEY.sub(lambda key: CONTROL[key[1]].label if key[1] in CONTROL else key[0], message)
@@ -195,14 +237,22 @@ def config_toml(settings: Settings) -> str:
     return toml_text(
         {
             "sensor": sensor_table(config.sensor),
-            "frame": {name: value for name, value in frame_table(config.frame).items() if value is not None},
-            "subgroup": {name: getattr(config, name)[0].item() for name in SUBGROUP if name in CONTROL},
+            "frame": {
+                name: value
+                for name, value in frame_table(config.frame).items()
+                if value is not None
+            },
+            "subgroup": {
+                name: getattr(config, name)[0].item() for name in SUBGROUP if name in CONTROL
+            },
         }
     )
 
 
 def command(settings: Settings) -> str:
-    """Return the command that opens the explorer with these settings; uploads appear under their file names."""
+    """Return the command that opens the explorer with these settings; uploads appear under their
+    file names.
+    """
     given = [f"{name}={value}" for name, value in settings.changed.items()]
     given += [f"{name}_file={Path(path).name}" for name, path in settings.uploads.files().items()]
     return " ".join(["coincid explore", *(f"--set {_quoted(text)}" for text in given)])
@@ -218,7 +268,9 @@ def query(settings: Settings) -> str:
 
 
 def given_settings(given: list[str]) -> Settings:
-    """Return `Settings` from texts NAME=VALUE; NAME is a control, or the kind of an upload with `_file`. Raises `InputError`."""
+    """Return `Settings` from texts NAME=VALUE; NAME is a control, or the kind of an upload with
+    `_file`. Raises `InputError`.
+    """
     text: dict[str, str] = {}
     uploads = Uploads()
     for one in given:
@@ -251,7 +303,9 @@ def values_of_text(given: dict[str, str]) -> dict[str, Any]:
     for name, text in given.items():
         control = CONTROL.get(name)
         if control is None:
-            raise InputError(f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", field=name)
+            raise InputError(
+                f"{name}: unknown setting, must be one of {', '.join(CONTROL)}", field=name
+            )
         values[name] = _from_text(control, text)
     return values
 
@@ -268,4 +322,8 @@ def _from_text(control: Control, text: str) -> Value | None:
     except ValueError:
         legal = f"a number from {control.low:g} to {control.high:g}"
         raise wrong_value(control.name, text, legal, low=control.low, high=control.high) from None
-    return int(number) if control.kind == "integer" and isfinite(number) and number == int(number) else number
+    return (
+        int(number)
+        if control.kind == "integer" and isfinite(number) and number == int(number)
+        else number
+    )

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controls of the explorer: a table of all settings, each with unit, range and a sentence.
 
-Settings of the configuration file take their range and unit from the tables of the configuration, and also their default
-and sentence unless this file gives others. The parser of the configuration checks them (`control_values.py`). The other
-settings have their range here. Settings of the file that are not described here follow automatically at the end.
+Settings of the configuration file take their range and unit from the tables of the configuration,
+and also their default and sentence unless this file gives others. The parser of the configuration
+checks them (`control_values.py`). The other settings have their range here. Settings of the file
+that are not described here follow automatically at the end.
 """
 
 from collections.abc import Iterable
@@ -35,7 +36,8 @@ PARAMETERS = {
     "SHADE": "shade",
 }  # of built-in scenes
 SCENES = {  # name: controls that are the scene's parameters
-    name: tuple(PARAMETERS[what] for what, _ in parameters) for name, (parameters, _) in BUILT_IN.items()
+    name: tuple(PARAMETERS[what] for what, _ in parameters)
+    for name, (parameters, _) in BUILT_IN.items()
 } | {"upload": ("reflectivity",)}
 UNITS = ("of its kind", *PER_METRE, *DATA_SETS)
 SUN = ("everywhere", "left half", "picture")
@@ -108,7 +110,8 @@ class Control:
     high: float = 0
     step: float = 1  # change by a click or an arrow key
     choices: tuple[str, ...] = ()  # legal values of a choice
-    where: tuple[str, str] | None = None  # table and key of the configuration file; None if it is not in the file
+    # table and key of the configuration file; None if it is not in the file
+    where: tuple[str, str] | None = None
 
     def span(self, sensor: Sensor) -> str:
         """Return range and unit."""
@@ -117,8 +120,13 @@ class Control:
 
     @property
     def needs(self) -> list[dict[str, list[str] | None]]:
-        """Return its `NEEDS` with the texts of the page's fields; empty: it always has an effect."""
-        return [{name: _texts(values) for name, values in one.items()} for one in NEEDS.get(self.name, ())]
+        """Return its `NEEDS` with the texts of the page's fields; empty: it always has an
+        effect.
+        """
+        return [
+            {name: _texts(values) for name, values in one.items()}
+            for one in NEEDS.get(self.name, ())
+        ]
 
     @property
     def slide(self) -> float:
@@ -150,20 +158,37 @@ def _real(**described: Any) -> Control:
     return Control(kind="real", **described)
 
 
-def _choice(*, name: str, choices: Iterable[str], default: str = "", table: str = "", **described: Any) -> Control:
-    """Return the control of a choice. table: of the configuration file in which it is, if it is there."""
+def _choice(
+    *, name: str, choices: Iterable[str], default: str = "", table: str = "", **described: Any
+) -> Control:
+    """Return the control of a choice. table: of the configuration file in which it is, if it is
+    there.
+    """
     legal = tuple(choices)
     where = (table, name) if table else None
-    return Control(name=name, kind="choice", default=default or legal[0], choices=legal, where=where, **described)
+    return Control(
+        name=name,
+        kind="choice",
+        default=default or legal[0],
+        choices=legal,
+        where=where,
+        **described,
+    )
 
 
-def _key(name: str, group: str = FURTHER, label: str = "", sentence: str = "", default: int | None = None) -> Control:
-    """Return the control of a key of the configuration file that is an integer, a real number or a switch."""
+def _key(
+    name: str, group: str = FURTHER, label: str = "", sentence: str = "", default: int | None = None
+) -> Control:
+    """Return the control of a key of the configuration file that is an integer, a real number or a
+    switch.
+    """
     setting = SETTINGS[name]
     if default is None:
         default = setting.default_of(_DEFAULTS.sensor, _DEFAULTS.frame)
     label = label or FURTHER_LABELS.get(name) or name.replace("_", " ").capitalize()
-    sentence = (sentence or setting.doc) + " Empty: derived from the other settings." * setting.derived
+    sentence = (
+        sentence or setting.doc
+    ) + " Empty: derived from the other settings." * setting.derived
     low, high = setting.limits(_DEFAULTS.sensor)
     return Control(
         name=name,
@@ -266,7 +291,9 @@ _DESCRIBED: tuple[Control, ...] = (
         step=0.1,
         sentence=f"{_told('scale')} In the explorer it applies to all scenes.",
     ),
-    _choice(name="unit", group="Scene", label="Unit of the file", choices=UNITS, sentence=_told("unit")),
+    _choice(
+        name="unit", group="Scene", label="Unit of the file", choices=UNITS, sentence=_told("unit")
+    ),
     _real(
         name="klux",
         group="Light",
@@ -324,9 +351,22 @@ _DESCRIBED: tuple[Control, ...] = (
         high=SEED_MAX,
         sentence=f"{_told('seed')} The same seed gives the same photons.",
     ),
-    _choice(name="background", group="Light", label="Background", choices=BACKGROUNDS, sentence=_told("background")),
-    _key(name="rows", group="Sensor", label="Rows", sentence="SPADs of the array from top to bottom."),
-    _key(name="cols", group="Sensor", label="Columns", sentence="SPADs of the array from left to right."),
+    _choice(
+        name="background",
+        group="Light",
+        label="Background",
+        choices=BACKGROUNDS,
+        sentence=_told("background"),
+    ),
+    _key(
+        name="rows", group="Sensor", label="Rows", sentence="SPADs of the array from top to bottom."
+    ),
+    _key(
+        name="cols",
+        group="Sensor",
+        label="Columns",
+        sentence="SPADs of the array from left to right.",
+    ),
     _choice(
         name="subgroup",
         group="Sensor",
@@ -366,7 +406,9 @@ _DESCRIBED: tuple[Control, ...] = (
         default="id",
         table="frame",
     ),
-    _key(name="gating", group="Gate", label="Gating", sentence="Light outside the gate is ignored."),
+    _key(
+        name="gating", group="Gate", label="Gating", sentence="Light outside the gate is ignored."
+    ),
     _key(
         name="gate_start",
         group="Gate",
@@ -374,7 +416,13 @@ _DESCRIBED: tuple[Control, ...] = (
         sentence="First cycle of the gate; a cycle is 2 ns, 0.3 m.",
         default=20,
     ),
-    _key(name="gate_len", group="Gate", label="Gate length", sentence="Length of the gate.", default=60),
+    _key(
+        name="gate_len",
+        group="Gate",
+        label="Gate length",
+        sentence="Length of the gate.",
+        default=60,
+    ),
     Control(
         name="spad_gate",
         group="Gate",
@@ -467,7 +515,9 @@ _DESCRIBED: tuple[Control, ...] = (
 )
 _NAMES = {control.name for control in _DESCRIBED}
 _SIMPLE = (Kind.INTEGER, Kind.REAL, Kind.SWITCH)
-_FURTHER = [name for name, setting in (SUBGROUP | FRAME | SENSOR).items() if setting.kind in _SIMPLE]
+_FURTHER = [
+    name for name, setting in (SUBGROUP | FRAME | SENSOR).items() if setting.kind in _SIMPLE
+]
 CONTROLS = (*_DESCRIBED, *(_key(name) for name in _FURTHER if name not in _NAMES))
 CONTROL = {control.name: control for control in CONTROLS}
 GROUPS = tuple(dict.fromkeys(control.group for control in CONTROLS))

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The messages between the explorer's page and its server: one class each, with every field that page.js reads or writes.
+"""The messages between the explorer's page and its server: one class each, with every field that
+page.js reads or writes.
 
-Each of `MESSAGES` is a property of the model that page and server share (`tab.py: Link`), under its name here. A side
-sends a message when it sets the property. `ORDERS` are what an `Order` may ask for.
+Each of `MESSAGES` is a property of the model that page and server share (`tab.py: Link`), under its
+name here. A side sends a message when it sets the property. `ORDERS` are what an `Order` may ask
+for.
 """
 
 from typing import Any
@@ -23,7 +25,8 @@ class Opened:
 class Question:
     """Page to server: what do these settings show?"""
 
-    number: int  # one more with every change of a control; an answer counts only if it has the newest number
+    # one more with every change of a control; an answer counts only if it has the newest number
+    number: int
     values: dict[str, str]  # text of every control, by name
 
 

@@ -17,7 +17,9 @@ from .stages import Explored
 
 @frozen
 class Save:
-    """A download. label: on the page; name, media_type: of the file; content(explored, frame): returns its bytes."""
+    """A download. label: on the page; name, media_type: of the file; content(explored, frame):
+    returns its bytes.
+    """
 
     label: str
     name: str
@@ -26,7 +28,9 @@ class Save:
 
 
 def events_csv(explored: Explored, frame: int) -> bytes:
-    """Return a CSV with one line per event of all frames. hits: the ID map in hex, bit i = pixel i of the subgroup."""
+    """Return a CSV with one line per event of all frames. hits: the ID map in hex, bit i = pixel i
+    of the subgroup.
+    """
     arrays = explored.run.result
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
@@ -41,7 +45,9 @@ def picture_png(explored: Explored, frame: int) -> bytes:
     """Return truth and depth of a frame, as `make sim` draws them."""
     view, settings = explored.view(frame), explored.settings
     heading = f"{explored.run.scene.name}, {settings.values['klux']:g} klux"
-    figure, _ = draw_row([Panel(settings.values["method"], view.depth_m, view.reason)], view.truth_m, heading)
+    figure, _ = draw_row(
+        [Panel(settings.values["method"], view.depth_m, view.reason)], view.truth_m, heading
+    )
     return figure_bytes(figure, "png")
 
 

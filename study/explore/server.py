@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The explorer's server: it serves this machine only, and accepts requests only from its own pages."""
+"""The explorer's server: it serves this machine only, and accepts requests only from its own
+pages.
+"""
 
 import errno
 import logging
@@ -28,7 +30,9 @@ MESSAGE_BYTES_MAX = 64 << 20  # an upload in base64, with room to spare
 
 
 class Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh comes with an extra
-    """Answers requests that its own pages send to its own address, and refuses all others, whatever host name they use."""
+    """Answers requests that its own pages send to its own address, and refuses all others, whatever
+    host name they use.
+    """
 
     hosts: frozenset[str] = frozenset()
 
@@ -39,13 +43,21 @@ class Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh comes with an extra
 
     def allowed(self, host: str, headers: HTTPHeaders) -> bool:
         origin, site = headers.get("Origin"), headers.get("Sec-Fetch-Site", "none")
-        own = host in self.hosts and (origin is None or origin.removeprefix("http://") in self.hosts)
-        opened = headers.get("Sec-Fetch-Mode") == "navigate" and headers.get("Sec-Fetch-Dest") == "document"
-        return own and (site in ("none", "same-origin") or opened)  # a link on another site may open the page
+        own = host in self.hosts and (
+            origin is None or origin.removeprefix("http://") in self.hosts
+        )
+        opened = (
+            headers.get("Sec-Fetch-Mode") == "navigate"
+            and headers.get("Sec-Fetch-Dest") == "document"
+        )
+        # a link on another site may open the page
+        return own and (site in ("none", "same-origin") or opened)
 
 
 def make_server(port: int | None = None, start: Settings | None = None) -> tuple[BaseServer, str]:
-    """Return a listening server and its address. start: first settings of a page. Raises `InputError` for a bad port."""
+    """Return a listening server and its address. start: first settings of a page. Raises
+    `InputError` for a bad port.
+    """
     sockets, port = _sockets(port)
     hosts = frozenset(f"{name}:{port}" for name in (ADDRESS, "localhost"))
 
@@ -57,7 +69,9 @@ def make_server(port: int | None = None, start: Settings | None = None) -> tuple
         given, ignored = values_of_link(
             {name: text for name, text in arguments.items() if not name.startswith("bokeh-")}
         )
-        Page(doc, (start.values if start else {}) | given, start.uploads if start else None, ignored)
+        Page(
+            doc, (start.values if start else {}) | given, start.uploads if start else None, ignored
+        )
 
     tornado = Guarded(
         {"/": Application(FunctionHandler(new_page))},
@@ -90,7 +104,8 @@ def serve(port: int | None, *, browser: bool, start: Settings) -> None:
     """Serve until interrupted."""
     server, address = make_server(port, start)
     server.start()
-    for name in ("bokeh", "tornado.access"):  # keeps closed tabs and refused requests out of the terminal
+    # keeps closed tabs and refused requests out of the terminal
+    for name in ("bokeh", "tornado.access"):
         logging.getLogger(name).setLevel(logging.ERROR)
     print(f"Coincid explorer: {address} (Ctrl-C ends it)", flush=True)
     if browser:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs settings through scene, photons and golden model. Stages are kept, so a new threshold needs no new photons.
+"""Runs settings through scene, photons and golden model. Stages are kept, so a new threshold needs
+no new photons.
 
-Each run happens in a thread and has a number. Only the outcome of the newest run is delivered, so a late answer is never
-shown beside other settings.
+Each run happens in a thread and has a number. Only the outcome of the newest run is delivered, so a
+late answer is never shown beside other settings.
 """
 
 import os
@@ -57,7 +58,8 @@ class Explorer:
     def run(self, settings: Settings, progress: Progress = lambda stage, share: None) -> Explored:
         """Run all frames of `settings`, and compute the view of the last one. Raises `InputError`.
 
-        progress: gets the stage and its finished share, 0 to 1; it may raise an exception to stop the run.
+        progress: gets the stage and its finished share, 0 to 1; it may raise an exception to stop
+        the run.
         """
 
         def watch(stage: str, share: float, edges: int) -> None:
@@ -78,13 +80,18 @@ class Explorer:
 
 
 def check_on_rtl(explored: Explored, progress: Progress = lambda stage, share: None) -> str:
-    """Play the same edges on the RTL; return a sentence: all words agree, or the differences. Raises the errors of `replay`."""
-    from ...tb.replay import replay  # here, because it loads simulators that only this function needs
+    """Play the same edges on the RTL; return a sentence: all words agree, or the differences.
+    Raises the errors of `replay`.
+    """
+    # here, because it loads simulators that only this function needs
+    from ...tb.replay import replay
 
     run, config = explored.run, explored.settings.config
     progress("RTL: emitted and compiled once", 0.0)
     cycles = config.frame_cycles * config.frames
-    found = replay("sliced", config, run.edges, progress=lambda done: progress("RTL", min(1.0, done / cycles)))
+    found = replay(
+        "sliced", config, run.edges, progress=lambda done: progress("RTL", min(1.0, done / cycles))
+    )
     lines = differences(found, run.result)
     if lines:
         return "The RTL and the golden model differ: " + "; ".join(lines)
@@ -95,10 +102,12 @@ def check_on_rtl(explored: Explored, progress: Progress = lambda stage, share: N
 
 
 class Runner:
-    """Runs jobs in threads. A new job begins immediately and cancels earlier ones, which end at their next progress report.
+    """Runs jobs in threads. A new job begins immediately and cancels earlier ones, which end at
+    their next progress report.
 
-    deliver(number, kind, outcome) is called from the thread. kind is "progress" with (stage, share), "done" with the return
-    value, or "failed" with the exception. The number is always that of the newest job.
+    deliver(number, kind, outcome) is called from the thread. kind is "progress" with (stage,
+    share), "done" with the return value, or "failed" with the exception. The number is always that
+    of the newest job.
     """
 
     def __init__(self, deliver: Deliver) -> None:

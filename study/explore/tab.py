@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serves one browser tab of the explorer: the page sends settings, a thread computes, the views show the newest result.
+"""Serves one browser tab of the explorer: the page sends settings, a thread computes, the views
+show the newest result.
 
-The script of the page sends a numbered request at every keystroke, and shows an answer only if it has the number of the
-newest request.
+The script of the page sends a numbered request at every keystroke, and shows an answer only if it
+has the number of the newest request.
 """
 
 import base64
@@ -30,14 +31,23 @@ from ..show.figures import FATE_MARKS, REASON_MARKS, VERDICT_MARKS, Views
 from ..show.frame_content import FrameView
 from ..show.words import OBJECT_HEADS, number_rows, object_table, story, where_to_look
 from . import messages, out
-from .control_values import Settings, check_settings, command, control_of, query, told_by_labels, values_of_text
+from .control_values import (
+    Settings,
+    check_settings,
+    command,
+    control_of,
+    query,
+    told_by_labels,
+    values_of_text,
+)
 from .controls import CONTROLS, DEFAULTS, GROUPS
 from .messages import LookedAt, Words, sent
 from .stages import Explored, Explorer, Runner, check_on_rtl
 from .uploads import Uploads
 
 FIRST_LOOK = LookedAt(row=14, col=10, pulse=0, frame=0, which="B")
-LOOK_LABELS = {"row": "Row", "col": "Column", "pulse": "Pulse", "frame": "Frame"}  # of its fields on the page
+# of its fields on the page
+LOOK_LABELS = {"row": "Row", "col": "Column", "pulse": "Pulse", "frame": "Frame"}
 TRIES = (  # name, settings, what to look for
     ("1 Every photon", {"coincidence": False}, "Without coincidence, sunlight fills the FIFOs, and later events are dropped."),
     ("2 Threshold 2", {"threshold": 2}, "Two pixels must fire within 1 ns: most sunlight is gone, dark objects are still there."),
@@ -67,19 +77,27 @@ class Link(DataModel):  # type: ignore[misc]  # Bokeh comes with an extra
 @cache
 def _template() -> Template:
     here = Path(__file__).parent
-    return Environment(loader=FileSystemLoader([here, SHOW]), autoescape=False).get_template("page.html")
+    return Environment(loader=FileSystemLoader([here, SHOW]), autoescape=False).get_template(
+        "page.html"
+    )
 
 
 class Page:
     """The page in one browser tab."""
 
     def __init__(
-        self, doc: Document, start: dict[str, Any] | None = None, uploads: Uploads | None = None, ignored: str = ""
+        self,
+        doc: Document,
+        start: dict[str, Any] | None = None,
+        uploads: Uploads | None = None,
+        ignored: str = "",
     ) -> None:
         """ignored: message about the link with which the page was opened."""
         self.doc = doc
         self.views = Views(compared=True)
-        opened = messages.Opened(values=DEFAULTS | (start or {}), defaults=DEFAULTS, ignored=ignored)
+        opened = messages.Opened(
+            values=DEFAULTS | (start or {}), defaults=DEFAULTS, ignored=ignored
+        )
         self.link = Link(opened=sent(opened))
         self.uploads = uploads or Uploads()
         self.bad_uploads: dict[str, str] = {}  # error of each bad file, by kind
@@ -94,8 +112,12 @@ class Page:
         self._checker = Runner(lambda *what: self._soon(self._checked, *what))
         self._run: int | None = None  # number of the run that answers the newest question
         self.views.on_pick(self._picked)
-        self.link.on_change("question", lambda attribute, old, new: self._asked(messages.Question(**new)))
-        self.link.on_change("order", lambda attribute, old, new: self._ordered(messages.order_of(new)))
+        self.link.on_change(
+            "question", lambda attribute, old, new: self._asked(messages.Question(**new))
+        )
+        self.link.on_change(
+            "order", lambda attribute, old, new: self._ordered(messages.order_of(new))
+        )
         self.views.histogram.figure.tags = [self.link]  # so that the link is a part of the document
         with doc.models.freeze():
             for root in self.views.roots():
@@ -151,14 +173,18 @@ class Page:
     def _refuse(self, error: InputError) -> None:
         control = control_of(error)
         name = None if control is None else control.name
-        self.link.refusal = sent(messages.Refusal(number=self.number, message=told_by_labels(error), control=name))
+        self.link.refusal = sent(
+            messages.Refusal(number=self.number, message=told_by_labels(error), control=name)
+        )
 
     def _computed(self, run: int, kind: str, outcome: Any) -> None:
         if run != self._run:
             return
         if kind == "progress":
             stage, share = outcome
-            self.link.progress = sent(messages.Progress(number=self.number, stage=stage, share=share))
+            self.link.progress = sent(
+                messages.Progress(number=self.number, stage=stage, share=share)
+            )
         elif kind == "done":
             self._shown = outcome
             config = outcome.settings.config
@@ -174,7 +200,9 @@ class Page:
         elif isinstance(outcome, InputError):
             self._refuse(outcome)
         else:
-            self._refuse(InputError(f"this could not be computed ({type(outcome).__name__}: {outcome})"))
+            self._refuse(
+                InputError(f"this could not be computed ({type(outcome).__name__}: {outcome})")
+            )
 
     # Views
 
@@ -184,7 +212,11 @@ class Page:
 
     def _a_view(self) -> FrameView | None:
         """Return the frame of A with the current number, or its last one; None without A."""
-        return None if self.a is None else self.a.view(min(self.look.frame, self.a.settings.config.frames - 1))
+        return (
+            None
+            if self.a is None
+            else self.a.view(min(self.look.frame, self.a.settings.config.frames - 1))
+        )
 
     def _point(self) -> None:
         """Show the pixel and pulse of `look`; if A has fewer of them, show its last one."""
@@ -262,7 +294,9 @@ class Page:
         self.bad_uploads.pop(upload.kind, None)
         content = base64.b64decode(upload.content)
         try:
-            self.uploads = self.uploads.with_file(upload.kind, upload.name, content, Path(self._folder.name))
+            self.uploads = self.uploads.with_file(
+                upload.kind, upload.name, content, Path(self._folder.name)
+            )
         except InputError as error:
             self.bad_uploads[upload.kind] = str(error)
 
@@ -279,7 +313,12 @@ class Page:
 
     def _look(self, name: str, value: str) -> None:
         config = self.shown.settings.config
-        most = {"row": config.sensor.rows, "col": config.sensor.cols, "pulse": config.pulses, "frame": config.frames}
+        most = {
+            "row": config.sensor.rows,
+            "col": config.sensor.cols,
+            "pulse": config.pulses,
+            "frame": config.frames,
+        }
         try:
             number = int(value) if value.lstrip("-").isdecimal() else value
             checked: Any = check_integer(name, number, 0, most[name] - 1) if name in most else value
@@ -287,7 +326,9 @@ class Page:
             self._show() if name == "frame" else self._point()
             self._tell()
         except InputError as error:
-            self.link.look_refusal = sent(messages.LookRefusal(text=error.renamed(LOOK_LABELS[name])))
+            self.link.look_refusal = sent(
+                messages.LookRefusal(text=error.renamed(LOOK_LABELS[name]))
+            )
 
     def _step(self, name: str) -> None:
         """Go to the next pulse (`name` "pulse") or frame; after the last one comes the first."""
@@ -325,7 +366,9 @@ class Page:
         save = out.SAVES[kind]
         self._downloads += 1
         text = base64.b64encode(save.content(self.shown, self.look.frame)).decode()
-        file = messages.Download(number=self._downloads, name=save.name, type=save.media_type, base64=text)
+        file = messages.Download(
+            number=self._downloads, name=save.name, type=save.media_type, base64=text
+        )
         self.link.download = sent(file)
 
 
@@ -356,5 +399,6 @@ def _variables(views: Views) -> dict[str, Any]:
         "sensor": Sensor(),
         "groups": {group: [c for c in CONTROLS if c.group == group] for group in GROUPS},
         "tries": [(name, json.dumps(values), sentence) for name, values, sentence in TRIES],
-        "saves": {name: one.label for name, one in out.SAVES.items()} | {"command": "command that repeats it"},
+        "saves": {name: one.label for name, one in out.SAVES.items()}
+        | {"command": "command that repeats it"},
     }

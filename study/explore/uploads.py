@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are uploaded in the browser. Each is kept in a folder of its own, and its size is checked before it is decoded."""
+"""Files that are uploaded in the browser. Each is kept in a folder of its own, and its size is
+checked before it is decoded.
+"""
 
 import tempfile
 import warnings
@@ -23,7 +25,9 @@ KINDS = {"depth": SUFFIXES, "colour": PICTURES, "sun": PICTURES}
 
 @frozen
 class Uploads:
-    """Paths of the depth picture, its colour picture, and the picture of sun and shade; None = not uploaded."""
+    """Paths of the depth picture, its colour picture, and the picture of sun and shade; None = not
+    uploaded.
+    """
 
     depth: Path | None = None
     colour: Path | None = None
@@ -40,7 +44,9 @@ class Uploads:
         return text
 
     def with_file(self, kind: str, name: str, content: bytes, folder: Path) -> "Uploads":
-        """Return a copy with `content`, written to `folder` under the last part of `name`. Raises `InputError`."""
+        """Return a copy with `content`, written to `folder` under the last part of `name`. Raises
+        `InputError`.
+        """
         check_choice("upload", kind, tuple(KINDS))
         name = "".join(c for c in Path(name.replace("\\", "/")).name if c.isprintable())[-NAME_MAX:]
         suffix = Path(name).suffix.lower()
@@ -50,19 +56,24 @@ class Uploads:
             )
         if not 0 < len(content) <= BYTES_MAX:
             raise InputError(f"{name}: holds {len(content)} bytes, must hold 1 to {BYTES_MAX}")
-        path = Path(tempfile.mkdtemp(dir=folder)) / name  # a path of its own, because results are cached by path
+        # a path of its own, because results are cached by path
+        path = Path(tempfile.mkdtemp(dir=folder)) / name
         path.write_bytes(content)
         return self.with_path(kind, path)
 
     def with_path(self, kind: str, path: Path) -> "Uploads":
-        """Return a copy with the file at `path`. Raises `InputError` if it is missing, too large, or not a picture."""
+        """Return a copy with the file at `path`. Raises `InputError` if it is missing, too large,
+        or not a picture.
+        """
         if not path.is_file():
             raise InputError(f"{path}: no such file")
         _check_samples(path)
         return evolve(self, **{kind: path})
 
     def sun_share(self, rows: int, cols: int) -> np.ndarray:
-        """float64[rows, cols]: 0 (shade) to 1 (sun), the mean brightness of the picture over each pixel."""
+        """float64[rows, cols]: 0 (shade) to 1 (sun), the mean brightness of the picture over each
+        pixel.
+        """
         assert self.sun is not None
         try:
             with Image.open(self.sun, formats=FORMATS) as picture:
@@ -73,7 +84,9 @@ class Uploads:
 
 
 def _check_samples(path: Path) -> None:
-    """Raise `InputError` for a file that is no picture, or too large when decoded; pictures are not decoded here."""
+    """Raise `InputError` for a file that is no picture, or too large when decoded; pictures are not
+    decoded here.
+    """
     try:
         if path.suffix.lower() == ".npy":
             shape = np.lib.format.open_memmap(path, mode="r").shape
@@ -81,7 +94,8 @@ def _check_samples(path: Path) -> None:
             shape = READERS[path.suffix.lower()](path).shape
         else:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked here
+                # the size is checked here
+                warnings.simplefilter("ignore", Image.DecompressionBombWarning)
                 with Image.open(path, formats=FORMATS) as picture:
                     shape = picture.size
     except Image.DecompressionBombError:
@@ -95,10 +109,14 @@ def _check_samples(path: Path) -> None:
 
 
 def _of_size(path: Path, size: str) -> InputError:
-    return InputError(f"{path.name}: has {size} samples, must have 1 to {SAMPLES_MAX / 1e6:.0f} million")
+    return InputError(
+        f"{path.name}: has {size} samples, must have 1 to {SAMPLES_MAX / 1e6:.0f} million"
+    )
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
     """Return the error for a file that a library cannot read."""
     kind = "NPY file" if path.suffix.lower() == ".npy" else "picture (PNG, TIFF, JPEG)"
-    return InputError(f"{path.name}: is not a readable {kind} ({error})".replace(str(path), path.name))
+    return InputError(
+        f"{path.name}: is not a readable {kind} ({error})".replace(str(path), path.name)
+    )

@@ -4,4 +4,7 @@
 from pathlib import Path
 
 SHOW = Path(__file__).parent
-FILES = {name: (SHOW / name).read_text(encoding="utf-8") for name in ("page.css", "tables.js", "report.js")}
+FILES = {
+    name: (SHOW / name).read_text(encoding="utf-8")
+    for name in ("page.css", "tables.js", "report.js")
+}

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the views of a frame as linked Bokeh figures: maps, the histogram of a pixel, one laser period of a subgroup.
+"""Draws the views of a frame as linked Bokeh figures: maps, the histogram of a pixel, one laser
+period of a subgroup.
 
-The same figures appear in the explorer, in `report.html` and in notebooks. Axes and texts have colours that are CSS variables
-of the page (`study/show/page.css`), so they follow its theme. Fates and verdicts also differ in shape or hatching. Their
-colours are those of Okabe and Ito, and the maps use viridis and cividis, which colour-blind people can read.
+The same figures appear in the explorer, in `report.html` and in notebooks. Axes and texts have
+colours that are CSS variables of the page (`study/show/page.css`), so they follow its theme. Fates
+and verdicts also differ in shape or hatching. Their colours are those of Okabe and Ito, and the
+maps use viridis and cividis, which colour-blind people can read.
 """
 
 from collections.abc import Callable
@@ -80,12 +82,24 @@ VERDICTS = {  # of a window: (colour, hatching, meaning)
     Verdict.REJECTED: (GREY, "/", "rejected: too few pixels"),
     Verdict.DROPPED: (VERMILION, "x", "dropped: FIFO full"),
 }
-_SHAPES = {"triangle": "▲", "circle": "●", "x": "×", "dash": "▬", "square_pin": "■", "inverted_triangle": "▼"}
+_SHAPES = {
+    "triangle": "▲",
+    "circle": "●",
+    "x": "×",
+    "dash": "▬",
+    "square_pin": "■",
+    "inverted_triangle": "▼",
+}
 FATE_MARKS = [
     (_SHAPES[marker], colour, meaning) for colour, marker, meaning in FATES.values()
 ]  # of the key beside the figures
-REASON_MARKS = [("■", colour, SENTENCES[reason].partition(":")[0]) for reason, colour in REASONS.items()]
-VERDICT_MARKS = [(sign, colour, meaning) for sign, (colour, _, meaning) in zip("▌▨▩", VERDICTS.values(), strict=True)]
+REASON_MARKS = [
+    ("■", colour, SENTENCES[reason].partition(":")[0]) for reason, colour in REASONS.items()
+]
+VERDICT_MARKS = [
+    (sign, colour, meaning)
+    for sign, (colour, _, meaning) in zip("▌▨▩", VERDICTS.values(), strict=True)
+]
 TRUTH, CHOSEN, OTHER = VERMILION, TEAL, SKY
 ERROR_PALETTE = tuple(  # blue, white, orange: too near, right, too far
     "#" + "".join(f"{round(a + (b - a) * share):02x}" for a, b in zip(start, end, strict=True))
@@ -100,7 +114,8 @@ COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown when two frame
 MAP_SIZE_PX, BAR_WIDTH_PX, BAR_AND_LABELS_PX = 168, 8, 44
 DEPTH_MARGIN = 0.05  # margin at both ends of the colour scale, relative to the range of the truth
 CHOICE_MARKS = ("diamond", "circle")  # the chosen return, the others
-REASON_PALETTE = tuple(REASONS.get(reason, "#00000000") for reason in Reason)  # clear where the depth is believed
+# clear where the depth is believed
+REASON_PALETTE = tuple(REASONS.get(reason, "#00000000") for reason in Reason)
 _SENTENCES = "|".join(SENTENCES[reason] for reason in Reason)
 
 
@@ -120,16 +135,32 @@ def map_columns(view: FrameView) -> Columns:
     row, col = np.indices((sensor.rows, sensor.cols))
     pictures = {name: getattr(view, name).astype(np.float32) for name in (*MAPS, *LIGHT)}
     subgroup = pixel_table(sensor).subgroup.reshape(row.shape)
-    pictures |= {"row": row.astype(np.int32), "col": col.astype(np.int32), "subgroup": subgroup.astype(np.int32)}
+    pictures |= {
+        "row": row.astype(np.int32),
+        "col": col.astype(np.int32),
+        "subgroup": subgroup.astype(np.int32),
+    }
     pictures["reason"] = view.reason.astype(np.int32)
-    where = {"x": [-0.5], "y": [-0.5], "dw": [sensor.cols], "dh": [sensor.rows], "sentences": [_SENTENCES]}
+    where = {
+        "x": [-0.5],
+        "y": [-0.5],
+        "dw": [sensor.cols],
+        "dh": [sensor.rows],
+        "sentences": [_SENTENCES],
+    }
     return {name: [picture] for name, picture in pictures.items()} | where
 
 
 def map_scales(views: list[FrameView]) -> dict[str, tuple[float, float]]:
-    """Return (low, high) of the colour scale of each map; all `views` share it, so they can be compared."""
-    near_m = min((np.nanmin(view.truth_m) for view in views if not np.isnan(view.truth_m).all()), default=0.0)
-    far_m = max((np.nanmax(view.truth_m) for view in views if not np.isnan(view.truth_m).all()), default=1.0)
+    """Return (low, high) of the colour scale of each map; all `views` share it, so they can be
+    compared.
+    """
+    near_m = min(
+        (np.nanmin(view.truth_m) for view in views if not np.isnan(view.truth_m).all()), default=0.0
+    )
+    far_m = max(
+        (np.nanmax(view.truth_m) for view in views if not np.isnan(view.truth_m).all()), default=1.0
+    )
     margin_m = max(DEPTH_MARGIN * (far_m - near_m), TOLERANCE_M)
     depth = (near_m - margin_m, far_m + margin_m)
     return {
@@ -147,20 +178,34 @@ def cursor_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Column
     height, width = view.config.sensor.subgroup
     top, left = row // height * height, col // width * width
     pixel = {"x": [col], "y": [row], "w": [1], "h": [1]}
-    around = {"x": [left + (width - 1) / 2], "y": [top + (height - 1) / 2], "w": [width], "h": [height]}
+    around = {
+        "x": [left + (width - 1) / 2],
+        "y": [top + (height - 1) / 2],
+        "w": [width],
+        "h": [height],
+    }
     return pixel, around
 
 
 class MapFigure:
-    """A map of the array that reacts to the mouse. shows: key of `MAPS`; name: of the figure; source: holds `map_columns`."""
+    """A map of the array that reacts to the mouse. shows: key of `MAPS`; name: of the figure;
+    source: holds `map_columns`.
+    """
 
     def __init__(
-        self, shows: str, name: str, source: ColumnDataSource, cursor: ColumnDataSource, around: ColumnDataSource
+        self,
+        shows: str,
+        name: str,
+        source: ColumnDataSource,
+        cursor: ColumnDataSource,
+        around: ColumnDataSource,
     ) -> None:
         self.shows, (self._title, self._full_palette) = shows, MAPS[shows]
         over = CustomJS(args={"source": source}, code="overMap(source.data, cb_data.geometry)")
         self._palette = self._full_palette
-        self.mapper = LinearColorMapper(palette=self._palette, low=0, high=1, nan_color=NO_VALUE_ON_PAGE)
+        self.mapper = LinearColorMapper(
+            palette=self._palette, low=0, high=1, nan_color=NO_VALUE_ON_PAGE
+        )
         self.figure = plot = figure(
             title=self._title,
             width=MAP_SIZE_PX + BAR_AND_LABELS_PX,
@@ -176,11 +221,16 @@ class MapFigure:
         plot.grid.visible = plot.axis.visible = False
         plot.title.text_font_size = TITLE_PX
         plot.min_border = 4
-        plot.min_border_right = BAR_AND_LABELS_PX  # room for the labels of any scale, so that all maps have one size
-        image = plot.image(shows, x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=self.mapper)
+        # room for the labels of any scale, so that all maps have one size
+        plot.min_border_right = BAR_AND_LABELS_PX
+        image = plot.image(
+            shows, x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=self.mapper
+        )
         plot.hover.renderers = [image]
         if shows == "confidence":
-            why = LinearColorMapper(palette=REASON_PALETTE, low=-0.5, high=len(REASON_PALETTE) - 0.5)
+            why = LinearColorMapper(
+                palette=REASON_PALETTE, low=-0.5, high=len(REASON_PALETTE) - 0.5
+            )
             plot.image("reason", x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=why)
         for frame, dash in ((around, "dashed"), (cursor, "solid")):
             for colour, line in (("black", 3), ("white", 1.2)):
@@ -199,7 +249,8 @@ class MapFigure:
             color_mapper=self.mapper,
             ticker=BasicTicker(desired_num_ticks=5, min_interval=1 if shows in COUNTS else 0),
             width=BAR_WIDTH_PX,
-            major_tick_in=0,  # Bokeh 3.9 draws them beside the bar after a change of the page's width
+            # Bokeh 3.9 draws them beside the bar after a change of the page's width
+            major_tick_in=0,
             padding=2,
             major_label_text_font_size=TEXT_PX,
             background_fill_color=None,
@@ -208,7 +259,9 @@ class MapFigure:
         plot.add_layout(bar, "right")
 
     def show(self, view: FrameView, scale: tuple[float, float], prefix: str = "") -> None:
-        """Set title, colours and ranges for `view`, whose columns are set separately. scale: (low, high) of the colours."""
+        """Set title, colours and ranges for `view`, whose columns are set separately. scale: (low,
+        high) of the colours.
+        """
         self.figure.title.text = prefix + self._title
         (low, high), palette = scale, self._full_palette
         if self.shows in COUNTS and high <= WHOLE_COLOURS_MAX:
@@ -225,7 +278,12 @@ def histogram_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Col
     """Return the columns (bars, returns, truth) of a pixel's histogram; distances are in metres."""
     of_pixel, of_subgroup = view.histogram(row, col)
     left = np.arange(len(of_pixel)) * HISTOGRAM_BIN_M
-    bars = {"left": left, "right": left + HISTOGRAM_BIN_M, "pixel": of_pixel, "subgroup": of_subgroup}
+    bars = {
+        "left": left,
+        "right": left + HISTOGRAM_BIN_M,
+        "pixel": of_pixel,
+        "subgroup": of_subgroup,
+    }
     known = ~np.isnan(view.candidate_m[row, col])
     at_m, confidence = view.candidate_m[row, col][known], view.candidate_confidence[row, col][known]
     truth_m = float(view.truth_m[row, col])
@@ -262,7 +320,9 @@ def _axes_figure(**options: Any) -> figure:
 
 
 class HistogramFigure:
-    """The events of a pixel over distance; behind them, in grey and with an own scale, the events of its subgroup."""
+    """The events of a pixel over distance; behind them, in grey and with an own scale, the events
+    of its subgroup.
+    """
 
     def __init__(self, width: int = 480, height: int = 226):
         self.bars = ColumnDataSource({"left": [], "right": [], "pixel": [], "subgroup": []})
@@ -280,7 +340,12 @@ class HistogramFigure:
         self.subgroup_range = Range1d(0, 1)
         plot.extra_y_ranges = {"subgroup": self.subgroup_range}
         plot.add_layout(
-            LinearAxis(y_range_name="subgroup", axis_label="events of its subgroup", stylesheets=[STYLESHEET]), "right"
+            LinearAxis(
+                y_range_name="subgroup",
+                axis_label="events of its subgroup",
+                stylesheets=[STYLESHEET],
+            ),
+            "right",
         )
         plot.quad(
             left="left", right="right", top="subgroup", bottom=0, source=self.bars, y_range_name="subgroup",
@@ -290,7 +355,14 @@ class HistogramFigure:
             left="left", right="right", top="pixel", bottom=0, source=self.bars,
             fill_color=BLUE, line_color=BLUE, legend_label="pixel",
         )  # fmt: skip
-        plot.vspan("x", source=self.truth, line_color=TRUTH, line_width=2, line_dash="dashed", legend_label="truth")
+        plot.vspan(
+            "x",
+            source=self.truth,
+            line_color=TRUTH,
+            line_width=2,
+            line_dash="dashed",
+            legend_label="truth",
+        )
         marks = plot.scatter(
             "x", 0.0, source=self.returns, marker="marker", size=12, fill_color="colour", line_color="black",
             legend_label="chosen return",
@@ -308,8 +380,14 @@ class HistogramFigure:
         for name, span in (("pixel", self.figure.y_range), ("subgroup", self.subgroup_range)):
             most = max(3, int(bars[name].max(initial=0)))
             span.update(start=-0.12 * most, end=1.15 * most)
-        far_m = min(view.range_m, 1.5 * np.nanmax(view.truth_m)) if not np.isnan(view.truth_m).all() else view.range_m
-        self.figure.x_range.update(start=0, end=float(far_m), reset_start=0, reset_end=float(view.range_m))
+        far_m = (
+            min(view.range_m, 1.5 * np.nanmax(view.truth_m))
+            if not np.isnan(view.truth_m).all()
+            else view.range_m
+        )
+        self.figure.x_range.update(
+            start=0, end=float(far_m), reset_start=0, reset_end=float(view.range_m)
+        )
 
 
 def histogram_title(view: FrameView, row: int, col: int) -> str:
@@ -320,7 +398,9 @@ def histogram_title(view: FrameView, row: int, col: int) -> str:
 
 
 def light_columns(view: FrameView, subgroup: int) -> Columns:
-    """Return the columns with the expected arrival of the laser light at each pixel, in ns after the trigger."""
+    """Return the columns with the expected arrival of the laser light at each pixel, in ns after
+    the trigger.
+    """
     table = pixel_table(view.config.sensor)
     chosen = (table.subgroup == subgroup) & ~np.isnan(view.truth_m.ravel())
     return {"x": 2e9 / SPEED_OF_LIGHT_M_S * view.truth_m.ravel()[chosen], "y": table.inside[chosen]}
@@ -328,11 +408,15 @@ def light_columns(view: FrameView, subgroup: int) -> Columns:
 
 def commit_mark(verdict: Verdict) -> str:
     """Return the marker below a window's commit, at the FIFO."""
-    return {Verdict.COMMITTED: "inverted_triangle", Verdict.DROPPED: "x", Verdict.REJECTED: "dot"}[verdict]
+    return {Verdict.COMMITTED: "inverted_triangle", Verdict.DROPPED: "x", Verdict.REJECTED: "dot"}[
+        verdict
+    ]
 
 
 def period_columns(view: FrameView, period: Period) -> tuple[Columns, Columns, Columns, Columns]:
-    """Return the columns (edges, windows, gate, fill) of one laser period; times are in ns after the trigger."""
+    """Return the columns (edges, windows, gate, fill) of one laser period; times are in ns after
+    the trigger.
+    """
     sensor = view.config.sensor
     tick_ns = view.config.tick_s * 1e9
     cycle_ns = tick_ns * sensor.phases
@@ -361,7 +445,10 @@ def period_columns(view: FrameView, period: Period) -> tuple[Columns, Columns, C
     gate: Columns = {"left": [], "right": []}
     if period.gate_cycles is not None:
         first, end = period.gate_cycles
-        gate = {"left": [0, end * cycle_ns], "right": [first * cycle_ns, view.config.period * cycle_ns]}
+        gate = {
+            "left": [0, end * cycle_ns],
+            "right": [first * cycle_ns, view.config.period * cycle_ns],
+        }
     fill = {
         "x": np.append(period.fill_cycle, view.config.period) * cycle_ns,
         "fill": np.append(period.fill, period.fill[-1]),
@@ -370,11 +457,24 @@ def period_columns(view: FrameView, period: Period) -> tuple[Columns, Columns, C
 
 
 class TimelineFigure:
-    """One laser period of a subgroup: edges, windows, gate and commits above, the fill level of the FIFO below."""
+    """One laser period of a subgroup: edges, windows, gate and commits above, the fill level of the
+    FIFO below.
+    """
 
     def __init__(self, width: int = 480, height: int = 226):
         self.edges = ColumnDataSource({name: [] for name in ("x", "y", "colour", "marker", "fate")})
-        names = ("left", "right", "middle", "top", "count", "colour", "hatch", "verdict", "commit", "commit_mark")
+        names = (
+            "left",
+            "right",
+            "middle",
+            "top",
+            "count",
+            "colour",
+            "hatch",
+            "verdict",
+            "commit",
+            "commit_mark",
+        )
         self.windows = ColumnDataSource({name: [] for name in names})
         self.gate = ColumnDataSource({"left": [], "right": []})
         self.fill = ColumnDataSource(
@@ -382,7 +482,11 @@ class TimelineFigure:
         )  # Bokeh 3.9 paints a stepped area without points forever
         self.light = ColumnDataSource({"x": [], "y": []})
         self.figure = plot = _axes_figure(
-            title="click a subgroup", width=width, height=height - 80, y_axis_label="pixel", name="timeline"
+            title="click a subgroup",
+            width=width,
+            height=height - 80,
+            y_axis_label="pixel",
+            name="timeline",
         )
         plot.xaxis.visible = False
         gate = plot.quad(
@@ -398,7 +502,16 @@ class TimelineFigure:
             "middle", "top", text="count", source=self.windows, text_align="center", text_baseline="bottom",
             text_font_size=TEXT_PX, text_color="colour",
         )  # fmt: skip
-        plot.scatter("x", "y", source=self.light, marker="dash", angle=np.pi / 2, size=5, line_color=GREY, line_width=2)
+        plot.scatter(
+            "x",
+            "y",
+            source=self.light,
+            marker="dash",
+            angle=np.pi / 2,
+            size=5,
+            line_color=GREY,
+            line_width=2,
+        )
         marks = plot.scatter("x", "y", source=self.edges, marker="marker", size=7, fill_color="colour", line_color="colour")  # fmt: skip
         plot.add_tools(
             HoverTool(renderers=[marks], tooltips=[("edge", "pixel @y, @x{0.00} ns"), ("fate", "@fate")]),
@@ -420,11 +533,23 @@ class TimelineFigure:
         self.fill_ticker = FixedTicker(ticks=[])
         self.below.yaxis.ticker = self.fill_ticker
         self.below.varea_step(
-            "x", y1=0, y2="fill", source=self.fill, fill_color=BLUE, fill_alpha=0.4, step_mode="after"
+            "x",
+            y1=0,
+            y2="fill",
+            source=self.fill,
+            fill_color=BLUE,
+            fill_alpha=0.4,
+            step_mode="after",
         )
         self.below.step("x", "fill", source=self.fill, mode="after", line_color=BLUE)
         self.below.scatter(
-            "commit", 0, source=self.windows, marker="commit_mark", size=8, fill_color="colour", line_color="colour"
+            "commit",
+            0,
+            source=self.windows,
+            marker="commit_mark",
+            size=8,
+            fill_color="colour",
+            line_color="colour",
         )
         for one in (plot, self.below):
             one.min_border_left = 50
@@ -433,7 +558,12 @@ class TimelineFigure:
     def show(self, view: FrameView, subgroup: int, pulse: int) -> None:
         period = view.period(subgroup, pulse)
         edges, windows, gate, fill = period_columns(view, period)
-        self.edges.data, self.windows.data, self.gate.data, self.fill.data = edges, windows, gate, fill
+        self.edges.data, self.windows.data, self.gate.data, self.fill.data = (
+            edges,
+            windows,
+            gate,
+            fill,
+        )
         self.light.data = light_columns(view, subgroup)
         needed = f"{period.threshold} pixel{'s' * (period.threshold > 1)}"
         self.figure.title.text = f"subgroup {subgroup}, pulse {pulse}: a window needs {needed}"
@@ -468,14 +598,19 @@ def _legend_above(plot: figure) -> None:
 
 
 class Views:
-    """All figures, linked: a click on a map selects a pixel and its subgroup. compared: adds maps of another frame, A."""
+    """All figures, linked: a click on a map selects a pixel and its subgroup. compared: adds maps
+    of another frame, A.
+    """
 
     def __init__(self, compared: bool = False) -> None:
         self.pictures, self.others = (ColumnDataSource(_no_picture()) for _ in range(2))
-        self.cursor, self.around = (ColumnDataSource({name: [] for name in "xywh"}) for _ in range(2))
+        self.cursor, self.around = (
+            ColumnDataSource({name: [] for name in "xywh"}) for _ in range(2)
+        )
         frames = self.cursor, self.around
         self.a_maps = [
-            MapFigure(name, f"map_a_{name}", self.others, *frames) for name in (COMPARED if compared else ())
+            MapFigure(name, f"map_a_{name}", self.others, *frames)
+            for name in (COMPARED if compared else ())
         ]
         self.maps = [MapFigure(name, f"map_{name}", self.pictures, *frames) for name in MAPS]
         self.histogram, self.timeline = HistogramFigure(), TimelineFigure()
@@ -486,9 +621,14 @@ class Views:
         return [*maps, self.histogram.figure, self.timeline.figure, self.timeline.below]
 
     def show(
-        self, view: FrameView, other: FrameView | None = None, scales: dict[str, tuple[float, float]] | None = None
+        self,
+        view: FrameView,
+        other: FrameView | None = None,
+        scales: dict[str, tuple[float, float]] | None = None,
     ) -> None:
-        """Show all maps of a frame; with another frame, label them B and show the maps of A beside them."""
+        """Show all maps of a frame; with another frame, label them B and show the maps of A beside
+        them.
+        """
         scales = scales or map_scales([view] if other is None else [view, other])
         for one in self.maps:
             one.show(view, scales[one.shows], "" if other is None else "B: ")

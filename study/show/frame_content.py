@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The content of the views of a frame: maps, histograms, laser periods, numbers. Nothing is drawn here."""
+"""The content of the views of a frame: maps, histograms, laser periods, numbers. Nothing is drawn
+here.
+"""
 
 from functools import cached_property
 
@@ -32,7 +34,8 @@ def metres_per_tick(config: Config) -> float:
 
 @frozen(kw_only=True)
 class ObjectView:
-    """Results of an object. distance_m, reflectivity: medians. signal: median of the photons per pixel and pulse.
+    """Results of an object. distance_m, reflectivity: medians. signal: median of the photons per
+    pixel and pulse.
 
     middle: (row, column) of the pixel that is nearest to its centre.
     """
@@ -49,21 +52,32 @@ class ObjectView:
 class FrameView:
     """One frame with the results of its estimator, ready for display.
 
-    reason: uint8[rows, cols], `belief.Reason`. Maps, float64[rows, cols]: truth_m, depth_m, error_m (depth - truth) and
-    confidence, NaN = none; threshold (pixels that a window of the subgroup needed) and drops (events that the subgroup's
-    full FIFO dropped); reflectivity (NaN = no target); signal and background, mean photons that the pixel detects in a
-    laser period. candidate_m, candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: measures
+    reason: uint8[rows, cols], `belief.Reason`. Maps, float64[rows, cols]: truth_m, depth_m, error_m
+    (depth - truth) and confidence, NaN = none; threshold (pixels that a window of the subgroup
+    needed) and drops (events that the subgroup's full FIFO dropped); reflectivity (NaN = no
+    target); signal and background, mean photons that the pixel detects in a laser period.
+    candidate_m, candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: measures
     (`lab/measures.py`), and `sun_share`. objects: see `seen_objects`.
     """
 
     def __init__(self, title: str, frame: Frame) -> None:
         run, config, scene = frame.run, frame.config, frame.run.scene
-        found, light, shape = frame.depth(CANDIDATES), run.light, (config.sensor.rows, config.sensor.cols)
+        found, light, shape = (
+            frame.depth(CANDIDATES),
+            run.light,
+            (config.sensor.rows, config.sensor.cols),
+        )
         sigma_ticks = pulse_sigma_ticks(config, SYSTEM_FWHM_S)
-        nearest = np.where(np.isnan(scene.distance_m), np.inf, scene.distance_m).argmin(axis=2)[:, :, None]
+        nearest = np.where(np.isnan(scene.distance_m), np.inf, scene.distance_m).argmin(axis=2)[
+            :, :, None
+        ]
         reflectivity = np.take_along_axis(scene.reflectivity, nearest, 2)[:, :, 0]
         self.title, self.config, self.edges, self.trace = title, config, frame.edges, frame.trace
-        self.truth_m, self.depth_m, self.reason = frame.truth_m, found.depth_m[:, :, 0], found.reason
+        self.truth_m, self.depth_m, self.reason = (
+            frame.truth_m,
+            found.depth_m[:, :, 0],
+            found.reason,
+        )
         self.error_m = self.depth_m - self.truth_m
         self.candidate_m, self.candidate_confidence = found.depth_m, found.confidence
         self.confidence = np.where(np.isnan(self.depth_m), np.nan, found.confidence[:, :, 0])
@@ -71,7 +85,9 @@ class FrameView:
         self.drops = _of_subgroups(frame.counter("dropped"), config)
         self.reflectivity = np.where(scene.valid, reflectivity, np.nan)
         self.signal = light.signal_per_pulse.sum(axis=1).reshape(shape)
-        self.background = light.background_cps.reshape(shape) * (config.period_ticks * config.tick_s)
+        self.background = light.background_cps.reshape(shape) * (
+            config.period_ticks * config.tick_s
+        )
         self.events = frame_events(run.result, config, sigma_ticks, frame.number)
         self.numbers = {name: frame[name] for name in SHOWN}
         self.numbers["sun_share"] = _sun_share(self.events, scene, config, sigma_ticks)
@@ -91,7 +107,9 @@ class FrameView:
 
     @cached_property
     def timeline(self) -> Timeline:
-        """All periods of all subgroups; computed on first use, because this takes long in long frames."""
+        """All periods of all subgroups; computed on first use, because this takes long in long
+        frames.
+        """
         return frame_timeline(self.config, self.edges, self.trace)
 
     def period(self, subgroup: int, pulse: int) -> Period:
@@ -101,7 +119,8 @@ class FrameView:
     def event_bins(self) -> np.ndarray:
         """int64[events]: the histogram bin of each event's arrival."""
         return np.minimum(
-            self.events.arrival * metres_per_tick(self.config) / HISTOGRAM_BIN_M, self.histogram_bins - 1
+            self.events.arrival * metres_per_tick(self.config) / HISTOGRAM_BIN_M,
+            self.histogram_bins - 1,
         ).astype(np.int64)
 
     @property
@@ -109,22 +128,30 @@ class FrameView:
         return int(np.ceil(self.range_m / HISTOGRAM_BIN_M))
 
     def histogram(self, row: int, col: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the events of the pixel and those of its subgroup, each int64[bins] of `HISTOGRAM_BIN_M`. Raises `InputError`."""
+        """Return the events of the pixel and those of its subgroup, each int64[bins] of
+        `HISTOGRAM_BIN_M`. Raises `InputError`.
+        """
         subgroup = self.subgroup_of(row, col)
         inside = pixel_table(self.config.sensor).inside[row * self.config.sensor.cols + col]
         bins = self.event_bins()[self.events.bounds[subgroup] : self.events.bounds[subgroup + 1]]
         hit = self.events.maps(subgroup, self.config.sensor.pixels)[:, inside]
-        return np.bincount(bins[hit], minlength=self.histogram_bins), np.bincount(bins, minlength=self.histogram_bins)
+        return np.bincount(bins[hit], minlength=self.histogram_bins), np.bincount(
+            bins, minlength=self.histogram_bins
+        )
 
 
 def _of_subgroups(values: np.ndarray, config: Config) -> np.ndarray:
     """float64[rows, cols] from one value per subgroup."""
     sensor = config.sensor
-    return pixel_image(np.broadcast_to(values[:, None], (sensor.subgroups, sensor.pixels)), sensor).astype(np.float64)
+    return pixel_image(
+        np.broadcast_to(values[:, None], (sensor.subgroups, sensor.pixels)), sensor
+    ).astype(np.float64)
 
 
 def _sun_share(events: Events, scene: Scene, config: Config, sigma_ticks: float) -> float | None:
-    """Return the share of the events that arrived when no visible surface sends light back; None without events."""
+    """Return the share of the events that arrived when no visible surface sends light back; None
+    without events.
+    """
     subgroup_of = pixel_table(config.sensor).subgroup
     arrival = scene.distance_m.reshape(config.sensor.array_pixels, -1) / metres_per_tick(config)
     alone = 0
@@ -133,12 +160,18 @@ def _sun_share(events: Events, scene: Scene, config: Config, sigma_ticks: float)
         light = np.concatenate([[-np.inf], light[~np.isnan(light)], [np.inf]])
         at = events.arrival[events.bounds[s] : events.bounds[s + 1]]
         after = np.searchsorted(light, at)
-        alone += int(np.sum(np.minimum(at - light[after - 1], light[after] - at) > LIGHT_SIGMAS * sigma_ticks))
+        alone += int(
+            np.sum(
+                np.minimum(at - light[after - 1], light[after] - at) > LIGHT_SIGMAS * sigma_ticks
+            )
+        )
     return alone / len(events.stamp) if len(events.stamp) and scene.transient is None else None
 
 
 def _middle(here: np.ndarray) -> tuple[int, int]:
-    """Return the (row, column) of the pixel in `here`, bool[rows, cols], that is nearest to the mean position."""
+    """Return the (row, column) of the pixel in `here`, bool[rows, cols], that is nearest to the
+    mean position.
+    """
     at = np.argwhere(here)
     row, col = at[np.square(at - at.mean(axis=0)).sum(axis=1).argmin()]
     return int(row), int(col)
@@ -147,7 +180,8 @@ def _middle(here: np.ndarray) -> tuple[int, int]:
 def seen_objects(scene: Scene, light: Light, depth_m: np.ndarray) -> list[ObjectView]:
     """Return the objects, the darkest first.
 
-    A scene without objects is split in two: the pixels with at most the median signal, and those with more.
+    A scene without objects is split in two: the pixels with at most the median signal, and those
+    with more.
     """
     truth_m, valid = scene.truth_m, scene.valid
     signal = light.signal_per_pulse.sum(axis=1).reshape(valid.shape)
@@ -157,7 +191,9 @@ def seen_objects(scene: Scene, light: Light, depth_m: np.ndarray) -> list[Object
         labels = np.where(valid, signal > np.median(signal[valid]), -1)
         names = {0: "darker half", 1: "brighter half"}
     wrong = wrong_pixels(depth_m, truth_m)
-    reflectivity = np.nanmax(np.where(valid[:, :, None], scene.reflectivity, np.nan), axis=2, initial=0)
+    reflectivity = np.nanmax(
+        np.where(valid[:, :, None], scene.reflectivity, np.nan), axis=2, initial=0
+    )
     found = []
     for label, name in names.items():
         here = labels == label

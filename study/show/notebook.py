@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shows a run in a notebook: a self-contained summary, and the figures of the explorer, each in a frame without network."""
+"""Shows a run in a notebook: a self-contained summary, and the figures of the explorer, each in a
+frame without network.
+"""
 
 import base64
 from collections.abc import Callable
@@ -24,15 +26,15 @@ from .words import number_rows, story
 
 @frozen
 class Shown:
-    """A page that displays itself in a notebook. html: self-contained; height_px: height of its frame."""
+    """A page that displays itself in a notebook. html: self-contained; height_px: height of its
+    frame.
+    """
 
     html: str
     height_px: int
 
     def _repr_html_(self) -> str:
-        return (
-            f'<iframe srcdoc="{escape(self.html)}" style="width: 100%; height: {self.height_px}px; border: 0"></iframe>'
-        )
+        return f'<iframe srcdoc="{escape(self.html)}" style="width: 100%; height: {self.height_px}px; border: 0"></iframe>'
 
     def save(self, path: FilePath) -> None:
         """Write the page, whole or not at all."""
@@ -51,7 +53,10 @@ def summary(run: Run) -> str:
     view = run_view(run)
     figure, _ = draw_row([Panel("depth", view.depth_m, view.reason)], view.truth_m, run.scene.name)
     picture = base64.b64encode(figure_bytes(figure, "png")).decode()
-    rows = "".join(f"<tr><td>{escape(label)}</td><td>{escape(value)}</td></tr>" for label, value in number_rows(view))
+    rows = "".join(
+        f"<tr><td>{escape(label)}</td><td>{escape(value)}</td></tr>"
+        for label, value in number_rows(view)
+    )
     return (
         f'<p>{escape(story(view))}</p><img alt="truth and depth" src="data:image/png;base64,{picture}">'
         f"<table>{rows}</table>"
@@ -67,13 +72,19 @@ def plot(run: Run, frame: int = 0, method: Method | None = None) -> Shown:
 
 
 class PixelHistogram(np.ndarray):
-    """`pixel_histogram` of a run, int32[period_ticks]. A notebook draws it with truth, candidates and the chosen return."""
+    """`pixel_histogram` of a run, int32[period_ticks]. A notebook draws it with truth, candidates
+    and the chosen return.
+    """
 
     draw: Callable[[], Shown] | None  # None for arrays computed from it
 
     @classmethod
-    def of(cls, run: Run, pixel: int, *, source: str = "map", frame: int | None = None) -> "PixelHistogram":
-        """Return the histogram of pixel row * cols + column. frame None: hits of all frames, drawn with the depth of the first."""
+    def of(
+        cls, run: Run, pixel: int, *, source: str = "map", frame: int | None = None
+    ) -> "PixelHistogram":
+        """Return the histogram of pixel row * cols + column. frame None: hits of all frames, drawn
+        with the depth of the first.
+        """
         hits = pixel_histogram(run.result, run.config, pixel, source=source, frame=frame).view(cls)
         hits.draw = partial(plot_histogram, run, pixel, frame or 0)
         return hits
@@ -102,7 +113,9 @@ def plot_histogram(run: Run, pixel: int, frame: int = 0, method: Method | None =
 
 
 def plot_timeline(run: Run, subgroup: int, pulse: int, frame: int = 0) -> Shown:
-    """Return one laser period of a subgroup: edges with their fates, windows, gate, commits, FIFO."""
+    """Return one laser period of a subgroup: edges with their fates, windows, gate, commits,
+    FIFO.
+    """
     with extra("explore"):
         from .figures import TimelineFigure
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes `report.html`, the views of a run in one file that needs no server and no network.
 
-The script of the page computes nothing. It only looks up data from `timeline.py` and `frame_content.py`.
+The script of the page computes nothing. It only looks up data from `timeline.py` and
+`frame_content.py`.
 """
 
 import json
@@ -63,7 +64,9 @@ def report_html(heading: str, views: list[FrameView]) -> str:
         "pictures": figures.pictures,
         "cursor": figures.cursor,
         "around": figures.around,
-        "histogram": _parts(figures.histogram, "bars", "returns", "truth", "figure", "subgroup_range"),
+        "histogram": _parts(
+            figures.histogram, "bars", "returns", "truth", "figure", "subgroup_range"
+        ),
         "timeline": _parts(figures.timeline, "edges", "windows", "gate", "fill", "light", "figure"),
         "sensor": {
             "rows": config.sensor.rows,
@@ -94,7 +97,9 @@ def report_html(heading: str, views: list[FrameView]) -> str:
     with doc.models.freeze():
         for root in figures.roots():
             doc.add_root(root)
-        doc.js_on_event(DocumentReady, CustomJS(args=args, code="report({" + ", ".join(args) + "})"))
+        doc.js_on_event(
+            DocumentReady, CustomJS(args=args, code="report({" + ", ".join(args) + "})")
+        )
         figures.pick_in_page(CustomJS(code="picked(Math.round(cb_obj.y), Math.round(cb_obj.x))"))
     folder = Environment(loader=FileSystemLoader(SHOW))
     html = file_html(
@@ -120,7 +125,9 @@ def report_html(heading: str, views: list[FrameView]) -> str:
 
 
 def _numbered(html: str) -> str:
-    """Return the page with numbers in place of its random names, so that the same run gives the same bytes."""
+    """Return the page with numbers in place of its random names, so that the same run gives the
+    same bytes.
+    """
     numbers: dict[str, str] = {}
     return RANDOM_NAME.sub(lambda name: numbers.setdefault(name[0], f"name-{len(numbers)}"), html)
 
@@ -132,11 +139,15 @@ def _parts(figures: object, *names: str) -> dict[str, Any]:
 def _pulses_kept(views: list[FrameView]) -> int:
     """Return the number of pulses whose edges fit into the report."""
     pulses = views[0].config.pulses
-    return max(1, min(pulses, EDGES_MAX * pulses // max(1, sum(len(view.timeline.tick) for view in views))))
+    return max(
+        1, min(pulses, EDGES_MAX * pulses // max(1, sum(len(view.timeline.tick) for view in views)))
+    )
 
 
 def _sources(view: FrameView, pulses: int) -> dict[str, Any]:
-    """Return the data of a frame for the page. A period has the number subgroup * pulses + pulse, counted in kept pulses."""
+    """Return the data of a frame for the page. A period has the number subgroup * pulses + pulse,
+    counted in kept pulses.
+    """
     line = view.timeline
     edges, edge_bounds = _first_pulses(line.edge_bounds, view.config.pulses, pulses)
     opened, window_bounds = _first_pulses(line.window_bounds, view.config.pulses, pulses)
@@ -154,15 +165,22 @@ def _sources(view: FrameView, pulses: int) -> dict[str, Any]:
             "fate": line.fate[edges],
         },
         "windows": {
-            part.name: getattr(line.windows, part.name)[opened].astype(np.int32) for part in Windows.__attrs_attrs__
+            part.name: getattr(line.windows, part.name)[opened].astype(np.int32)
+            for part in Windows.__attrs_attrs__
         },
-        "bounds": {"edges": edge_bounds.astype(np.int32), "windows": window_bounds.astype(np.int32)},
+        "bounds": {
+            "edges": edge_bounds.astype(np.int32),
+            "windows": window_bounds.astype(np.int32),
+        },
         "gates": {
             name: np.array(part, np.int32)
             for name, part in zip(("first", "end"), zip(*gates, strict=True), strict=True)
         },
         "fill": {"cycle": line.fill_cycle.astype(np.int32), "fill": line.fill.astype(np.int32)},
-        "subgroups": {"fill": line.fill_bounds.astype(np.int32), "events": view.events.bounds.astype(np.int32)},
+        "subgroups": {
+            "fill": line.fill_bounds.astype(np.int32),
+            "events": view.events.bounds.astype(np.int32),
+        },
         "threshold": line.threshold.tolist(),
         "starts": line.start_cycles.tolist(),
         "events": {"bin": view.event_bins().astype(np.int32)},
@@ -172,11 +190,16 @@ def _sources(view: FrameView, pulses: int) -> dict[str, Any]:
             "confidence": view.candidate_confidence.astype(np.float32).ravel(),
         },
     }
-    return {name: ColumnDataSource(part) if isinstance(part, dict) else part for name, part in parts.items()}
+    return {
+        name: ColumnDataSource(part) if isinstance(part, dict) else part
+        for name, part in parts.items()
+    }
 
 
 def _first_pulses(bounds: np.ndarray, pulses: int, kept: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return indices and bounds of the part that belongs to the first `kept` pulses of every subgroup."""
+    """Return indices and bounds of the part that belongs to the first `kept` pulses of every
+    subgroup.
+    """
     sizes = np.diff(bounds).reshape(-1, pulses)
     chosen = np.repeat((np.arange(sizes.size) % pulses) < kept, sizes.ravel())
     return np.flatnonzero(chosen), np.concatenate([[0], np.cumsum(sizes[:, :kept])])

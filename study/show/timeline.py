@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reconstructs a frame inside its subgroups: each edge with its fate, each window with its verdict, the fill of each FIFO.
+"""Reconstructs a frame inside its subgroups: each edge with its fate, each window with its verdict,
+the fill of each FIFO.
 
-Nothing is simulated here. Windows follow from the fates of the edges; commits and departures come from the golden model's
-record of the frame. The selection is our choice; the terms are those of the contract (paper III-A).
+Nothing is simulated here. Windows follow from the fates of the edges; commits and departures come
+from the golden model's record of the frame. The selection is our choice; the terms are those of the
+contract (paper III-A).
 """
 
 import enum
@@ -31,8 +33,9 @@ class Verdict(enum.IntEnum):
 class Windows:
     """Windows, arrays [n], in the order of the edges that opened them.
 
-    start, end: int64, ticks of their period; the window is [start, end). count: int64, distinct pixels. verdict: uint8,
-    `Verdict`. commit: int64, cycles from the start of the period to the commit; also given for windows without a commit.
+    start, end: int64, ticks of their period; the window is [start, end). count: int64, distinct
+    pixels. verdict: uint8, `Verdict`. commit: int64, cycles from the start of the period to the
+    commit; also given for windows without a commit.
     """
 
     start: np.ndarray
@@ -46,11 +49,12 @@ class Windows:
 class Timeline:
     """One frame, sorted by subgroup, laser period and time; period k = subgroup * pulses + pulse.
 
-    Edges, arrays [edges]: tick (int64, in its period), pixel (int64, in the subgroup), fate (uint8); period k has
-    edge_bounds[k] to edge_bounds[k + 1]. windows: likewise, with window_bounds. start_cycles: int64[pulses], first cycles
-    of the periods. FIFOs: fill_cycle (int64, of the frame) is the time of a change, fill (int64) the level from then on;
-    subgroup s has fill_bounds[s] to fill_bounds[s + 1], starting with level 0 in cycle 0. threshold: int64[subgroups],
-    number of pixels that a window needed.
+    Edges, arrays [edges]: tick (int64, in its period), pixel (int64, in the subgroup), fate
+    (uint8); period k has edge_bounds[k] to edge_bounds[k + 1]. windows: likewise, with
+    window_bounds. start_cycles: int64[pulses], first cycles of the periods. FIFOs: fill_cycle
+    (int64, of the frame) is the time of a change, fill (int64) the level from then on; subgroup s
+    has fill_bounds[s] to fill_bounds[s + 1], starting with level 0 in cycle 0. threshold:
+    int64[subgroups], number of pixels that a window needed.
     """
 
     config: Config
@@ -77,12 +81,17 @@ class Timeline:
         first = self.start_cycles[pulse]
         cycles = self.fill_cycle[slice(*self.fill_bounds[subgroup : subgroup + 2])] - first
         fill = self.fill[slice(*self.fill_bounds[subgroup : subgroup + 2])]
-        inside = slice(np.searchsorted(cycles, 0, "right") - 1, np.searchsorted(cycles, self.config.period, "left"))
+        inside = slice(
+            np.searchsorted(cycles, 0, "right") - 1,
+            np.searchsorted(cycles, self.config.period, "left"),
+        )
         return Period(
             tick=self.tick[edges],
             pixel=self.pixel[edges],
             fate=self.fate[edges],
-            windows=Windows(*(getattr(self.windows, part.name)[windows] for part in Windows.__attrs_attrs__)),
+            windows=Windows(
+                *(getattr(self.windows, part.name)[windows] for part in Windows.__attrs_attrs__)
+            ),
             fill_cycle=np.maximum(cycles[inside], 0),
             fill=fill[inside],
             gate_cycles=gate_of(self.config, subgroup, pulse),
@@ -92,7 +101,8 @@ class Timeline:
 
 @frozen(eq=False)
 class Period:
-    """One laser period of one subgroup, with arrays as in `Timeline`; fill_cycle counts from the first cycle of the period.
+    """One laser period of one subgroup, with arrays as in `Timeline`; fill_cycle counts from the
+    first cycle of the period.
 
     gate_cycles: (first, last + 1) of the gate, None if gating is off.
     """
@@ -108,7 +118,9 @@ class Period:
 
 
 def gate_of(config: Config, subgroup: int, pulse: int) -> tuple[int, int] | None:
-    """Return (first, last + 1), the cycles of a subgroup's gate at a pulse of the frame; None if gating is off."""
+    """Return (first, last + 1), the cycles of a subgroup's gate at a pulse of the frame; None if
+    gating is off.
+    """
     if not config.gating[subgroup]:
         return None
     frame = config.frame
@@ -133,18 +145,26 @@ def one_period(config: Config, edges: Edges, trace: Trace, subgroup: int, pulse:
 
 
 def frame_timeline(config: Config, edges: Edges, trace: Trace) -> Timeline:
-    """Return the timeline of a frame that the golden model played without stalls. edges: pulses count from the frame's start."""
+    """Return the timeline of a frame that the golden model played without stalls. edges: pulses
+    count from the frame's start.
+    """
     sensor, pulses = config.sensor, config.pulses
     table = pixel_table(sensor)
     subgroup, inside = table.subgroup[edges.pixel], table.inside[edges.pixel]
     period = subgroup * pulses + edges.pulse
-    order = np.argsort((period * config.period_ticks + edges.tick) * sensor.pixels + inside, kind="stable")
+    order = np.argsort(
+        (period * config.period_ticks + edges.tick) * sensor.pixels + inside, kind="stable"
+    )
     period = period[order]
     tick, fate = edges.tick[order], trace.fate[order]
     periods = np.arange(sensor.subgroups * pulses + 1)
     opening = fate == Fate.OPENING
-    threshold = np.where(config.coincidence, trace.counters[:, COUNTER_NAMES.index("threshold_used")], 1)
-    windows = _windows(config, trace, period[opening], tick[opening], _counts(opening, fate), threshold)
+    threshold = np.where(
+        config.coincidence, trace.counters[:, COUNTER_NAMES.index("threshold_used")], 1
+    )
+    windows = _windows(
+        config, trace, period[opening], tick[opening], _counts(opening, fate), threshold
+    )
     fill_cycle, fill, fill_bounds = _fill(config, trace)
     return Timeline(
         config=config,
@@ -163,13 +183,20 @@ def frame_timeline(config: Config, edges: Edges, trace: Trace) -> Timeline:
 
 
 def _counts(opening: np.ndarray, fate: np.ndarray) -> np.ndarray:
-    """int64[windows]: distinct pixels of each window: the edge that opened it, and those counted after it."""
+    """int64[windows]: distinct pixels of each window: the edge that opened it, and those counted
+    after it.
+    """
     of_window = np.cumsum(opening) - 1
     return np.bincount(of_window[opening | (fate == Fate.COUNTED)], minlength=opening.sum())
 
 
 def _windows(
-    config: Config, trace: Trace, period: np.ndarray, start: np.ndarray, count: np.ndarray, threshold: np.ndarray
+    config: Config,
+    trace: Trace,
+    period: np.ndarray,
+    start: np.ndarray,
+    count: np.ndarray,
+    threshold: np.ndarray,
 ) -> Windows:
     subgroup, pulse = np.divmod(period, config.pulses)
     end = start + np.where(config.coincidence, config.window, 1)[subgroup]
@@ -187,14 +214,21 @@ def _key(subgroup: np.ndarray, cycle: np.ndarray) -> np.ndarray:
 
 
 def _fill(config: Config, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (fill_cycle, fill, fill_bounds) of `Timeline`. An event adds 1 when it is stored, and -1 when its place is free again.
+    """Return (fill_cycle, fill, fill_bounds) of `Timeline`. An event adds 1 when it is stored, and
+    -1 when its place is free again.
 
     A place that becomes free in the cycle of a commit can take that commit.
     """
     subgroups = np.arange(config.sensor.subgroups)
     subgroup = np.concatenate([subgroups, trace.commit_subgroup, trace.commit_subgroup])
     cycle = np.concatenate([np.zeros_like(subgroups), trace.commit_cycle, trace.freed_cycle])
-    change = np.repeat([0, 1, -1], [len(subgroups), len(trace.commit_cycle), len(trace.freed_cycle)])
+    change = np.repeat(
+        [0, 1, -1], [len(subgroups), len(trace.commit_cycle), len(trace.freed_cycle)]
+    )
     order = np.lexsort((change, cycle, subgroup))
     # Every event has left by the end of the frame, so the sum over the earlier subgroups is 0.
-    return cycle[order], np.cumsum(change[order]), np.searchsorted(subgroup[order], np.arange(len(subgroups) + 1))
+    return (
+        cycle[order],
+        np.cumsum(change[order]),
+        np.searchsorted(subgroup[order], np.arange(len(subgroups) + 1)),
+    )

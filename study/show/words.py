@@ -26,7 +26,10 @@ OBJECT_HEADS = ("", "reflects", "distance", "photons per pulse", "wrong")
 
 def number_rows(*views: FrameView) -> list[list[str]]:
     """Return one row per number: label, then the value of each view."""
-    return [[label, *(_said(view.numbers[name], form) for view in views)] for label, name, form in NUMBERS]
+    return [
+        [label, *(_said(view.numbers[name], form) for view in views)]
+        for label, name, form in NUMBERS
+    ]
 
 
 def _said(value: float | None, form: _Form) -> str:
@@ -34,7 +37,9 @@ def _said(value: float | None, form: _Form) -> str:
 
 
 def object_table(*views: FrameView) -> list[list[str]]:
-    """Return one row per object of the first view: name, reflectivity, distance, signal, and its wrong share in each view."""
+    """Return one row per object of the first view: name, reflectivity, distance, signal, and its
+    wrong share in each view.
+    """
     wrong = [{one.name: one.wrong_share for one in view.objects} for view in views]
     return [
         [
@@ -49,7 +54,9 @@ def object_table(*views: FrameView) -> list[list[str]]:
 
 
 def where_to_look(view: FrameView) -> str:
-    """Return a sentence on the position of the darkest object; empty for a scene without objects."""
+    """Return a sentence on the position of the darkest object; empty for a scene without
+    objects.
+    """
     if len(view.objects) < 2:
         return ""
     dark = view.objects[0]
@@ -60,8 +67,14 @@ def where_to_look(view: FrameView) -> str:
 def story(view: FrameView) -> str:
     """Return two or three sentences about the frame."""
     numbers = view.numbers
-    dropped = f", and {numbers['dropped']:,} found the FIFO full and were dropped" if numbers["dropped"] else ""
-    text = f"Of {numbers['opened']:,} windows {numbers['committed']:,} met their threshold{dropped}."
+    dropped = (
+        f", and {numbers['dropped']:,} found the FIFO full and were dropped"
+        if numbers["dropped"]
+        else ""
+    )
+    text = (
+        f"Of {numbers['opened']:,} windows {numbers['committed']:,} met their threshold{dropped}."
+    )
     if numbers["sun_share"] is not None:
         text += f" {numbers['sun_share']:.0%} of the events contain only sunlight."
     if len(view.objects) > 1:

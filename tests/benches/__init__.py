@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cocotb benches of the regression: the tests in the folders beside it start a simulator, which imports them by name."""
+"""cocotb benches of the regression: the tests in the folders beside it start a simulator, which
+imports them by name.
+"""
 
 import json
 from pathlib import Path

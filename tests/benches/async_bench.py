@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cocotb test of the asynchronous view: resets in the middle of frames, while the SPADs keep firing."""
+"""cocotb test of the asynchronous view: resets in the middle of frames, while the SPADs keep
+firing.
+"""
 
 import random
 

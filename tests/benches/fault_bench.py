@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cocotb tests of the sensor whose registers are changed from outside: wrong copies, upset writes, wide numbers. On Icarus."""
+"""cocotb tests of the sensor whose registers are changed from outside: wrong copies, upset writes,
+wide numbers. On Icarus.
+"""
 
 import itertools
 import random
@@ -8,7 +10,17 @@ import cocotb
 import numpy as np
 from cocotb.handle import HierarchyObject
 from cocotb.triggers import ClockCycles, FallingEdge, ReadOnly
-from sensor_bench import NOTHING, STATUS, Queue, config, laser_fires, received, refuses, reset_cycle, some_edges
+from sensor_bench import (
+    NOTHING,
+    STATUS,
+    Queue,
+    config,
+    laser_fires,
+    received,
+    refuses,
+    reset_cycle,
+    some_edges,
+)
 from sensor_bench import fresh as fresh_bench
 
 from coincid.hdl.dpcu import counter_bits
@@ -37,7 +49,13 @@ async def pulse_reset(bench: SensorBench) -> None:
     for line in (*bench.spad, *bench.tready):
         line.value = 0
     # As the bench's master sets them:
-    for name, value in (("awvalid", 0), ("wvalid", 0), ("arvalid", 0), ("bready", 1), ("rready", 1)):
+    for name, value in (
+        ("awvalid", 0),
+        ("wvalid", 0),
+        ("arvalid", 0),
+        ("bready", 1),
+        ("rready", 1),
+    ):
         getattr(bench.dut, f"s_axi_{name}").value = value
     await reset_cycle(bench)
     assert bench.dut.m_axis_tvalid.value == 0 and bench.dut.laser.value == 0
@@ -84,20 +102,27 @@ def copies(unit, name: str) -> set[int]:
 
 def voted(unit) -> list[tuple]:
     """Return (instance, name) for every register in three copies, in a unit and those inside."""
-    found = [(unit, part._name.removesuffix("_plain")) for part in unit if part._name.endswith("_plain")]
-    return found + [one for part in unit if isinstance(part, HierarchyObject) for one in voted(part)]
+    found = [
+        (unit, part._name.removesuffix("_plain")) for part in unit if part._name.endswith("_plain")
+    ]
+    return found + [
+        one for part in unit if isinstance(part, HierarchyObject) for one in voted(part)
+    ]
 
 
 @cocotb.test()
 async def copies_agree_and_outvote_one(dut):
-    """One wrong copy of a voted register changes nothing and heals. Proofs say that without an upset the copies agree."""
+    """One wrong copy of a voted register changes nothing and heals. Proofs say that without an
+    upset the copies agree.
+    """
     bench, of, edges, trace = await fresh(dut)
     kept = voted(dut)
     assert len(kept) >= 7  # five of the bus, frame number, budget
     await pulse_reset(bench)
     await ClockCycles(dut.clk, 2)
     for unit, name in kept:
-        for copy, cycles in itertools.product(("plain", "inverse", "by_turns"), (1, 2)):  # both values of the turn
+        # both values of the turn
+        for copy, cycles in itertools.product(("plain", "inverse", "by_turns"), (1, 2)):
             await ClockCycles(dut.clk, cycles)
             await FallingEdge(dut.clk)
             value = int(unit[name].value)
@@ -139,7 +164,9 @@ async def writes_that_are_upset(dut):
 
 
 def counter_registers(dut, sensor) -> dict[str, str]:
-    """Return for every counter its register in the DPCU (with a suffix if a port has the same name)."""
+    """Return for every counter its register in the DPCU (with a suffix if a port has the same
+    name).
+    """
     of_dpcu = {name.partition("$")[0]: name for name in sorted(part._name for part in dpcu(dut, 0))}
     # `threshold_used` is already in force.
     names = {name: of_dpcu[name] for name in COUNTER_NAMES if name != "threshold_used"}
@@ -148,7 +175,9 @@ def counter_registers(dut, sensor) -> dict[str, str]:
 
 
 async def frame_with_counters(bench, of, edges, registers, values: list[dict]) -> np.ndarray:
-    """Play a frame, set the counters of each subgroup shortly before its end, and return what the stream says of them."""
+    """Play a frame, set the counters of each subgroup shortly before its end, and return what the
+    stream says of them.
+    """
     dut = bench.dut
     await bench.program(of)
     playing = cocotb.start_soon(bench.play(of, edges, np.zeros(0, np.uint8)))
@@ -165,29 +194,37 @@ async def frame_with_counters(bench, of, edges, registers, values: list[dict]) -
 
 @cocotb.test()
 async def counters_in_full_width(dut):
-    """Force counters to values that no test frame reaches: all bits leave by stream and bus, and the counters saturate."""
+    """Force counters to values that no test frame reaches: all bits leave by stream and bus, and
+    the counters saturate.
+    """
     bench, of, edges, trace = await fresh(dut)
     bench.axi = Queue(bench.axi)
     names = counter_registers(dut, of.sensor)
     for value in (0xFFFF_FFFF, 0xA5A5_5A5A, 0x5A5A_A5A5, 0x1357_9BDF):
-        counters = await frame_with_counters(bench, of, edges, names, [dict.fromkeys(names, value)] * 2)
+        counters = await frame_with_counters(
+            bench, of, edges, names, [dict.fromkeys(names, value)] * 2
+        )
         for s in range(2):
             for name in names:
                 highest = (1 << counter_bits(name, of.sensor)) - 1
                 shown = int(counters[s, COUNTER_NAMES.index(name)])
                 assert shown == await bench.read(name, s), name
-                assert value & highest <= shown <= min((value & highest) + 80, highest), f"{name}: {shown:#x}"
+                assert value & highest <= shown <= min((value & highest) + 80, highest), (
+                    f"{name}: {shown:#x}"
+                )
 
 
 @cocotb.test()
 async def frame_numbers_in_full_width(dut):
-    """Continue with a high frame number: the frames' first and last beats carry it, and the next frame the next one."""
+    """Continue with a high frame number: the frames' first and last beats carry it, and the next
+    frame the next one.
+    """
     bench = await fresh_bench(dut)
     of = config(frame={"period": 60, "pulses": 1})
     _, width = HEADER["pulse"]
     for bit in range(width):
         number = (2 << bit) - 1  # one more changes all bits up to the next one
-        await put(dut, dut["sequencer"], "number_kept", number)
+        await put(dut, dut["sequencer"], "number_voted", number)
         for expected in (number, number + 1):
             record = await bench.play(of, NOTHING, np.zeros(0, np.uint8))
             shown = decode_frame(record.beats[0], of.sensor, of.sensor.subgroups).number
@@ -196,7 +233,9 @@ async def frame_numbers_in_full_width(dut):
 
 @cocotb.test()
 async def pulse_numbers_in_full_width(dut):
-    """Continue frames at a high pulse number: events and records carry it, and the last pulse ends the frame."""
+    """Continue frames at a high pulse number: events and records carry it, and the last pulse ends
+    the frame.
+    """
     bench, of, edges, trace = await fresh(dut)
     usual = decode_frame(trace.beats[0], of.sensor, 2)
     for jump in (0xFFFF - (of.pulses - 1), 0xA5A5, 0x5A5A):
@@ -215,8 +254,11 @@ async def pulse_numbers_in_full_width(dut):
         shown = decode_frame(np.array(beats, np.uint64), of.sensor, 2)
         column = list(HEADER).index("pulse")
         for one, other in zip(
-            *((frame.events[:, column], frame.records[:, 1]) for frame in (shown, usual)), strict=True
+            *((frame.events[:, column], frame.records[:, 1]) for frame in (shown, usual)),
+            strict=True,
         ):
             assert len(one) == len(other) >= 2 * of.pulses
-            assert all(a in (b, b + jump) for a, b in zip(one.tolist(), other.tolist(), strict=True))
+            assert all(
+                a in (b, b + jump) for a, b in zip(one.tolist(), other.tolist(), strict=True)
+            )
             assert one[-1] == of.pulses - 1 + jump

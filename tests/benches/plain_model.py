@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The subgroup of docs/contract.md in plain Python, sentence by sentence and tick by tick, to check the golden model.
+"""The subgroup of docs/contract.md in plain Python, sentence by sentence and tick by tick, to check
+the golden model.
 
-It does not include FIFOs and readout: it lists all windows that met their threshold, all minigroup records, and each
-edge's fate.
+It does not include FIFOs and readout: it lists all windows that met their threshold, all minigroup
+records, and each edge's fate.
 """
 
 from collections import defaultdict
@@ -43,12 +44,13 @@ class PlainSubgroup:
 
     def period(self, pulse: int, edges: list[tuple[int, int, int, int, int]], fate: list) -> None:
         """edges: (tick, pixel inside, minigroup, pixel in minigroup, number in the file)."""
-        config, sensor = self.config, self.config.sensor
-        phases, guard = sensor.phases, sensor.guard
+        config = self.config
+        phases = config.sensor.phases
         at_tick = defaultdict(list)
         for edge in sorted(edges):
             at_tick[edge[0]].append(edge)
-        window, armed_from = None, 0
+        self.open_window = None
+        self.armed_from = 0  # cycle
         seen_in_cycle, blind_cycles = set(), set()
         accepted = defaultdict(list)
         for tick in range(config.period * phases):
@@ -56,52 +58,67 @@ class PlainSubgroup:
             if tick % phases == 0:
                 seen_in_cycle = set()
             for _, i, g, j, number in at_tick.get(tick, ()):
-                if i in seen_in_cycle:
-                    fate[number] = Fate.DUPLICATE
-                    continue
+                fate[number] = self.refused(pulse, cycle, i, seen_in_cycle)
                 seen_in_cycle.add(i)
-                if not config.mask[self.index, i]:
-                    fate[number] = Fate.MASKED
-                    continue
-                if not self.gate_open(pulse, cycle):
-                    fate[number] = Fate.GATED
-                    continue
-                accepted[g, cycle].append((tick, j))
-                if window:
-                    if i in window["hits"]:
-                        fate[number] = Fate.DUPLICATE
-                        continue
-                    fate[number] = Fate.COUNTED
-                elif cycle >= armed_from and cycle < config.period - guard:
-                    fate[number] = Fate.OPENING
-                    window = {"t0": tick, "winner": i, "hits": set(), "offsets": {}}
-                    self.opened += 1
-                else:
-                    fate[number] = Fate.BLIND
+                if fate[number] is None:
+                    accepted[g, cycle].append((tick, j))
+                    fate[number] = self.take(tick, i, g)
+                if fate[number] == Fate.BLIND:
                     blind_cycles.add(cycle)
-                    continue
-                window["hits"].add(i)
-                window["offsets"].setdefault(
-                    g, (tick - phases * (window["t0"] // phases)) // (phases // sensor.offset_phases)
-                )
-            if window and tick == window["t0"] + self.window - 1:
-                count = len(window["hits"])
-                self.photons += count
-                if count >= self.threshold - 1:
-                    self.lower += 1
-                if count >= self.threshold:
-                    self.committed += 1
-                    hits, offsets = frozenset(window["hits"]), window["offsets"]
-                    self.events.append((pulse, window["t0"], count, window["winner"], hits, offsets, cycle))
-                else:
-                    self.rejected += 1
-                window, armed_from = None, cycle + 1 + sensor.rearm
-        assert window is None, "a period is self-contained"
+            if self.open_window and tick == self.open_window["t0"] + self.window - 1:
+                self.close(pulse, cycle)
+        assert self.open_window is None, "a period is self-contained"
         self.blind += len(blind_cycles)
         if config.frame.minigroup_records:
             record = self.record(accepted)
             if record:
                 self.records.append((pulse, record))
+
+    def refused(self, pulse: int, cycle: int, i: int, seen_in_cycle: set[int]) -> Fate | None:
+        """Return the fate of an edge that does not come to the tree."""
+        if i in seen_in_cycle:
+            return Fate.DUPLICATE
+        if not self.config.mask[self.index, i]:
+            return Fate.MASKED
+        if not self.gate_open(pulse, cycle):
+            return Fate.GATED
+        return None
+
+    def take(self, tick: int, i: int, g: int) -> Fate:
+        """Let an edge come to the tree."""
+        phases = self.config.sensor.phases
+        cycle = tick // phases
+        window = self.open_window
+        if window and i in window["hits"]:
+            return Fate.DUPLICATE
+        if window:
+            fate = Fate.COUNTED
+        elif self.armed_from <= cycle < self.config.period - self.config.sensor.guard:
+            fate = Fate.OPENING
+            window = self.open_window = {"t0": tick, "winner": i, "hits": set(), "offsets": {}}
+            self.opened += 1
+        else:
+            return Fate.BLIND
+        window["hits"].add(i)
+        since_cycle = tick - phases * (window["t0"] // phases)
+        window["offsets"].setdefault(g, since_cycle // (phases // self.config.sensor.offset_phases))
+        return fate
+
+    def close(self, pulse: int, cycle: int) -> None:
+        """Compare the window's count with the threshold."""
+        window = self.open_window
+        count = len(window["hits"])
+        self.photons += count
+        if count >= self.threshold - 1:
+            self.lower += 1
+        if count >= self.threshold:
+            self.committed += 1
+            hits, offsets = frozenset(window["hits"]), window["offsets"]
+            self.events.append((pulse, window["t0"], count, window["winner"], hits, offsets, cycle))
+        else:
+            self.rejected += 1
+        self.open_window = None
+        self.armed_from = cycle + 1 + self.config.sensor.rearm
 
     def record(self, accepted) -> dict:
         config, sensor = self.config, self.config.sensor
@@ -111,11 +128,16 @@ class PlainSubgroup:
             while cycle < config.period and g not in latched:
                 if cycle < config.period - sensor.guard and accepted.get((g, cycle)):
                     collected = [
-                        edge for k in range(config.frame.mg_window) for edge in accepted.get((g, cycle + k), ())
+                        edge
+                        for k in range(config.frame.mg_window)
+                        for edge in accepted.get((g, cycle + k), ())
                     ]
                     pixels = {j for _, j in collected}
                     if len(pixels) >= config.frame.mg_threshold:
-                        latched[g] = (min(collected)[0] // (sensor.phases // 4), sum(1 << j for j in pixels))
+                        latched[g] = (
+                            min(collected)[0] // (sensor.phases // 4),
+                            sum(1 << j for j in pixels),
+                        )
                     cycle += config.frame.mg_window
                 else:
                     cycle += 1
@@ -145,7 +167,9 @@ class PlainController:
         self.members = {}
         for s in range(n):
             self.members.setdefault(s * config.sensor.streams // n, []).append(s)
-        self.share = {stream: config.capacity // len(members) for stream, members in self.members.items()}
+        self.share = {
+            stream: config.capacity // len(members) for stream, members in self.members.items()
+        }
         self.budget = dict(self.share)
         self.limit = dict(self.share)
 
@@ -154,7 +178,9 @@ class PlainController:
             self.new_budget(stream, [(s, subgroups[s]) for s in members])
             for s in members:
                 if self.auto[s]:
-                    self.threshold[s] = self.new_threshold(s, subgroups[s], self.budget[stream], self.limit[stream])
+                    self.threshold[s] = self.new_threshold(
+                        s, subgroups[s], self.budget[stream], self.limit[stream]
+                    )
 
     def new_budget(self, stream: int, members) -> None:
         budget, capacity, share = self.budget[stream], self.config.capacity, self.share[stream]
@@ -216,7 +242,9 @@ def plain_run(config: Config, edges) -> tuple[list[list[PlainSubgroup]], list[in
             subgroup = PlainSubgroup(config, index, threshold)
             subgroup.threshold_used = threshold
             for pulse in range(config.pulses):
-                subgroup.period(pulse, grouped.get((frame * config.pulses + pulse, index), []), fate)
+                subgroup.period(
+                    pulse, grouped.get((frame * config.pulses + pulse, index), []), fate
+                )
             subgroups.append(subgroup)
         frames.append(subgroups)
         controller.frame_ended(subgroups)

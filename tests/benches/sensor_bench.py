@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cocotb tests of the sensor's ports: registers, frame control, reset, and an independent bus master and stream sink."""
+"""cocotb tests of the sensor's ports: registers, frame control, reset, and an independent bus
+master and stream sink.
+"""
 
 import json
 import os
@@ -40,7 +42,9 @@ def config(**tables):
 
 def some_edges(of, seed: int, n: int = 400) -> Edges:
     rng = np.random.default_rng(seed)
-    return Edges(*(rng.integers(0, high, n) for high in (of.pulses, of.sensor.array_pixels, of.period_ticks)))
+    return Edges(
+        *(rng.integers(0, high, n) for high in (of.pulses, of.sensor.array_pixels, of.period_ticks))
+    )
 
 
 async def fresh(dut) -> SensorBench:
@@ -79,10 +83,14 @@ async def refuses(access) -> bool:
 
 
 async def refused(access, bench: SensorBench, sticky: str) -> None:
-    """Check that `access` gets SLVERR and sets the sticky bit; writing 1 clears the bit, writing 0 does not."""
+    """Check that `access` gets SLVERR and sets the sticky bit; writing 1 clears the bit, writing 0
+    does not.
+    """
     assert await refuses(access), "not refused"
     bit = 1 << STATUS.bit(sticky)
-    assert await bench.read("status") & ~(1 << STATUS.bit("done")) == bit, f"status is not {sticky} alone"
+    assert await bench.read("status") & ~(1 << STATUS.bit("done")) == bit, (
+        f"status is not {sticky} alone"
+    )
     await bench.write("status", 0)
     assert await bench.read("status") & bit
     await bench.write("status", bit)
@@ -100,7 +108,9 @@ def all_words(sensor):
 
 async def check_reset_values(bench: SensorBench) -> None:
     for register, index, subgroup in all_words(bench.sensor):
-        assert await bench.read(register.name, subgroup, index) == register.reset(bench.sensor), register.name
+        assert await bench.read(register.name, subgroup, index) == register.reset(bench.sensor), (
+            register.name
+        )
 
 
 @cocotb.test()
@@ -108,12 +118,17 @@ async def settings_keep_what_is_written_and_refuse_the_rest(dut):
     """After a reset, they have their first values again."""
     bench = await fresh(dut)
     settings = [word for word in all_words(bench.sensor) if word[0].access is Access.SETTING]
-    for high_half in (True, False):  # of the legal values: every bit takes both values, beside others
+    # of the legal values: every bit takes both values, beside others
+    for high_half in (True, False):
         written = {}
         for register, index, subgroup in settings:
             low, high = register.low(bench.sensor), register.high(bench.sensor)
             middle = (low + high) // 2
-            value = random.randint(middle, high) if high_half ^ len(written) % 2 else random.randint(low, middle)
+            value = (
+                random.randint(middle, high)
+                if high_half ^ len(written) % 2
+                else random.randint(low, middle)
+            )
             await bench.write(register.name, value, subgroup, index)
             written[register, subgroup, index] = value
         for wait in (1, 2):  # an odd and an even number of cycles later
@@ -121,7 +136,10 @@ async def settings_keep_what_is_written_and_refuse_the_rest(dut):
             for (register, subgroup, index), value in written.items():
                 assert await bench.read(register.name, subgroup, index) == value, register.name
     for (register, subgroup, index), value in written.items():
-        for bad in {register.low(bench.sensor) - 1, register.high(bench.sensor) + 1} - {-1, 1 << 32}:
+        for bad in {register.low(bench.sensor) - 1, register.high(bench.sensor) + 1} - {
+            -1,
+            1 << 32,
+        }:
             await refused(bench.write(register.name, bad, subgroup, index), bench, "bad_value")
         assert await bench.read(register.name, subgroup, index) == value, register.name
     await FallingEdge(dut.clk)
@@ -156,7 +174,9 @@ async def sticky_bits_are_cleared_one_by_one(dut):
 
 @cocotb.test()
 async def only_what_is_built(dut):
-    """Parameters say what is built. Formats, switches and registers of anything else are refused."""
+    """Parameters say what is built. Formats, switches and registers of anything else are
+    refused.
+    """
     bench = await fresh(dut)
     sensor = bench.sensor
     for part in (*PARTS, "counter_bits"):
@@ -201,7 +221,8 @@ async def starts_that_make_no_sense(dut):
     await bench.write("period", 100)
     await bench.write("auto_bounds", 100_000, index=2)
     await refused(start(), bench, "start_bounds")
-    for bit in range(registers.DATA_BITS):  # two neighbours differ in one bit, and are in the wrong order
+    # two neighbours differ in one bit, and are in the wrong order
+    for bit in range(registers.DATA_BITS):
         value = random.getrandbits(registers.DATA_BITS) & ~(1 << bit)
         await write_bounds([value] * AUTO_BOUNDS)
         for low in range(AUTO_BOUNDS - 1):
@@ -250,7 +271,9 @@ async def writes_do_not_disturb_a_running_frame(dut):
     )
     edges = some_edges(of, 5, 1500)
     other = config(
-        frame=dict(period=60, pulses=2, format="short", minigroup_records=True, gate_every=1, gate_step=3),
+        frame=dict(
+            period=60, pulses=2, format="short", minigroup_records=True, gate_every=1, gate_step=3
+        ),
         subgroup={"threshold": 5, "window": 100, "coincidence": False, "mask": "1", "gate_len": 1},
     )
 
@@ -271,7 +294,9 @@ async def writes_do_not_disturb_a_running_frame(dut):
 
 
 class Queue:
-    """A register master that several tasks share: an access waits until the previous one has ended."""
+    """A register master that several tasks share: an access waits until the previous one has
+    ended.
+    """
 
     def __init__(self, axi):
         self._axi, self._lock = axi, cocotb.triggers.Lock()
@@ -324,7 +349,9 @@ async def abort_ends_the_running_period(dut):
     aborting = cocotb.start_soon(abort())
     await laser_fires(dut)
     beats = await received(
-        bench, lambda cycle: dict(words.get(cycle, ())), lambda cycle: periods.append(int(dut.laser.value))
+        bench,
+        lambda cycle: dict(words.get(cycle, ())),
+        lambda cycle: periods.append(int(dut.laser.value)),
     )
     await aborting
     assert sum(periods) == 3, f"aborted in the third period, {sum(periods)} periods"
@@ -342,10 +369,19 @@ async def abort_ends_the_running_period(dut):
 
 @cocotb.test()
 async def gate_output_leads_the_spads(dut):
-    """`spad_gate` is high exactly in the cycles whose edges the gate accepts, and always if gating is off."""
+    """`spad_gate` is high exactly in the cycles whose edges the gate accepts, and always if gating
+    is off.
+    """
     bench = await fresh(dut)
     of = config(
-        frame={"period": 40, "pulses": 6, "gate_step": 7, "gate_every": 2, "gate_steps": 2, "dither_bits": 3},
+        frame={
+            "period": 40,
+            "pulses": 6,
+            "gate_step": 7,
+            "gate_every": 2,
+            "gate_steps": 2,
+            "dither_bits": 3,
+        },
         subgroup={"gating": True, "gate_start": 5, "gate_len": 30},
         override=[{"subgroups": [1], "gating": False}],
     )
@@ -369,7 +405,8 @@ async def gate_output_leads_the_spads(dut):
 async def no_edge_counts_between_two_periods(dut):
     bench = await fresh(dut)
     of = config(
-        frame={"period": 40, "pulses": 6, "dither_bits": 5, "minigroup_records": True}, subgroup={"threshold": 1}
+        frame={"period": 40, "pulses": 6, "dither_bits": 5, "minigroup_records": True},
+        subgroup={"threshold": 1},
     )
     await bench.program(of)
     starts, all_lines = period_starts(of), (1 << len(bench.spad[0])) - 1
@@ -378,7 +415,9 @@ async def no_edge_counts_between_two_periods(dut):
     await bench.write("control", 1)
     await laser_fires(dut)
     everywhere = dict.fromkeys(range(of.sensor.subgroups), all_lines)
-    beats = await received(bench, lambda cycle: {} if cycle in dark or cycle > starts[-1] else everywhere)
+    beats = await received(
+        bench, lambda cycle: {} if cycle in dark or cycle > starts[-1] else everywhere
+    )
     assert beats == Golden(of.sensor).frame(of, NOTHING).beats[0].tolist()
 
 
@@ -418,4 +457,7 @@ async def independent_master_and_sink(dut):
         status = int.from_bytes((await master.read(address("status"), 4)).data, "little")
     for s in range(sensor.subgroups):
         for i, name in enumerate(COUNTER_NAMES):
-            assert int.from_bytes((await master.read(address(name, s), 4)).data, "little") == frame.counters[s, i], name
+            assert (
+                int.from_bytes((await master.read(address(name, s), 4)).data, "little")
+                == frame.counters[s, i]
+            ), name

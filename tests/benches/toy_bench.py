@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cocotb test that test_toolchain.py runs in the simulators, on its `toy`; BEHAVE selects its behaviour."""
+"""The cocotb test that test_toolchain.py runs in the simulators, on its `toy`; BEHAVE selects its
+behaviour.
+"""
 
 import os
 import random

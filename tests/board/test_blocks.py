@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks of the emulator in Amaranth's simulator: the seeder with several lanes, and the AXI4-Lite slave."""
+"""Blocks of the emulator in Amaranth's simulator: the seeder with several lanes, and the AXI4-Lite
+slave.
+"""
 
 import numpy as np
 import pytest
@@ -15,8 +17,12 @@ from coincid.model.contract.parameters import Sensor
 
 @pytest.mark.parametrize("size", [4, 16])
 def test_seeder(size):
-    """The seeder makes the states of the golden model: with less than a lane of pixels, and with four lanes."""
-    sensor = Sensor(rows=size, cols=2 * size, phases=8, window_max=16, subgroup=(size, size), minigroup=(2, 2))
+    """The seeder makes the states of the golden model: with less than a lane of pixels, and with
+    four lanes.
+    """
+    sensor = Sensor(
+        rows=size, cols=2 * size, phases=8, window_max=16, subgroup=(size, size), minigroup=(2, 2)
+    )
     dut, seed, frame = Seeder(Emulator(sensor=sensor)), 0x1234_5678, 77
     states = np.zeros((2, sensor.pixels), np.uint32)
 
@@ -29,14 +35,24 @@ def test_seeder(size):
         ctx.set(dut.begin, 0)
         while True:
             *_, busy, valid, subgroup, lane, first, last, bits = await ctx.tick().sample(
-                dut.busy, dut.out.valid, dut.out.subgroup, dut.out.lane, dut.out.first, dut.out.last, dut.out.bits
+                dut.busy,
+                dut.out.valid,
+                dut.out.subgroup,
+                dut.out.lane,
+                dut.out.first,
+                dut.out.last,
+                dut.out.bits,
             )
             if valid:
                 mine = slice(LANE_PIXELS * lane, min(LANE_PIXELS * (lane + 1), sensor.pixels))
                 n = len(states[subgroup, mine])
                 took = np.array([bits >> i & 1 for i in range(n)], np.uint32)
-                before = np.zeros(n, np.uint32) if first else advance(states[subgroup, mine], _tables())
-                states[subgroup, mine] = (before ^ took << np.uint32(SEED_BIT)) | np.uint32(last << SEED_BIT)
+                before = (
+                    np.zeros(n, np.uint32) if first else advance(states[subgroup, mine], _tables())
+                )
+                states[subgroup, mine] = (before ^ took << np.uint32(SEED_BIT)) | np.uint32(
+                    last << SEED_BIT
+                )
             elif not busy:
                 return
 
@@ -50,7 +66,9 @@ def test_seeder(size):
 
 
 def test_bus_slave():
-    """Accesses take turns and are answered once; refusals and partial writes get SLVERR, and the latter have no effect."""
+    """Accesses take turns and are answered once; refusals and partial writes get SLVERR, and the
+    latter have no effect.
+    """
     dut = BusAccess()
     memory, seen = {}, []
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator through its serial pins: frames word by word against the golden models, and a bad line.
+"""The emulator through its serial pins: frames word by word against the golden models, and a bad
+line.
 
 The RTL runs behind its pins as a library.
 """
@@ -13,7 +14,13 @@ import pytest
 
 from coincid.board import serial_transport
 from coincid.board.driver import EmulatorDriver
-from coincid.board.parameters import BUFFER_BASE, Emulator, background_address, echo_address, own_address
+from coincid.board.parameters import (
+    BUFFER_BASE,
+    Emulator,
+    background_address,
+    echo_address,
+    own_address,
+)
 from coincid.board.run import Session
 from coincid.board.serial_link import ESCAPE, FLAG, Operation
 from coincid.board.serial_transport import Deframer, SerialTransport, frame
@@ -98,7 +105,9 @@ def programmed(line, of, settings, **transport):
 
 
 def check_frames(driver, of, settings, numbers) -> int:
-    """Take frames of these numbers and check each word with the golden model; return the number of words."""
+    """Take frames of these numbers and check each word with the golden model; return the number of
+    words.
+    """
     golden, words = Golden(SENSOR), 0
     for number in numbers:
         golden.frames = number
@@ -120,7 +129,12 @@ def test_frames(port):
         driver.write_settings(settings.register_writes(SENSOR))
         words += check_frames(driver, of, settings, range(number, number + 3))
         number += 3
-    assert words > 400 and driver["stalls"] == 0 and driver["link_errors"] == 0 and driver.transport.repeats == 0
+    assert (
+        words > 400
+        and driver["stalls"] == 0
+        and driver["link_errors"] == 0
+        and driver.transport.repeats == 0
+    )
 
 
 def test_registers(port):
@@ -128,7 +142,11 @@ def test_registers(port):
     for name, value in (("seed", 0xFFFF_FFFF), ("spread", 4), ("dead_cycles", 15)):
         driver[name] = value
         assert driver[name] == value
-    for at, value in ((echo_address(1, 15), (1 << 21) - 1), (background_address(1), 0xFFFF), (echo_address(0, 0), 5)):
+    for at, value in (
+        (echo_address(1, 15), (1 << 21) - 1),
+        (background_address(1), 0xFFFF),
+        (echo_address(0, 0), 5),
+    ):
         driver.transport.write(at, value)
         assert driver.transport.read(at) == value
     with pytest.raises(InputError, match="spread = 5: must be an integer from 0 to 4"):
@@ -188,12 +206,15 @@ def test_a_line_that_spoils_bytes(port):
 
 
 def test_a_cable_that_is_pulled_in_a_frame(port):
-    """Nothing is answered while the cable is out; when it is back, a session continues, and all words are right."""
+    """Nothing is answered while the cable is out; when it is back, a session continues, and all
+    words are right.
+    """
     transport = SerialTransport(port, tries=2, patience_s=PATIENCE_S)
     session = Session(EmulatorDriver(transport), config(), source(4))
     session.frame()
     session.driver.start()
-    port.write(frame(bytes([0, Operation.READ, 255, 0, 0, 0x30]))[:-4])  # the last one is incomplete
+    # the last one is incomplete
+    port.write(frame(bytes([0, Operation.READ, 255, 0, 0, 0x30]))[:-4])
     port.connect(False)
     with pytest.raises(LinkError, match="no right answer in 2 tries"):
         session.driver.status()
@@ -206,8 +227,12 @@ def test_a_cable_that_is_pulled_in_a_frame(port):
 
 
 def test_a_reset_is_noticed(port):
-    """A device that was reset does nothing before a HELLO; a session programs it again and continues."""
-    session = Session(EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), source(5))
+    """A device that was reset does nothing before a HELLO; a session programs it again and
+    continues.
+    """
+    session = Session(
+        EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), source(5)
+    )
     session.frame()
     port.reset()
     with pytest.raises(DeviceResetError):
@@ -239,7 +264,9 @@ def test_no_emulator():
 
 def test_frames_of_bytes():
     rng = np.random.default_rng(1)
-    bodies = [rng.integers(0, 256, n).astype(np.uint8).tobytes() for n in range(2, 60)] + [bytes([FLAG, ESCAPE] * 9)]
+    bodies = [rng.integers(0, 256, n).astype(np.uint8).tobytes() for n in range(2, 60)] + [
+        bytes([FLAG, ESCAPE] * 9)
+    ]
     line, deframer, found = b"".join(map(frame, bodies)), Deframer(), []
     for at in range(0, len(line), 7):
         found += deframer.add(line[at : at + 7])
@@ -261,8 +288,12 @@ def test_blocks_of_the_page_run(tmp_path, monkeypatch):
     export, drive = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
     exec(compile(export, "board.md", "exec"), {})
     assert any((tmp_path / "build" / "emulator").glob("*.v"))
-    monkeypatch.setattr(serial_transport, "SerialPort", lambda device: SimulatedPort(EMULATOR, CLOCK_MHZ))
-    monkeypatch.setattr(serial_transport, "SerialTransport", partial(SerialTransport, patience_s=PATIENCE_S))
+    monkeypatch.setattr(
+        serial_transport, "SerialPort", lambda device: SimulatedPort(EMULATOR, CLOCK_MHZ)
+    )
+    monkeypatch.setattr(
+        serial_transport, "SerialTransport", partial(SerialTransport, patience_s=PATIENCE_S)
+    )
     names: dict = {}
     exec(compile(drive, "board.md", "exec"), names)
     assert len(names["beats"]) > 0

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A client that is written from the documents alone.
 
-It takes nothing from the project: framing and addresses of docs/emulator-protocol.md, registers of registers.md, words of
-docs/contract.md are spelled out here, so that a page that says too little, or another thing than the RTL does, is found.
+It takes nothing from the project: framing and addresses of docs/emulator-protocol.md, registers of
+registers.md, words of docs/contract.md are spelled out here, so that a page that says too little,
+or another thing than the RTL does, is found.
 """
 
 import struct
@@ -32,7 +33,15 @@ class Client:
 
     def ask(self, operation, count, address, words=()):
         """Status and content of the answer."""
-        body = struct.pack(f"<BBBBH{len(words)}I", self.number, operation, count, address & 0xFF, address >> 8, *words)
+        body = struct.pack(
+            f"<BBBBH{len(words)}I",
+            self.number,
+            operation,
+            count,
+            address & 0xFF,
+            address >> 8,
+            *words,
+        )
         body += struct.pack("<I", crc32(body))  # of Ethernet: polynomial 0x04c11db7
         body = body.replace(b"\x7d", b"\x7d\x5d").replace(b"\x7e", b"\x7d\x5e")
         self.line.write(b"\x7e" + body + b"\x7e")
@@ -100,7 +109,9 @@ class Client:
 FRAME = {"period": PERIOD, "pulses": PULSES, "clock_mhz": 100, "format": "id"}
 CONFIG = configured(SENSOR, FRAME, {"threshold": THRESHOLD, "window": WINDOW})
 ECHOES = {"tick": np.full((2, 16), ECHO_TICK), "level": np.full((2, 16), ECHO_LEVEL)}
-SETTINGS = SourceSettings(background=np.array(BACKGROUNDS), spread=SPREAD, dead_cycles=DEAD, seed=SEED, **ECHOES)
+SETTINGS = SourceSettings(
+    background=np.array(BACKGROUNDS), spread=SPREAD, dead_cycles=DEAD, seed=SEED, **ECHOES
+)
 
 
 def test_the_documented_client_reads_the_golden_models_frame_and_follows_the_rules_of_the_line():
@@ -108,7 +119,10 @@ def test_the_documented_client_reads_the_golden_models_frame_and_follows_the_rul
 
     A repeated write is answered, not done again; a wrong number is told; a reset is noticed."""
     golden = Golden(SENSOR)
-    expected = [golden.frame(CONFIG, source_edges(CONFIG, SETTINGS, k)).beats[0].tolist() for k in range(FRAMES)]
+    expected = [
+        golden.frame(CONFIG, source_edges(CONFIG, SETTINGS, k)).beats[0].tolist()
+        for k in range(FRAMES)
+    ]
     assert sum(map(len, expected)) > EMULATOR.buffer_beats
     with SimulatedPort(EMULATOR, 100) as line:
         client = Client(line)

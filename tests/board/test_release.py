@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulator for a board: its netlist boots and sends frames as predicted, its Verilog lints, its PLL and pins are the board's."""
+"""The emulator for a board: its netlist boots and sends frames as predicted, its Verilog lints, its
+PLL and pins are the board's.
+"""
 
 import re
 from functools import cache
@@ -25,28 +27,49 @@ from coincid.model.shared.errors import InputError
 
 from ..random_cases import configured
 
-SENSOR = Sensor(rows=4, cols=4, phases=4, window_max=4, coarse_bits=6, fifo_depth=4, subgroup=(4, 4), minigroup=(4, 4))
+SENSOR = Sensor(
+    rows=4,
+    cols=4,
+    phases=4,
+    window_max=4,
+    coarse_bits=6,
+    fifo_depth=4,
+    subgroup=(4, 4),
+    minigroup=(4, 4),
+)
 
 
 def config(**frame):
     return configured(
-        SENSOR, {"period": 24, "pulses": 2, "clock_mhz": 100, "format": "id"} | frame, {"threshold": 2, "window": 4}
+        SENSOR,
+        {"period": 24, "pulses": 2, "clock_mhz": 100, "format": "id"} | frame,
+        {"threshold": 2, "window": 4},
     )
 
 
 @pytest.mark.long
 def test_the_netlist_boots_and_sends_frames():
-    """The FPGA's cells behind the board's pins, from their initial values; no reset, and later one by the button."""
+    """The FPGA's cells behind the board's pins, from their initial values; no reset, and later one
+    by the button.
+    """
     settings = SourceSettings(
-        background=np.array([6000]), tick=np.full((1, 16), 30), level=np.full((1, 16), 128), spread=2, seed=3
+        background=np.array([6000]),
+        tick=np.full((1, 16), 30),
+        level=np.full((1, 16), 128),
+        spread=2,
+        seed=3,
     )
     emulator, library = emulator_netlist(config(), 64)
     with SimulatedPort(emulator, 100, library) as port:
         assert port.read() == b""  # the PLL locks in this time
-        session = Session(EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), settings)
+        session = Session(
+            EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(), settings
+        )
         assert session.driver.sensor == SENSOR
         words = sum(len(session.frame()) for _ in range(2))
-        assert words > 20 and session.tally.recoveries == 0 and session.driver.transport.repeats == 0
+        assert (
+            words > 20 and session.tally.recoveries == 0 and session.driver.transport.repeats == 0
+        )
         port.reset()
         session.frame()
         assert session.tally.recoveries == 1 and session.tally.frames == 3
@@ -77,9 +100,15 @@ def test_pll(clock_mhz):
     [
         (lambda: ulx3s(config(clock_mhz=101.3)), "the board's PLL does not make it"),
         (lambda: ulx3s(config(clock_mhz=20)), "6.67|baud"),
-        (lambda: Emulator(sensor=SENSOR, clocks_per_bit=3), "clocks_per_bit = 3: must be an integer from 4 to 65536"),
+        (
+            lambda: Emulator(sensor=SENSOR, clocks_per_bit=3),
+            "clocks_per_bit = 3: must be an integer from 4 to 65536",
+        ),
         (lambda: Emulator(sensor=SENSOR, clocks_per_bit=65537), "clocks_per_bit = 65537: must be"),
-        (lambda: emulator_release(config(), "zynq", 64), "kind = 'zynq': must be one of ulx3s, serial, axi"),
+        (
+            lambda: emulator_release(config(), "zynq", 64),
+            "kind = 'zynq': must be one of ulx3s, serial, axi",
+        ),
     ],
 )
 def test_what_is_refused(make, says):
@@ -96,7 +125,13 @@ def test_the_presets_are_what_a_board_needs():
 @pytest.mark.xdist_group("boards")
 def test_every_port_of_the_board_has_its_pin():
     files = released("ulx3s")
-    ports = re.findall(r"^  (?:input|output) (?:\[(\d+):0\] )?(\w+)", files[f"{BOARD_TOP}.v"], re.MULTILINE)
-    bits = {f"{name}[{k}]" if msb else name for msb, name in ports for k in range(int(msb or 0) + 1)}
+    ports = re.findall(
+        r"^  (?:input|output) (?:\[(\d+):0\] )?(\w+)", files[f"{BOARD_TOP}.v"], re.MULTILINE
+    )
+    bits = {
+        f"{name}[{k}]" if msb else name for msb, name in ports for k in range(int(msb or 0) + 1)
+    }
     located = re.findall(r'^LOCATE COMP "(.*)" SITE "(\w+)";$', files[PINS], re.MULTILINE)
-    assert {bit for bit, _ in located} == bits and len({site for _, site in located}) == len(bits) == 13
+    assert {bit for bit, _ in located} == bits and len({site for _, site in located}) == len(
+        bits
+    ) == 13

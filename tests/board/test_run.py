@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`coincid emulate`: a scene on the emulator, simulated behind its pins; a mismatch is found; bad ports are refused."""
+"""`coincid emulate`: a scene on the emulator, simulated behind its pins; a mismatch is found; bad
+ports are refused.
+"""
 
 import numpy as np
 import pytest
@@ -41,7 +43,9 @@ def test_the_picture_is_drawn_while_frames_come(driver, tmp_path, monkeypatch):
     """With no time between two pictures: one per frame, each with all frames so far."""
     titles = []
     monkeypatch.setattr(run, "REDRAW_S", 0.0)
-    monkeypatch.setattr(run, "depth_row", lambda path, panels, truth_m: titles.append(panels[0].title))
+    monkeypatch.setattr(
+        run, "depth_row", lambda path, panels, truth_m: titles.append(panels[0].title)
+    )
     run.emulate(driver, CONFIG, scene_of(CONFIG, "flat:5"), tmp_path, klux=50.0, frames=3)
     assert titles == [f"{n} frames of the emulator" for n in (1, 2, 3)]
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The golden model of the photon source: the generator's period, seeds, and the statistics of 10^7 draws.
+"""The golden model of the photon source: the generator's period, seeds, and the statistics of 10^7
+draws.
 
 `tests/board/test_emulator.py` shows that it equals the RTL.
 """
@@ -15,7 +16,8 @@ from coincid.model.shared.errors import InputError
 
 from ..random_cases import configured
 
-LIKELY = 1e-4  # probability that a correct source fails a test; with fixed seeds, the result is always the same
+# probability that a correct source fails a test; with fixed seeds, the result is always the same
+LIKELY = 1e-4
 FACTORS = (3, 5, 17, 257, 65537)  # of 2^32 - 1
 
 
@@ -76,7 +78,12 @@ def test_a_step_is_that_of_the_taps():
 
 
 def test_seeds_differ_in_all_and_are_never_0():
-    known = [seeds(seed, frame, subgroup, 64) for seed in (0, 1, 2) for frame in (0, 1) for subgroup in (0, 1)]
+    known = [
+        seeds(seed, frame, subgroup, 64)
+        for seed in (0, 1, 2)
+        for frame in (0, 1)
+        for subgroup in (0, 1)
+    ]
     states = np.concatenate(known)
     assert len(np.unique(states)) == len(states)
     assert (states >> SEED_BIT & 1).all()
@@ -87,14 +94,20 @@ def test_cipher_changes_half_of_the_bits():
     """One bit of the key, or of either half, changes each bit of a block half of the time."""
     rights = np.arange(2000)
     base = cipher(5, 7, rights)
-    for changed in (cipher(5 ^ 1 << 31, 7, rights), cipher(5, 7 ^ 1 << 16, rights), cipher(5, 7, rights ^ 1)):
+    for changed in (
+        cipher(5 ^ 1 << 31, 7, rights),
+        cipher(5, 7 ^ 1 << 16, rights),
+        cipher(5, 7, rights ^ 1),
+    ):
         flips = (base ^ changed)[:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1)
         assert abs(flips.mean() - 0.5) < 0.01
         assert np.abs(flips.mean(axis=0) - 0.5).max() < 0.06
 
 
 def test_background():
-    """In 10^7 draws: the rate, uniformity over ticks, and no pixel, pulse or neighbour that stands out."""
+    """In 10^7 draws: the rate, uniformity over ticks, and no pixel, pulse or neighbour that stands
+    out.
+    """
     of = config(pulses=2000)
     rates = np.array([2000, 6000])
     edges = source_edges(of, source(of, background=rates, seed=3), 0)
@@ -114,7 +127,9 @@ def test_background():
 
 
 def test_pixels_and_cycles_are_independent():
-    """Pairs of pixels, and pairs of cycles of a pixel, by chi-square; the spectra of neighbours are unrelated."""
+    """Pairs of pixels, and pairs of cycles of a pixel, by chi-square; the spectra of neighbours are
+    unrelated.
+    """
     of = config(pulses=2000)
     edges = source_edges(of, source(of, background=8000, seed=5), 1)
     seen = np.zeros((128, 2000 * 40), np.int8)
@@ -135,11 +150,15 @@ def test_pixels_and_cycles_are_independent():
 
 
 def test_triples_of_pixels_coincide_as_chance_has_it():
-    """The number of pixels of a subgroup that fire in a cycle is binomial, which matters for a coincidence sensor."""
+    """The number of pixels of a subgroup that fire in a cycle is binomial, which matters for a
+    coincidence sensor.
+    """
     of = config(pulses=2000)
     edges = source_edges(of, source(of, background=3000, seed=7), 2)
     mine = edges.pixel % 16 < 8
-    together = np.bincount(np.bincount(edges.pulse[mine] * 40 + edges.tick[mine] // 8, minlength=80_000), minlength=13)
+    together = np.bincount(
+        np.bincount(edges.pulse[mine] * 40 + edges.tick[mine] // 8, minlength=80_000), minlength=13
+    )
     expected = stats.binom(64, 3000 / (1 << RATE_BITS)).pmf(np.arange(65)) * 80_000
     keep = expected[:13] > 10
     observed, wanted = together[:13][keep], expected[:13][keep]
@@ -148,7 +167,9 @@ def test_triples_of_pixels_coincide_as_chance_has_it():
 
 
 def test_echo():
-    """Probability per pixel, uniform over its ticks, independent from pulse to pulse; no echo before the second cycle."""
+    """Probability per pixel, uniform over its ticks, independent from pulse to pulse; no echo
+    before the second cycle.
+    """
     of = config(pulses=6000)
     levels = np.tile(np.arange(64) * 4, (2, 1))
     edges = source_edges(of, source(of, tick=101, level=levels, spread=3, seed=9), 0)
@@ -181,8 +202,13 @@ def test_dead_time():
 
 def test_same_light_for_same_settings():
     of = config(pulses=5)
-    first, again, other = (source_edges(of, source(of, background=3000, seed=4), frame) for frame in (1, 1, 2))
-    assert all(np.array_equal(getattr(first, name), getattr(again, name)) for name in ("pulse", "pixel", "tick"))
+    first, again, other = (
+        source_edges(of, source(of, background=3000, seed=4), frame) for frame in (1, 1, 2)
+    )
+    assert all(
+        np.array_equal(getattr(first, name), getattr(again, name))
+        for name in ("pulse", "pixel", "tick")
+    )
     assert not np.array_equal(first.tick[:100], other.tick[:100])
 
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The configuration: settings by the names and values of the file, in files and in Python, and their consequences."""
+"""The configuration: settings by the names and values of the file, in files and in Python, and
+their consequences.
+"""
 
 import re
 
@@ -7,7 +9,13 @@ import numpy as np
 import pytest
 from attrs import asdict
 
-from coincid.model.contract.config import Config, changes_of_text, frame_table, load_config, parse_config
+from coincid.model.contract.config import (
+    Config,
+    changes_of_text,
+    frame_table,
+    load_config,
+    parse_config,
+)
 from coincid.model.contract.latency import armed_cycle, close_cycle
 from coincid.model.contract.registers import address
 from coincid.model.light.timing import Timing
@@ -33,7 +41,14 @@ FRAME = {
     "threshold_floor": 2,
 }
 SUBGROUP = dict(
-    coincidence=False, gating=True, auto=True, threshold=3, window=20, gate_start=4, gate_len=9, mask="ff00ff"
+    coincidence=False,
+    gating=True,
+    auto=True,
+    threshold=3,
+    window=20,
+    gate_start=4,
+    gate_len=9,
+    mask="ff00ff",
 )
 
 
@@ -50,16 +65,24 @@ def test_settings_in_python_are_those_of_the_file():
     written = parse_config({"frame": FRAME, "subgroup": SUBGROUP})
     assert frame_table(written.frame) == FRAME
     same(parse_config({}).with_frame(**FRAME).with_settings(**SUBGROUP), written)
-    plain = {name: np.array([value])[0] if isinstance(value, int) else value for name, value in SUBGROUP.items()}
+    plain = {
+        name: np.array([value])[0] if isinstance(value, int) else value
+        for name, value in SUBGROUP.items()
+    }
     same(parse_config({"frame": FRAME}).with_settings(**plain), written)
 
 
 def test_settings_of_every_subgroup():
-    overrides = [{"subgroups": [s], "threshold": 1 + s, "mask": f"{1 << s:x}", "auto": bool(s % 2)} for s in range(16)]
+    overrides = [
+        {"subgroups": [s], "threshold": 1 + s, "mask": f"{1 << s:x}", "auto": bool(s % 2)}
+        for s in range(16)
+    ]
     written = parse_config({"override": overrides})
     lists = {name: [one[name] for one in overrides] for name in ("threshold", "mask", "auto")}
     same(parse_config({}).with_settings(**lists), written)
-    same(parse_config({}).with_settings(**{name: getattr(written, name) for name in lists}), written)
+    same(
+        parse_config({}).with_settings(**{name: getattr(written, name) for name in lists}), written
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,8 +135,14 @@ def test_settings_that_are_refused(table, settings, words):
             {"minigroup_records": True},
             "minigroup_records: must be false, because the sensor is built without minigroup",
         ),
-        ({"capacity": 9}, "frame.capacity: must be left out, because the sensor is built without the threshold"),
-        ({"threshold_floor": 2}, "must be 1, because the sensor is built without the threshold controller"),
+        (
+            {"capacity": 9},
+            "frame.capacity: must be left out, because the sensor is built without the threshold",
+        ),
+        (
+            {"threshold_floor": 2},
+            "must be 1, because the sensor is built without the threshold controller",
+        ),
     ],
 )
 def test_what_is_not_built_is_refused(frame, told):
@@ -122,7 +151,8 @@ def test_what_is_not_built_is_refused(frame, told):
     assert not config.frame.minigroup_records
     assert {address("share"), address("auto_bounds")}.isdisjoint(dict(config.register_writes()))
     with pytest.raises(
-        InputError, match=re.escape("subgroup.auto: must be false, because the sensor is built without")
+        InputError,
+        match=re.escape("subgroup.auto: must be false, because the sensor is built without"),
     ):
         config.with_settings(auto=True)
     with pytest.raises(InputError, match=re.escape(told)):
@@ -130,7 +160,8 @@ def test_what_is_not_built_is_refused(frame, told):
 
 
 @pytest.mark.parametrize(
-    ("preset", "clock_mhz", "tick_s"), [(None, 500, 62.5e-12), ("silicon", 500, 62.5e-12), ("fpga", 125, 1e-9)]
+    ("preset", "clock_mhz", "tick_s"),
+    [(None, 500, 62.5e-12), ("silicon", 500, 62.5e-12), ("fpga", 125, 1e-9)],
 )
 def test_presets_have_their_clock(preset, clock_mhz, tick_s):
     config = load_config(preset)
@@ -141,11 +172,16 @@ def test_presets_have_their_clock(preset, clock_mhz, tick_s):
 
 
 def test_the_clock_is_no_register():
-    assert parse_config({}).register_writes() == parse_config({"frame": {"clock_mhz": 100}}).register_writes()
+    assert (
+        parse_config({}).register_writes()
+        == parse_config({"frame": {"clock_mhz": 100}}).register_writes()
+    )
 
 
 def test_events_of_a_frame_follow_the_pulses():
-    config = parse_config({"frame": {"pulses": 100, "auto_bounds": [10, 20, 30, 40, 50, 60], "capacity": 1001}})
+    config = parse_config(
+        {"frame": {"pulses": 100, "auto_bounds": [10, 20, 30, 40, 50, 60], "capacity": 1001}}
+    )
     half = config.with_pulses(50)
     assert half.frame.auto_bounds == (5, 10, 15, 20, 25, 30)
     assert half.capacity == 500
@@ -155,29 +191,47 @@ def test_events_of_a_frame_follow_the_pulses():
 
 @pytest.mark.parametrize(
     ("frame", "window", "bounds"),
-    [({}, 16, [26, 1091, 4448, 8792, 12613, 15471]), ({"pulses": 50}, 16, [13, 546, 2224, 4396, 6307, 7736])],
+    [
+        ({}, 16, [26, 1091, 4448, 8792, 12613, 15471]),
+        ({"pulses": 50}, 16, [13, 546, 2224, 4396, 6307, 7736]),
+    ],
 )
 def test_default_bounds(frame, window, bounds):
-    assert parse_config({"frame": frame, "subgroup": {"window": window}}).auto_bounds.tolist() == bounds
+    assert (
+        parse_config({"frame": frame, "subgroup": {"window": window}}).auto_bounds.tolist()
+        == bounds
+    )
 
 
 @pytest.mark.parametrize(("window", "rearm"), [(16, 0), (16, 2), (40, 0), (100, 1)])
 def test_default_bounds_keep_noise_rare(window, rearm):
-    """Count photon by photon: with the threshold that the bounds demand, noise commits at most a quarter of a window per pulse.
+    """Count photon by photon: with the threshold that the bounds demand, noise commits at most a
+    quarter of a window per pulse.
 
     With the next lower threshold, it commits more."""
-    config = parse_config({"sensor": {"rearm": rearm, "window_max": 100}, "subgroup": {"window": window}})
+    config = parse_config(
+        {"sensor": {"rearm": rearm, "window_max": 100}, "subgroup": {"window": window}}
+    )
     rng = np.random.default_rng(1)
     periods, counts = 400, []
     for _ in range(periods):
-        arrivals = np.sort(rng.integers(0, config.period_ticks, rng.poisson(0.4 / window * config.period_ticks)))
+        arrivals = np.sort(
+            rng.integers(0, config.period_ticks, rng.poisson(0.4 / window * config.period_ticks))
+        )
         armed, end = 0, (config.period - config.sensor.guard) * config.sensor.phases
         while (first := np.searchsorted(arrivals, armed)) < np.searchsorted(arrivals, end):
             opening = arrivals[first]
             counts.append(np.searchsorted(arrivals, opening + window) - first)
-            armed = armed_cycle(close_cycle(opening, window, config.sensor.phases), rearm) * config.sensor.phases
-    needed = 1 + np.searchsorted(config.auto_bounds, len(counts) * config.pulses / periods, side="right")
-    commits = [np.sum(np.array(counts) >= threshold) / periods for threshold in (needed - 1, needed)]
+            armed = (
+                armed_cycle(close_cycle(opening, window, config.sensor.phases), rearm)
+                * config.sensor.phases
+            )
+    needed = 1 + np.searchsorted(
+        config.auto_bounds, len(counts) * config.pulses / periods, side="right"
+    )
+    commits = [
+        np.sum(np.array(counts) >= threshold) / periods for threshold in (needed - 1, needed)
+    ]
     assert commits[0] > 0.22 and commits[1] < 0.28
 
 
@@ -230,13 +284,21 @@ def test_steps_of_a_cycle_that_offsets_count(sensor, steps):
 )
 def test_defaults_follow_what_is_written(document, settings):
     config = parse_config(document)
-    found = asdict(config.sensor) | frame_table(config.frame) | {name: getattr(config, name) for name in SUBGROUP}
+    found = (
+        asdict(config.sensor)
+        | frame_table(config.frame)
+        | {name: getattr(config, name) for name in SUBGROUP}
+    )
     assert all(np.all(found[name] == value) for name, value in settings.items())
-    assert config.given == {f"{table}.{name}" for table, values in document.items() for name in values}
+    assert config.given == {
+        f"{table}.{name}" for table, values in document.items() for name in values
+    }
 
 
 def test_what_was_written_is_known():
-    config = parse_config({"subgroup": {"window": 16}, "override": [{"subgroups": [3], "threshold": 2}]})
+    config = parse_config(
+        {"subgroup": {"window": 16}, "override": [{"subgroups": [3], "threshold": 2}]}
+    )
     assert config.given == {"subgroup.window", "subgroup.threshold"}
     assert config.with_frame(pulses=100).with_settings(auto=False).given == config.given | {
         "frame.pulses",
@@ -245,15 +307,34 @@ def test_what_was_written_is_known():
 
 
 def test_settings_as_text():
-    given = ["threshold=3", "format=full", "mask=10", "auto=true", "link_gbps=8", "subgroup=4x4", "minigroup=[2,4]"]
+    given = [
+        "threshold=3",
+        "format=full",
+        "mask=10",
+        "auto=true",
+        "link_gbps=8",
+        "subgroup=4x4",
+        "minigroup=[2,4]",
+    ]
     given += ["auto_bounds=[1, 2, 3, 4, 5, 6]"]
     config = load_config("fpga", changes_of_text(given))
     assert (config.sensor.subgroup, config.sensor.minigroup, config.period) == ((4, 4), (2, 4), 63)
-    assert (config.format, config.frame.link_gbps, config.auto_bounds.tolist()) == ("full", 8.0, [1, 2, 3, 4, 5, 6])
-    assert (
-        np.all(config.threshold == 3) and np.all(config.auto) and np.all(config.mask[:, 4]) and config.mask.sum() == 64
+    assert (config.format, config.frame.link_gbps, config.auto_bounds.tolist()) == (
+        "full",
+        8.0,
+        [1, 2, 3, 4, 5, 6],
     )
-    for text, words in (("threshold", "NAME=VALUE"), ("moon=1", "unknown"), ("threshold=many", "from 1 to 64")):
+    assert (
+        np.all(config.threshold == 3)
+        and np.all(config.auto)
+        and np.all(config.mask[:, 4])
+        and config.mask.sum() == 64
+    )
+    for text, words in (
+        ("threshold", "NAME=VALUE"),
+        ("moon=1", "unknown"),
+        ("threshold=many", "from 1 to 64"),
+    ):
         with pytest.raises(InputError, match=words):
             load_config(None, changes_of_text([text]))
 
@@ -279,7 +360,8 @@ def test_another_sensor_keeps_what_was_written():
     assert np.array_equal(thresholds.with_sensor(streams=2).threshold, thresholds.threshold)
     assert np.array_equal(thresholds.with_sensor(streams=2).mask, thresholds.mask)
     with pytest.raises(
-        InputError, match=r"^sensor.rows: does not go with .*threshold: has 16 values, must have one or 8"
+        InputError,
+        match=r"^sensor.rows: does not go with .*threshold: has 16 values, must have one or 8",
     ):
         thresholds.with_sensor(rows=16)
     with pytest.raises(InputError, match="sensor.row: unknown key"):
@@ -290,7 +372,11 @@ def test_another_sensor_keeps_what_was_written():
     ("preset", "changes", "begins"),
     [
         (None, {"rows": 30}, "sensor.rows = 30: must be a multiple of 8"),
-        (None, {"subgroup": [3, 8]}, "sensor.subgroup = [3, 8]: must divide rows x cols = [32, 32]"),
+        (
+            None,
+            {"subgroup": [3, 8]},
+            "sensor.subgroup = [3, 8]: must divide rows x cols = [32, 32]",
+        ),
         (None, {"subgroup": [3, 8], "rows": 33}, "sensor.subgroup = [3, 8]: "),
         (None, {"cols": 4}, "sensor.cols = 4: "),
         (None, {"rows": 4096, "cols": 512}, "sensor.rows = 4096: "),
@@ -299,14 +385,26 @@ def test_another_sensor_keeps_what_was_written():
         (None, {"phases": 12}, "sensor.phases = 12: "),
         (None, {"fifo_depth": 4000}, "sensor.fifo_depth = 4000: "),
         (None, {"offset_phases": 2}, "sensor.offset_phases = 2: must be an integer from 4 to 32"),
-        (None, {"offset_phases": 12}, "sensor.offset_phases = 12: must be a power of two from 4 to 32"),
-        (None, {"phases": 8, "offset_phases": 16}, "sensor.offset_phases = 16: must be an integer from 4 to 8"),
+        (
+            None,
+            {"offset_phases": 12},
+            "sensor.offset_phases = 12: must be a power of two from 4 to 32",
+        ),
+        (
+            None,
+            {"phases": 8, "offset_phases": 16},
+            "sensor.offset_phases = 16: must be an integer from 4 to 8",
+        ),
         (
             None,
             {"window_max": 225, "offset_phases": 32},
             "sensor.window_max = 225: must be an integer from 1 to 224 with sensor.phases = 32 and sensor.offset_phases = 32",
         ),
-        ("fpga", {"coarse_bits": 5}, "sensor.coarse_bits: does not go with the other settings (frame.period = 63"),
+        (
+            "fpga",
+            {"coarse_bits": 5},
+            "sensor.coarse_bits: does not go with the other settings (frame.period = 63",
+        ),
         ("fpga", {"threshold": 99}, "subgroup.threshold = 99: must be"),
     ],
 )

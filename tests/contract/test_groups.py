@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups of events: an independent decoder reads the same rows as formats without groups; damage costs one group and is told."""
+"""Groups of events: an independent decoder reads the same rows as formats without groups; damage
+costs one group and is told.
+"""
 
 import zlib
 from itertools import pairwise
@@ -23,7 +25,9 @@ ROWS = ("events", "hits", "offsets", "records", "entries")
 
 
 def plain_events(beats, sensor, with_check=True):
-    """Read the events of docs/contract.md from the beats of whole groups, sentence by sentence, as plain tuples."""
+    """Read the events of docs/contract.md from the beats of whole groups, sentence by sentence, as
+    plain tuples.
+    """
     found, group = [], []
     for beat in map(int, beats):
         if beat >> 61 != 5:
@@ -64,7 +68,16 @@ def plain_events(beats, sensor, with_check=True):
                     if hit:
                         offsets[hit.pop()] = take(sensor.offset_max.bit_length())
             found.append(
-                (overrun, subgroup, now, len(hits), winner, stamp, frozenset(hits), frozenset(offsets.items()))
+                (
+                    overrun,
+                    subgroup,
+                    now,
+                    len(hits),
+                    winner,
+                    stamp,
+                    frozenset(hits),
+                    frozenset(offsets.items()),
+                )
             )
         assert bits == 0
         group = []
@@ -74,9 +87,15 @@ def plain_events(beats, sensor, with_check=True):
 def rows(frame, with_offsets):
     """Return the events of a decoded frame as `plain_events` does."""
     found = []
-    for columns, hits, offsets in zip(frame.events[:, 1:].tolist(), frame.hits, frame.offsets.tolist(), strict=True):
-        pixels = frozenset(64 * w + i for w, word in enumerate(map(int, hits)) for i in range(64) if word >> i & 1)
-        offsets = {g: offset for g, offset in enumerate(offsets) if offset != 255} if with_offsets else {}
+    for columns, hits, offsets in zip(
+        frame.events[:, 1:].tolist(), frame.hits, frame.offsets.tolist(), strict=True
+    ):
+        pixels = frozenset(
+            64 * w + i for w, word in enumerate(map(int, hits)) for i in range(64) if word >> i & 1
+        )
+        offsets = (
+            {g: offset for g, offset in enumerate(offsets) if offset != 255} if with_offsets else {}
+        )
         found.append((*columns, pixels, frozenset(offsets.items())))
     return found
 
@@ -105,29 +124,43 @@ def test_another_decoder_reads_the_same_events(name, form):
         assert np.array_equal(ungroup(only, np.arange(len(only)), config.sensor)[0], frame.events)
         for number in (1, 2):  # groups without an end, the first one from beat 0 on
             endless = only[[0] * number] & ~np.uint64(1 << LAST_LSB)
-            assert ungroup(endless, np.arange(number), config.sensor)[3].tolist() == list(range(number))
+            assert ungroup(endless, np.arange(number), config.sensor)[3].tolist() == list(
+                range(number)
+            )
 
 
 def _events_only(beats, sensor, stream):
-    """Return the beats of a frame without its minigroup records, start and end, whose inner beats may look like anything."""
+    """Return the beats of a frame without its minigroup records, start and end, whose inner beats
+    may look like anything.
+    """
     kinds, starts = packet_starts(beats, sensor, len(sensor.stream_subgroups(stream)))
     return beats[starts[kinds == 5]]
 
 
 @pytest.mark.parametrize("form", ("id", "full"))
 def test_nothing_is_lost_in_groups(form):
-    """Frames without drops have the same rows in either form, in fewer beats; in the last, the numbers of groups wrap."""
+    """Frames without drops have the same rows in either form, in fewer beats; in the last, the
+    numbers of groups wrap.
+    """
     for seed, pulses in enumerate((9, 9, 300)):
         plain, grouped = (
             crowded("default", name, seed, pulses, period=400)[1]
             for name in (form, f"compact{'-full' * (form == 'full')}")
         )
-        first, second = (decode_frame(trace.beats[0], SENSORS["default"], 2).check() for trace in (plain, grouped))
+        first, second = (
+            decode_frame(trace.beats[0], SENSORS["default"], 2).check()
+            for trace in (plain, grouped)
+        )
         order = [np.lexsort(frame.events.T[1:]) for frame in (first, second)]
         assert not plain.counters[:, 4].any() and len(second.events) == len(first.events) > 20
         for name in ("events", "hits", "offsets"):
-            a, b = (getattr(frame, name)[each] for frame, each in zip((first, second), order, strict=True))
-            assert np.array_equal(a[:, 1:] if name == "events" else a, b[:, 1:] if name == "events" else b)
+            a, b = (
+                getattr(frame, name)[each]
+                for frame, each in zip((first, second), order, strict=True)
+            )
+            assert np.array_equal(
+                a[:, 1:] if name == "events" else a, b[:, 1:] if name == "events" else b
+            )
         assert len(grouped.beats[0]) < 0.75 * len(plain.beats[0])
 
 
@@ -135,9 +168,15 @@ DAMAGE = ("lost", "doubled", "wrong")
 
 
 @settings(max_examples=60)
-@given(data=st.data(), damage=st.sampled_from(DAMAGE), form=st.sampled_from(("compact", "compact-full")))
+@given(
+    data=st.data(),
+    damage=st.sampled_from(DAMAGE),
+    form=st.sampled_from(("compact", "compact-full")),
+)
 def test_damage_costs_one_group_and_is_told(data, damage, form):
-    """A lost, doubled or wrong beat never becomes other events; at most the events of its group are missing."""
+    """A lost, doubled or wrong beat never becomes other events; at most the events of its group are
+    missing.
+    """
     config, trace = _of_damage(form)
     beats = trace.beats[0]
     whole = rows(decode_frame(beats, config.sensor, 2), form == "compact-full")
@@ -189,16 +228,30 @@ def test_a_reader_may_begin_anywhere():
         assert whole[len(whole) - len(left) :] == left and late.missing == len(whole) - len(left)
 
 
-@given(st.lists(st.tuples(st.integers(1, 90), st.integers(1, 3), st.booleans()), min_size=1, max_size=6))
+@given(
+    st.lists(
+        st.tuples(st.integers(1, 90), st.integers(1, 3), st.booleans()), min_size=1, max_size=6
+    )
+)
 def test_fields_fill_all_bits_but_the_kind(fields):
-    """Also where a field crosses the kind: the parts of the fields, in their order, are the packet's bits in theirs."""
-    named = {f"f{k}": Field(f"f{k}", width, "", n, k > 0 and new) for k, (width, n, new) in enumerate(fields)}
+    """Also where a field crosses the kind: the parts of the fields, in their order, are the
+    packet's bits in theirs.
+    """
+    named = {
+        f"f{k}": Field(f"f{k}", width, "", n, k > 0 and new)
+        for k, (width, n, new) in enumerate(fields)
+    }
     packet, sensor, end, found = Packet(0, "any", tuple(named.values())), SENSORS["default"], 0, {}
     for part in parts_of(sensor, packet):
         first = part.beat * BEAT_BITS + part.lsb
         begins_anew = part.shift == 0 and named[part.field].aligned
-        assert first == (-(-end // BEAT_BITS) * BEAT_BITS if begins_anew else end + KIND_BITS * (end == KIND_LSB))
-        assert part.shift == found.get(part.field, 0) and part.shift % BEAT_BITS + part.width <= BEAT_BITS
+        assert first == (
+            -(-end // BEAT_BITS) * BEAT_BITS if begins_anew else end + KIND_BITS * (end == KIND_LSB)
+        )
+        assert (
+            part.shift == found.get(part.field, 0)
+            and part.shift % BEAT_BITS + part.width <= BEAT_BITS
+        )
         found[part.field], end = part.shift + part.width, first + part.width
         assert part.lsb + part.width <= (BEAT_BITS if part.beat else KIND_LSB)
     assert found == {name: field.bits(sensor) for name, field in named.items()}

@@ -16,7 +16,11 @@ from coincid.tb.replay import replay
 
 from ..random_cases import SENSORS, trouble
 
-SMALL = {"sensor": SENSORS["default"], "frame": {"pulses": 3, "period": 40}, "subgroup": {"threshold": 1, "window": 4}}
+SMALL = {
+    "sensor": SENSORS["default"],
+    "frame": {"pulses": 3, "period": 40},
+    "subgroup": {"threshold": 1, "window": 4},
+}
 
 
 def configured(**frame):
@@ -46,7 +50,9 @@ def test_beats_are_taken_evenly(gbps, stalled):
 def test_slow_link_fills_the_fifos_and_engines_agree():
     slow, fast = configured(link_gbps=2.5), configured()
     edges = trouble(slow, seed=5, per_subgroup_period=60)
-    found = {gbps: replay("golden", config, edges) for gbps, config in (("slow", slow), ("fast", fast))}
+    found = {
+        gbps: replay("golden", config, edges) for gbps, config in (("slow", slow), ("fast", fast))
+    }
     assert found["slow"]["dropped"].sum() > found["fast"]["dropped"].sum()
     assert np.array_equal(found["slow"]["committed"], found["fast"]["committed"])
     assert not differences(found["slow"], replay("sliced", slow, edges))

@@ -25,7 +25,9 @@ BACKGROUND_CPS = (0.0, 1e3, 1e6, 1e8)
 
 @st.composite
 def lights(draw, config):
-    """Draw up to three surfaces for each of a few kinds of pixels, some beyond the period or without light."""
+    """Draw up to three surfaces for each of a few kinds of pixels, some beyond the period or
+    without light.
+    """
     sensor = config.sensor
     kinds, surfaces = draw(st.integers(1, 4)), draw(st.integers(1, 3))
     far_m = 1.2 * config.period_ticks * config.tick_s * SPEED_OF_LIGHT_M_S / 2
@@ -52,13 +54,24 @@ def lights(draw, config):
 def test_a_depth_or_a_sentence(sensor, data):
     config = data.draw(configurations(SENSORS[sensor], frames_max=1))
     config = config.with_frame(pulses=data.draw(st.sampled_from(PULSES)))
-    run = Run(Setup(config=config, light=data.draw(lights(config)), spad_gate=data.draw(st.booleans()), estimators=()))
-    method, source = data.draw(st.sampled_from(tuple(METHODS))), data.draw(st.sampled_from(tuple(SOURCES)))
+    run = Run(
+        Setup(
+            config=config,
+            light=data.draw(lights(config)),
+            spad_gate=data.draw(st.booleans()),
+            estimators=(),
+        )
+    )
+    method, source = (
+        data.draw(st.sampled_from(tuple(METHODS))),
+        data.draw(st.sampled_from(tuple(SOURCES))),
+    )
     with np.errstate(divide="raise", invalid="raise"):
         try:
             depth = run.depth(f"{method}/{source}", returns=data.draw(st.integers(1, 3)))
         except InputError as error:
-            assert str(error).count(":") and (method != "planes" or "step_cycles" in str(error))  # of a SPAD gate
+            # of a SPAD gate
+            assert str(error).count(":") and (method != "planes" or "step_cycles" in str(error))
             return
     assert np.all((0 <= depth.confidence) & (depth.confidence <= 1))
     assert not depth.confidence[np.isnan(depth.depth_m)].any()
@@ -66,4 +79,6 @@ def test_a_depth_or_a_sentence(sensor, data):
     assert depth.reason.dtype == np.uint8 and set(depth.reason.ravel()) <= set(Reason)
     assert not believed[np.isnan(depth.depth_m[:, :, 0])].any()
     seen = depth.depth_m[~np.isnan(depth.depth_m)]
-    assert np.all((seen >= 0) & (seen <= config.period_ticks * config.tick_s * SPEED_OF_LIGHT_M_S / 2))
+    assert np.all(
+        (seen >= 0) & (seen <= config.period_ticks * config.tick_s * SPEED_OF_LIGHT_M_S / 2)
+    )

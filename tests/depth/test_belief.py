@@ -38,7 +38,9 @@ def test_most_pixels_have_the_reason(reason):
     scene, klux, frame, subgroup, where = CASES[reason]
     run = Run(Setup.of(scene, klux=klux, sensor=SENSOR, frame=frame, subgroup=subgroup))
     found = run.depth("background").reason[:, where]
-    assert np.mean(found == reason) > 0.5, {SENTENCES[Reason(k)]: int(np.sum(found == k)) for k in np.unique(found)}
+    assert np.mean(found == reason) > 0.5, {
+        SENTENCES[Reason(k)]: int(np.sum(found == k)) for k in np.unique(found)
+    }
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -10,7 +10,13 @@ from coincid.lab.setup import Setup
 from coincid.model.depth.arrivals import lead_sigmas, photons_of
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import SOURCES, subgroup_histograms
-from coincid.model.depth.quality import TOLERANCE_M, off_surfaces, range_error, wrong_pixels, wrong_share
+from coincid.model.depth.quality import (
+    TOLERANCE_M,
+    off_surfaces,
+    range_error,
+    wrong_pixels,
+    wrong_share,
+)
 from coincid.model.light.timing import Timing
 from coincid.model.shared.constants import SIGMA_PER_FWHM
 from coincid.model.shared.errors import InputError
@@ -38,7 +44,10 @@ def five_objects():
     """Return results at 50 klux, with coincidence off and at thresholds 1 to 3."""
     return {
         name: capture("five-objects", 50, subgroup=settings)
-        for name, settings in (("off", {"coincidence": False}), *((th, {"threshold": th}) for th in (1, 2, 3)))
+        for name, settings in (
+            ("off", {"coincidence": False}),
+            *((th, {"threshold": th}) for th in (1, 2, 3)),
+        )
     }
 
 
@@ -59,7 +68,9 @@ def test_off_surfaces():
 def test_range_error():
     some_missing = np.array([5.1, 4.9, np.nan, 7.0]), np.array([5.0, 5.0, 5.0, np.nan])
     assert range_error(*some_missing) == pytest.approx((0.0, 0.1))
-    assert range_error(np.array([5.2, 5.0]), np.array([5.0, 5.0])) == pytest.approx((0.1, np.sqrt(0.02)))
+    assert range_error(np.array([5.2, 5.0]), np.array([5.0, 5.0])) == pytest.approx(
+        (0.1, np.sqrt(0.02))
+    )
     assert np.isnan(range_error(np.array([np.nan]), np.array([5.0]))).all()
 
 
@@ -75,22 +86,32 @@ def test_photons_behind_distinct_pixels():
 
 
 def test_every_hit_is_in_the_histogram_of_its_pixel():
-    _, config, result = capture("five-objects", 50, sensor={"rows": 16, "cols": 32, "subgroup": [4, 8]})
+    _, config, result = capture(
+        "five-objects", 50, sensor={"rows": 16, "cols": 32, "subgroup": [4, 8]}
+    )
     histograms = list(subgroup_histograms(result, config, SIGMA_TICKS))
     assert len(histograms) == config.sensor.subgroups
     for s, histogram in enumerate(histograms):
         of_subgroup = result["subgroup"] == s
         hits = result["hits"][of_subgroup, 0]
-        assert histogram.sum(axis=1).tolist() == [int(np.sum(hits >> np.uint64(i) & np.uint64(1))) for i in range(32)]
+        assert histogram.sum(axis=1).tolist() == [
+            int(np.sum(hits >> np.uint64(i) & np.uint64(1))) for i in range(32)
+        ]
     everywhere = list(subgroup_histograms(result, config, SIGMA_TICKS, source="subgroup"))
     for s, histogram in enumerate(everywhere):
-        assert np.all(histogram == histogram[0]) and histogram[0].sum() == np.sum(result["subgroup"] == s)
+        assert np.all(histogram == histogram[0]) and histogram[0].sum() == np.sum(
+            result["subgroup"] == s
+        )
 
 
-@pytest.mark.parametrize("frame", [{"format": "full"}, {"minigroup_records": True, "mg_threshold": 1, "mg_window": 1}])
+@pytest.mark.parametrize(
+    "frame", [{"format": "full"}, {"minigroup_records": True, "mg_threshold": 1, "mg_window": 1}]
+)
 def test_minigroups_tell_surfaces_apart_that_share_a_window(frame):
     captured = capture("two-targets:5,5.1", 5, frame=frame)
-    by_minigroup, by_map = (share(*captured, method="matched", source=source) for source in ("minigroup", "map"))
+    by_minigroup, by_map = (
+        share(*captured, method="matched", source=source) for source in ("minigroup", "map")
+    )
     assert by_minigroup < 0.2 < by_map
 
 
@@ -98,11 +119,21 @@ def test_estimators_rank_as_they_should(five_objects):
     planes = {name: share(*run) for name, run in five_objects.items()}
     assert planes[2] < 0.005 and planes[3] < 0.03 and planes["off"] < 0.15
     for name, run in five_objects.items():
-        maximum, matched, background = (share(*run, method=method) for method in ("maximum", "matched", "background"))
+        maximum, matched, background = (
+            share(*run, method=method) for method in ("maximum", "matched", "background")
+        )
         assert planes[name] < background < 1.1 * matched < 1.1 * maximum, name
-    assert share(*five_objects[1], method="background") < 0.8 * share(*five_objects[1], method="matched")
-    assert share(*five_objects[2], method="matched") < share(*five_objects[2], method="matched", source="subgroup")
-    assert share(*five_objects["off"], method="matched") > 0.5 > 10 * share(*five_objects[3], method="planes")
+    assert share(*five_objects[1], method="background") < 0.8 * share(
+        *five_objects[1], method="matched"
+    )
+    assert share(*five_objects[2], method="matched") < share(
+        *five_objects[2], method="matched", source="subgroup"
+    )
+    assert (
+        share(*five_objects["off"], method="matched")
+        > 0.5
+        > 10 * share(*five_objects[3], method="planes")
+    )
 
 
 def test_two_returns_of_one_pixel():
@@ -116,7 +147,10 @@ def test_two_returns_of_one_pixel():
     alone = estimate_depth(flat, config, returns=3)
     assert alone.depth_m.shape == (32, 32, 3) and np.isnan(alone.depth_m[:, :, 1:]).all()
     for method in ("matched", "background"):  # a single hit of background is no return
-        assert np.isnan(estimate_depth(flat, config, method=method, returns=2).depth_m[:, :, 1]).mean() > 0.95
+        assert (
+            np.isnan(estimate_depth(flat, config, method=method, returns=2).depth_m[:, :, 1]).mean()
+            > 0.95
+        )
 
 
 def test_frames_are_told_apart():
@@ -140,7 +174,11 @@ def test_bad_input(five_objects):
         with pytest.raises(InputError, match=words):
             depth_of(result, config, **options)
     with pytest.raises(InputError, match="format must be id or full"):
-        depth_of({name: array for name, array in result.items() if name != "hits"}, config, method="matched")
+        depth_of(
+            {name: array for name, array in result.items() if name != "hits"},
+            config,
+            method="matched",
+        )
     assert set(SOURCES) == {"map", "minigroup", "subgroup"}
 
 
@@ -148,7 +186,10 @@ def test_picture_of_a_row(tmp_path, five_objects):
     scene, config, result = five_objects[2]
     truth_m = scene.truth_m.copy()
     truth_m[:2, :2] = np.nan
-    panels = [Panel("planes", depth_of(result, config)), Panel("maximum", depth_of(result, config, method="maximum"))]
+    panels = [
+        Panel("planes", depth_of(result, config)),
+        Panel("maximum", depth_of(result, config, method="maximum")),
+    ]
     shares = depth_row(tmp_path / "a.png", panels, truth_m, "five objects")
     assert shares == [wrong_share(panel.depth_m, truth_m) for panel in panels]
     with Image.open(tmp_path / "a.png") as picture:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator of planes: its likelihood, slopes, masks, returns, confidence, and identical bits for any number of threads."""
+"""The estimator of planes: its likelihood, slopes, masks, returns, confidence, and identical bits
+for any number of threads.
+"""
 
 import numpy as np
 import pytest
@@ -31,10 +33,14 @@ DOWN_M, RIGHT_M = 0.02, -0.05  # slopes per pixel
 def tilted(near_m=6.0, reflectivity=0.4):
     row, col = np.mgrid[:ROWS, :COLS]
     distance_m = near_m + DOWN_M * row - RIGHT_M * (COLS - col)
-    return Scene(name="tilted", distance_m=distance_m, reflectivity=np.full((ROWS, COLS), reflectivity))
+    return Scene(
+        name="tilted", distance_m=distance_m, reflectivity=np.full((ROWS, COLS), reflectivity)
+    )
 
 
-def estimate(scene, klux=20.0, *, frame=None, subgroup=None, override=(), sensor=None, spad=None, **options):
+def estimate(
+    scene, klux=20.0, *, frame=None, subgroup=None, override=(), sensor=None, spad=None, **options
+):
     sensor = {"rows": scene.rows, "cols": scene.cols} | (sensor or {})
     config = configured(sensor, frame, subgroup, *override)
     return Run(Setup(config=config, scene=scene, klux=klux, spad=spad or Spad())).depth(**options)
@@ -47,7 +53,14 @@ def share(depth, scene, tolerance_m=TOLERANCE_M):
 @pytest.mark.parametrize(
     "settings",
     [
-        *({}, {"coincidence": False}, {"window": 4, "threshold": 1}, {"threshold": 3}, {"window": 8}, {"window": 48}),
+        *(
+            {},
+            {"coincidence": False},
+            {"window": 4, "threshold": 1},
+            {"threshold": 3},
+            {"window": 8},
+            {"window": 48},
+        ),
         {"gating": True, "gate_start": 15, "gate_len": 20},
     ],
 )
@@ -92,7 +105,9 @@ def test_the_light_is_learned_from_the_frame(link_gbps):
 def test_seeds_are_not_biased(monkeypatch):
     """They are middles of their bins, which are five ticks wide."""
     seen, scene = [], tilted()
-    monkeypatch.setattr(planes, "find_seeds", lambda *levels: seen.append(find_seeds(*levels)) or seen[-1])
+    monkeypatch.setattr(
+        planes, "find_seeds", lambda *levels: seen.append(find_seeds(*levels)) or seen[-1]
+    )
     run = Run(Setup.of(scene, sensor={"rows": ROWS, "cols": COLS}, klux=20.0))
     run.depth()
     step = round(planes.COARSE_SIGMAS * pulse_sigma_ticks(run.config))
@@ -107,12 +122,16 @@ def test_many_photons_leave_no_error():
 
 
 def floor(far_m, near_m=4.0, rows=32, cols=16, reflectivity=0.4, parts=64):
-    """A floor in perspective: the light of a pixel comes from all distances that it sees, nearer parts are brighter."""
+    """A floor in perspective: the light of a pixel comes from all distances that it sees, nearer
+    parts are brighter.
+    """
     inner = (np.arange(rows * parts) + 0.5) / parts  # rows, and places in them
     distance_m = 1 / (1 / far_m + (1 / near_m - 1 / far_m) * inner / rows)
     bins = (distance_m * 2 / SPEED_OF_LIGHT_M_S / BIN_S).astype(np.int64)
     table = np.zeros((rows, bins.max() + 1))
-    np.add.at(table, (np.arange(len(bins)) // parts, bins), reflectivity / (np.pi * distance_m**2) / parts)
+    np.add.at(
+        table, (np.arange(len(bins)) // parts, bins), reflectivity / (np.pi * distance_m**2) / parts
+    )
     truth_m = np.repeat(distance_m.reshape(rows, parts).mean(axis=1)[:, None], cols, axis=1)
     light = synthetic(np.repeat(table[:, None], cols, axis=1), truth_m, reflectivity)
     return Scene(name="floor", distance_m=truth_m, reflectivity=light.ambient, transient=light)
@@ -135,7 +154,9 @@ def test_slopes_and_standard_errors():
     scene = tilted()
     depth = estimate(scene)
     down, right = np.moveaxis(depth.slope_m, 2, 0)
-    assert np.median(down) == pytest.approx(DOWN_M, abs=0.004) and np.median(right) == pytest.approx(RIGHT_M, abs=0.004)
+    assert np.median(down) == pytest.approx(DOWN_M, abs=0.004) and np.median(
+        right
+    ) == pytest.approx(RIGHT_M, abs=0.004)
     error_m = np.abs(depth.depth_m[:, :, 0] - scene.truth_m)
     assert 0.3 < np.median(error_m / depth.error_m[:, :, 0]) < 1.5
 
@@ -153,14 +174,20 @@ def test_masked_and_hot_pixels_take_their_surroundings():
     scene = tilted()
     dark_cps = np.zeros(ROWS * COLS)
     dark_cps[[50, 200, 300]] = 5e6
-    depth = estimate(scene, override=[{"subgroups": [1], "mask": "ff00ffffffffffff"}], spad=Spad(dark_cps=dark_cps))
+    depth = estimate(
+        scene,
+        override=[{"subgroups": [1], "mask": "ff00ffffffffffff"}],
+        spad=Spad(dark_cps=dark_cps),
+    )
     assert share(depth, scene) < 0.03
 
 
 @pytest.mark.parametrize("pulses", [1000, 5000])
 @pytest.mark.parametrize("gating", [False, True])
 def test_dim_light_needs_no_gate_and_bears_one(pulses, gating):
-    """About one photon per pixel comes back in a thousand pulses; more pulses and a gate never make it worse."""
+    """About one photon per pixel comes back in a thousand pulses; more pulses and a gate never make
+    it worse.
+    """
     scene = load_scene("flat:45,0.1", ROWS, COLS)
     around = {"coincidence": False, "gating": gating, "gate_start": 130, "gate_len": 40}
     depth = estimate(scene, 10.0, frame={"pulses": pulses}, subgroup=around)
@@ -170,17 +197,29 @@ def test_dim_light_needs_no_gate_and_bears_one(pulses, gating):
 def test_edges_of_objects_stay_sharp():
     row, col = np.mgrid[:ROWS, :COLS]
     box = (row > 3) & (row < 11) & (col > 5) & (col < 15)
-    scene = Scene(name="box", distance_m=np.where(box, 4.0, 6 + 0.05 * row), reflectivity=np.full((ROWS, COLS), 0.4))
+    scene = Scene(
+        name="box",
+        distance_m=np.where(box, 4.0, 6 + 0.05 * row),
+        reflectivity=np.full((ROWS, COLS), 0.4),
+    )
     assert share(estimate(scene), scene) < 0.02
 
 
 def test_no_confidence_where_a_pixel_rules_out_its_plane():
-    """Some pixels see only the pane before a wall, but their neighbours' plane is that of the wall."""
+    """Some pixels see only the pane before a wall, but their neighbours' plane is that of the
+    wall.
+    """
     signal = np.array([[0.3, 0.4]])
-    light = Light(rows=16, cols=16, distance_m=[[4.0, 4.9]], signal_per_pulse=signal, background_cps=2.5e5)
+    light = Light(
+        rows=16, cols=16, distance_m=[[4.0, 4.9]], signal_per_pulse=signal, background_cps=2.5e5
+    )
     depth = Run(Setup.of(sensor={"rows": 16, "cols": 16}, light=light)).depth()
     ruled_out = np.isnan(depth.error_m[:, :, 0])
-    assert ruled_out.any() and not depth.confidence[ruled_out].any() and not np.isnan(depth.depth_m).any()
+    assert (
+        ruled_out.any()
+        and not depth.confidence[ruled_out].any()
+        and not np.isnan(depth.depth_m).any()
+    )
 
 
 def test_threads_change_nothing():

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same words give the same depth on every processor. As a program, it prints the digest of some depths."""
+"""The same words give the same depth on every processor. As a program, it prints the digest of some
+depths.
+"""
 
 import hashlib
 import os
@@ -30,12 +32,19 @@ def depth_digest() -> str:
 
 
 def test_vector_units_do_not_change_the_depth():
-    """NumPy and its linear algebra have versions for each kind of vector unit; with the oldest ones, the depth is the same."""
+    """NumPy and its linear algebra have versions for each kind of vector unit; with the oldest
+    ones, the depth is the same.
+    """
     found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
     old = {"NPY_DISABLE_CPU_FEATURES": " ".join(found), "OPENBLAS_CORETYPE": "Nehalem"}
     environment = os.environ | old
     elsewhere = subprocess.run(
-        [sys.executable, __file__], env=environment, capture_output=True, text=True, encoding="utf-8", check=True
+        [sys.executable, __file__],
+        env=environment,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=True,
     )
     assert elsewhere.stdout.strip() == depth_digest()
 

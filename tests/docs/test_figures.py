@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures: what they read of runs, files of a section and of the page; four surfaces per pixel, and a point at 150 m."""
+"""Figures: what they read of runs, files of a section and of the page; four surfaces per pixel, and
+a point at 150 m.
+"""
 
 import re
 from xml.etree import ElementTree
@@ -12,7 +14,7 @@ from coincid.model.depth.quality import TOLERANCE_M
 from coincid.study.plot_style import new_figure, style
 from docs.studies import returns
 from docs.studies.figures import light_over_distance, reconstruction
-from docs.studies.figures.sections import Comparison, Section, write_page, write_section
+from docs.studies.figures.sections import Comparison, Section, write_figures_page, write_section
 from docs.studies.figures.setups import cases, mean, mean_rows, outcome
 
 METHODS = ("planes", "matched/subgroup")
@@ -28,7 +30,10 @@ def section(value=0.1):
         "a < b",
         [("demo_a", figure, "caption & more")],
         [("x", "y"), (1, 1 / 3), ("a,b", "")],
-        [Comparison("quantity", "7 %", {"literal": "1", "corrected": "2"}), Comparison("other", "-", {"RTL": "3"})],
+        [
+            Comparison("quantity", "7 %", {"literal": "1", "corrected": "2"}),
+            Comparison("other", "-", {"RTL": "3"}),
+        ],
         "text & more",
     )
 
@@ -39,10 +44,18 @@ def test_rows_are_means_over_seeds():
     (blind,) = cases(1, 20, frame={"format": "short"}, **SMALL | {"estimators": ()})
     found, without = outcome(Run(setup)), outcome(Run(blind))
     assert 0 < found.measures["events"] == found.measures["events_per_s"] * 20 * 500e-9
-    assert found.measures["wrong_share"] == found.measures["wrong_share_planes"] == found.wrong["planes"].mean()
+    assert (
+        found.measures["wrong_share"]
+        == found.measures["wrong_share_planes"]
+        == found.wrong["planes"].mean()
+    )
     assert mean([found, found], "events") == found.measures["events"]
     rows = mean_rows(("key",), ("dropped", "wrong_share"), {("one",): [found], ("two",): [without]})
-    assert rows == [("key", "dropped", "wrong_share"), ("one", 0.0, found.measures["wrong_share"]), ("two", 0.0, "")]
+    assert rows == [
+        ("key", "dropped", "wrong_share"),
+        ("one", 0.0, found.measures["wrong_share"]),
+        ("two", 0.0, ""),
+    ]
     with pytest.raises(ValueError, match="threshold"):
         cases(subgroup={"threshold": 0})
 
@@ -50,17 +63,26 @@ def test_rows_are_means_over_seeds():
 def test_files_of_a_section_have_the_same_bytes_again(tmp_path):
     for folder in ("one", "two"):
         write_section(tmp_path / folder, section())
-        write_page(tmp_path / folder, "title", "introduction", [section()])
-    one, two = ({path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()} for folder in ("one", "two"))
+        write_figures_page(tmp_path / folder, "title", "introduction", [section()])
+    one, two = (
+        {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()}
+        for folder in ("one", "two")
+    )
     assert one == two and one.keys() == {"demo.csv", "demo_a.png", "demo_a.svg", "index.html"}
     assert one["demo.csv"].decode().split() == ["x,y", "1,0.333333", '"a,b",']
 
 
 def test_page_is_html_with_every_number(tmp_path):
-    write_page(tmp_path, "title", "", [section()])
+    write_figures_page(tmp_path, "title", "", [section()])
     text = (tmp_path / "index.html").read_text(encoding="utf-8")
-    ElementTree.fromstring(re.sub("<(!doctype|meta|img)[^>]*>", "", text))  # whose tags are balanced
-    assert "a &lt; b" in text and "caption &amp; more" in text and "text &amp; more" in text and "demo_a.svg" in text
+    # whose tags are balanced
+    ElementTree.fromstring(re.sub("<(!doctype|meta|img)[^>]*>", "", text))
+    assert (
+        "a &lt; b" in text
+        and "caption &amp; more" in text
+        and "text &amp; more" in text
+        and "demo_a.svg" in text
+    )
     assert "<td>7 %</td><td>1</td><td>2</td><td></td>" in text
 
 
@@ -79,7 +101,9 @@ def test_paper_figures_with_a_second_engine(monkeypatch):
     assert shares["Monte Carlo", 100, "maximum"] > 0.01
     assert abs(shares["corrected", 100, "maximum"] - shares["Monte Carlo", 100, "maximum"]) < 0.05
     assert shares["Monte Carlo", 800, "matched"] < shares["Monte Carlo", 100, "matched"]
-    assert two.comparisons[0].ours["reading E"] == "3.92 m" and two.comparisons[0].ours["reading A"].startswith("0.05")
+    assert two.comparisons[0].ours["reading E"] == "3.92 m" and two.comparisons[0].ours[
+        "reading A"
+    ].startswith("0.05")
     assert [one.ours["literal"] for one in five.comparisons] == ["500 ps", "500 ps"]
     assert all(len(row) == len(part.rows[0]) for part in (six, two, five) for row in part.rows)
 
@@ -92,12 +116,16 @@ def test_four_surfaces_in_every_histogram(step_m):
 
 def test_a_cycle_hides_its_second_surface_in_bright_light():
     slow, fast = (
-        returns.all_found(Run(returns.setup(4.0, 0.15, photons=0.6, pulses=1000, faster=faster)))["map"]
+        returns.all_found(Run(returns.setup(4.0, 0.15, photons=0.6, pulses=1000, faster=faster)))[
+            "map"
+        ]
         for faster in (False, True)
     )
     assert slow < 0.05 and fast > 0.9
 
 
 def test_a_point_at_150_m():
-    near, far = (abs(returns.point_error_m(Run(returns.point(0.1, 10.0, 1000, 0, nj)))) for nj in (2.0, 0.01))
+    near, far = (
+        abs(returns.point_error_m(Run(returns.point(0.1, 10.0, 1000, 0, nj)))) for nj in (2.0, 0.01)
+    )
     assert near < TOLERANCE_M < far

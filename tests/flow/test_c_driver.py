@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exported C driver, compiled as it leaves the project: it drives the RTL (as a library) and decodes its frames."""
+"""The exported C driver, compiled as it leaves the project: it drives the RTL (as a library) and
+decodes its frames.
+"""
 
 import ctypes
 import re
@@ -42,7 +44,9 @@ def structure(name):
     """Return a struct of coincid.h as a class."""
     text = re.sub(r"/\*.*?\*/", "", c_driver()["coincid.h"], flags=re.DOTALL)
     fields = []
-    for kind, names in re.findall(r"(?:const )?(\w+) ([^;]+);", re.search(rf"{{([^{{}}]*)}} {name};", text)[1]):
+    for kind, names in re.findall(
+        r"(?:const )?(\w+) ([^;]+);", re.search(rf"{{([^{{}}]*)}} {name};", text)[1]
+    ):
         for star, field, length in re.findall(r"(\*?)(\w+)(?:\[(\d+)\])?", names):
             one = ctypes.c_void_p if star else getattr(ctypes, f"c_{kind.removesuffix('_t')}")
             fields.append((field, one * int(length) if length else one))
@@ -58,7 +62,11 @@ def compiled_driver(sensor) -> ctypes.CDLL:
         folder = Path(name)
         for file, text in (c_driver() | {HEADER: register_files(sensor)[HEADER]}).items():
             (folder / file).write_text(text, encoding="utf-8")
-        subprocess.run(["cc", *FLAGS, "-shared", "-fPIC", "-o", "driver.so", "coincid.c"], cwd=folder, check=True)
+        subprocess.run(
+            ["cc", *FLAGS, "-shared", "-fPIC", "-o", "driver.so", "coincid.c"],
+            cwd=folder,
+            check=True,
+        )
         loaded = ctypes.CDLL(str(folder / "driver.so"))
     loaded.coincid_counter.restype = loaded.coincid_offset.restype = ctypes.c_uint32
     return loaded
@@ -106,7 +114,10 @@ def packets(library, info, beats):
 
 def event(library, info, packet):
     """Return an event: the columns of a decoded frame, the map's words, and the offsets."""
-    columns = [getattr(packet, name) for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp")]
+    columns = [
+        getattr(packet, name)
+        for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp")
+    ]
     words = (ctypes.c_uint64 * -(-info.pixels // 64)).from_address(packet.map)
     offsets = (library.coincid_offset(ctypes.byref(packet), g) for g in range(info.minigroups))
     return columns, list(words), list(offsets) if packet.offsets else [255] * info.minigroups
@@ -114,16 +125,27 @@ def event(library, info, packet):
 
 def events_of_frame(frame):
     """Return the same of a frame that Python has decoded."""
-    return list(zip(frame.events[:, 1:].tolist(), frame.hits.tolist(), frame.offsets.tolist(), strict=True))
+    return list(
+        zip(frame.events[:, 1:].tolist(), frame.hits.tolist(), frame.offsets.tolist(), strict=True)
+    )
 
 
 def test_the_driver_drives_and_decodes(library):
     golden, info = Golden(SENSOR), Info()
-    of = configured(SENSOR, {"period": 80, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1})
+    of = configured(
+        SENSOR,
+        {"period": 80, "pulses": 6, "format": "full", "minigroup_records": True, "mg_threshold": 1},
+    )
     with SlicedSensor(SENSOR) as rtl:
         bus = bus_of(rtl)
         assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0
-        found = info.subgroups, info.pixels, info.minigroups, info.record_bits, info.record_stamp_bits
+        found = (
+            info.subgroups,
+            info.pixels,
+            info.minigroups,
+            info.record_bits,
+            info.record_stamp_bits,
+        )
         assert found == (SENSOR.subgroups, 64, 16, SENSOR.record_bits, SENSOR.record_stamp_bits)
         assert library.coincid_wait(ctypes.byref(bus), 3) == TIMEOUT
         Driver(rtl, SENSOR)["period"] = SENSOR.guard
@@ -144,10 +166,16 @@ def test_the_driver_drives_and_decodes(library):
         elif packet.kind == 4:
             stamp, hit_map = ctypes.c_uint32(), ctypes.c_uint32()
             for g in range(16):
-                library.coincid_entry(ctypes.byref(info), where, g, ctypes.byref(stamp), ctypes.byref(hit_map))
+                library.coincid_entry(
+                    ctypes.byref(info), where, g, ctypes.byref(stamp), ctypes.byref(hit_map)
+                )
                 records.append((packet.subgroup, packet.pulse, stamp.value, hit_map.value))
         elif packet.kind == 7:
-            counters = [library.coincid_counter(where, s, k) for s in range(2) for k in range(len(COUNTER_NAMES))]
+            counters = [
+                library.coincid_counter(where, s, k)
+                for s in range(2)
+                for k in range(len(COUNTER_NAMES))
+            ]
     assert events == events_of_frame(frame) and len(events) > 20 and len(frame.records) > 5
     assert records == [
         (*of, *entry)
@@ -172,10 +200,18 @@ def test_groups_are_decoded(name, form):
     library, rng = compiled_driver(sensor), np.random.default_rng(1)
     of = configured(
         random_cases.SENSORS[name],
-        {"period": 2 * sensor.guard + 40, "pulses": 8, "format": form, "minigroup_records": True, "mg_threshold": 1},
+        {
+            "period": 2 * sensor.guard + 40,
+            "pulses": 8,
+            "format": form,
+            "minigroup_records": True,
+            "mg_threshold": 1,
+        },
         {"threshold": 1, "window": sensor.phases},
     )
-    constants = {each.offset: each.reset(sensor) for each in GLOBAL if each.access is Access.CONSTANT}
+    constants = {
+        each.offset: each.reset(sensor) for each in GLOBAL if each.access is Access.CONSTANT
+    }
     bus = bus_of(SimpleNamespace(read=constants.__getitem__, write=None))
     assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0
     for trial in range(12):

@@ -17,7 +17,16 @@ from coincid.tools.wheels import run_yosys
 
 from ..command import command
 
-SMALL = Sensor(rows=4, cols=4, subgroup=(4, 4), minigroup=(2, 2), phases=4, window_max=8, fifo_depth=1, coarse_bits=6)
+SMALL = Sensor(
+    rows=4,
+    cols=4,
+    subgroup=(4, 4),
+    minigroup=(2, 2),
+    phases=4,
+    window_max=8,
+    fifo_depth=1,
+    coarse_bits=6,
+)
 TOY = """
 module leaf(input clk, input [7:0] a, output reg q);
   always @(posedge clk) q <= ^a;
@@ -28,13 +37,28 @@ module toy(input clk, input [7:0] a, output reg [3:0] n);
   always @(posedge clk) n <= {n[2:0], q & n[3]};
 endmodule
 """
-TO_GATES = ("dfflegalize -cell $_DFF_P_ x", "abc -g AND,XOR", "flatten", "opt_clean", "write_json toy.json")
+TO_GATES = (
+    "dfflegalize -cell $_DFF_P_ x",
+    "abc -g AND,XOR",
+    "flatten",
+    "opt_clean",
+    "write_json toy.json",
+)
 
 
 def test_depth_by_block(tmp_path):
     (tmp_path / "toy.v").write_text(TOY, encoding="utf-8")
-    run_yosys(tmp_path, "read_verilog toy.v", "hierarchy -top toy", "proc", "synth -noabc -top toy", *TO_GATES)
-    found = depths(json.loads((tmp_path / "toy.json").read_text(encoding="utf-8"))["modules"]["toy"])
+    run_yosys(
+        tmp_path,
+        "read_verilog toy.v",
+        "hierarchy -top toy",
+        "proc",
+        "synth -noabc -top toy",
+        *TO_GATES,
+    )
+    found = depths(
+        json.loads((tmp_path / "toy.json").read_text(encoding="utf-8"))["modules"]["toy"]
+    )
     assert found == {"": 1, "parity": 3}  # an AND; eight inputs, three levels of XOR
 
 
@@ -75,14 +99,25 @@ def test_netlist_behaves(target):
 
 @pytest.mark.needs("cells")
 def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
-    """OpenSTA accepts the constraints (`write` raises if it complains), and every clock has a timed path."""
+    """OpenSTA accepts the constraints (`write` raises if it complains), and every clock has a timed
+    path.
+    """
     top, report, sdc = write(SMALL, Circuit(), tmp_path)
     text = report.read_text(encoding="utf-8")
     lines = text[text.index("| from clock") :].splitlines()
     rows = {tuple(line.strip("| ").split(" | ")[:2]) for line in lines if line.startswith("| ")}
     assert {clock for pair in rows for clock in pair} >= set(CLOCKS)
-    assert {("clk", "spads"), ("clk", "roots"), ("spads", "clk"), ("roots", "clk"), ("ends", "clk")} <= rows
-    sdc.write_text(sdc.read_text(encoding="utf-8").replace("*window_*/ended", "*no_such_pin*/ended"), encoding="utf-8")
+    assert {
+        ("clk", "spads"),
+        ("clk", "roots"),
+        ("spads", "clk"),
+        ("roots", "clk"),
+        ("ends", "clk"),
+    } <= rows
+    sdc.write_text(
+        sdc.read_text(encoding="utf-8").replace("*window_*/ended", "*no_such_pin*/ended"),
+        encoding="utf-8",
+    )
     complaints, _ = timing(tmp_path, top, sdc.name)
     assert any("no_such_pin" in line for line in complaints)
 
@@ -94,7 +129,9 @@ def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path):
         folder.mkdir(exist_ok=True)
         hop = {"type": "logic", "delay": 7.9, "from": {"cell": "a"}, "to": {"cell": "b"}}
         used = dict.fromkeys(pnr.USED, {"used": 1, "available": 2})
-        fmax = {"$glbnet$clk": {"achieved": reached_mhz if seed == 3 else 130.0, "constraint": 125.0}}
+        fmax = {
+            "$glbnet$clk": {"achieved": reached_mhz if seed == 3 else 130.0, "constraint": 125.0}
+        }
         path = {"from": "posedge clk", "to": "posedge clk", "path": [hop]}
         report = {"fmax": fmax, "utilization": used, "critical_paths": [path]}
         (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
@@ -107,6 +144,6 @@ def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path):
         result = command("pnr --out", tmp_path / "page.md")
         assert result.exit_code == code
         assert ("seed 3: clk reaches 124.9 MHz" in result.stderr) == bool(code)
-        assert f"| clk | 130.0 | 130.0 | {reached_mhz} | 130.0 | 130.0 |" in (tmp_path / "page.md").read_text(
-            encoding="utf-8"
-        )
+        assert f"| clk | 130.0 | 130.0 | {reached_mhz} | 130.0 | 130.0 |" in (
+            tmp_path / "page.md"
+        ).read_text(encoding="utf-8")

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layout: wires of a DEF file, pins that a router reaches, what the checks find, and a small block from Verilog to a checked GDS."""
+"""Layout: wires of a DEF file, pins that a router reaches, what the checks find, and a small block
+from Verilog to a checked GDS.
+"""
 
 import json
 
@@ -67,8 +69,13 @@ def test_strips_stand_on_their_pins(tmp_path):
     path = tmp_path / "two.lef"
     path.write_text(LEF, encoding="utf-8")
     found = pins.strips(path, {"TWO"})["TWO"]
-    assert {pin: (strip.x, strip.fits) for pin, strip in found.items()} == {"A": (0.095, True), "Z": (0.475, True)}
-    assert all(0.3 < strip.via < 0.9 and strip.low < strip.via < strip.high for strip in found.values())
+    assert {pin: (strip.x, strip.fits) for pin, strip in found.items()} == {
+        "A": (0.095, True),
+        "Z": (0.475, True),
+    }
+    assert all(
+        0.3 < strip.via < 0.9 and strip.low < strip.via < strip.high for strip in found.values()
+    )
 
 
 def test_delays_scale():
@@ -78,7 +85,9 @@ def test_delays_scale():
 
 
 def two_cells(shapes):
-    """A layout of two pins at (0.1, 0.5) and (1.1, 0.5) of nets a and `net`, with shapes (layer, box in um)."""
+    """A layout of two pins at (0.1, 0.5) and (1.1, 0.5) of nets a and `net`, with shapes (layer,
+    box in um).
+    """
     layout = db.Layout()
     layout.dbu = drawn.DBU_UM
     top = layout.create_cell("top")
@@ -122,7 +131,9 @@ def test_opens_and_shorts_are_found():
 def test_rules_are_checked():
     layout, _, _ = two_cells(PINS + VIAS + WIRE)
     assert not broken_rules(layout)
-    layout, _, _ = two_cells(PINS + VIAS + [(15, (0.065, 0.465, 1.17, 0.505)), (15, (0.5, 0.55, 0.6, 0.62))])
+    layout, _, _ = two_cells(
+        PINS + VIAS + [(15, (0.065, 0.465, 1.17, 0.505)), (15, (0.5, 0.55, 0.6, 0.62))]
+    )
     assert broken_rules(layout) == {
         "metal3: width",
         "metal3: distance",
@@ -144,7 +155,9 @@ def test_a_small_minigroup_is_routed():
     from coincid.hdl.minigroup import Minigroup
     from coincid.model.contract.parameters import Sensor
 
-    small = Sensor(rows=4, cols=4, subgroup=(4, 4), minigroup=(1, 2), phases=4, window_max=8, fifo_depth=1)
+    small = Sensor(
+        rows=4, cols=4, subgroup=(4, 4), minigroup=(1, 2), phases=4, window_max=8, fifo_depth=1
+    )
     folder, layout = lay_out(Minigroup(small), 500.0, print)
     assert not any(found for _, found in layout["rules"])
     assert layout["cell_area_um2"] < layout["width_um"] * layout["height_um"]

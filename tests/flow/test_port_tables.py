@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Information for integrators: the table of ports, an instance, the words, the cycle that `laser` marks, and the diagrams."""
+"""Information for integrators: the table of ports, an instance, the words, the cycle that `laser`
+marks, and the diagrams.
+"""
 
 import re
 import subprocess
@@ -29,18 +31,29 @@ DOCS = ROOT / "docs"
 
 @pytest.mark.parametrize("page", pages())
 def test_the_page_has_what_tables_and_rtl_say(page):
-    shown = {region.name: region.text for region in regions(page, (ROOT / page).read_text(encoding="utf-8"))}
+    shown = {
+        region.name: region.text
+        for region in regions(page, (ROOT / page).read_text(encoding="utf-8"))
+    }
     assert {name: text.strip("\n") for name, text in pages()[page].items()}.items() <= shown.items()
 
 
 @pytest.mark.parametrize("name, top", [("silicon", TOP), ("fpga", FPGA_TOP)])
 def test_rows_are_the_ports_of_the_verilog(name, top):
     folder = small_releases() / name
-    check_rows(config(name).sensor, top, POLYPHASE, lambda file: (folder / file).read_text(encoding="utf-8"))
+    check_rows(
+        config(name).sensor,
+        top,
+        POLYPHASE,
+        lambda file: (folder / file).read_text(encoding="utf-8"),
+    )
 
 
 def test_rows_are_the_ports_of_several_streams_and_cells():
-    of, view = configured({"rows": 8, "cols": 24, "streams": 3}, {"clock_mhz": 400}), view_at("async", 400)
+    of, view = (
+        configured({"rows": 8, "cols": 24, "streams": 3}, {"clock_mhz": 400}),
+        view_at("async", 400),
+    )
     check_rows(of.sensor, TOP, view, release_files(of, view).__getitem__)
 
 
@@ -49,7 +62,8 @@ def check_rows(sensor, top, view, text):
     found = re.findall(r"^  (input|output) (?:\[(\d+):0\] )?(\w+);", text(f"{top}.v"), re.MULTILINE)
     rows = port_rows(sensor, top, view)
     assert sorted((row.name, row.width, row.direction) for row in rows) == sorted(
-        (name, int(high or 0) + 1, {"input": "in", "output": "out"}[kind]) for kind, high, name in found
+        (name, int(high or 0) + 1, {"input": "in", "output": "out"}[kind])
+        for kind, high, name in found
     )
     assert instantiation(sensor, top, view) in text(README)
     assert all(row.meaning and bool(row.reset) == (row.direction == "out") for row in rows)
@@ -84,8 +98,12 @@ def test_outputs_after_a_reset_are_as_told():
 
 def test_the_instance_compiles(tmp_path):
     folder = small_releases() / "silicon"
-    files = [str(folder / name) for name in (folder / FILE_LIST).read_text(encoding="utf-8").split()]
-    (tmp_path / "user.v").write_text(f"module user;\n{instantiation(EXAMPLE)}endmodule\n", encoding="utf-8")
+    files = [
+        str(folder / name) for name in (folder / FILE_LIST).read_text(encoding="utf-8").split()
+    ]
+    (tmp_path / "user.v").write_text(
+        f"module user;\n{instantiation(EXAMPLE)}endmodule\n", encoding="utf-8"
+    )
     command = ["iverilog", "-g2005", "-Wall", "-s", "user", "-o", "user.vvp", *files, "user.v"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, encoding="utf-8")
     assert done.returncode == 0 and "port" not in done.stderr, done.stderr
@@ -100,7 +118,9 @@ def test_the_diagrams_show_what_the_page_says():
         for cycle, row in enumerate(rows)
         if row["m_axis_tvalid"] and row["m_axis_tready"]
     ]
-    events = [(cycle, beat) for cycle, beat in taken if header_field(beat, "kind") == FORMATS["id"].code]
+    events = [
+        (cycle, beat) for cycle, beat in taken if header_field(beat, "kind") == FORMATS["id"].code
+    ]
     (at, first), (stalled, second) = events
     assert header_field(first, "stamp") == 22  # the edges at the ports while `laser` was high
     assert header_field(second, "stamp") == 10 * timing_diagrams.PHASES + 1

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Power: what a liberty file and a VCD say, and the sum of both for a few cells that one can add up by hand."""
+"""Power: what a liberty file and a VCD say, and the sum of both for a few cells that one can add up
+by hand.
+"""
 
 from io import BytesIO
 
@@ -69,7 +71,8 @@ def test_liberty_at_its_slew_and_load(tmp_path):
     assert supply_v(path) == 1.0
     assert cell.leakage_nw == 7.5
     assert cell.pins["A"] == Pin(False, 2.0, None, False)
-    assert cell.pins["Z"].energies.at(1.0) == pytest.approx(3.0)  # mean of rise and fall, halfway between the slews
+    # mean of rise and fall, halfway between the slews
+    assert cell.pins["Z"].energies.at(1.0) == pytest.approx(3.0)
     assert cell.pins["Z"].energies.at(2.0) == pytest.approx(3.5)
     assert cell.pins["Z"].energies.at(100.0) == pytest.approx(4.0)
     with pytest.raises(ValueError, match="toy.lib: no cell NAND"):
@@ -111,16 +114,28 @@ def test_sum_by_hand():
 
 
 def test_a_gated_flip_flop_by_hand():
-    """clk clocks a gate, which clocks a flip-flop in two of ten cycles; the flip-flop changes in one of them."""
+    """clk clocks a gate, which clocks a flip-flop in two of ten cycles; the flip-flop changes in
+    one of them.
+    """
     library = {
-        "GATE": Cell(0.0, {"CK": Pin(False, 4.0, always(2.0), True), "GCK": Pin(True, 0.0, always(5.0), True)}),
+        "GATE": Cell(
+            0.0,
+            {"CK": Pin(False, 4.0, always(2.0), True), "GCK": Pin(True, 0.0, always(5.0), True)},
+        ),
         "DFF": Cell(0.0, {"CK": CLOCK, "Q": Pin(True, 0.0, None, False)}),
     }
-    instances = [Instance("gate", "GATE", {"CK": 2, "GCK": 3}), Instance("flop", "DFF", {"CK": 3, "Q": 4})]
+    instances = [
+        Instance("gate", "GATE", {"CK": 2, "GCK": 3}),
+        Instance("flop", "DFF", {"CK": 3, "Q": 4}),
+    ]
     names = {2: [("clk", 0)], 3: [("gated", 0)], 4: [("q", 0)]}
     toggles = {"clk": np.array([[20]]), "gated": np.array([[4]]), "q": np.array([[1]])}
     of = power(Design([""], instances, names, library, 2.0), toggles, 0, 10, 100.0)
-    assert of["gate"].total == of["gate"].clock == pytest.approx(PER_FJ * (16 * 2.0 + 4 * 5.0 + 20 * 2.0 * 4.0))
+    assert (
+        of["gate"].total
+        == of["gate"].clock
+        == pytest.approx(PER_FJ * (16 * 2.0 + 4 * 5.0 + 20 * 2.0 * 4.0))
+    )
     assert of["flop"].total == of["flop"].clock == pytest.approx(PER_FJ * (4 * 3.0 + 4 * 2.0 * 1.0))
     assert of["flop"].idle == pytest.approx(of["flop"].clock / 2)
     assert of["gate"].idle == 0
@@ -134,7 +149,9 @@ def test_a_clock_tree_by_hand():
     of = Design(["", "a", "b"], instances, {2: [("clk", 0)]}, library, 2.0)
     tree = clock_tree_mw(of, {"clk": np.array([[20]])}, 0, 10, 100.0, wire_ff=0.5)
     assert tree["a"] == pytest.approx(3 * tree["b"])
-    assert sum(tree.values()) == pytest.approx(PER_FJ * 20 * (22 * 2.0 * 0.5 + 2 * (7.0 + 2.0 * 4.0)))
+    assert sum(tree.values()) == pytest.approx(
+        PER_FJ * 20 * (22 * 2.0 * 0.5 + 2 * (7.0 + 2.0 * 4.0))
+    )
 
 
 def test_blocks_of_the_table():
@@ -146,13 +163,16 @@ def test_blocks_of_the_table():
 
 @pytest.mark.needs("cells")
 def test_cells_of_the_library():
-    """Energies that stand in the file. A flip-flop's clock pin: of data at rest, between its tables' second and third slew.
+    """Energies that stand in the file. A flip-flop's clock pin: of data at rest, between its
+    tables' second and third slew.
 
     A clock gate's clock pin: closed, its own; open, those of its output."""
     cells = read_cells(cells_folder() / LIBERTY, {"DFF_X1", "CLKGATE_X1"})
     flop, gate = cells["DFF_X1"], cells["CLKGATE_X1"].pins
     assert flop.pins["CK"].clock and gate["CK"].clock and gate["GCK"].clock and not gate["E"].clock
-    assert flop.pins["CK"].energies.at(0) == pytest.approx((2.434 + 4.495 + 2.623 + 4.264) / 4, abs=0.01)
+    assert flop.pins["CK"].energies.at(0) == pytest.approx(
+        (2.434 + 4.495 + 2.623 + 4.264) / 4, abs=0.01
+    )
     assert flop.leakage_nw == pytest.approx(79.11, abs=0.01)
     assert gate["CK"].energies.at(0) == pytest.approx((3.615 + 1.301) / 2, abs=0.01)
     assert gate["GCK"].energies.at(0) > gate["CK"].energies.at(0)

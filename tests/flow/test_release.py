@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The release folder by itself: it compiles, lints and passes its smoke test without this project, and it is consistent."""
+"""The release folder by itself: it compiles, lints and passes its smoke test without this project,
+and it is consistent.
+"""
 
 import hashlib
 import json
@@ -34,7 +36,12 @@ from ..exports import PASSED, complaint, readme_commands, write_export
 from ..random_cases import LEAN, SENSORS
 from ..releases import CLOCK_MHZ, SMALL, config, small_releases
 
-TOPS = [("silicon", TOP, SMOKE), ("fpga", TOP, SMOKE), ("fpga", FPGA_TOP, FPGA_SMOKE), ("async", TOP, SMOKE)]
+TOPS = [
+    ("silicon", TOP, SMOKE),
+    ("fpga", TOP, SMOKE),
+    ("fpga", FPGA_TOP, FPGA_SMOKE),
+    ("async", TOP, SMOKE),
+]
 ROOT = Path(__file__).parents[2]
 PROGRAMS = "iverilog vvp sh dirname"
 COMMANDS = ("verilator --lint-only", "verilator --binary", "iverilog", "fusesoc")  # of the README
@@ -53,7 +60,9 @@ def files(folder):
 
 
 def line_of_readme(folder, pattern):
-    return re.search(rf"^ +({pattern}.*)$", (folder / "README.md").read_text(encoding="utf-8"), re.MULTILINE)[1]
+    return re.search(
+        rf"^ +({pattern}.*)$", (folder / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+    )[1]
 
 
 def simulated(folder, smoke=SMOKE, sources=f"-f {SMOKE}.f"):
@@ -70,17 +79,30 @@ def alone(command, folder, path=""):
             (programs / program).symlink_to(shutil.which(program))
     environment = {"PATH": f"{programs}:{toolchain.verilator().parent}:{path}"}
     return subprocess.run(
-        command, shell=True, cwd=folder, env=environment, capture_output=True, text=True, check=False, encoding="utf-8"
+        command,
+        shell=True,
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        encoding="utf-8",
     )
 
 
 @pytest.mark.parametrize(("preset", "top", "smoke"), TOPS)
 def test_the_readme_is_right(releases, preset, top, smoke):
-    """The smoke test passes on Icarus, and Verilator's lint finds nothing, with the commands of the README."""
+    """The smoke test passes on Icarus, and Verilator's lint finds nothing, with the commands of the
+    README.
+    """
     folder = releases / preset
-    line = line_of_readme(folder, f"iverilog .*{smoke} ").replace("iverilog", "iverilog -Wall -Wno-timescale")
+    line = line_of_readme(folder, f"iverilog .*{smoke} ").replace(
+        "iverilog", "iverilog -Wall -Wno-timescale"
+    )
     done = alone(line, folder)
-    assert re.fullmatch(r"PASS: \d\d\d+ checks\n", done.stdout) and not done.stderr, done.stdout + done.stderr
+    assert re.fullmatch(r"PASS: \d\d\d+ checks\n", done.stdout) and not done.stderr, (
+        done.stdout + done.stderr
+    )
     assert done.returncode == 0
     line = line_of_readme(folder, f"verilator --lint-only .*{top} ")
     assert "-Wall" in line and "-Wno" not in line
@@ -118,9 +140,9 @@ def test_captured_streams_decode_to_their_rows(releases, preset):
             frame = decode_frame(beats, of, len(of.stream_subgroups(stream))).check()
             mine = np.isin(result["subgroup"], of.stream_subgroups(stream))
             assert np.array_equal(frame.events[:, COLUMN["stamp"]], result["stamp"][mine])
-            assert [int(line.split(",")[2]) for line, own in zip(events, mine, strict=True) if own] == list(
-                result["stamp"][mine]
-            )
+            assert [
+                int(line.split(",")[2]) for line, own in zip(events, mine, strict=True) if own
+            ] == list(result["stamp"][mine])
 
 
 @pytest.fixture(scope="module")
@@ -132,12 +154,15 @@ def smallest(tmp_path_factory):
 
 def test_no_command_of_the_readme_is_forgotten(smallest):
     commands = readme_commands(smallest)
-    assert {program for program in COMMANDS for command in commands if command.startswith(program)} == {*COMMANDS}
+    assert {
+        program for program in COMMANDS for command in commands if command.startswith(program)
+    } == {*COMMANDS}
     assert all(command.startswith(COMMANDS) for command in commands)
 
 
 @pytest.mark.parametrize(
-    "program", [pytest.param(name, marks=[pytest.mark.long] if name in COMPILED else []) for name in COMMANDS]
+    "program",
+    [pytest.param(name, marks=[pytest.mark.long] if name in COMPILED else []) for name in COMMANDS],
 )
 def test_commands_of_the_readme(smallest, tmp_path, program):
     """As they stand there, in a clean folder, each for every top."""
@@ -185,10 +210,15 @@ endmodule
 
 
 def test_smoke_test_works_behind_an_adapter(smallest):
-    """The bench does not wait for ready before it raises valid, and holds it until ready, on each channel for itself."""
+    """The bench does not wait for ready before it raises valid, and holds it until ready, on each
+    channel for itself.
+    """
     text = (smallest / f"{SMOKE}.v").read_text(encoding="utf-8")
     for channel in ("aw", "w", "ar"):
-        for wire, inner in ((f"{channel}valid", f"{channel}_open"), (f"{channel}ready", f"{channel}ready")):
+        for wire, inner in (
+            (f"{channel}valid", f"{channel}_open"),
+            (f"{channel}ready", f"{channel}ready"),
+        ):
             assert f".s_axi_{wire}(s_axi_{wire})" in text
             text = text.replace(f".s_axi_{wire}(s_axi_{wire})", f".s_axi_{wire}({inner})")
     (smallest / "adapted.v").write_text(SHIM.join(text.rsplit("endmodule\n", 1)), encoding="utf-8")
@@ -197,7 +227,9 @@ def test_smoke_test_works_behind_an_adapter(smallest):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("sensor", [SENSORS["tiny"], SENSORS["odd"], LEAN], ids=["tiny", "odd", "lean"])
+@pytest.mark.parametrize(
+    "sensor", [SENSORS["tiny"], SENSORS["odd"], LEAN], ids=["tiny", "odd", "lean"]
+)
 def test_smoke_test_of_other_sensors(sensor, tmp_path):
     folder = tmp_path / "rtl"
     write_release(folder, parse_config({"sensor": sensor, "frame": {"period": 100}}))
@@ -207,10 +239,16 @@ def test_smoke_test_of_other_sensors(sensor, tmp_path):
             assert done.stdout.startswith("PASS"), done.stdout + done.stderr
 
 
-WORD, RTL, CONSTANT = ("64'hc0", "64'hc1"), ("~ to_border", "to_border"), ("32'd1129269582", "32'd0")
+WORD, RTL, CONSTANT = (
+    ("64'hc0", "64'hc1"),
+    ("~ to_border", "to_border"),
+    ("32'd1129269582", "32'd0"),
+)
 
 
-@pytest.mark.parametrize("file, old, new", [(f"{SMOKE}.v", *WORD), ("coincid_tree.v", *RTL), (f"{SMOKE}.v", *CONSTANT)])
+@pytest.mark.parametrize(
+    "file, old, new", [(f"{SMOKE}.v", *WORD), ("coincid_tree.v", *RTL), (f"{SMOKE}.v", *CONSTANT)]
+)
 def test_smoke_test_finds_a_difference(releases, tmp_path, file, old, new):
     folder = Path(shutil.copytree(releases / "silicon", tmp_path / "rtl"))
     text = (folder / file).read_text(encoding="utf-8")
@@ -222,13 +260,24 @@ def test_smoke_test_finds_a_difference(releases, tmp_path, file, old, new):
 
 @pytest.mark.long
 def test_presets_of_one_process_do_not_mix(releases, tmp_path):
-    """Each equals the export of a process of its own, with hashes of its own, and contains no file of another preset."""
+    """Each equals the export of a process of its own, with hashes of its own, and contains no file
+    of another preset.
+    """
     for name in list(SMALL)[1:]:  # the first has none before it in its process
         program = f"from tests.releases import release; release({str(tmp_path / name)!r}, {name!r})"
-        subprocess.run([sys.executable, "-c", program], cwd=ROOT, env=os.environ | {"PYTHONHASHSEED": "17"}, check=True)
+        subprocess.run(
+            [sys.executable, "-c", program],
+            cwd=ROOT,
+            env=os.environ | {"PYTHONHASHSEED": "17"},
+            check=True,
+        )
         for path in files(tmp_path / name):
-            assert (tmp_path / name / path).read_bytes() == (releases / name / path).read_bytes(), path
-        parameters = json.loads((releases / name / MANIFEST).read_text(encoding="utf-8"))["parameters"]
+            assert (tmp_path / name / path).read_bytes() == (releases / name / path).read_bytes(), (
+                path
+            )
+        parameters = json.loads((releases / name / MANIFEST).read_text(encoding="utf-8"))[
+            "parameters"
+        ]
         assert {key: parameters[key] for key in SMALL[name]} == SMALL[name]
     assert not list((releases / "silicon").glob(f"{FPGA_TOP}*"))
 
@@ -238,20 +287,31 @@ def test_manifest(releases, preset):
     manifest = json.loads((releases / preset / MANIFEST).read_text(encoding="utf-8"))
     for name, digest in manifest["sha256"].items():
         assert hashlib.sha256((releases / preset / name).read_bytes()).hexdigest() == digest, name
-    built = {path for path in files(releases / preset) if not path.endswith(".vvp") and not path.startswith("obj/")}
+    built = {
+        path
+        for path in files(releases / preset)
+        if not path.endswith(".vvp") and not path.startswith("obj/")
+    }
     assert built == {*manifest["sha256"], MANIFEST}
     assert manifest["clock_mhz"] == CLOCK_MHZ[preset]
     period_ns = re.search(
-        r"^set period (.*)$", (releases / preset / f"{TOP}.sdc").read_text(encoding="utf-8"), re.MULTILINE
+        r"^set period (.*)$",
+        (releases / preset / f"{TOP}.sdc").read_text(encoding="utf-8"),
+        re.MULTILINE,
     )[1]
     assert float(period_ns) == 1000 / CLOCK_MHZ[preset]
     assert manifest["view"] == ("async" if preset == "async" else "polyphase")
-    assert load_config("fpga" if preset == "fpga" else "silicon").sensor.phases == manifest["parameters"]["phases"]
+    assert (
+        load_config("fpga" if preset == "fpga" else "silicon").sensor.phases
+        == manifest["parameters"]["phases"]
+    )
 
 
 def test_exported_verilog_is_what_the_other_tests_simulate(releases):
     for path in rtl(config("silicon").sensor):
-        assert (releases / "silicon" / path.name).read_text(encoding="utf-8") == path.read_text(encoding="utf-8")
+        assert (releases / "silicon" / path.name).read_text(encoding="utf-8") == path.read_text(
+            encoding="utf-8"
+        )
 
 
 def registers(compiler):

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The prover: a proof that holds, one that does not, a vacuous one, and the solver's parser of commands."""
+"""The prover: a proof that holds, one that does not, a vacuous one, and the solver's parser of
+commands.
+"""
 
 from functools import partial
 
@@ -24,11 +26,14 @@ def _counter(highest, reached):
 
 
 @pytest.mark.parametrize(
-    "highest, reached, complaint", [(9, 9, None), (8, 3, "Assert failed"), (9, 12, "Unreached cover")]
+    "highest, reached, complaint",
+    [(9, 9, None), (8, 3, "Assert failed"), (9, 12, "Unreached cover")],
 )
 def test_verdicts(monkeypatch, highest, reached, complaint):
     name = f"counter_{highest}_{reached}"
-    monkeypatch.setitem(PROOFS, name, Proof(name, "A counter.", partial(_counter, highest, reached), 2, 14))
+    monkeypatch.setitem(
+        PROOFS, name, Proof(name, "A counter.", partial(_counter, highest, reached), 2, 14)
+    )
     (verdict,) = prove([name])
     assert (verdict.statements, verdict.situations) == (1, 1)
     assert complaint in verdict.reason if complaint else not verdict.reason
@@ -40,4 +45,8 @@ def test_unknown_proof():
 
 def test_commands_end_where_parentheses_balance():
     lines = ["; a (comment\n", "(assert (= |a(| ; )\n", "b))\n", "(check-sat)\n"]
-    assert list(commands(lines)) == ["; a (comment\n", "(assert (= |a(| ; )\nb))\n", "(check-sat)\n"]
+    assert list(commands(lines)) == [
+        "; a (comment\n",
+        "(assert (= |a(| ; )\nb))\n",
+        "(check-sat)\n",
+    ]

@@ -28,24 +28,40 @@ def test_plain_model(sensor, data):
     config = data.draw(configurations(SENSORS[sensor]).map(lambda c: c.with_frame(format="full")))
     edges = trouble(config, data.draw(seeds), data.draw(densities))
     ready = ready_pattern(
-        data.draw(seeds), data.draw(st.sampled_from(READY_KINDS)), config.pulses * config.period + 100
+        data.draw(seeds),
+        data.draw(st.sampled_from(READY_KINDS)),
+        config.pulses * config.period + 100,
     )
     result = golden_result(config, edges, ready)
     frames, fate = plain_run(config, edges)
     assert result["fate"].tolist() == fate
     for f, subgroups in enumerate(frames):
         for s, plain in enumerate(subgroups):
-            for name in ("opened", "committed", "rejected", "photons", "blind", "lower", "threshold_used"):
+            for name in (
+                "opened",
+                "committed",
+                "rejected",
+                "photons",
+                "blind",
+                "lower",
+                "threshold_used",
+            ):
                 assert result[name][f, s] == getattr(plain, name), name
-            rows = np.flatnonzero((result["subgroup"] == s) & (result["pulse"] // config.pulses == f))
+            rows = np.flatnonzero(
+                (result["subgroup"] == s) & (result["pulse"] // config.pulses == f)
+            )
             assert len(rows) == result["stored"][f, s]
             _check_rows(config, result, rows, plain.events, f)
-            records = np.flatnonzero((result["mg_subgroup"] == s) & (result["mg_pulse"] // config.pulses == f))
+            records = np.flatnonzero(
+                (result["mg_subgroup"] == s) & (result["mg_pulse"] // config.pulses == f)
+            )
             assert len(records) == result["mg_stored"][f, s]
             assert len(plain.records) == result["mg_stored"][f, s] + result["mg_dropped"][f, s]
             left = iter(plain.records)
             for row in records:  # a subsequence: missing ones were dropped
-                pulse, expected = next(r for r in left if r[0] == result["mg_pulse"][row] - f * config.pulses)
+                pulse, expected = next(
+                    r for r in left if r[0] == result["mg_pulse"][row] - f * config.pulses
+                )
                 got = {
                     g: (int(result["mg_stamp"][row, g]), int(result["mg_map"][row, g]))
                     for g in range(config.sensor.minigroups)
@@ -55,26 +71,39 @@ def test_plain_model(sensor, data):
 
 
 def _check_rows(config, result, rows, events, frame):
-    """Check that rows are the events in order, gaps are counted as dropped, and only the first after a gap has `overrun`."""
+    """Check that rows are the events in order, gaps are counted as dropped, and only the first
+    after a gap has `overrun`.
+    """
     starts, at = period_starts(config), 0
     for row in rows:
         gap = 0
-        while events[at][:2] != (result["pulse"][row] - frame * config.pulses, result["stamp"][row]):
+        while events[at][:2] != (
+            result["pulse"][row] - frame * config.pulses,
+            result["stamp"][row],
+        ):
             at, gap = at + 1, gap + 1
         pulse, stamp, count, winner, hits, offsets, close_cycle = events[at]
         assert (result["count"][row], result["winner"][row]) == (count, winner)
         assert result["overrun"][row] == (gap > 0)
         assert result["commit_cycle"][row] == starts[pulse] + close_cycle + COMMIT
         words = result["hits"][row].tolist()
-        assert {64 * w + b for w, word in enumerate(words) for b in range(64) if word >> b & 1} == hits
-        assert {g: int(o) for g, o in enumerate(result["mg_offset"][row]) if o != OFFSET_NONE} == offsets
+        assert {
+            64 * w + b for w, word in enumerate(words) for b in range(64) if word >> b & 1
+        } == hits
+        assert {
+            g: int(o) for g, o in enumerate(result["mg_offset"][row]) if o != OFFSET_NONE
+        } == offsets
         at += 1
 
 
 @pytest.mark.parametrize("auto", [False, True])
 def test_frames_side_by_side_are_frames_in_turn(auto):
     config = parse_config(
-        {"sensor": SENSORS["tiny"], "frame": {"period": 40, "pulses": 20}, "subgroup": {"auto": auto}}
+        {
+            "sensor": SENSORS["tiny"],
+            "frame": {"period": 40, "pulses": 20},
+            "subgroup": {"auto": auto},
+        }
     )
     edges = [trouble(config, seed, 10.0) for seed in range(5)]
     turns, together = Golden(config.sensor), Golden(config.sensor)
@@ -92,18 +121,24 @@ def test_controller(sensor, data):
     """Thresholds and budgets equal those of the plain model over many frames of changing light."""
     config = data.draw(controlled(SENSORS[sensor], frames=8))
     edges = trouble(config, data.draw(seeds), data.draw(densities))
-    keep = np.random.default_rng(data.draw(seeds)).random(config.frames)[edges.pulse // config.pulses]
+    keep = np.random.default_rng(data.draw(seeds)).random(config.frames)[
+        edges.pulse // config.pulses
+    ]
     dimmed = edges.pixel / config.sensor.array_pixels < keep * 1.5
     edges = edges.take(dimmed)
     frames, _ = plain_run(config, edges)
     result = golden_result(config, edges, ready_pattern(0, "stalled", 200))
     for name in ("opened", "committed", "lower", "threshold_used"):
-        assert result[name].tolist() == [[getattr(plain, name) for plain in subgroups] for subgroups in frames], name
+        assert result[name].tolist() == [
+            [getattr(plain, name) for plain in subgroups] for subgroups in frames
+        ], name
 
 
 @given(data=st.data())
 def test_controller_at_ties(data):
-    """Counters at, just below and just above what they are compared with lead to the plain model's budgets and thresholds."""
+    """Counters are set to the numbers that they are compared with, to one less and to one more.
+    Budgets and thresholds are still those of the plain model.
+    """
     config = data.draw(controlled(SENSORS["odd"], frames=1))
     rng = np.random.default_rng(data.draw(seeds))
     controller, plain, sensor = Controller(config.sensor), PlainController(config), config.sensor
@@ -114,19 +149,32 @@ def test_controller_at_ties(data):
         counters = np.zeros((sensor.subgroups, len(COUNTER)), np.int64)
         counters[:, COUNTER.threshold_used] = threshold
         budget = controller.budget
-        grown = [np.minimum(budget + (budget >> growth) + 1, config.capacity) for growth in BUDGET_GROWTHS]
+        grown = [
+            np.minimum(budget + (budget >> growth) + 1, config.capacity)
+            for growth in BUDGET_GROWTHS
+        ]
         for name, choices in (
             ("opened", np.tile(config.auto_bounds, (sensor.subgroups, 1))),
-            ("committed", np.stack([budget, controller.limit, grown[0], 0 * budget], axis=1)[stream_of]),
+            (
+                "committed",
+                np.stack([budget, controller.limit, grown[0], 0 * budget], axis=1)[stream_of],
+            ),
             ("lower", np.stack([budget, *grown], axis=1)[stream_of]),
         ):
             chosen = rng.integers(0, choices.shape[1], sensor.subgroups)
-            ties = choices[np.arange(sensor.subgroups), chosen] + rng.integers(-1, 2, sensor.subgroups)
+            ties = choices[np.arange(sensor.subgroups), chosen] + rng.integers(
+                -1, 2, sensor.subgroups
+            )
             counters[:, getattr(COUNTER, name)] = np.maximum(ties, 0)
         for stream in range(sensor.streams):  # often, the sum is the capacity
-            last, others = np.flatnonzero(stream_of == stream)[-1], np.flatnonzero(stream_of == stream)[:-1]
+            last, others = (
+                np.flatnonzero(stream_of == stream)[-1],
+                np.flatnonzero(stream_of == stream)[:-1],
+            )
             left = (
-                config.capacity * rng.integers(1, 3) - counters[others, COUNTER.committed].sum() + rng.integers(-1, 2)
+                config.capacity * rng.integers(1, 3)
+                - counters[others, COUNTER.committed].sum()
+                + rng.integers(-1, 2)
             )
             if left >= 0 and rng.random() < 0.5:
                 counters[last, COUNTER.committed] = left
@@ -139,13 +187,17 @@ def test_controller_at_ties(data):
         budget = controller.end(config, counters)
         plain.frame_ended(frames)
         assert budget.tolist() == [plain.budget[stream] for stream in range(sensor.streams)]
-        assert controller.limit.tolist() == [plain.limit[stream] for stream in range(sensor.streams)]
+        assert controller.limit.tolist() == [
+            plain.limit[stream] for stream in range(sensor.streams)
+        ]
 
 
 def test_budget_stays_between_share_and_capacity():
     """Too many events leave the budget at the share; darkness takes it to the capacity."""
     frame = {"pulses": 20, "capacity": 100}
-    config = parse_config({"sensor": SENSORS["default"], "frame": frame, "subgroup": {"auto": True, "threshold": 1}})
+    config = parse_config(
+        {"sensor": SENSORS["default"], "frame": frame, "subgroup": {"auto": True, "threshold": 1}}
+    )
     golden, dark = Golden(config.sensor), trouble(config, 0, 0.0)
     bright = golden.frame(config, trouble(config, 3, 20.0))
     assert bright.counters[:, COUNTER.committed].sum() > config.capacity
@@ -174,7 +226,8 @@ def test_laws(sensor, data):
 
     lowest = golden_result(config.with_settings(threshold=1, auto=False), edges, ready)
     assert lowest["rejected"].sum() == 0
-    assert np.array_equal(lowest["photons"], result["photons"])  # thresholds do not change what is counted
+    # thresholds do not change what is counted
+    assert np.array_equal(lowest["photons"], result["photons"])
 
 
 def test_abort_is_a_shorter_frame():

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The memory's form for standard cells under random traffic beside the plain one; the clock gate's under random enables."""
+"""The memory's form for standard cells under random traffic beside the plain one; the clock gate's
+under random enables.
+"""
 
 import subprocess
 
@@ -10,7 +12,8 @@ from coincid.hdl.export import units_files
 from coincid.hdl.memory import Memory
 
 CYCLES = 2000
-# Inputs change behind the rising edge, as those of registers do. A row is not looked at while it is written.
+# Inputs change behind the rising edge, as those of registers do. A row is not looked at while it is
+# written.
 MEMORIES = """
 module bench;
   reg clk = 0, write = 0;
@@ -66,7 +69,9 @@ def simulated(folder, *texts):
     source, program = folder / "bench.v", folder / "bench.vvp"
     source.write_text("\n".join(texts), encoding="utf-8")
     subprocess.run(["iverilog", "-g2012", "-s", "bench", "-o", program, source], check=True)
-    return subprocess.run(["vvp", "-n", program], check=True, capture_output=True, text=True, encoding="utf-8").stdout
+    return subprocess.run(
+        ["vvp", "-n", program], check=True, capture_output=True, text=True, encoding="utf-8"
+    ).stdout
 
 
 @pytest.mark.parametrize(("depth", "width"), [(1, 12), (2, 5), (3, 40), (16, 64)])
@@ -77,9 +82,16 @@ def test_latches_hold_what_the_memory_holds(tmp_path, depth, width):
     assert plain != cells
     ports = ", .to(to), .row(row)" if depth > 1 else ""
     bench = MEMORIES.format(
-        name=name, depth=depth, width=width, high=max(depth - 1, 1).bit_length() - 1, ports=ports, cycles=CYCLES
+        name=name,
+        depth=depth,
+        width=width,
+        high=max(depth - 1, 1).bit_length() - 1,
+        ports=ports,
+        cycles=CYCLES,
     )
-    said = simulated(tmp_path, plain, cells.replace(f"module {name} ", f"module {name}_cells "), bench)
+    said = simulated(
+        tmp_path, plain, cells.replace(f"module {name} ", f"module {name}_cells "), bench
+    )
     assert said.startswith("PASS: "), said
     assert int(said.split()[1]) > CYCLES / 4
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor under cocotb: its ports on both simulators (`sensor_bench.py`), faults on Icarus, where a bench sees inside."""
+"""The sensor under cocotb: its ports on both simulators (`sensor_bench.py`), faults on Icarus,
+where a bench sees inside.
+"""
 
 import pytest
 

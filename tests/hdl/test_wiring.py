@@ -31,7 +31,15 @@ HDL = ROOMS / "hdl"
 BOARD = ROOMS / "board" / "rtl"
 PACKAGES = ("coincid.hdl", "coincid.board.rtl")
 SENSOR = Sensor(
-    rows=4, cols=8, phases=4, coarse_bits=4, window_max=9, rearm=1, fifo_depth=2, subgroup=(4, 4), minigroup=(2, 2)
+    rows=4,
+    cols=8,
+    phases=4,
+    coarse_bits=4,
+    window_max=9,
+    rearm=1,
+    fifo_depth=2,
+    subgroup=(4, 4),
+    minigroup=(2, 2),
 )
 PLACING = ("place", "put")  # functions that put a block into another one
 CUTS_IN_FILE = 2
@@ -164,7 +172,9 @@ def _fresh_blocks(cut: Cut | None) -> Iterator[None]:
 
 
 def build(cut: Cut | None = None) -> int:
-    """Elaborate every block, and return how many there are; first the top to which a cut file belongs."""
+    """Elaborate every block, and return how many there are; first the top to which a cut file
+    belongs.
+    """
     with _fresh_blocks(cut):
         export = importlib.import_module("coincid.hdl.export")
         views = importlib.import_module("coincid.hdl.front_end_views")
@@ -220,5 +230,7 @@ def test_an_output_that_nothing_drives_stops_the_build(cut):
 
 @pytest.mark.parametrize("cut", RENAMES, ids=str)
 def test_a_renamed_port_stops_the_build(cut):
-    with pytest.raises((ConnectionError, AttributeError, TypeError), match=rf"{RENAMED}|{cut.port}"):
+    with pytest.raises(
+        (ConnectionError, AttributeError, TypeError), match=rf"{RENAMED}|{cut.port}"
+    ):
         build(cut)

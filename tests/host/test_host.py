@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The host driver: names and ranges, configurations, frames cut anywhere, refusals; over the RTL library and a mapped file."""
+"""The host driver: names and ranges, configurations, frames cut anywhere, refusals; over the RTL
+library and a mapped file.
+"""
 
 import numpy as np
 import pytest
@@ -33,7 +35,11 @@ class Memory:
 
     def __init__(self):
         self.words = registers.reset_values(SENSOR) | {address("status"): 0}
-        self.words |= {address(r.name): r.reset(SENSOR) for r in registers.GLOBAL if r.access is Access.CONSTANT}
+        self.words |= {
+            address(r.name): r.reset(SENSOR)
+            for r in registers.GLOBAL
+            if r.access is Access.CONSTANT
+        }
         self.read, self.written = self.words.__getitem__, []
 
     def write(self, at, value):
@@ -88,10 +94,16 @@ def test_only_what_changes_is_written():
 
 
 def test_runs():
-    assert runs([(8, 1), (12, 2), (20, 3), (16, 4), (20, 5)]) == [(8, [1, 2]), (20, [3]), (16, [4, 5])]
+    assert runs([(8, 1), (12, 2), (20, 3), (16, 4), (20, 5)]) == [
+        (8, [1, 2]),
+        (20, [3]),
+        (16, [4, 5]),
+    ]
 
 
-@pytest.mark.parametrize("name, value, says", [("id", 0, "no sensor"), ("version", 1 << 24, "version")])
+@pytest.mark.parametrize(
+    "name, value, says", [("id", 0, "no sensor"), ("version", 1 << 24, "version")]
+)
 def test_no_sensor(name, value, says):
     memory = Memory()
     memory.words[address(name)] = value
@@ -106,7 +118,9 @@ def test_later_maps_of_the_same_version_are_known():
 
 
 def test_a_sensor_in_use():
-    """Registers, refusals and frames of the RTL, used only through the driver, equal the golden model's."""
+    """Registers, refusals and frames of the RTL, used only through the driver, equal the golden
+    model's.
+    """
     of = configured(ODD, {"period": 80, "pulses": 6, "format": "full", "minigroup_records": True})
     golden = Golden(ODD)
     with SlicedSensor(ODD) as rtl:
@@ -135,7 +149,9 @@ def test_a_sensor_in_use():
 
 def test_frames_cut_anywhere():
     golden, rng = Golden(ODD), np.random.default_rng(1)
-    of = configured(ODD, {"period": 80, "pulses": 6, "format": "id", "minigroup_records": True, "frames": 3})
+    of = configured(
+        ODD, {"period": 80, "pulses": 6, "format": "id", "minigroup_records": True, "frames": 3}
+    )
     traces = [golden.frame(of, random_edges(of, 600, seed)) for seed in range(3)]
     assemblers = [FrameAssembler(ODD, k) for k in range(ODD.streams)]
     for k, assembler in enumerate(assemblers):
@@ -160,7 +176,9 @@ def test_frames_cut_anywhere():
 
 
 def test_mapped_file(tmp_path):
-    """In a file of plain memory, every word goes to its place, and a sticky status bit means a refusal."""
+    """In a file of plain memory, every word goes to its place, and a sticky status bit means a
+    refusal.
+    """
     path, base = tmp_path / "uio", 1 << 16
     path.write_bytes(bytes(base + (1 << ADDRESS_BITS)))
     image = np.memmap(path, np.uint32, "r+", offset=base)

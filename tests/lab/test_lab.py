@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Setups, runs, measures and campaigns: stages in time, digests of content, the same outcomes from all workers."""
+"""Setups, runs, measures and campaigns: stages in time, digests of content, the same outcomes from
+all workers.
+"""
 
 import sys
 from contextlib import nullcontext
@@ -24,7 +26,10 @@ from coincid.model.light.spad import Spad
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.interrupts import worker_processes
 
-SMALL = {"sensor": {"rows": 8, "cols": 24, "streams": 2}, "frame": {"period": 60, "pulses": 20, "frames": 2}}
+SMALL = {
+    "sensor": {"rows": 8, "cols": 24, "streams": 2},
+    "frame": {"period": 60, "pulses": 20, "frames": 2},
+}
 NAMES = ("events", "wrong_share", "events_per_s")
 read = partial(read_measures, names=NAMES)
 
@@ -36,7 +41,8 @@ def small(**fields):
 def test_a_run_is_the_golden_models_for_edges_in_any_order():
     run = Run(small(klux=20.0))
     assert run.frame().counter("stored").sum() > 0
-    assert run._traces is not None and run._result is None  # a stage is computed when it is first asked for
+    # a stage is computed when it is first asked for
+    assert run._traces is not None and run._result is None
     shuffled = run.edges.take(np.random.default_rng(1).permutation(len(run.edges)))
     other = Run(run.setup.but(edges=shuffled))
     for one in (run, other):
@@ -48,11 +54,19 @@ def test_a_run_is_the_golden_models_for_edges_in_any_order():
 
 
 def compiled_estimators():
-    """Return the kernels of the estimators and the types for which they are compiled, before and after a real frame."""
+    """Return the kernels of the estimators and the types for which they are compiled, before and
+    after a real frame.
+    """
 
     def signatures():
-        modules = [module for name, module in sorted(sys.modules.items()) if name.startswith("coincid.model.depth.")]
-        found = {f for module in modules for f in vars(module).values() if isinstance(f, Dispatcher)}
+        modules = [
+            module
+            for name, module in sorted(sys.modules.items())
+            if name.startswith("coincid.model.depth.")
+        ]
+        found = {
+            f for module in modules for f in vars(module).values() if isinstance(f, Dispatcher)
+        }
         return {f.__name__: list(map(str, f.signatures)) for f in found}
 
     estimate_anything()
@@ -80,9 +94,18 @@ def test_equal_content_has_equal_keys_and_every_field_counts():
     setup = small()
     assert setup.key == small().key
     edges = Edges(*(np.zeros(1, np.int64) for _ in range(3)))
-    changes = {"klux": 5.0, "background": "even", "spad": Spad(dead_time_s=9e-9), "spad_gate": True, "seed": 2}
+    changes = {
+        "klux": 5.0,
+        "background": "even",
+        "spad": Spad(dead_time_s=9e-9),
+        "spad_gate": True,
+        "seed": 2,
+    }
     changes |= {"engine": "sliced", "view": "async", "estimators": ("maximum",), "edges": edges}
-    changes |= {"scene": Setup.of("flat:6,0.4", **SMALL).scene, "config": setup.config.with_settings(threshold=3)}
+    changes |= {
+        "scene": Setup.of("flat:6,0.4", **SMALL).scene,
+        "config": setup.config.with_settings(threshold=3),
+    }
     changes["light"] = Run(setup).light
     assert changes.keys() == {field.name for field in Setup.__attrs_attrs__}
     keys = {name: setup.but(**{name: value}).key for name, value in changes.items()}
@@ -90,9 +113,22 @@ def test_equal_content_has_equal_keys_and_every_field_counts():
 
 
 def test_measures_are_those_of_the_last_frame():
-    """Compute them from the result's arrays, for two frames of the controller, in full format with records."""
-    frame = {"period": 40, "pulses": 10, "frames": 2, "format": "full", "minigroup_records": True, "capacity": 1}
-    setup = Setup.of("letter-f", sensor={"rows": 8, "cols": 8}, frame=frame | {"auto_bounds": [1, 2, 3, 400, 500, 600]})
+    """Compute them from the result's arrays, for two frames of the controller, in full format with
+    records.
+    """
+    frame = {
+        "period": 40,
+        "pulses": 10,
+        "frames": 2,
+        "format": "full",
+        "minigroup_records": True,
+        "capacity": 1,
+    }
+    setup = Setup.of(
+        "letter-f",
+        sensor={"rows": 8, "cols": 8},
+        frame=frame | {"auto_bounds": [1, 2, 3, 400, 500, 600]},
+    )
     run = Run(setup.but(subgroup={"auto": True, "threshold": 3}, seed=3))
     assert all(type(run[name]) in (measure.kind, type(None)) for name, measure in MEASURES.items())
     assert run["opened"] == run["committed"] + run["rejected"] and run["bits"] == 64 * run["beats"]
@@ -106,7 +142,9 @@ def test_measures_are_those_of_the_last_frame():
     assert run["mg_records"] == np.sum(arrays["mg_pulse"] >= 10) > 0
     assert run["committed"] == run["events"] + run["dropped"] == 10 * run["commits_per_pulse"]
     parts = layout(run.config.sensor)
-    packets = run["events"] * parts.length(FORMATS["full"]) + run["mg_records"] * parts.length(RECORD)
+    packets = run["events"] * parts.length(FORMATS["full"]) + run["mg_records"] * parts.length(
+        RECORD
+    )
     assert run["beats"] == packets + 2 + parts.counter_beats == 400 * run["stream_load"]
     depth_m = estimate_depth(arrays, run.config, frame=1).depth_m[:, :, 0]
     assert run["wrong_share"] == wrong_share(depth_m, truth_m)
@@ -119,14 +157,19 @@ def test_measures_are_those_of_the_last_frame():
 @pytest.mark.parametrize("name", [name for name, packet in FORMATS.items() if not packet.grouped])
 def test_beats_are_those_of_the_golden_model(name):
     frame = Run(small().but(frame={"format": name, "minigroup_records": True})).frame()
-    assert frame.counter("mg_stored").sum() and frame.beats.tolist() == list(map(len, frame.trace.beats))
+    assert frame.counter("mg_stored").sum() and frame.beats.tolist() == list(
+        map(len, frame.trace.beats)
+    )
 
 
 def test_measures_know_waits_and_missing_truth():
     waits = Run(small().but(frame={"dither_bits": 6, "frames": 1}))
-    assert waits["stream_load"] == pytest.approx(waits.frame().beats.max() / waits.config.frame_cycles)
+    assert waits["stream_load"] == pytest.approx(
+        waits.frame().beats.max() / waits.config.frame_cycles
+    )
     assert waits.config.frame_cycles > 20 * 60
-    assert waits["capacity_share"] == waits["committed"] / (2 * waits.config.capacity)  # of two streams
+    # of two streams
+    assert waits["capacity_share"] == waits["committed"] / (2 * waits.config.capacity)
     nowhere = Run(Setup.of("letter-f", **SMALL)).but(subgroup={"mask": "0"})
     assert nowhere["dropped_share"] is None and nowhere["wrong_share"] == 1
 
@@ -151,9 +194,16 @@ def test_a_campaign_continues_and_plays_equal_setups_once(tmp_path):
         return read(run)
 
     with Processes(1) as workers:
-        first = campaign({seed: small(seed=seed) for seed in (1, 2)}, counted, workers, finished=finished)
+        first = campaign(
+            {seed: small(seed=seed) for seed in (1, 2)}, counted, workers, finished=finished
+        )
         (tmp_path / f"{small(seed=2).key}.json").write_text("{", encoding="utf-8")  # spoilt
-        setups = {"a": small(seed=1), "b": small(seed=2), "c": small(seed=3), "again": small(seed=3)}
+        setups = {
+            "a": small(seed=1),
+            "b": small(seed=2),
+            "c": small(seed=3),
+            "again": small(seed=3),
+        }
         told = []
         second = campaign(setups, counted, workers, finished=finished, progress=told.append)
     assert asked == [1, 2, 2, 3] and told == [1, 2, 3]
@@ -165,7 +215,9 @@ def test_setups_that_share_the_words_of_the_rtl_come_out_as_alone():
     """Three setups are played at once; one that cannot be read fails alone."""
     built = SMALL | {"sensor": {"rows": 8, "cols": 16}}  # which other tests compile, too
     led = Setup.of("flat:5,0.4", **built, engine="sliced").but(subgroup={"auto": True})
-    setups = {seed: led.but(seed=seed) for seed in (1, 2, 3)} | {"bad": led.but(estimators=("guess",))}
+    setups = {seed: led.but(seed=seed) for seed in (1, 2, 3)} | {
+        "bad": led.but(estimators=("guess",))
+    }
     alone = {seed: read(Run(setup)) for seed, setup in setups.items() if seed != "bad"}
     for opened in (Processes(1), nullcontext(Dask(2))):
         failed = {}

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Equations (3) to (18): literal forms against hand-computed points, corrected ones against photons through the sensor."""
+"""Equations (3) to (18): literal forms against hand-computed points, corrected ones against photons
+through the sensor.
+"""
 
 import math
 
@@ -13,7 +15,13 @@ from coincid.model.contract.edges import Fate
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import Golden
 from coincid.model.light import analytic
-from coincid.model.light.analytic import THRESHOLDS, VALID_DEAD_FRACTION, Photons, Sizes, histogram
+from coincid.model.light.analytic import (
+    THRESHOLDS,
+    VALID_DEAD_FRACTION,
+    MeanPhotons,
+    Sizes,
+    histogram,
+)
 from coincid.model.light.light import Light
 from coincid.model.light.photons import generate_edges
 from coincid.model.light.spad import Spad
@@ -29,12 +37,14 @@ DEAD_S = Spad().dead_time_s
 
 
 def photons(per_pixel):
-    return Photons(per_pixel, 4 * per_pixel, 64 * per_pixel)
+    return MeanPhotons(per_pixel, 4 * per_pixel, 64 * per_pixel)
 
 
 def test_effective_rates():
     noise, signal = analytic.effective_cps(6.37e9, 1.226e6, DEAD_S, 2e6, LITERAL)
-    assert noise == pytest.approx(1.2259e8, rel=1e-4) and signal == pytest.approx(1.2141e6, rel=1e-4)
+    assert noise == pytest.approx(1.2259e8, rel=1e-4) and signal == pytest.approx(
+        1.2141e6, rel=1e-4
+    )
     _, signal = analytic.effective_cps(6.37e9, 1.226e6, DEAD_S, 2e6, CORRECTED)
     # Reduced by the noise's dead time.
     assert signal == pytest.approx(2e6 * (1 - math.exp(-0.613)) / (1 + 6.37e9 * DEAD_S))
@@ -43,7 +53,9 @@ def test_effective_rates():
 def test_photons_in_window_and_period():
     assert analytic.noise_photons(1e8, 1e-9, 2, DEAD_S, 64, LITERAL) == pytest.approx(0.075)
     assert analytic.noise_photons(1e8, 0.2e-9, 2, DEAD_S, 64, LITERAL) == 0  # as printed: negative
-    assert analytic.noise_photons(1e8, 1e-9, 2, DEAD_S, 64, CORRECTED) == pytest.approx(-math.log(0.9))
+    assert analytic.noise_photons(1e8, 1e-9, 2, DEAD_S, 64, CORRECTED) == pytest.approx(
+        -math.log(0.9)
+    )
     assert analytic.signal_photons(1.2e6, 2e6, 4, DEAD_S, 64, LITERAL) == pytest.approx(0.5994)
     signal = analytic.signal_photons(1.2e6, 2e6, 4, DEAD_S, 64, CORRECTED)
     assert analytic.pixel_probability(signal, CORRECTED) == pytest.approx(0.6)
@@ -69,11 +81,16 @@ def test_others_bring_the_threshold(per_pixel, threshold, union, tail):
 
 def test_group_probabilities():
     assert analytic.pixel_probability(0.5, LITERAL) == pytest.approx(0.5 * math.exp(-0.5))
-    assert analytic.minigroup_probability(0.4, 3, 4, LITERAL) == pytest.approx(0.08 * math.exp(-0.4))
-    assert analytic.minigroup_probability(0.4, 5, 4, LITERAL) > 0  # four others detect in a minigroup with three
+    assert analytic.minigroup_probability(0.4, 3, 4, LITERAL) == pytest.approx(
+        0.08 * math.exp(-0.4)
+    )
+    # four others detect in a minigroup with three
+    assert analytic.minigroup_probability(0.4, 5, 4, LITERAL) > 0
     assert analytic.minigroup_probability(0.4, 5, 4, CORRECTED) == 0
     assert analytic.rest_probability(6.0, 2, 60, LITERAL) == pytest.approx(6 * math.exp(-6))
-    assert analytic.rest_probability(6.0, 2, 60, CORRECTED) == pytest.approx(stats.binom.pmf(1, 60, 1 - math.exp(-0.1)))
+    assert analytic.rest_probability(6.0, 2, 60, CORRECTED) == pytest.approx(
+        stats.binom.pmf(1, 60, 1 - math.exp(-0.1))
+    )
 
 
 def test_events_of_a_frame_as_printed():
@@ -83,42 +100,59 @@ def test_events_of_a_frame_as_printed():
     assert of_noise == pytest.approx(0.001 * math.exp(-0.001) * 0.060265, rel=1e-4)
     joint = (1 - 0.001 * math.exp(-0.001)) * (1 - of_noise) * of_signal
     assert analytic.signal_probability(noise, signal, 2, Sizes(), LITERAL) == pytest.approx(joint)
-    assert analytic.noise_counts(noise, 2, 100, 1, Sizes(), LITERAL) == pytest.approx(100 * of_noise)
-    assert analytic.signal_counts(noise, signal, 2, 100, 0.5, Sizes(), LITERAL) == pytest.approx(100 * joint)
+    assert analytic.noise_counts(noise, 2, 100, 1, Sizes(), LITERAL) == pytest.approx(
+        100 * of_noise
+    )
+    assert analytic.signal_counts(noise, signal, 2, 100, 0.5, Sizes(), LITERAL) == pytest.approx(
+        100 * joint
+    )
 
 
 def test_bins_of_the_histogram():
     sigma_s, lsb_s, flight_s = 212e-12, 50e-12, 30e-9
     time_s = np.arange(0, 60e-9, lsb_s)
-    per_bin = [analytic.signal_per_bin(1.0, time_s, flight_s, sigma_s, lsb_s, form) for form in (LITERAL, CORRECTED)]
-    assert per_bin[0].sum() == pytest.approx(14.6, rel=5e-3)  # the root spans the sigma, with time in ps
+    per_bin = [
+        analytic.signal_per_bin(1.0, time_s, flight_s, sigma_s, lsb_s, form)
+        for form in (LITERAL, CORRECTED)
+    ]
+    # the root spans the sigma, with time in ps
+    assert per_bin[0].sum() == pytest.approx(14.6, rel=5e-3)
     assert per_bin[1].sum() == pytest.approx(1.0)
-    noise = [analytic.noise_per_bin(10.0, 2e6, sigma_s, lsb_s, form) for form in (LITERAL, CORRECTED)]
+    noise = [
+        analytic.noise_per_bin(10.0, 2e6, sigma_s, lsb_s, form) for form in (LITERAL, CORRECTED)
+    ]
     assert noise == [pytest.approx(4.24e-3), pytest.approx(1e-3)]
 
 
 @given(st.floats(1e-6, 3), st.integers(1, 63))
 def test_laws_of_the_corrected_threshold(per_pixel, threshold):
     now, more = (
-        analytic.others_probability(photons(per_pixel), th, Sizes(), CORRECTED) for th in (threshold, threshold + 1)
+        analytic.others_probability(photons(per_pixel), th, Sizes(), CORRECTED)
+        for th in (threshold, threshold + 1)
     )
     assert 0 <= more <= now <= 1
     assert analytic.others_probability(photons(per_pixel), 1, Sizes(), CORRECTED) == 1
 
 
-@pytest.mark.parametrize("window_ticks, rearm, ticks", [(1, 0, 16.5), (16, 0, 31.5), (32, 0, 47.5), (16, 3, 127.5)])
+@pytest.mark.parametrize(
+    "window_ticks, rearm, ticks", [(1, 0, 16.5), (16, 0, 31.5), (32, 0, 47.5), (16, 3, 127.5)]
+)
 def test_busy_time(window_ticks, rearm, ticks):
     assert analytic.busy_s(window_ticks, rearm, Timing()) / Timing().tick_s == pytest.approx(ticks)
 
 
 def simulated(signal, noise_cps, threshold, window_ticks, rearm, scheme, pulses):
-    """Return counts of a pixel's histogram at each tick, the mean over an evenly lit array, by the golden model."""
+    """Return counts of a pixel's histogram at each tick, the mean over an evenly lit array, by the
+    golden model.
+    """
     config = configured(
         {"rearm": rearm},
         {"pulses": pulses},
         {"threshold": threshold, "window": window_ticks, "coincidence": scheme == 2},
     )
-    light = Light(rows=32, cols=32, distance_m=DISTANCE_M, signal_per_pulse=signal, background_cps=noise_cps)
+    light = Light(
+        rows=32, cols=32, distance_m=DISTANCE_M, signal_per_pulse=signal, background_cps=noise_cps
+    )
     edges = generate_edges(light, Spad(), Timing(), pulses=pulses, seed=1)
     fate = Golden(config.sensor).frame(config, edges).fate
     subgroup = edges.pixel // 32 // 8 * 4 + edges.pixel % 32 // 8
@@ -127,7 +161,9 @@ def simulated(signal, noise_cps, threshold, window_ticks, rearm, scheme, pulses)
     opening = fate[taken] == Fate.OPENING
     stamp, count = edges.tick[taken][opening], np.bincount(np.cumsum(opening) - 1)
     event = count >= (threshold if scheme == 2 else 1)
-    return np.bincount(stamp[event], count[event], Timing().period_ticks) / config.sensor.array_pixels
+    return (
+        np.bincount(stamp[event], count[event], Timing().period_ticks) / config.sensor.array_pixels
+    )
 
 
 VALID = [  # signal per pulse, noise, threshold, window, re-arm gap, scheme
@@ -144,12 +180,16 @@ VALID = [  # signal per pulse, noise, threshold, window, re-arm gap, scheme
 
 @pytest.mark.parametrize("case", VALID)
 def test_corrected_histogram_is_that_of_photons_through_the_sensor(case):
-    """Peak and floor within 3 % and four standard errors, and the lead of first photons within a fifth of a tick."""
+    """Peak and floor within 3 % and four standard errors, and the lead of first photons within a
+    fifth of a tick.
+    """
     signal, noise_cps, threshold, window_ticks, rearm, scheme = case
     pulses, model_error = 1500, 0.03
     found = simulated(*case, pulses)
     setting = dict(threshold=threshold, window_ticks=window_ticks, pulses=pulses, scheme=scheme)
-    expected = histogram(DISTANCE_M, signal, noise_cps, form=CORRECTED, sensor=Sensor(rearm=rearm), **setting)[0]
+    expected = histogram(
+        DISTANCE_M, signal, noise_cps, form=CORRECTED, sensor=Sensor(rearm=rearm), **setting
+    )[0]
     flight = int(2 * DISTANCE_M / SPEED_OF_LIGHT_M_S / Timing().tick_s)
     peak = slice(flight - 20, flight + 12)
     quiet = np.r_[200 : flight - 100, flight + 400 : 7800]
@@ -166,13 +206,18 @@ def test_corrected_histogram_is_that_of_photons_through_the_sensor(case):
 def test_closed_forms_agree_with_the_histogram_where_few_windows_open():
     noise_cps, threshold, window_ticks, pulses, timing, n = 1e5, 2, 16, 1000, Timing(), Sizes()
     effective, _ = analytic.effective_cps(noise_cps, 0, DEAD_S, 2e6, CORRECTED)
-    window_s = (window_ticks - 0.5) * timing.tick_s  # the opening photon is anywhere in the window's first tick
+    # the opening photon is anywhere in the window's first tick
+    window_s = (window_ticks - 0.5) * timing.tick_s
     noise = photons(analytic.noise_photons(effective, window_s, threshold, DEAD_S, 64, CORRECTED))
     open_s = (timing.period_cycles - Sensor().guard) / timing.clock_hz
-    windows = analytic.windows_per_period(64 * effective, open_s, analytic.busy_s(window_ticks, 0, timing), CORRECTED)
+    windows = analytic.windows_per_period(
+        64 * effective, open_s, analytic.busy_s(window_ticks, 0, timing), CORRECTED
+    )
     counts = analytic.noise_counts(noise, threshold, pulses, windows, n, CORRECTED)
     setting = dict(threshold=threshold, window_ticks=window_ticks, pulses=pulses, form=CORRECTED)
-    assert histogram(DISTANCE_M, 0.0, noise_cps, **setting)[0].sum() == pytest.approx(counts, rel=5e-3)
+    assert histogram(DISTANCE_M, 0.0, noise_cps, **setting)[0].sum() == pytest.approx(
+        counts, rel=5e-3
+    )
     signal, none = photons(0.05), photons(0.0)
     counts = analytic.signal_counts(none, signal, threshold, pulses, 1.0, n, CORRECTED)
     # A window as long as the pulse contains all of it.
@@ -187,10 +232,14 @@ def test_literal_histogram_is_the_printed_chain():
     dead = (2, DEAD_S, 64, LITERAL)
     noise = photons(analytic.noise_photons(noise, 1e-9, *dead))
     signal = photons(analytic.signal_photons(signal, 2e6, *dead))
-    floor = analytic.noise_counts(noise, 2, 100, 1, Sizes(), LITERAL) * 2e6 * 500e-12 * SIGMA_PER_FWHM
+    floor = (
+        analytic.noise_counts(noise, 2, 100, 1, Sizes(), LITERAL) * 2e6 * 500e-12 * SIGMA_PER_FWHM
+    )
     assert found[:, 0] == pytest.approx(float(floor))
     of_signal = analytic.signal_counts(noise, signal, 2, 100, 1, Sizes(), LITERAL)
-    assert (found - floor).sum(axis=1) == pytest.approx(of_signal * math.sqrt(500 * SIGMA_PER_FWHM), rel=1e-4)
+    assert (found - floor).sum(axis=1) == pytest.approx(
+        of_signal * math.sqrt(500 * SIGMA_PER_FWHM), rel=1e-4
+    )
     single = histogram(DISTANCE_M, 0.05, 1.226e6, **setting, scheme=1)
     assert single.shape == found.shape and not np.allclose(single, found)
 
@@ -199,7 +248,9 @@ def test_pixels_of_a_subgroup_keep_their_own_targets():
     """Half of the subgroup sees a near target; one pixel sees no target."""
     distance_m = np.where(np.arange(64) % 8 < 4, 10.0, 20.0)
     distance_m[0] = np.nan
-    found = histogram(distance_m, 0.2, 0.0, threshold=3, window_ticks=16, pulses=100, form=CORRECTED)
+    found = histogram(
+        distance_m, 0.2, 0.0, threshold=3, window_ticks=16, pulses=100, form=CORRECTED
+    )
     peak_m = (np.argmax(found, axis=1) + 0.5) * Timing().tick_s * SPEED_OF_LIGHT_M_S / 2
     assert peak_m[1:] == pytest.approx(distance_m[1:], abs=0.1)
     assert found[0].sum() == 0
@@ -211,15 +262,22 @@ def test_success_probability_counts_largest_bins():
     target = (np.abs((ticks + 0.5) * timing.tick_s - flight_s) < 100e-12) * 1.5
     expected = 0.2 + target
     drawn = rng.poisson(expected, (20_000, len(expected)))
-    inside = np.abs((ticks + 0.5) * timing.tick_s - (ticks[np.argmax(target)] + 0.5) * timing.tick_s) <= 230e-12
+    inside = (
+        np.abs((ticks + 0.5) * timing.tick_s - (ticks[np.argmax(target)] + 0.5) * timing.tick_s)
+        <= 230e-12
+    )
     best_in, best_out = drawn[:, inside].max(axis=1), drawn[:, ~inside].max(axis=1)
     share = np.mean(best_in > best_out) + np.mean((best_in == best_out) & (best_in > 0)) / 2
     error = 4 * 0.5 / math.sqrt(20_000)
-    assert analytic.success_probability(expected, flight_s, timing) == pytest.approx(share, abs=error)
+    assert analytic.success_probability(expected, flight_s, timing) == pytest.approx(
+        share, abs=error
+    )
 
 
 def test_threshold_rises_with_the_activity():
-    """Fig. 7: at 50 klux, the highest threshold that still succeeds rises from the lowest to the highest value."""
+    """Fig. 7: at 50 klux, the highest threshold that still succeeds rises from the lowest to the
+    highest value.
+    """
     setting, found = dict(window_ticks=16, pulses=100, form=CORRECTED), []
     for signal in (0.01, 0.02, 0.05, 0.1, 0.2):
         success = analytic.success_by_threshold(signal, 1.226e6, DISTANCE_M, **setting)
@@ -240,7 +298,13 @@ def test_threshold_rises_with_the_activity():
 )
 def test_bad_input_names_field_and_range(change, message):
     setting = dict(
-        distance_m=4.0, signal_per_pulse=0.1, noise_cps=1e6, threshold=2, window_ticks=16, pulses=100, form=CORRECTED
+        distance_m=4.0,
+        signal_per_pulse=0.1,
+        noise_cps=1e6,
+        threshold=2,
+        window_ticks=16,
+        pulses=100,
+        form=CORRECTED,
     )
     with pytest.raises(InputError, match=message):
         histogram(**(setting | change))

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random draws are independent: of pixels, pulses, avalanches, sides and purposes. Shared numbers show in rank correlations."""
+"""Random draws are independent: of pixels, pulses, avalanches, sides and purposes. Shared numbers
+show in rank correlations.
+"""
 
 import itertools
 
@@ -19,15 +21,21 @@ APART_M = 6.0  # between targets: 40 ns, five dead times
 
 
 def assert_independent(columns: dict[str, np.ndarray]) -> None:
-    """Check that no pair of columns (one row per pulse) has correlated ranks, within a row or between successive rows."""
+    """Check that no pair of columns (one row per pulse) has correlated ranks, within a row or
+    between successive rows.
+    """
     ranks = {name: stats.rankdata(column) for name, column in columns.items()}
     ranks = {name: (rank - rank.mean()) / rank.std() for name, rank in ranks.items()}
-    pairs = [(a, b, 0) for a, b in itertools.combinations(ranks, 2)] + [(a, b, 1) for a in ranks for b in ranks]
+    pairs = [(a, b, 0) for a, b in itertools.combinations(ranks, 2)] + [
+        (a, b, 1) for a in ranks for b in ranks
+    ]
     limit = stats.norm.isf(LEVEL / 2 / len(pairs))
     for a, b, lag in pairs:
         n = len(ranks[a]) - lag
         together = float(ranks[a][lag:] @ ranks[b][:n]) / np.sqrt(n)
-        assert abs(together) < limit, f"{a} goes with {b}{' of the pulse before' if lag else ''}: {together:.1f} sigma"
+        assert abs(together) < limit, (
+            f"{a} goes with {b}{' of the pulse before' if lag else ''}: {together:.1f} sigma"
+        )
 
 
 def first_ticks(edges, pixel, pulses, low=0, high=1 << 62):
@@ -39,12 +47,19 @@ def first_ticks(edges, pixel, pulses, low=0, high=1 << 62):
 
 
 def test_sides_and_successive_avalanches_of_crosstalk():
-    """For a pixel that fires three times per pulse: which neighbours each of the three avalanches hits."""
+    """For a pixel that fires three times per pulse: which neighbours each of the three avalanches
+    hits.
+    """
     pulses, distances_m = 6000, np.array([10.0, 10.0 + APART_M, 10.0 + 2 * APART_M])
     signal, distance = np.zeros((35, 3)), np.broadcast_to(distances_m, (35, 3))
     signal[17] = ALWAYS
     light = Light(
-        rows=5, cols=7, distance_m=distance, signal_per_pulse=signal, background_cps=0.0, system_fwhm_s=10e-12
+        rows=5,
+        cols=7,
+        distance_m=distance,
+        signal_per_pulse=signal,
+        background_cps=0.0,
+        system_fwhm_s=10e-12,
     )
     spad = Spad(jitter_fwhm_s=0, crosstalk_probability=0.25)
     edges = generate_edges(light, spad, TIMING, pulses=pulses, seed=3)
@@ -53,31 +68,49 @@ def test_sides_and_successive_avalanches_of_crosstalk():
     for avalanche, distance_m in enumerate(distances_m):
         at = 2 * distance_m / SPEED_OF_LIGHT_M_S / TIMING.tick_s
         for side, pixel in (("above", 10), ("left", 16), ("right", 18), ("below", 24)):
-            struck[f"{side} of avalanche {avalanche}"] = first_ticks(edges, pixel, pulses, at - half, at + half) >= 0
+            struck[f"{side} of avalanche {avalanche}"] = (
+                first_ticks(edges, pixel, pulses, at - half, at + half) >= 0
+            )
     assert all(0.2 < column.mean() < 0.3 for column in struck.values())
     assert_independent(struck)
 
 
 def test_pixels_and_pulses():
-    """For 12 equal pixels: first times and counts of neighbours and others, and the same one pulse later."""
+    """For 12 equal pixels: first times and counts of neighbours and others, and the same one pulse
+    later.
+    """
     pulses = 5000
     light = Light(rows=3, cols=4, distance_m=20.0, signal_per_pulse=0.7, background_cps=2e6)
     edges = generate_edges(light, Spad(), TIMING, pulses=pulses, seed=4)
-    columns = {f"pixel {pixel}, first edge": first_ticks(edges, pixel, pulses) for pixel in range(12)}
+    columns = {
+        f"pixel {pixel}, first edge": first_ticks(edges, pixel, pulses) for pixel in range(12)
+    }
     n = np.bincount(edges.pixel * pulses + edges.pulse, minlength=12 * pulses).reshape(12, pulses)
     assert_independent(columns)
     assert_independent({f"pixel {pixel}, edges": n[pixel] for pixel in range(12)})
 
 
 def test_purposes_of_one_avalanche():
-    """For one avalanche: its jitter, whether it traps a carrier, the carrier's release, and the neighbours it hits."""
+    """For one avalanche: its jitter, whether it traps a carrier, the carrier's release, and the
+    neighbours it hits.
+    """
     pulses, distance_m = 12_000, 20.0
     signal = np.zeros(35)
     signal[17] = ALWAYS
     light = Light(
-        rows=5, cols=7, distance_m=distance_m, signal_per_pulse=signal, background_cps=0.0, system_fwhm_s=300e-12
+        rows=5,
+        cols=7,
+        distance_m=distance_m,
+        signal_per_pulse=signal,
+        background_cps=0.0,
+        system_fwhm_s=300e-12,
     )
-    spad = Spad(jitter_fwhm_s=300e-12, afterpulse_probability=0.3, afterpulse_s=30e-9, crosstalk_probability=0.25)
+    spad = Spad(
+        jitter_fwhm_s=300e-12,
+        afterpulse_probability=0.3,
+        afterpulse_s=30e-9,
+        crosstalk_probability=0.25,
+    )
     edges = generate_edges(light, spad, TIMING, pulses=pulses, seed=5)
     at = 2 * distance_m / SPEED_OF_LIGHT_M_S / TIMING.tick_s
     near = 1.5e-9 / TIMING.tick_s
@@ -92,5 +125,6 @@ def test_purposes_of_one_avalanche():
     assert_independent(columns)
     some = released >= 0  # the pulses with a carrier, and its release
     assert_independent(
-        {name: column[some] for name, column in columns.items() if name != "carrier"} | {"release": released[some]}
+        {name: column[some] for name, column in columns.items() if name != "carrier"}
+        | {"release": released[some]}
     )

@@ -28,7 +28,9 @@ def dark(**others):
 
 
 def test_photons_of_the_other_are_poisson():
-    """With one foreign pulse in each of our periods: the stated number of photons, at its phase, with the pixels' delays."""
+    """With one foreign pulse in each of our periods: the stated number of photons, at its phase,
+    with the pixels' delays.
+    """
     delay_s = np.arange(64) * 1e-9
     other = Interferer(photons_per_pulse=0.7, phase_s=100.03e-9, delay_s=delay_s, **SHARP)
     edges = edges_of(dark(interferer=other), Timing())
@@ -42,7 +44,9 @@ def test_photons_of_the_other_are_poisson():
 @pytest.mark.parametrize("period_s", [137.03e-9, 499.99e-9, 500.5e-9, 1.7e-6])
 @pytest.mark.parametrize("bits", [0, 3])
 def test_pulses_of_the_other_come_when_they_must(period_s, bits):
-    """All foreign pulses, and nothing else, arrive at phase + k * period, on a clock that starts at our first trigger."""
+    """All foreign pulses, and nothing else, arrive at phase + k * period, on a clock that starts at
+    our first trigger.
+    """
     timing = Timing(dither_bits=bits)
     other = Interferer(photons_per_pulse=40, period_s=period_s, phase_s=33.0123e-9, **SHARP)
     edges = edges_of(dark(interferer=other), timing)
@@ -51,13 +55,19 @@ def test_pulses_of_the_other_come_when_they_must(period_s, bits):
     came_s = 33.0123e-9 + k * period_s
     pulse = np.searchsorted(start_s, came_s, side="right") - 1
     tick = np.floor((came_s - start_s[pulse]) / timing.tick_s).astype(int)
-    wanted = {(int(p), int(t)) for p, t in zip(pulse, tick, strict=True) if 0 <= p < 400 and t < timing.period_ticks}
+    wanted = {
+        (int(p), int(t))
+        for p, t in zip(pulse, tick, strict=True)
+        if 0 <= p < 400 and t < timing.period_ticks
+    }
     found = set(zip(edges.pulse.tolist(), edges.tick.tolist(), strict=True))
     assert found == wanted and len(wanted) > 100
 
 
 def test_width_of_the_others_pulse():
-    edges = edges_of(dark(interferer=Interferer(photons_per_pulse=1.0, phase_s=200e-9, fwhm_s=2e-9)), Timing())
+    edges = edges_of(
+        dark(interferer=Interferer(photons_per_pulse=1.0, phase_s=200e-9, fwhm_s=2e-9)), Timing()
+    )
     time_s = (edges.tick + 0.5) * Timing().tick_s
     assert time_s.mean() == pytest.approx(200e-9, abs=30e-12)
     assert time_s.std() == pytest.approx(2e-9 / 2.3548, rel=0.02)
@@ -68,7 +78,9 @@ def waits_of(pulses, bits):
 
 
 def test_the_wait_is_the_registers():
-    """The LFSR takes all states except 0; waits are its low bits at the ends of the periods, counted step by step."""
+    """The LFSR takes all states except 0; waits are its low bits at the ends of the periods,
+    counted step by step.
+    """
     state, states = 1, set()
     for _ in range(1 << LFSR_BITS):
         states.add(state)
@@ -87,7 +99,9 @@ def test_the_wait_is_the_registers():
 
 
 def test_every_frame_waits_alike():
-    config = parse_config({"frame": {"frames": 3, "pulses": 7, "dither_bits": 5, "dither_seed": 99}})
+    config = parse_config(
+        {"frame": {"frames": 3, "pulses": 7, "dither_bits": 5, "dither_seed": 99}}
+    )
     waits = np.diff(Timing.from_config(config).start_cycles(21)) - 250
     assert waits.any() and waits[:7].tolist() == waits[7:14].tolist() == waits[14:].tolist()
     # A frame ends with its last period.
@@ -105,7 +119,11 @@ def test_dither_leaves_what_is_in_range_alone():
 def test_a_wait_counts_as_dead_time():
     """In dense light an edge follows as soon as the SPAD is alive and a period runs."""
     timing, spad = Timing(dither_bits=8), Spad(dead_time_s=300e-9, jitter_fwhm_s=0)
-    edges = edges_of(Light(rows=1, cols=1, distance_m=np.nan, signal_per_pulse=0.0, background_cps=1e9), timing, spad)
+    edges = edges_of(
+        Light(rows=1, cols=1, distance_m=np.nan, signal_per_pulse=0.0, background_cps=1e9),
+        timing,
+        spad,
+    )
     start_s = timing.start_cycles(400) / timing.clock_hz
     time_s = start_s[edges.pulse] + edges.tick * timing.tick_s
     alive_s = time_s[:-1] + spad.dead_time_s
@@ -118,21 +136,38 @@ def test_afterpulses_in_a_wait_are_lost():
     trap_s, timing = 200e-9, Timing(dither_bits=8)
     spad = Spad(dead_time_s=0, jitter_fwhm_s=0, afterpulse_probability=0.1, afterpulse_s=trap_s)
     flight_s = timing.period_s - 1e-9
-    wall = Light(rows=8, cols=8, distance_m=flight_s * SPEED_OF_LIGHT_M_S / 2, signal_per_pulse=40.0, system_fwhm_s=0.0)
+    wall = Light(
+        rows=8,
+        cols=8,
+        distance_m=flight_s * SPEED_OF_LIGHT_M_S / 2,
+        signal_per_pulse=40.0,
+        system_fwhm_s=0.0,
+    )
     edges = edges_of(wall, timing, spad)
     primary = edges.tick == np.bincount(edges.tick).argmax()
-    released = np.exp(-(waits_of(400, 8) / timing.clock_hz) / trap_s).mean()  # mostly in the next period
+    # mostly in the next period
+    released = np.exp(-(waits_of(400, 8) / timing.clock_hz) / trap_s).mean()
     assert np.sum(~primary) == pytest.approx(0.1 * primary.sum() * released, rel=0.25)
 
 
 def test_dither_spreads_what_is_out_of_range():
-    """A target beyond the laser period answers the previous pulse, or falls into the wait after it."""
+    """A target beyond the laser period answers the previous pulse, or falls into the wait after
+    it.
+    """
     timing = Timing(dither_bits=4)
     flight_s = timing.period_s + 20e-9
-    far = Light(rows=8, cols=8, distance_m=flight_s * SPEED_OF_LIGHT_M_S / 2, signal_per_pulse=5.0, system_fwhm_s=0.0)
+    far = Light(
+        rows=8,
+        cols=8,
+        distance_m=flight_s * SPEED_OF_LIGHT_M_S / 2,
+        signal_per_pulse=5.0,
+        system_fwhm_s=0.0,
+    )
     edges = edges_of(far, timing)
     waits = waits_of(400, 4)
-    expected = {(k + 1, int(320 - 32 * waits[k])) for k in range(399) if waits[k] <= 10} | {(0, 320)}
+    expected = {(k + 1, int(320 - 32 * waits[k])) for k in range(399) if waits[k] <= 10} | {
+        (0, 320)
+    }
     assert {(int(p), int(t)) for p, t in zip(edges.pulse, edges.tick, strict=True)} == {
         one for one in expected if one[1] >= 0
     }
@@ -140,7 +175,9 @@ def test_dither_spreads_what_is_out_of_range():
 
 def test_neither_chunks_nor_workers_change_the_edges():
     other = Interferer(photons_per_pulse=0.5, period_s=333e-9, phase_s=70e-9)
-    scene = Light(rows=8, cols=8, distance_m=80.0, signal_per_pulse=0.3, background_cps=1e6, interferer=other)
+    scene = Light(
+        rows=8, cols=8, distance_m=80.0, signal_per_pulse=0.3, background_cps=1e6, interferer=other
+    )
     spad = Spad(afterpulse_probability=0.1, afterpulse_s=1e-6, crosstalk_probability=0.02)
     timing = Timing(dither_bits=4)
     whole = edges_of(scene, timing, spad)
@@ -153,8 +190,14 @@ def test_bad_values():
     for make, words in (
         (lambda: Interferer(photons_per_pulse=1, period_s=0.0), "period_s = 0"),
         (lambda: Timing(dither_bits=17), "from 0 to 8"),
-        (lambda: edges_of(dark(interferer=Interferer(photons_per_pulse=-1)), Timing()), "photons_per_pulse"),
-        (lambda: edges_of(dark(), Timing(dither_bits=1), pulses=1 << 25), "pulses = 33554432.*with dither"),
+        (
+            lambda: edges_of(dark(interferer=Interferer(photons_per_pulse=-1)), Timing()),
+            "photons_per_pulse",
+        ),
+        (
+            lambda: edges_of(dark(), Timing(dither_bits=1), pulses=1 << 25),
+            "pulses = 33554432.*with dither",
+        ),
     ):
         with pytest.raises(InputError, match=words):
             make()

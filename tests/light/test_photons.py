@@ -21,7 +21,8 @@ from ..random_cases import configured
 
 LEVEL = 1e-3
 BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)
-FINE = Timing(clock_hz=10e9, phases=64, period_cycles=5000)  # 500 ns in ticks of 1.6 ps: practically continuous time
+# 500 ns in ticks of 1.6 ps: practically continuous time
+FINE = Timing(clock_hz=10e9, phases=64, period_cycles=5000)
 EVERYTHING = Spad(
     paralyzable=True,
     jitter_tail_fraction=0.1,
@@ -35,7 +36,12 @@ EVERYTHING = Spad(
 
 def light(rows=8, cols=8, distance_m=20.0, signal=0.0, noise_cps=0.0, **others):
     return Light(
-        rows=rows, cols=cols, distance_m=distance_m, signal_per_pulse=signal, background_cps=noise_cps, **others
+        rows=rows,
+        cols=cols,
+        distance_m=distance_m,
+        signal_per_pulse=signal,
+        background_cps=noise_cps,
+        **others,
     )
 
 
@@ -44,7 +50,9 @@ def edges_of(light, spad=BARE, timing=FINE, *, seed=1, **options):
 
 
 def time_s(edges, timing=FINE):
-    """Return times since the edges' laser triggers, spread evenly over each tick, because the tests need continuous times."""
+    """Return times since the edges' laser triggers, spread evenly over each tick, because the tests
+    need continuous times.
+    """
     return (edges.tick + np.random.default_rng(0).random(len(edges))) * timing.tick_s
 
 
@@ -54,7 +62,9 @@ def counts(edges, pixels, pulses):
 
 
 def assert_law(observed, law, level=LEVEL):
-    """Chi-square test of integer samples against a discrete law; rare classes are joined at the ends."""
+    """Chi-square test of integer samples against a discrete law; rare classes are joined at the
+    ends.
+    """
     values = np.arange(observed.max() + 1)
     expected = law.pmf(values) * len(observed)
     low, high = np.flatnonzero(expected >= 5)[[0, -1]]
@@ -69,7 +79,10 @@ def assert_mean(total, expected, deviation, level=LEVEL):
 
 
 def same(a, b):
-    return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in ("pulse", "pixel", "tick"))
+    return all(
+        getattr(a, name).tobytes() == getattr(b, name).tobytes()
+        for name in ("pulse", "pixel", "tick")
+    )
 
 
 @pytest.mark.parametrize("mean", [0.05, 0.613, 9.8, 200.0])
@@ -83,14 +96,19 @@ def test_photons_are_poisson(mean, kind):
 @pytest.mark.parametrize("dead_fraction", [0.05, 1.0, 8.0])
 @pytest.mark.parametrize("paralyzable", [False, True])
 def test_dead_time_leaves_the_known_rate(paralyzable, dead_fraction):
-    """Asymptotic mean and variance of the counts of a renewal process with dead time (Mueller 1973)."""
+    """Asymptotic mean and variance of the counts of a renewal process with dead time (Mueller
+    1973).
+    """
     dead_s, pulses = 8e-9, 400
     rate_cps = dead_fraction / dead_s
     spad = Spad(dead_time_s=dead_s, jitter_fwhm_s=0, paralyzable=paralyzable)
     n, x = len(edges_of(light(noise_cps=rate_cps), spad, pulses=pulses)), dead_fraction
     photons = rate_cps * pulses * FINE.period_s * 64
     if paralyzable:
-        expected, variance = photons * math.exp(-x), photons * math.exp(-x) * (1 - 2 * x * math.exp(-x))
+        expected, variance = (
+            photons * math.exp(-x),
+            photons * math.exp(-x) * (1 - 2 * x * math.exp(-x)),
+        )
     else:
         expected, variance = photons / (1 + x), photons / (1 + x) ** 3
     at_the_start = 64  # at most one more count per pixel, because it starts ready
@@ -99,14 +117,18 @@ def test_dead_time_leaves_the_known_rate(paralyzable, dead_fraction):
 
 def test_gaps_after_the_dead_time_are_exponential_across_pulses():
     dead_s, rate_cps = 8e-9, 5e6
-    edges = edges_of(light(1, 1, noise_cps=rate_cps), Spad(dead_time_s=dead_s, jitter_fwhm_s=0), pulses=20_000)
+    edges = edges_of(
+        light(1, 1, noise_cps=rate_cps), Spad(dead_time_s=dead_s, jitter_fwhm_s=0), pulses=20_000
+    )
     gaps_s = np.diff(edges.pulse * FINE.period_ticks + edges.tick) * FINE.tick_s
     assert stats.kstest(gaps_s - dead_s, stats.expon(scale=1 / rate_cps).cdf).pvalue > LEVEL
 
 
 @pytest.mark.parametrize("signal", [0.02, 0.1, 0.613])
 def test_distinct_pixels_of_a_subgroup_are_binomial(signal):
-    """A SPAD fires at most once per laser period: of 64 pixels, each with probability 1 - exp(-signal)."""
+    """A SPAD fires at most once per laser period: of 64 pixels, each with probability 1 -
+    exp(-signal).
+    """
     pulses = 4000
     edges = edges_of(light(signal=signal), Spad(), pulses=pulses)
     assert_law(np.bincount(edges.pulse, minlength=pulses), stats.binom(64, -math.expm1(-signal)))
@@ -117,7 +139,8 @@ def test_first_photon_time():
     signal, rate_cps, distance_m, pulses = 1.2, 3e6, 40.0, 400
     scene = light(distance_m=distance_m, signal=signal, noise_cps=rate_cps, system_fwhm_s=5e-9)
     edges = edges_of(scene, pulses=pulses)
-    _, first = np.unique(edges.pixel * pulses + edges.pulse, return_index=True)  # sorted in time within a pulse
+    # sorted in time within a pulse
+    _, first = np.unique(edges.pixel * pulses + edges.pulse, return_index=True)
     sigma_s, flight_s = 5e-9 * SIGMA_PER_FWHM, 2 * distance_m / SPEED_OF_LIGHT_M_S
 
     def reached(t_s):
@@ -165,7 +188,9 @@ def test_crosstalk_reaches_four_neighbours_with_its_probability():
 
 
 def test_crosstalk_meets_the_neighbours_dead_time():
-    """Two pixels always fire within a dead time of each other: crosstalk fires the later one only while it is ready."""
+    """Two pixels always fire within a dead time of each other: crosstalk fires the later one only
+    while it is ready.
+    """
     spad = Spad(jitter_fwhm_s=0, crosstalk_probability=0.25)
     early, late = 20.0, 20.3  # 2 ns apart
     scene = light(1, 2, distance_m=np.array([early, late]), signal=40.0, system_fwhm_s=50e-12)
@@ -177,11 +202,14 @@ def test_crosstalk_meets_the_neighbours_dead_time():
     assert stats.binomtest(int(struck.sum()), pulses, 0.25).pvalue > LEVEL
 
 
-@pytest.mark.parametrize("distance_m", [20.0, 74.0])  # with the second, carriers outlive their pulse
+# with the second, carriers outlive their pulse
+@pytest.mark.parametrize("distance_m", [20.0, 74.0])
 def test_afterpulses(distance_m):
     probability, trap_s, pulses = 0.1, 30e-9, 5000
     spad = Spad(jitter_fwhm_s=0, afterpulse_probability=probability, afterpulse_s=trap_s)
-    edges = edges_of(light(1, 4, distance_m=distance_m, signal=40.0, system_fwhm_s=10e-12), spad, pulses=pulses)
+    edges = edges_of(
+        light(1, 4, distance_m=distance_m, signal=40.0, system_fwhm_s=10e-12), spad, pulses=pulses
+    )
     seen = probability * math.exp(-spad.dead_time_s / trap_s)
     since_s = edges.pulse * FINE.period_s + time_s(edges)
     order = np.lexsort((since_s, edges.pixel))
@@ -199,12 +227,18 @@ def test_same_bytes_for_any_workers_and_chunks(seed, workers, chunk_pulses, star
     scene = light(4, 5, signal=0.5, noise_cps=3e6)
     options = dict(timing=Timing(), seed=seed, pulses=40, pulse_start=start)
     whole = edges_of(scene, EVERYTHING, **options)
-    assert same(whole, edges_of(scene, EVERYTHING, workers=workers, chunk_pulses=chunk_pulses, **options))
+    assert same(
+        whole, edges_of(scene, EVERYTHING, workers=workers, chunk_pulses=chunk_pulses, **options)
+    )
     assert whole.pulse.min() >= start and whole.pulse.max() < start + 40
 
 
 def test_chunks_are_sorted_and_follow_each_other():
-    chunks = list(edge_chunks(light(signal=0.3, noise_cps=5e6), Spad(), Timing(), pulses=30, seed=1, chunk_pulses=7))
+    chunks = list(
+        edge_chunks(
+            light(signal=0.3, noise_cps=5e6), Spad(), Timing(), pulses=30, seed=1, chunk_pulses=7
+        )
+    )
     spans = [(chunk.pulse.min(), chunk.pulse.max()) for chunk in chunks]
     assert spans == [(0, 6), (7, 13), (14, 20), (21, 27), (28, 29)]
     for chunk in chunks:
@@ -216,7 +250,9 @@ def test_chunks_are_sorted_and_follow_each_other():
 def test_closed_spads_see_nothing_and_are_ready_when_they_open():
     rate_cps, pulses, timing = 2e7, 4000, Timing()
     gate = SpadGate(start_cycles=100, len_cycles=50)
-    edges = edges_of(light(noise_cps=rate_cps), Spad(jitter_fwhm_s=0), timing, pulses=pulses, gate=gate)
+    edges = edges_of(
+        light(noise_cps=rate_cps), Spad(jitter_fwhm_s=0), timing, pulses=pulses, gate=gate
+    )
     cycle = edges.tick // timing.phases
     assert cycle.min() == 100 and cycle.max() == 149
     _, first = np.unique(edges.pixel * pulses + edges.pulse, return_index=True)
@@ -226,7 +262,9 @@ def test_closed_spads_see_nothing_and_are_ready_when_they_open():
 
 
 def test_gates_of_a_configuration():
-    """A gated subgroup steps through its period, in every frame anew; one without gating is always open."""
+    """A gated subgroup steps through its period, in every frame anew; one without gating is always
+    open.
+    """
     config = configured(
         {"rows": 8, "cols": 16},
         {"gate_step": 20, "gate_every": 2, "gate_steps": 3, "pulses": 9, "frames": 2},
@@ -236,7 +274,9 @@ def test_gates_of_a_configuration():
     timing = Timing.from_config(config)
     assert (timing.period_ticks, timing.tick_s) == (8000, 62.5e-12)
     gate = SpadGate.from_config(config)
-    edges = edges_of(light(8, 16, noise_cps=1e8), Spad(jitter_fwhm_s=0), timing, pulses=18, gate=gate)
+    edges = edges_of(
+        light(8, 16, noise_cps=1e8), Spad(jitter_fwhm_s=0), timing, pulses=18, gate=gate
+    )
     cycle, gated = edges.tick // timing.phases, edges.pixel % 16 >= 8
     start = 10 + 20 * (edges.pulse[gated] % 9 // 2 % 3)
     assert set(start) == {10, 30, 50} and set(cycle[gated] - start) == set(range(20))
@@ -245,16 +285,28 @@ def test_gates_of_a_configuration():
 
 def test_light_from_beyond_the_period_falls_into_a_later_one():
     period_m = SPEED_OF_LIGHT_M_S * Timing().period_s / 2
-    near, far = (edges_of(light(distance_m=d, signal=0.5), timing=Timing(), pulses=50) for d in (10.0, 10.0 + period_m))
+    near, far = (
+        edges_of(light(distance_m=d, signal=0.5), timing=Timing(), pulses=50)
+        for d in (10.0, 10.0 + period_m)
+    )
     assert same(near, far)
-    assert len(edges_of(light(distance_m=10.0 + period_m, signal=0.5, range_ambiguity=False), pulses=50)) == 0
+    assert (
+        len(
+            edges_of(
+                light(distance_m=10.0 + period_m, signal=0.5, range_ambiguity=False), pulses=50
+            )
+        )
+        == 0
+    )
 
 
 def test_targets_of_a_pixel_share_its_edges():
     distance_m, signal, pulses = np.array([[10.0, 30.0, np.nan]]), np.array([[0.3, 0.1, 5.0]]), 1000
     edges = edges_of(light(distance_m=distance_m, signal=signal), pulses=pulses)
     flight_ticks = 2 * 20.0 / SPEED_OF_LIGHT_M_S / FINE.tick_s
-    for edges_at_target, mean in zip(np.bincount(edges.tick > flight_ticks), (0.3, 0.1), strict=True):
+    for edges_at_target, mean in zip(
+        np.bincount(edges.tick > flight_ticks), (0.3, 0.1), strict=True
+    ):
         assert_mean(edges_at_target, mean * 64 * pulses, math.sqrt(mean * 64 * pulses))
 
 
@@ -264,7 +316,10 @@ def test_code_density_finds_the_taps():
     edges = edges_of(light(noise_cps=2e6), timing=Timing(tap_width_lsb=width_lsb), pulses=4000)
     found = code_density(edges.tick, 32)
     width_to_edges = found.edges / 32
-    assert stats.chisquare((found.dnl_lsb + 1) * width_to_edges, width_lsb * width_to_edges).pvalue > LEVEL
+    assert (
+        stats.chisquare((found.dnl_lsb + 1) * width_to_edges, width_lsb * width_to_edges).pvalue
+        > LEVEL
+    )
     assert np.all(np.abs(found.dnl_lsb + 1 - width_lsb) < 4.5 * found.sigma_lsb)
     border_sigma_lsb = 32 * 0.5 / math.sqrt(found.edges)  # of the middle border, the least certain
     assert np.all(np.abs(found.inl_lsb - np.cumsum(width_lsb - 1)) < 4.5 * border_sigma_lsb)
@@ -283,7 +338,8 @@ def test_presets():
     even = Light.from_scene([[4.0, 8.0]], [[0.4, 0.1]], np.array([[50, 100]]), background="even")
     assert even.background_cps == pytest.approx([1.226e6, 2 * 1.226e6])
     mesh = Light.from_scene([[[4.0, 8.0], [4.0, np.nan]]], 0.3, 50)
-    assert mesh.background_cps == pytest.approx([1.5 * 1.226e6, 0.75 * 1.226e6])  # the light that both targets reflect
+    # the light that both targets reflect
+    assert mesh.background_cps == pytest.approx([1.5 * 1.226e6, 0.75 * 1.226e6])
 
 
 def test_dark_counts_and_hot_pixels():
@@ -299,23 +355,50 @@ def test_dark_counts_and_hot_pixels():
     "make, message",
     [
         (lambda: Spad(dead_time_s=-1e-9), r"dead_time_s = -1e-09: must be a number of at least 0"),
-        (lambda: Spad(crosstalk_probability=0.5), r"crosstalk_probability = 0.5: must be a number from 0 to 0.25"),
-        (lambda: Timing(tap_width_lsb=np.full(32, 1.1)), r"tap_width_lsb: sums to 35.2, must sum to the 32 phases"),
+        (
+            lambda: Spad(crosstalk_probability=0.5),
+            r"crosstalk_probability = 0.5: must be a number from 0 to 0.25",
+        ),
+        (
+            lambda: Timing(tap_width_lsb=np.full(32, 1.1)),
+            r"tap_width_lsb: sums to 35.2, must sum to the 32 phases",
+        ),
         (lambda: Timing(period_cycles=0), r"period_cycles = 0: must be an integer from 1"),
         (lambda: light(signal=-1.0), r"signal_per_pulse\[0, 0\] = -1.0: must be from 0 to 10000"),
         (lambda: light(noise_cps=np.nan), r"background_cps\[0\] = nan: must be from 0 to 1e\+12"),
-        (lambda: light(distance_m=np.ones(3)), r"distance_m: has shape \(3, 1\), must be \(64, 1\) or broadcast to it"),
-        (lambda: Light.from_scene(np.zeros((2, 2)), 0.4, 50), r"distance_m\[0, 0\] = 0.0: must be at least 0.05"),
-        (lambda: Light.from_scene(np.ones((2, 2)), 4, 50), r"reflectivity\[0, 0\] = 4.0: must be from 0 to 1"),
+        (
+            lambda: light(distance_m=np.ones(3)),
+            r"distance_m: has shape \(3, 1\), must be \(64, 1\) or broadcast to it",
+        ),
+        (
+            lambda: Light.from_scene(np.zeros((2, 2)), 0.4, 50),
+            r"distance_m\[0, 0\] = 0.0: must be at least 0.05",
+        ),
+        (
+            lambda: Light.from_scene(np.ones((2, 2)), 4, 50),
+            r"reflectivity\[0, 0\] = 4.0: must be from 0 to 1",
+        ),
         (lambda: background_cps(-1), r"klux = -1.0: must be at least 0"),
         (
             lambda: Light.from_scene(np.ones((2, 2)), 0.4, 50, background="dark"),
             r"background = 'dark': must be one of reflected, even",
         ),
-        (lambda: edge_chunks(light(), BARE, FINE, pulses=0, seed=1), r"pulses = 0: must be an integer from 1"),
-        (lambda: edge_chunks(light(), BARE, FINE, pulses=1, seed=-1), r"seed = -1: must be an integer from 0"),
-        (lambda: edges_of(light(system_fwhm_s=1e-11), Spad(), pulses=1), r"system_fwhm_s = 1e-11: must be at least"),
-        (lambda: SpadGate(start_cycles=0, len_cycles=1, steps=0), r"steps = 0: must be an integer from 1"),
+        (
+            lambda: edge_chunks(light(), BARE, FINE, pulses=0, seed=1),
+            r"pulses = 0: must be an integer from 1",
+        ),
+        (
+            lambda: edge_chunks(light(), BARE, FINE, pulses=1, seed=-1),
+            r"seed = -1: must be an integer from 0",
+        ),
+        (
+            lambda: edges_of(light(system_fwhm_s=1e-11), Spad(), pulses=1),
+            r"system_fwhm_s = 1e-11: must be at least",
+        ),
+        (
+            lambda: SpadGate(start_cycles=0, len_cycles=1, steps=0),
+            r"steps = 0: must be an integer from 1",
+        ),
         (lambda: code_density(np.arange(3), 8), r"tick: holds 3 edges"),
     ],
 )

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded photons: PTU files and tables become edges; edges survive a round trip through every format; errors are reported."""
+"""Recorded photons: PTU files and tables become edges; edges survive a round trip through every
+format; errors are reported.
+"""
 
 import struct
 
@@ -29,7 +31,9 @@ GENERIC_T2, HYDRAHARP_T2, PICOHARP_T2 = 0x00010207, 0x00010204, 0x00010203
 
 def edges_of(path, *, config=CONFIG, timing=TIMING, sync_channel=None, **options):
     edges, lost = recorded_edges(read_recording(path, sync_channel), config, timing, **options)
-    return [tuple(edge) for edge in np.stack([getattr(edges, name) for name in NAMES], axis=1).tolist()], lost
+    return [
+        tuple(edge) for edge in np.stack([getattr(edges, name) for name in NAMES], axis=1).tolist()
+    ], lost
 
 
 def edges(*rows):
@@ -50,9 +54,9 @@ def ptu(path, records, *, mode=2, kind=GENERIC_T2, clock_s=1e-12, bin_s=1e-12, *
     data = b"PQTTTR\0\0" + b"1.0.00\0\0"
     for name, value in tags.items():
         real = isinstance(value, float)
-        data += struct.pack("<32siI", name.encode(), -1, 0x20000008 if real else 0x10000008) + struct.pack(
-            "<d" if real else "<q", value
-        )
+        data += struct.pack(
+            "<32siI", name.encode(), -1, 0x20000008 if real else 0x10000008
+        ) + struct.pack("<d" if real else "<q", value)
     data += struct.pack("<32siIq", b"Header_End", -1, 0xFFFF0008, 0)
     path.write_bytes(data + np.array(records, "<u4").tobytes())
     return path
@@ -67,7 +71,9 @@ def t3(special, channel, dtime, nsync):
 
 
 def test_t3_by_hand(tmp_path):
-    """Bins of 125 ps are two ticks; the middle of a bin is in the later one. An overflow is 1024 syncs."""
+    """Bins of 125 ps are two ticks; the middle of a bin is in the later one. An overflow is 1024
+    syncs.
+    """
     records = [
         t3(0, 3, 0, 1),
         t3(0, 3, 100, 2),
@@ -81,20 +87,29 @@ def test_t3_by_hand(tmp_path):
     path = ptu(tmp_path / "a.ptu", records, mode=3, kind=0x00010307, clock_s=500e-9, bin_s=125e-12)
     found, lost = edges_of(path)
     assert found == [(1, 3, 1), (2, 3, 201), (39, 4, 15)]
-    assert lost == {"after sync 39, the last of 2 x 20 pulses": 2, "beyond the laser period of 8000 ticks": 1}
+    assert lost == {
+        "after sync 39, the last of 2 x 20 pulses": 2,
+        "beyond the laser period of 8000 ticks": 1,
+    }
     found, lost = edges_of(path, first_sync=1024, channels={5: 60})
     assert found == [(6, 60, 17)]
     assert sum(lost.values()) == 5
     found, lost = edges_of(path, channels={3: 0, 4: 63}, delay_ps=125)
     assert found == [(2, 0, 199), (39, 63, 13)]
-    assert lost["in channels without a pixel"] == 1 and lost["before the trigger, by the delay"] == 1
+    assert (
+        lost["in channels without a pixel"] == 1 and lost["before the trigger, by the delay"] == 1
+    )
     assert not period_note(read_recording(path), TIMING)
-    assert "frame.period = 250 would fit" in period_note(read_recording(path), Timing(period_cycles=100))
+    assert "frame.period = 250 would fit" in period_note(
+        read_recording(path), Timing(period_cycles=100)
+    )
 
 
 @pytest.mark.parametrize(("kind", "wrap"), [(GENERIC_T2, 1 << 25), (HYDRAHARP_T2, 33552000)])
 def test_t2_by_hand(tmp_path, kind, wrap):
-    """Input 0 is not the sync input; a photon belongs to the last sync, even across an overflow of the clock."""
+    """Input 0 is not the sync input; a photon belongs to the last sync, even across an overflow of
+    the clock.
+    """
     sync = 500_000
     records = [
         t2(0, 0, 10),
@@ -112,7 +127,8 @@ def test_t2_by_hand(tmp_path, kind, wrap):
     assert lost == {"before the first sync": 1, "beyond the laser period of 8000 ticks": 1}
     records = [t2(0, 7, 100), t2(1, 63, 1), t2(0, 3, 100)]
     found, lost = edges_of(
-        ptu(tmp_path / "a.ptu", records, kind=kind, clock_s=float(wrap) ** -1 * 1e-7), sync_channel=7
+        ptu(tmp_path / "a.ptu", records, kind=kind, clock_s=float(wrap) ** -1 * 1e-7),
+        sync_channel=7,
     )
     assert found == [(0, 3, 1600)]  # one wrap of the clock is 100 ns
 
@@ -126,11 +142,16 @@ def test_t2_of_the_picoharp(tmp_path):
 
 @pytest.mark.parametrize("both_ways", [False, True])
 def test_scan_by_another_writer(tmp_path, both_ways):
-    """ptufile's own writer makes an image from histograms: each position has its photons, each with a pulse of its own."""
+    """ptufile's own writer makes an image from histograms: each position has its photons, each with
+    a pulse of its own.
+    """
     rng = np.random.default_rng(3)
-    counts = rng.poisson(0.02, (2, 6, 5, 1, 100)).astype(np.uint16)  # images, lines, positions, channels, bins
+    # images, lines, positions, channels, bins
+    counts = rng.poisson(0.02, (2, 6, 5, 1, 100)).astype(np.uint16)
     path = tmp_path / "scan.ptu"
-    with ptufile.PtuWriter(path, counts.shape, 500e-9, 62.5e-12, 20 * 500e-9, tags={"File_GUID": "x"}) as writer:
+    with ptufile.PtuWriter(
+        path, counts.shape, 500e-9, 62.5e-12, 20 * 500e-9, tags={"File_GUID": "x"}
+    ) as writer:
         writer.write(counts)
     if both_ways:
         data = path.read_bytes()
@@ -153,7 +174,8 @@ def test_scan_by_another_writer(tmp_path, both_ways):
 
 def test_tables_by_hand(tmp_path):
     (tmp_path / "syncs.csv").write_text(
-        "# a lab\n\nSync;time_ns;note;channel\n0;0.0625;1;5\n3;499.99;2;6\n1;500;3;6\n0;0.0624;4;7\n", encoding="utf-8"
+        "# a lab\n\nSync;time_ns;note;channel\n0;0.0625;1;5\n3;499.99;2;6\n1;500;3;6\n0;0.0624;4;7\n",
+        encoding="utf-8",
     )
     found, lost = edges_of(tmp_path / "syncs.csv")
     assert found == [(0, 7, 0), (0, 5, 1), (3, 6, 7999)]
@@ -169,7 +191,9 @@ def test_tables_by_hand(tmp_path):
 
 
 some_edges = st.lists(
-    st.tuples(st.integers(0, 39), st.integers(0, 63), st.integers(0, TIMING.period_ticks - 1)), min_size=1, max_size=40
+    st.tuples(st.integers(0, 39), st.integers(0, 63), st.integers(0, TIMING.period_ticks - 1)),
+    min_size=1,
+    max_size=40,
 )
 
 
@@ -199,8 +223,14 @@ BAD_TABLES = {
     "no channels": ("sync,time_ps\n1,1\n", "must have pulse, pixel, tick"),
     "text": ("sync,channel,time_ps\n1,one,1\n", "could not convert"),
     "short line": ("sync,channel,time_ps\n1,2,3\n1,1\n", "row 2"),
-    "fraction of a sync": ("sync,channel,time_ps\n1,2,3\n1.5,2,3\n", r"sync\[1\] = 1.5: must be an integer"),
-    "negative time": ("sync,channel,time_ps\n1,2,-3\n", r"time\[0\] = -3.0: must be a number of at least 0"),
+    "fraction of a sync": (
+        "sync,channel,time_ps\n1,2,3\n1.5,2,3\n",
+        r"sync\[1\] = 1.5: must be an integer",
+    ),
+    "negative time": (
+        "sync,channel,time_ps\n1,2,-3\n",
+        r"time\[0\] = -3.0: must be a number of at least 0",
+    ),
     "negative sync": ("sync,channel,time_ps\n-1,2,3\n", r"sync\[0\] = -1"),
     "no number": ("sync,channel,time_ps\n1,2,nan\n", r"time\[0\] = nan"),
     "huge": ("sync,channel,time_ps\n1e300,2,1\n", r"sync\[0\] = 1e\+300"),
@@ -260,7 +290,10 @@ def test_bad_ptu(tmp_path):
         edges_of(ptu(path, [t3(0, 1, 1, 1)], mode=3, kind=0x00010307, clock_s=5e-7), sync_channel=0)
     with pytest.raises(InputError, match="MeasDesc_Resolution"):
         edges_of(ptu(path, [t3(0, 1, 1, 1)], mode=3, kind=0x00010307, clock_s=5e-7, bin_s=0.0))
-    for row, words in (((0, 64, 0), "pixel = 64: must be from 0 to 63"), ((0, 0, 1 << 15), "tick = 32768")):
+    for row, words in (
+        ((0, 64, 0), "pixel = 64: must be from 0 to 63"),
+        ((0, 0, 1 << 15), "tick = 32768"),
+    ):
         with pytest.raises(InputError, match=words):
             write_edges(path, edges(row), TIMING)
 
@@ -288,7 +321,9 @@ def test_channel_maps(tmp_path):
 def test_recording_replays_alike_through_model_and_rtl(tmp_path):
     """From a scene's photons to a recording and back to edges, on the command line."""
     sensor = "".join(f"{key} = {value}\n" for key, value in SENSORS["tiny"].items())
-    (tmp_path / "small.toml").write_text(f"[sensor]\n{sensor}[frame]\npulses = 20\nframes = 2\n", encoding="utf-8")
+    (tmp_path / "small.toml").write_text(
+        f"[sensor]\n{sensor}[frame]\npulses = 20\nframes = 2\n", encoding="utf-8"
+    )
 
     def run(*words):
         result = command(*words, "--config", tmp_path / "small.toml")
@@ -301,7 +336,9 @@ def test_recording_replays_alike_through_model_and_rtl(tmp_path):
     assert told.split()[1] == read.split()[1]
     assert (tmp_path / "edges.npz").read_bytes() == (tmp_path / "photons.npz").read_bytes()
     config = load_config(tmp_path / "small.toml")
-    loaded = load_edges(tmp_path / "edges.npz", pixels=48, pulses=40, period_ticks=config.period_ticks)
+    loaded = load_edges(
+        tmp_path / "edges.npz", pixels=48, pulses=40, period_ticks=config.period_ticks
+    )
     assert not differences(replay("golden", config, loaded), replay("sliced", config, loaded))
 
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ambient light across the picture: every form, resampled, in the background of every kind of scene; and faulty inputs."""
+"""Ambient light across the picture: every form, resampled, in the background of every kind of
+scene; and faulty inputs.
+"""
 
 import numpy as np
 import pytest
@@ -24,7 +26,8 @@ def test_array_in_klux_takes_the_mean_of_what_a_pixel_covers(tmp_path):
     assert np.array_equal(ambient_klux(str(path), 4, 6), klux)
     assert np.array_equal(ambient_klux(str(path), 2, 3), klux.reshape(2, 2, 3, 2).mean(axis=(1, 3)))
     assert np.array_equal(ambient_klux(str(path), 8, 12), klux.repeat(2, 0).repeat(2, 1))
-    assert np.array_equal(ambient_klux(str(path), 4, 4), klux[:, 1:5])  # the middle, with the sensor's aspect ratio
+    # the middle, with the sensor's aspect ratio
+    assert np.array_equal(ambient_klux(str(path), 4, 4), klux[:, 1:5])
 
 
 @pytest.mark.parametrize("depth, white", [(np.uint8, 255), (np.uint16, 65535)])
@@ -45,7 +48,11 @@ def test_background_follows_map_and_reflectivity():
 
 
 def test_what_is_wrong_is_named(tmp_path):
-    colour, negative, flat = tmp_path / "colour.png", tmp_path / "negative.npy", tmp_path / "flat.npy"
+    colour, negative, flat = (
+        tmp_path / "colour.png",
+        tmp_path / "negative.npy",
+        tmp_path / "flat.npy",
+    )
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(colour)
     np.save(negative, np.full((4, 4), -1.0))
     np.save(flat, np.ones(4))

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Absolute orientation: a letter F stands the same way in the scene, at the ports, in the words and in the picture.
+"""Absolute orientation: a letter F stands the same way in the scene, at the ports, in the words and
+in the picture.
 
-A scene that is mirrored or turned together with its light is self-consistent, so only a drawing can tell. For ray-traced
-scenes with a camera, see `test_raytrace.py::test_users_camera`.
+A scene that is mirrored or turned together with its light is self-consistent, so only a drawing can
+tell. For ray-traced scenes with a camera, see `test_raytrace.py::test_users_camera`.
 """
 
 import numpy as np
@@ -42,7 +43,10 @@ ROWS, COLS = LETTER.shape
 FRAME = {"pulses": 60, "format": "full", "minigroup_records": True, "mg_threshold": 1}
 SMALL, LARGE = (  # neither pixels, nor minigroups, nor subgroups are square
     configured({"rows": ROWS, "cols": COLS} | sizes, FRAME, {"threshold": 1})
-    for sizes in ({"subgroup": [4, 6], "minigroup": [2, 3]}, {"subgroup": [16, 12], "minigroup": [4, 2], "streams": 2})
+    for sizes in (
+        {"subgroup": [4, 6], "minigroup": [2, 3]},
+        {"subgroup": [16, 12], "minigroup": [4, 2], "streams": 2},
+    )
 )
 
 
@@ -51,7 +55,9 @@ def built_in(folder):
 
 
 def picture_file(folder):
-    Image.fromarray((1000 * np.where(LETTER, NEAR_M, FAR_M)).astype(np.uint16)).save(folder / "f.png")
+    Image.fromarray((1000 * np.where(LETTER, NEAR_M, FAR_M)).astype(np.uint16)).save(
+        folder / "f.png"
+    )
     return load_scene(str(folder / "f.png"), ROWS, COLS, reflectivity=0.4)
 
 
@@ -68,7 +74,8 @@ def coloured_file(folder):
 
 
 @pytest.mark.parametrize(
-    ("scene", "config"), [(built_in, SMALL), (built_in, LARGE), (picture_file, SMALL), (array_file, SMALL)]
+    ("scene", "config"),
+    [(built_in, SMALL), (built_in, LARGE), (picture_file, SMALL), (array_file, SMALL)],
 )
 def test_letter_stands_the_same_way_from_the_scene_to_the_picture(scene, config, tmp_path):
     scene, sensor = scene(tmp_path), config.sensor
@@ -90,20 +97,26 @@ def test_letter_stands_the_same_way_from_the_scene_to_the_picture(scene, config,
 
     # In the words: hit maps of the events, and maps of the minigroup records.
     of_streams = [
-        decode_frame(beats, sensor, len(sensor.stream_subgroups(k))) for k, beats in enumerate(run.frame().trace.beats)
+        decode_frame(beats, sensor, len(sensor.stream_subgroups(k)))
+        for k, beats in enumerate(run.frame().trace.beats)
     ]
     events, hits, records, entries = (
         np.concatenate([getattr(words, name) for words in of_streams])
         for name in ("events", "hits", "records", "entries")
     )
     pixels = np.arange(sensor.pixels)
-    event, pixel = np.nonzero(hits[:, pixels // 64] >> (pixels % 64).astype(np.uint64) & np.uint64(1))
+    event, pixel = np.nonzero(
+        hits[:, pixels // 64] >> (pixels % 64).astype(np.uint64) & np.uint64(1)
+    )
     assert_placed(events[event, 2], *np.divmod(pixel, cols), events[event, 6] < between)
-    record, minigroup, bit = np.nonzero(entries[:, :, 1][:, :, None] >> np.arange(mg_rows * mg_cols) & 1)
+    record, minigroup, bit = np.nonzero(
+        entries[:, :, 1][:, :, None] >> np.arange(mg_rows * mg_cols) & 1
+    )
     mg_row, mg_col = np.divmod(minigroup, cols // mg_cols)
     row, col = mg_row * mg_rows + bit // mg_cols, mg_col * mg_cols + bit % mg_cols
     stamp = entries[record, minigroup, 0] * (sensor.phases // 4)
-    assert_placed(records[record, 0], row, col, stamp < between, far_too=False)  # a minigroup sees both at the border
+    # a minigroup sees both at the border
+    assert_placed(records[record, 0], row, col, stamp < between, far_too=False)
 
     # In the picture.
     assert np.mean(np.abs(run.frame().depth_m - np.where(LETTER, NEAR_M, FAR_M)) < 0.5) > 0.95

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ray-traced scenes: transients to edges, behaviour without the extra, and the renderer against closed forms."""
+"""Ray-traced scenes: transients to edges, behaviour without the extra, and the renderer against
+closed forms.
+"""
 
 import math
 import re
@@ -42,7 +44,9 @@ def photons_in(light):
 
 
 def test_energy_is_conserved_from_transient_to_edges():
-    """Chi-square over (pixel, tick), and over the counts of single pulses: the edges are those photons, Poisson-distributed."""
+    """Chi-square over (pixel, tick), and over the counts of single pulses: the edges are those
+    photons, Poisson-distributed.
+    """
     random = np.random.default_rng(1)
     table = np.zeros((4, 4, 4000 * BINS_PER_TICK))
     for row in table.reshape(16, -1):
@@ -50,21 +54,30 @@ def test_energy_is_conserved_from_transient_to_edges():
     pulses = 20_000
     light = synthetic(table).light(0.0, system_fwhm_s=0.0)
     edges = generate_edges(light, BARE, Timing(), pulses=pulses, seed=1)
-    expected = table.reshape(16, -1, BINS_PER_TICK).sum(2) * pulses * photons_in(light).sum() / table.sum()
+    expected = (
+        table.reshape(16, -1, BINS_PER_TICK).sum(2) * pulses * photons_in(light).sum() / table.sum()
+    )
     seen = np.bincount(edges.pixel * 8000 + edges.tick, minlength=16 * 8000).reshape(16, 8000)
     assert np.all(seen[:, 4000:] == 0) and np.all(seen[:, :4000][expected == 0] == 0)
     lit = expected > 0
-    assert stats.chi2.sf((((seen[:, :4000] - expected)[lit]) ** 2 / expected[lit]).sum(), lit.sum()) > LEVEL
+    assert (
+        stats.chi2.sf((((seen[:, :4000] - expected)[lit]) ** 2 / expected[lit]).sum(), lit.sum())
+        > LEVEL
+    )
     per_pulse = np.bincount(edges.pulse, minlength=pulses)
     assert stats.chi2.sf(per_pulse.var() * pulses / per_pulse.mean(), pulses - 1) > LEVEL
 
 
 def test_one_unit_is_equation_1():
-    """The return of a Lambertian surface, r / (pi d^2), gives the link budget's photons, in the corrected form."""
+    """The return of a Lambertian surface, r / (pi d^2), gives the link budget's photons, in the
+    corrected form.
+    """
     table = np.zeros((1, 1, 2000))
     table[0, 0, 1700] = 0.4 / (math.pi * 4.0**2)
     light = synthetic(table).light(50)
-    assert photons_in(light)[0] == pytest.approx(link_budget(4.0, 0.4, 0, form="corrected").signal_per_pulse, rel=1e-12)
+    assert photons_in(light)[0] == pytest.approx(
+        link_budget(4.0, 0.4, 0, form="corrected").signal_per_pulse, rel=1e-12
+    )
     assert light.background_cps[0] == pytest.approx(1.226e6)
 
 
@@ -74,10 +87,16 @@ def test_bins_without_width_are_targets(photons, seed):
     """The edges are the same, whether a distribution is given as targets or as bins."""
     start_s = 40e-9 * np.arange(1, len(photons) + 1)
     common = dict(rows=1, cols=1, background_cps=2e6)
-    targets = Light(distance_m=start_s[None] * SPEED_OF_LIGHT_M_S / 2, signal_per_pulse=np.array([photons]), **common)
+    targets = Light(
+        distance_m=start_s[None] * SPEED_OF_LIGHT_M_S / 2,
+        signal_per_pulse=np.array([photons]),
+        **common,
+    )
     arrivals = Arrivals(first=[0, len(photons)], start_s=start_s, photons=photons)
     bins = Light(distance_m=np.nan, signal_per_pulse=0.0, arrivals=arrivals, **common)
-    a, b = (generate_edges(light, Spad(), Timing(), pulses=50, seed=seed) for light in (targets, bins))
+    a, b = (
+        generate_edges(light, Spad(), Timing(), pulses=50, seed=seed) for light in (targets, bins)
+    )
     assert np.array_equal(a.pulse, b.pulse)
     assert np.abs(a.tick - b.tick).max(initial=0) <= 1 and np.mean(a.tick == b.tick) > 0.9
 
@@ -107,7 +126,13 @@ def test_arrivals_may_restart_in_every_pixel():
 def test_surface_that_fills_most_of_a_pixel():
     sky = np.inf
     samples_m = np.array(
-        [[5, 5.1, 9, 9.1, 9.2], [5, 5.1, 5.2, sky, sky], [5, sky, sky, sky, sky], [sky] * 5, [4, 4, 9, 9, sky]]
+        [
+            [5, 5.1, 9, 9.1, 9.2],
+            [5, 5.1, 5.2, sky, sky],
+            [5, sky, sky, sky, sky],
+            [sky] * 5,
+            [4, 4, 9, 9, sky],
+        ]
     )
     assert dominant_surface_m(samples_m) == pytest.approx([9.1, 5.1, sky, sky, 4])
 
@@ -119,15 +144,21 @@ def test_transient_file_and_depth(tmp_path):
     transient.save(tmp_path / "t.npz")
     again = Transient.load(tmp_path / "t.npz")
     assert np.array_equal(again.index, transient.index) and again.lost_per_m2 == 0
-    assert again.depth_m()[0, 0] == pytest.approx((201 + 1 / 6) * BIN_M) and np.isnan(again.depth_m()[0, 1])
+    assert again.depth_m()[0, 0] == pytest.approx((201 + 1 / 6) * BIN_M) and np.isnan(
+        again.depth_m()[0, 1]
+    )
     assert again.total_per_m2.tolist() == [[4.5, 0]]
     scene = Scene(name="t", distance_m=[[5.0, 6.0]], reflectivity=0.4, transient=again)
-    assert np.array_equal(scene.surfaces_m, [[[5, again.depth_m()[0, 0]], [6, np.nan]]], equal_nan=True)
+    assert np.array_equal(
+        scene.surfaces_m, [[[5, again.depth_m()[0, 0]], [6, np.nan]]], equal_nan=True
+    )
 
 
 @pytest.fixture
 def stub(monkeypatch, tmp_path):
-    """A renderer that returns `stub.transient` for any file, and counts its calls; it does not need the extra."""
+    """A renderer that returns `stub.transient` for any file, and counts its calls; it does not need
+    the extra.
+    """
     monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
     path, transient = tmp_path / "scene.xml", synthetic(np.ones((2, 2, 10)))
     made = SimpleNamespace(renders=0, contents=b"1", path=path, transient=transient)
@@ -139,7 +170,8 @@ def stub(monkeypatch, tmp_path):
 
     read = SimpleNamespace(cameras=2, kind="orthographic", emitters=3)
     tracer = SimpleNamespace(
-        render=render, read_scene=lambda path: SimpleNamespace(files={"scene": made.contents}, **vars(read))
+        render=render,
+        read_scene=lambda path: SimpleNamespace(files={"scene": made.contents}, **vars(read)),
     )
     monkeypatch.setattr(ray_scene, "_tracer", lambda: tracer)
     monkeypatch.setattr(ray_scene, "version", lambda name: "1")
@@ -147,7 +179,13 @@ def stub(monkeypatch, tmp_path):
 
 
 def test_rendered_once_for_each_content(stub):
-    for contents, size, renders in ((b"1", 2, 1), (b"1", 2, 1), (b"2", 2, 2), (b"1", 2, 2), (b"1", 4, 3)):
+    for contents, size, renders in (
+        (b"1", 2, 1),
+        (b"1", 2, 1),
+        (b"2", 2, 2),
+        (b"1", 2, 2),
+        (b"1", 4, 3),
+    ):
         stub.contents = contents
         load_scene(str(stub.path), size, 2)
         assert stub.renders == renders
@@ -155,18 +193,34 @@ def test_rendered_once_for_each_content(stub):
 
 def test_what_is_overridden_is_said(stub):
     kept, emitters, metres = load_scene(str(stub.path), 2, 2).notes
-    for words in ("first of 2 cameras", "orthographic, taken for a perspective one", "45 x 45 degrees, 2 x 2 pixels"):
+    for words in (
+        "first of 2 cameras",
+        "orthographic, taken for a perspective one",
+        "45 x 45 degrees, 2 x 2 pixels",
+    ):
         assert words in kept
-    assert "3 emitters left out" in emitters and "taken for metres" in metres and "warning" not in metres
+    assert (
+        "3 emitters left out" in emitters
+        and "taken for metres" in metres
+        and "warning" not in metres
+    )
 
 
 @pytest.mark.parametrize(
     "surface_m, masked, words",
     [
-        ([[5, 80], [5, 5]], 1, "1 of 4 pixels at or beyond the laser period's range of 74.95 m are masked"),
+        (
+            [[5, 80], [5, 5]],
+            1,
+            "1 of 4 pixels at or beyond the laser period's range of 74.95 m are masked",
+        ),
         ([[5, 0.01], [5, 5]], 1, "1 of 4 pixels nearer than 0.05 m are masked"),
         ([[5, 5], [np.inf, np.inf]], 2, "2 of 4 pixels without a surface are masked"),
-        (60.0, 0, "warning: .*surfaces from 60 to 60 m, the file's units taken for metres, which is doubtful"),
+        (
+            60.0,
+            0,
+            "warning: .*surfaces from 60 to 60 m, the file's units taken for metres, which is doubtful",
+        ),
         (0.1, 0, "warning: .*doubtful"),
     ],
 )
@@ -211,12 +265,15 @@ def test_without_llvm(monkeypatch):
     monkeypatch.setattr(ray_scene, "version", lambda name: "1")
     monkeypatch.setattr(ray_scene, "LLVM_LIBRARIES", ("libnothing.so",))
     monkeypatch.delenv(ray_scene.LLVM_VARIABLE, raising=False)
-    with pytest.raises(InputError, match=r"need the library of LLVM 17 or newer .*libllvm19.* run: make raytrace"):
+    with pytest.raises(
+        InputError, match=r"need the library of LLVM 17 or newer .*libllvm19.* run: make raytrace"
+    ):
         load_scene("ray:corner", 8, 8)
 
 
 @pytest.mark.parametrize(
-    "source, words", [("ray:moon", "must be one of ray:five-objects"), ("nothing.xml", "no such file")]
+    "source, words",
+    [("ray:moon", "must be one of ray:five-objects"), ("nothing.xml", "no such file")],
 )
 def test_unknown_scene(source, words):
     with pytest.raises(InputError, match=words):
@@ -245,7 +302,9 @@ def wall(distance_m):
 
 
 def rendered(tracer, path, rows=8, cols=8, stop_s=1e-6):
-    return tracer.render(tracer.read_scene(path), rows, cols, fov_h_deg=45, fov_v_deg=45, stop_s=stop_s)
+    return tracer.render(
+        tracer.read_scene(path), rows, cols, fov_h_deg=45, fov_v_deg=45, stop_s=stop_s
+    )
 
 
 @pytest.mark.parametrize("distance_m", [1, 4, 10, 50])
@@ -254,11 +313,17 @@ def test_flat_wall_is_the_link_budget(tracer, tmp_path, distance_m):
     """The rate is right within 2 %, in the corrected form; the range within a tick."""
     transient = rendered(tracer, scene_file(tmp_path / "wall.xml", wall(distance_m)))
     budget = link_budget(float(distance_m), 0.4, 0, form="corrected")
-    assert photons_in(transient.light(0)) == pytest.approx(np.full(64, budget.signal_per_pulse), rel=0.02)
+    assert photons_in(transient.light(0)) == pytest.approx(
+        np.full(64, budget.signal_per_pulse), rel=0.02
+    )
     across = (np.arange(8 * 64) + 0.5) / 256 - 1  # of the field of view, 64 points per pixel
     square = (across * math.tan(math.pi / 8)) ** 2
-    from_geometry_m = distance_m * np.sqrt(1 + square[:, None] + square).reshape(8, 64, 8, 64).mean(axis=(1, 3))
-    weighed = np.add.reduceat(transient.strength_per_m2 * (transient.index + 0.5), transient.first[:-1])
+    from_geometry_m = distance_m * np.sqrt(1 + square[:, None] + square).reshape(8, 64, 8, 64).mean(
+        axis=(1, 3)
+    )
+    weighed = np.add.reduceat(
+        transient.strength_per_m2 * (transient.index + 0.5), transient.first[:-1]
+    )
     mean_m = weighed / transient.total_per_m2.ravel() * BIN_M
     assert np.abs(mean_m - from_geometry_m.ravel()).max() < TICK_M
     assert np.abs(transient.surface_m - from_geometry_m).max() < TICK_M
@@ -267,7 +332,9 @@ def test_flat_wall_is_the_link_budget(tracer, tmp_path, distance_m):
 
 @pytest.mark.needs("raytrace")
 def test_the_renderer_agrees_with_mitsubas_own(tracer):
-    """Compare all light of a corner and of the five objects with the path integrator and a projector; one common constant."""
+    """Compare all light of a corner and of the five objects with the path integrator and a
+    projector; one common constant.
+    """
     import mitsuba as mi
 
     ratios = []
@@ -281,17 +348,24 @@ def test_the_renderer_agrees_with_mitsubas_own(tracer):
             "camera": {"type": "perspective", "fov": 45.0, "film": film},
         }
         steady = np.array(
-            mi.render(mi.load_dict(same), integrator=mi.load_dict({"type": "path", "max_depth": 24}), spp=4096)
+            mi.render(
+                mi.load_dict(same),
+                integrator=mi.load_dict({"type": "path", "max_depth": 24}),
+                spp=4096,
+            )
         )[:, :, 0]
         ratios.append(rendered(tracer, ray_scene.SCENES / f"{name}.xml").total_per_m2 / steady)
-    assert np.allclose(ratios, 1 / math.pi, rtol=0.06)  # pixels; Mitsuba's projector gives pi times the irradiance
+    # pixels; Mitsuba's projector gives pi times the irradiance
+    assert np.allclose(ratios, 1 / math.pi, rtol=0.06)
     assert np.mean(ratios, axis=(1, 2)) == pytest.approx([1 / math.pi] * 2, rel=0.005)
 
 
 @pytest.mark.parametrize(("target", "ball_at"), [("1,2,8", (2, 3, 8)), ("4,2,7", (4.8, 3, 6.4))])
 @pytest.mark.needs("raytrace")
 def test_users_camera(tracer, tmp_path, target, ball_at):
-    """The camera's position and direction are used, its film is not; left is left and top is top in the picture."""
+    """The camera's position and direction are used, its film is not; left is left and top is top in
+    the picture.
+    """
     ball = (
         '<shape type="sphere"><bsdf type="diffuse"/><float name="radius" value="0.5"/>'
         '<transform name="to_world"><translate x="1" y="1" z="5"/></transform></shape>'
@@ -307,23 +381,34 @@ def test_users_camera(tracer, tmp_path, target, ball_at):
     )
     moved = ball.replace('x="1" y="1" z="5"', 'x="{}" y="{}" z="{}"'.format(*ball_at))
     elsewhere = rendered(
-        tracer, scene_file(tmp_path / "b.xml", moved + '<integrator type="path"/><emitter type="constant"/>', camera)
+        tracer,
+        scene_file(
+            tmp_path / "b.xml",
+            moved + '<integrator type="path"/><emitter type="constant"/>',
+            camera,
+        ),
     )
     assert elsewhere.surface_m == pytest.approx(straight.surface_m, rel=1e-5, nan_ok=True)
 
 
 @pytest.mark.needs("raytrace")
 def test_files_beside_a_scene(tracer, tmp_path, monkeypatch):
-    """Meshes and included files come from the scene's own folder, and belong to the key of a cached rendering."""
+    """Meshes and included files come from the scene's own folder, and belong to the key of a cached
+    rendering.
+    """
     monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
     truth_m = []
     for folder, z in (("a", 4), ("b", 6), ("b", 8)):
         (tmp_path / folder).mkdir(exist_ok=True)
         path = scene_file(tmp_path / folder / "s.xml", '<include filename="mesh.xml"/>')
         scene_file(
-            path.parent / "mesh.xml", '<shape type="obj"><string name="filename" value="m.obj"/></shape>', camera=""
+            path.parent / "mesh.xml",
+            '<shape type="obj"><string name="filename" value="m.obj"/></shape>',
+            camera="",
         )
-        (path.parent / "m.obj").write_text(f"v -20 -20 {z}\nv 20 -20 {z}\nv 0 20 {z}\nf 1 3 2\n", encoding="utf-8")
+        (path.parent / "m.obj").write_text(
+            f"v -20 -20 {z}\nv 20 -20 {z}\nv 0 20 {z}\nf 1 3 2\n", encoding="utf-8"
+        )
         truth_m.append(np.nanmin(load_scene(str(path), 4, 4).truth_m))
     assert truth_m == pytest.approx([4 * 1.011, 6 * 1.011, 8 * 1.011], rel=0.01)
 
@@ -350,30 +435,39 @@ def test_threads_do_not_change_a_bit(tracer):
 
 @pytest.mark.needs("raytrace")
 def test_depth_of_single_returns_is_the_geometrys(tracer):
-    """For the five objects, depth is right within a tick wherever a pixel and its neighbours see one surface."""
+    """For the five objects, depth is right within a tick wherever a pixel and its neighbours see
+    one surface.
+    """
     transient = rendered(tracer, ray_scene.SCENES / "five-objects.xml", 32, 32, stop_s=0.5e-6)
     depth_m, surface_m = transient.depth_m(), transient.surface_m
     single = ndimage.maximum_filter(surface_m, 3) - ndimage.minimum_filter(surface_m, 3) < 0.2
     for pixel in np.flatnonzero(single):
         bins = slice(*transient.first[pixel : pixel + 2])
         near = np.abs((transient.index[bins] + 0.5) * BIN_M - depth_m.flat[pixel]) < 0.1
-        single.flat[pixel] = transient.strength_per_m2[bins][near].sum() > 0.9 * transient.total_per_m2.flat[pixel]
+        single.flat[pixel] = (
+            transient.strength_per_m2[bins][near].sum() > 0.9 * transient.total_per_m2.flat[pixel]
+        )
     assert single.sum() > 300
     assert np.abs(depth_m - surface_m)[single].max() < TICK_M
 
 
 @pytest.mark.needs("raytrace")
 def test_pane_and_fog_take_their_share(tracer, tmp_path):
-    """A pane transmits by Fresnel's law, there and back; fog takes exp(-2 sigma d) of the wall's light, and glows in the sun."""
+    """A pane transmits by Fresnel's law, there and back; fog takes exp(-2 sigma d) of the wall's
+    light, and glows in the sun.
+    """
     clear = rendered(tracer, scene_file(tmp_path / "clear.xml", wall(10)))
     pane = (
         '<shape type="rectangle"><bsdf type="thindielectric"/><transform name="to_world"><scale value="9"/><translate z="3"/>'
         "</transform></shape>"
     )
     behind = rendered(tracer, scene_file(tmp_path / "pane.xml", wall(10) + pane))
-    once = (1.000277 - 1.5046) ** 2 / (1.000277 + 1.5046) ** 2  # Mitsuba's air and BK7, at normal incidence
+    # Mitsuba's air and BK7, at normal incidence
+    once = (1.000277 - 1.5046) ** 2 / (1.000277 + 1.5046) ** 2
     passes = (1 - once) / (1 + once)
-    assert (behind.total_per_m2 / clear.total_per_m2)[3:5, 3:5] == pytest.approx(np.full((2, 2), passes**2), rel=0.03)
+    assert (behind.total_per_m2 / clear.total_per_m2)[3:5, 3:5] == pytest.approx(
+        np.full((2, 2), passes**2), rel=0.03
+    )
     fog = (
         '<medium type="homogeneous" id="fog"><float name="sigma_t" value="0.1"/><float name="albedo" value="0"/></medium>'
         '<shape type="cube"><bsdf type="null"/><ref name="interior" id="fog"/><transform name="to_world">'
@@ -382,7 +476,9 @@ def test_pane_and_fog_take_their_share(tracer, tmp_path):
     foggy = rendered(tracer, scene_file(tmp_path / "fog.xml", wall(10) + fog))
     across = ((np.arange(8) + 0.5) / 4 - 1) * math.tan(math.pi / 8)
     ways_m = 6 * np.sqrt(1 + across[:, None] ** 2 + across**2)  # through the cube
-    assert np.mean(foggy.total_per_m2 / clear.total_per_m2 / np.exp(-0.2 * ways_m)) == pytest.approx(1, rel=0.015)
+    assert np.mean(
+        foggy.total_per_m2 / clear.total_per_m2 / np.exp(-0.2 * ways_m)
+    ) == pytest.approx(1, rel=0.015)
     assert foggy.ambient == pytest.approx(1 + (0.4 - 1) * np.exp(-0.1 * ways_m), rel=0.01)
 
 
@@ -391,7 +487,10 @@ def test_pane_and_fog_take_their_share(tracer, tmp_path):
     [
         ('<shape type="nosuch"/>', 'Plugin "nosuch" not found'),
         ('<shape type="ply"><string name="filename" value="none.ply"/></shape>', "none.ply"),
-        ('<shape type="sphere"><float name="radius" value="wide"/></shape>', "could not parse floating point value"),
+        (
+            '<shape type="sphere"><float name="radius" value="wide"/></shape>',
+            "could not parse floating point value",
+        ),
         ("<shape", "is not a scene that Mitsuba reads"),
         (
             '<medium type="heterogeneous" id="m"><volume name="sigma_t" type="constvolume"><float name="value" value="1"/></volume></medium>'
@@ -425,6 +524,8 @@ def test_a_scene_runs_from_photon_to_depth(tracer, tmp_path, monkeypatch):
     )
     assert told.exit_code == 0, told.output
     config = load_config(tmp_path / "small.toml").with_pulses(200)
-    depth_m = estimate_depth(dict(np.load(tmp_path / "out" / "events.npz")), config, frame=1).depth_m[:, :, 0]
+    depth_m = estimate_depth(
+        dict(np.load(tmp_path / "out" / "events.npz")), config, frame=1
+    ).depth_m[:, :, 0]
     assert depth_m[7:9, 7:9] == pytest.approx(np.full((2, 2), 4.01), abs=0.05)
     assert np.median(np.abs(depth_m - load_scene(str(path), 16, 16).truth_m)) < 0.15

@@ -34,12 +34,21 @@ def test_five_objects_has_the_papers_ranges():
     for label in range(1, 6):
         assert len(np.unique(scene.truth_m[scene.labels == label])) == 1
     subgroups = scene.labels.reshape(4, 8, 4, 8).swapaxes(1, 2).reshape(16, 64)
-    assert sum(len(np.unique(labels)) > 1 for labels in subgroups) >= 8  # edges are visible to the sensor
+    # edges are visible to the sensor
+    assert sum(len(np.unique(labels)) > 1 for labels in subgroups) >= 8
 
 
 @pytest.mark.parametrize("size", [(8, 8), (16, 16), (32, 16), (64, 64)])
 def test_built_in_scenes_at_any_size(size):
-    for name in ("five-objects", "letter-f", "flat", "two-targets", "two-returns:4,6", "sun-and-shade", "tunnel"):
+    for name in (
+        "five-objects",
+        "letter-f",
+        "flat",
+        "two-targets",
+        "two-returns:4,6",
+        "sun-and-shade",
+        "tunnel",
+    ):
         scene = load_scene(name, *size)
         assert scene.truth_m.shape == scene.valid.shape == scene.labels.shape == size
         assert scene.valid.all()
@@ -68,8 +77,12 @@ def test_sun_and_shade_has_dark_and_bright_things_on_both_sides():
 def test_tunnel_is_symmetric_and_bright_at_its_end():
     scene = load_scene("tunnel", 32, 32)
     assert np.array_equal(scene.truth_m[:8], scene.truth_m[:8, ::-1])
-    assert np.all(np.diff(scene.truth_m[0, :16]) <= 0) or np.all(np.diff(scene.truth_m[16, 26:]) < 0)
-    assert scene.truth_m[scene.sunlit == 1].min() >= 14 and scene.truth_m[scene.sunlit < 1].max() < 14
+    assert np.all(np.diff(scene.truth_m[0, :16]) <= 0) or np.all(
+        np.diff(scene.truth_m[16, 26:]) < 0
+    )
+    assert (
+        scene.truth_m[scene.sunlit == 1].min() >= 14 and scene.truth_m[scene.sunlit < 1].max() < 14
+    )
 
 
 def test_parameters_in_the_name():
@@ -78,9 +91,15 @@ def test_parameters_in_the_name():
     stripes = load_scene("two-targets:5,9", 8, 8).truth_m
     assert np.all(stripes[:, :4] == 5) and np.all(stripes[:, 4:] == 9)
     mesh = load_scene("two-returns:5,9,0.4", 8, 8)
-    assert mesh.distance_m.shape == (8, 8, 2) and np.all(mesh.truth_m == 5) and np.all(mesh.reflectivity == 0.2)
+    assert (
+        mesh.distance_m.shape == (8, 8, 2)
+        and np.all(mesh.truth_m == 5)
+        and np.all(mesh.reflectivity == 0.2)
+    )
     four = load_scene("returns:4,4.15@0.3,4.3,4.45", 8, 8)
-    assert four.distance_m.shape == (8, 8, 4) and np.array_equal(four.distance_m[7, 7], [4, 4.15, 4.3, 4.45])
+    assert four.distance_m.shape == (8, 8, 4) and np.array_equal(
+        four.distance_m[7, 7], [4, 4.15, 4.3, 4.45]
+    )
     assert np.array_equal(four.reflectivity[0, 0], [0.1, 0.3, 0.1, 0.1])
 
 
@@ -107,11 +126,15 @@ def test_bad_names(name, words):
 
 @settings(max_examples=60, deadline=None)
 @given(
-    samples=hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.floats(1, 20)),
+    samples=hnp.arrays(
+        np.float64, hnp.array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.floats(1, 20)
+    ),
     rows=st.integers(1, 9),
     cols=st.integers(1, 9),
 )
-def test_resampling_takes_the_nearest_sample_and_never_averages(tmp_path_factory, samples, rows, cols):
+def test_resampling_takes_the_nearest_sample_and_never_averages(
+    tmp_path_factory, samples, rows, cols
+):
     path = npy(tmp_path_factory.mktemp("scene") / "depth.npy", samples)
     truth_m = depth_scene(path, rows, cols).truth_m
     assert truth_m.shape == (rows, cols)
@@ -122,10 +145,14 @@ def test_resampling_takes_the_nearest_sample_and_never_averages(tmp_path_factory
 
 
 def test_scaled_distances_and_too_much_signal(tmp_path):
-    """A wall at 1 m sends ten times the signal that the sensor is made for; at 3 m about the right one."""
+    """A wall at 1 m sends ten times the signal that the sensor is made for; at 3 m about the right
+    one.
+    """
     np.save(tmp_path / "wall.npy", np.full((4, 4), 1.0))
     near, far = (load_scene(str(tmp_path / "wall.npy"), 4, 4, scale=scale) for scale in (1.0, 3.0))
-    assert np.array_equal(far.distance_m, 3 * near.distance_m) and any("times 3" in note for note in far.notes)
+    assert np.array_equal(far.distance_m, 3 * near.distance_m) and any(
+        "times 3" in note for note in far.notes
+    )
     assert "SCALE=4" in "".join(scene_light(near, 50).notes()) and not scene_light(far, 50).notes()
     for source in ("flat:5", "ray:corner"):
         with pytest.raises(InputError, match="depth files only"):
@@ -155,9 +182,13 @@ def test_reflectivity_is_the_luminance_of_the_part_that_is_kept(tmp_path):
     colours = np.zeros((3, 9, 3), np.uint8)
     colours[:, 3:6] = 255 * np.eye(3)  # red, green, blue
     Image.fromarray(colours).save(tmp_path / "colour.png")
-    scene = load_scene(png(tmp_path / "depth.png", np.full((3, 9), 2000)), 3, 3, colour=tmp_path / "colour.png")
+    scene = load_scene(
+        png(tmp_path / "depth.png", np.full((3, 9), 2000)), 3, 3, colour=tmp_path / "colour.png"
+    )
     luminance = [0.2126, 0.7152, 0.0722]  # of the primaries of sRGB (ITU-R BT.709)
-    assert np.allclose(scene.reflectivity[:, :, 0], DARKEST + (BRIGHTEST - DARKEST) * np.array(luminance))
+    assert np.allclose(
+        scene.reflectivity[:, :, 0], DARKEST + (BRIGHTEST - DARKEST) * np.array(luminance)
+    )
 
 
 def test_invalid_samples_become_a_mask_and_a_note(tmp_path):
@@ -166,7 +197,8 @@ def test_invalid_samples_become_a_mask_and_a_note(tmp_path):
     scene = depth_scene(npy(tmp_path / "holes.npy", depth_m), 8, 8)
     assert np.array_equal(np.argwhere(~scene.valid), [[0, 0], [0, 1], [1, 0], [1, 1]])
     assert all(
-        any(word in note for note in scene.notes) for word in ("negative", "beyond", "no depth", "4 of 64 pixels")
+        any(word in note for note in scene.notes)
+        for word in ("negative", "beyond", "no depth", "4 of 64 pixels")
     )
     assert depth_scene(npy(tmp_path / "holes.npy", depth_m), 4, 4).valid.sum() == 15
 
@@ -220,7 +252,9 @@ def test_files_that_are_no_depth(tmp_path):
 
 
 def pfm(path, samples):
-    path.write_bytes(b"Pf\n%d %d\n-1.0\n" % samples.shape[::-1] + samples[::-1].astype("<f4").tobytes())
+    path.write_bytes(
+        b"Pf\n%d %d\n-1.0\n" % samples.shape[::-1] + samples[::-1].astype("<f4").tobytes()
+    )
     return path
 
 
@@ -228,7 +262,9 @@ def exr(path, **channels):
     import OpenEXR
 
     header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {name.replace("_", "."): samples for name, samples in channels.items()}).write(str(path))
+    OpenEXR.File(
+        header, {name.replace("_", "."): samples for name, samples in channels.items()}
+    ).write(str(path))
     return path
 
 
@@ -245,13 +281,21 @@ RAMP_M = np.linspace(1, 4, 64).reshape(8, 8).round(2)
         (lambda at: png(at / "d.png", np.round(RAMP_M * 1000).astype(np.uint16)), None),
         (lambda at: png(at / "d.png", np.round(RAMP_M * 5000).astype(np.uint16)), "tum"),
         (lambda at: png(at / "d.png", np.round(RAMP_M * 5000).astype(np.uint16)), "1/5000"),
-        (lambda at: png(at / "d.png", rotated(np.round(RAMP_M * 1000).astype(np.uint16))), "sun-rgbd"),
+        (
+            lambda at: png(at / "d.png", rotated(np.round(RAMP_M * 1000).astype(np.uint16))),
+            "sun-rgbd",
+        ),
         (lambda at: npy(at / "d.npy", RAMP_M), None),
         (lambda at: npy(at / "d.npy", np.round(RAMP_M * 1000).astype(int)), None),
         (lambda at: npy(at / "d.npy", RAMP_M * 100), "cm"),
         (lambda at: pfm(at / "d.pfm", RAMP_M), None),
         (lambda at: pfm(at / "d.pfm", 800 * 0.2 / RAMP_M - 3), "disparity:800,0.2,3"),
-        (lambda at: exr(at / "d.exr", Z=RAMP_M.astype(np.float32), R=np.zeros((8, 8), np.float32)), None),
+        (
+            lambda at: exr(
+                at / "d.exr", Z=RAMP_M.astype(np.float32), R=np.zeros((8, 8), np.float32)
+            ),
+            None,
+        ),
         (lambda at: exr(at / "d.exr", View_Depth_Z=RAMP_M.astype(np.float16)), None),
     ],
 )
@@ -275,7 +319,10 @@ def test_middleburys_calibration_lies_beside_the_file(tmp_path):
 @pytest.mark.parametrize(
     ("samples", "words"),
     [
-        (np.full((8, 8), 10_000, np.uint16) + 5 * np.arange(8, dtype=np.uint16), "with the unit tum it is 2 m"),
+        (
+            np.full((8, 8), 10_000, np.uint16) + 5 * np.arange(8, dtype=np.uint16),
+            "with the unit tum it is 2 m",
+        ),
         (rotated(np.full((8, 8), 1501, np.uint16)), "with the unit sun-rgbd it is 1.5 m"),
         (np.full((8, 8), 3500.0), "with the unit mm it is 3.5 m"),
     ],
@@ -289,7 +336,9 @@ def test_the_unit_that_would_fit(tmp_path, samples, words):
 
 
 def test_distances_as_an_array():
-    read = load_scene(np.arange(2, 6).reshape(2, 2), 4, 4, reflectivity=np.array([[0.1, 0.2], [0.3, 0.4]]))
+    read = load_scene(
+        np.arange(2, 6).reshape(2, 2), 4, 4, reflectivity=np.array([[0.1, 0.2], [0.3, 0.4]])
+    )
     assert read.truth_m[0, 0] == 2 and read.truth_m[3, 3] == 5
     assert read.reflectivity[0, 0] == 0.1 and read.reflectivity[3, 3] == 0.4
 

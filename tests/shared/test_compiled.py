@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled code is renewed when a file that it depends on changes, is kept otherwise, and does not require a folder."""
+"""Compiled code is renewed when a file that it depends on changes, is kept otherwise, and does not
+require a folder.
+"""
 
 import subprocess
 import sys
@@ -11,8 +13,8 @@ from coincid.model.shared.compiled import part
 
 from ..planted import copy_of_sources
 
-# A kernel outside the package that uses the contract's arithmetic: with windows of one cycle, the second photon opens the second
-# window.
+# A kernel outside the package that uses the contract's arithmetic: with windows of one cycle, the
+# second photon opens the second window.
 PROGRAM = """
 import numba, numpy as np
 from docs.studies import other_schemes
@@ -26,14 +28,24 @@ REARM = "close + 1 + rearm_cycles"
 
 @pytest.fixture
 def run(tmp_path):
-    """Run `PROGRAM` on a copy of the sources; return its output: stamps of windows, and whether compiled code was found."""
+    """Run `PROGRAM` on a copy of the sources; return its output: stamps of windows, and whether
+    compiled code was found.
+    """
     everything = copy_of_sources(tmp_path)
-    environment = {name: value for name, value in everything.items() if not name.startswith("NUMBA_")}
+    environment = {
+        name: value for name, value in everything.items() if not name.startswith("NUMBA_")
+    }
 
     def run(**variables):
         command, settings = [sys.executable, "-c", PROGRAM], environment | variables
         done = subprocess.run(
-            command, cwd=tmp_path, env=settings, capture_output=True, text=True, check=False, encoding="utf-8"
+            command,
+            cwd=tmp_path,
+            env=settings,
+            capture_output=True,
+            text=True,
+            check=False,
+            encoding="utf-8",
         )
         return done.stdout.strip() or done.stderr
 
@@ -73,5 +85,7 @@ def test_a_part_is_compiled_once_for_all_constants():
 
 
 def test_a_part_cannot_be_called_from_python():
-    with pytest.raises(TypeError, match="^_add is a part of kernels, and cannot be called from Python$"):
+    with pytest.raises(
+        TypeError, match="^_add is a part of kernels, and cannot be called from Python$"
+    ):
         _add(1, 2)

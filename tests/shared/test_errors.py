@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors that users read carry the field and its legal range, so that no reader has to take their message apart."""
+"""Errors that users read carry the field and its legal range, so that no reader has to take their
+message apart.
+"""
 
 import pickle
 
@@ -36,7 +38,9 @@ def test_an_error_of_the_configuration_has_its_field_and_range(document, field, 
 
 
 def test_a_change_is_blamed_for_an_error_in_another_field():
-    with pytest.raises(InputError, match=r"^sensor\.coarse_bits: does not go with .*\(frame\.period = 63") as raised:
+    with pytest.raises(
+        InputError, match=r"^sensor\.coarse_bits: does not go with .*\(frame\.period = 63"
+    ) as raised:
         load_config("fpga", {"coarse_bits": 5})
     assert raised.value.field == "sensor.coarse_bits"
     with pytest.raises(InputError, match=r"^frame\.period = 1: must be an integer from") as raised:

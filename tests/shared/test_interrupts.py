@@ -15,7 +15,14 @@ def test_programs_of_a_thread_end_with_the_block(tmp_path):
 
     def two():
         for _ in range(2):
-            codes.append(execute(["sh", "-c", f"touch {began}; sleep 1000"], tmp_path, tmp_path / "log", os.environ))
+            codes.append(
+                execute(
+                    ["sh", "-c", f"touch {began}; sleep 1000"],
+                    tmp_path,
+                    tmp_path / "log",
+                    os.environ,
+                )
+            )
 
     with pytest.raises(KeyboardInterrupt), in_background(two):
         while not began.exists():

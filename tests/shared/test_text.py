@@ -19,7 +19,9 @@ ASCII_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
 def test_every_text_file_and_pipe_names_its_encoding():
     found = []
-    sources = [path for path in ROOT.rglob("*.py") if not OUTSIDE & set(path.relative_to(ROOT).parts)]
+    sources = [
+        path for path in ROOT.rglob("*.py") if not OUTSIDE & set(path.relative_to(ROOT).parts)
+    ]
     assert len(sources) > 300
     for path in sources:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -46,15 +48,23 @@ def _is_binary(call: ast.Call) -> bool:
     """Return whether one of the arguments is a mode such as "rb"."""
     given = [*call.args, *(keyword.value for keyword in call.keywords)]
     modes = [argument.value for argument in given if isinstance(argument, ast.Constant)]
-    return any(isinstance(mode, str) and "b" in mode and set(mode) <= set("rwxab+") for mode in modes)
+    return any(
+        isinstance(mode, str) and "b" in mode and set(mode) <= set("rwxab+") for mode in modes
+    )
 
 
 def test_a_run_under_a_locale_of_ascii(tmp_path):
-    """`report.html` has characters that ASCII lacks; it is the same page, and the lines of the console can be printed."""
-    (tmp_path / "small.toml").write_text("# \N{MICRO SIGN}\n[sensor]\nrows = 8\ncols = 8\n", encoding="utf-8")
+    """`report.html` has characters that ASCII lacks; it is the same page, and the lines of the
+    console can be printed.
+    """
+    (tmp_path / "small.toml").write_text(
+        "# \N{MICRO SIGN}\n[sensor]\nrows = 8\ncols = 8\n", encoding="utf-8"
+    )
     options = "sim --engine golden --scene flat:5,0.4 --pulses 4 --config small.toml --out out"
     command = [sys.executable, "-m", "coincid", *options.split()]
-    done = subprocess.run(command, cwd=tmp_path, env=os.environ | ASCII_LOCALE, capture_output=True, check=False)
+    done = subprocess.run(
+        command, cwd=tmp_path, env=os.environ | ASCII_LOCALE, capture_output=True, check=False
+    )
     assert done.returncode == 0, done.stderr.decode()
     page = (tmp_path / "out" / PAGE).read_text(encoding="utf-8")
     assert '<meta charset="utf-8">' in page

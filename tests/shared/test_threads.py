@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Threads` return what a function returns for each item, in the items' order, and end with the first error."""
+"""`Threads` return what a function returns for each item, in the items' order, and end with the
+first error.
+"""
 
 import threading
 
@@ -13,13 +15,17 @@ from coincid.model.shared.threads import Threads
 def test_results_are_in_the_order_of_the_items(number, items):
     with Threads(number) as threads:
         for _ in range(3):  # the same threads again
-            assert threads.map(lambda item: item * item, range(items)) == [item * item for item in range(items)]
+            assert threads.map(lambda item: item * item, range(items)) == [
+                item * item for item in range(items)
+            ]
 
 
 def test_items_are_shared_by_as_many_threads_as_wanted():
     together = threading.Barrier(3, timeout=60)
     with Threads(3) as threads:
-        names = threads.map(lambda _: (together.wait(), threading.current_thread().name)[1], range(3))
+        names = threads.map(
+            lambda _: (together.wait(), threading.current_thread().name)[1], range(3)
+        )
     assert len(set(names)) == 3 and threading.current_thread().name in names
 
 

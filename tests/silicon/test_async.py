@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The asynchronous view: equal to golden model and polyphase view at tick centres, elsewhere within a tick, no wrong words."""
+"""The asynchronous view: equal to golden model and polyphase view at tick centres, elsewhere within
+a tick, no wrong words.
+"""
 
 import re
 
@@ -27,7 +29,15 @@ from ..random_cases import SENSORS, SMALL, configured, trouble
 from ..tb.test_cosim import assert_all_checked, frames
 
 TINIEST = dict(
-    rows=4, cols=4, subgroup=[4, 4], phases=4, window_max=20, fifo_depth=1, offsets=0, records=0, controller=0
+    rows=4,
+    cols=4,
+    subgroup=[4, 4],
+    phases=4,
+    window_max=20,
+    fifo_depth=1,
+    offsets=0,
+    records=0,
+    controller=0,
 )
 LONG = "fine", "odd", "wide"  # sensors that take long to compile, or to simulate
 FULL = {"format": "full", "minigroup_records": True, "mg_threshold": 1}
@@ -35,11 +45,15 @@ FULL = {"format": "full", "minigroup_records": True, "mg_threshold": 1}
 
 def config(window=12, pulses=8, **subgroup):
     return configured(
-        SENSORS["one"], {"period": 40, "pulses": pulses} | FULL, {"window": window, "threshold": 1} | subgroup
+        SENSORS["one"],
+        {"period": 40, "pulses": pulses} | FULL,
+        {"window": window, "threshold": 1} | subgroup,
     )
 
 
-@pytest.mark.parametrize("sensor", ["tiny", *(pytest.param(name, marks=pytest.mark.long) for name in LONG)])
+@pytest.mark.parametrize(
+    "sensor", ["tiny", *(pytest.param(name, marks=pytest.mark.long) for name in LONG)]
+)
 def test_random_frames_at_tick_centres(sensor, tmp_path):
     jobs = frames(SENSORS[sensor], 6)
     records, _ = play(jobs, "icarus", tmp_path, view=Asynchronous())
@@ -55,10 +69,11 @@ def bursts(settings, seed, ticks):
 
 
 def assert_within_a_tick(settings, edges, golden, found):
-    """Check that stamps differ by at most a tick, that only pixels within a tick of a window's end may be in or out of it,
-    and that the winner came within a tick of t0.
+    """Check that stamps differ by at most a tick, that only pixels within a tick of a window's end
+    may be in or out of it, and that the winner came within a tick of t0.
 
-    This holds for a period's first window: an edge that is in one and out of the other may open the next.
+    This holds for a period's first window: an edge that is in one and out of the other may open the
+    next.
     """
 
     def first_windows(result):
@@ -71,11 +86,15 @@ def assert_within_a_tick(settings, edges, golden, found):
     inside = pixel_table(settings.sensor).inside
     for e in range(len(golden["pulse"])):
         of_period = edges.pulse == golden["pulse"][e]
-        last_to_first = sorted(zip(edges.tick[of_period], edges.pixel[of_period], strict=True), reverse=True)
+        last_to_first = sorted(
+            zip(edges.tick[of_period], edges.pixel[of_period], strict=True), reverse=True
+        )
         first = {int(inside[pixel]): tick for tick, pixel in last_to_first}
         end = golden["stamp"][e] + settings.window[0]
         for pixel, tick in first.items():
-            same = not (golden["hits"][e, 0] ^ found["hits"][e, 0]) >> np.uint64(pixel) & np.uint64(1)
+            same = not (golden["hits"][e, 0] ^ found["hits"][e, 0]) >> np.uint64(pixel) & np.uint64(
+                1
+            )
             assert same or end - 1 <= tick <= end, (pixel, tick, end)
         assert found["count"][e] == bin(found["hits"][e, 0]).count("1")
         assert found["hits"][e, 0] >> np.uint64(found["winner"][e]) & np.uint64(1)
@@ -87,7 +106,9 @@ def assert_within_a_tick(settings, edges, golden, found):
     (
         Circuit(),
         pytest.param(Circuit(delay_line=True), marks=pytest.mark.long),
-        pytest.param(Circuit(mismatch_fs=tuple((-12000, 9000, 14000, -5000) * 8)), marks=pytest.mark.long),
+        pytest.param(
+            Circuit(mismatch_fs=tuple((-12000, 9000, 14000, -5000) * 8)), marks=pytest.mark.long
+        ),
         Circuit(pixel_skew_fs=tuple(range(0, 64 * 300, 300))),
     ),
     ids=("nominal", "delay line", "taps", "skew"),
@@ -96,15 +117,21 @@ def test_edges_anywhere_in_their_ticks(circuit):
     settings = config(window=20, pulses=20)
     edges = off_centre(settings, bursts(settings, 3, 40), 4)
     golden = replay("golden", settings, edges)
-    assert_within_a_tick(settings, edges, golden, replay("icarus", settings, edges, view=Asynchronous(circuit)))
+    assert_within_a_tick(
+        settings, edges, golden, replay("icarus", settings, edges, view=Asynchronous(circuit))
+    )
 
 
 def test_nominal_circuits_keep_the_ticks_of_dense_edges():
-    """With exact borders, only the winner may differ, because the arbiter knows who came first in a tick."""
+    """With exact borders, only the winner may differ, because the arbiter knows who came first in a
+    tick.
+    """
     settings = config()
     edges = off_centre(settings, trouble(settings, 5, 20.0), 6)
     found = replay("icarus", settings, edges, view=Asynchronous())
-    assert {line.split("[")[0] for line in differences(replay("golden", settings, edges), found)} <= {"winner"}
+    assert {
+        line.split("[")[0] for line in differences(replay("golden", settings, edges), found)
+    } <= {"winner"}
 
 
 @pytest.mark.long
@@ -112,7 +139,9 @@ def test_verilator_agrees():
     # Delays take long to compile.
     settings = configured(TINIEST, {"period": 40, "pulses": 3}, {"window": 12, "threshold": 1})
     edges = trouble(settings, 7, 20.0)
-    assert not differences(replay("golden", settings, edges), replay("verilator", settings, edges, view=Asynchronous()))
+    assert not differences(
+        replay("golden", settings, edges), replay("verilator", settings, edges, view=Asynchronous())
+    )
 
 
 def test_resets_in_the_middle_of_frames(tmp_path):
@@ -135,20 +164,40 @@ def test_no_edge_pattern_makes_a_wrong_word_or_locks_up(rearm):
     """Short form of `python -m coincid.tb.stress 10000000`."""
     found = stress(60_000, seed=rearm + 1, sensor=Sensor(rows=8, cols=8, rearm=rearm))
     assert found["wrong"] == found["locked"] == 0
-    assert found["edges"] >= 60_000 and found["windows"] > 50 and found["records"] > 0 and found["resets"] > 0
+    assert (
+        found["edges"] >= 60_000
+        and found["windows"] > 50
+        and found["records"] > 0
+        and found["resets"] > 0
+    )
 
 
 def test_domains_are_those_meant(tmp_path):
-    """Every flop has an intended clock or event; there is no latch; clears only reach hit and opening flops."""
+    """Every flop has an intended clock or event; there is no latch; clears only reach hit and
+    opening flops.
+    """
     sensor = Sensor(rows=4, cols=4, subgroup=(4, 4))
     _, module = netlist(sensor, Circuit(), tmp_path)
     assert not latches(module)
     found = {(d.clock.split(".")[-1], d.falling): d for d in domains(module)}
-    assert {clock for clock, _ in found} == {"clk", "mark", "ended_*", "root", "event_*", "phases[*]", "words_*[*]"}
+    assert {clock for clock, _ in found} == {
+        "clk",
+        "mark",
+        "ended_*",
+        "root",
+        "event_*",
+        "phases[*]",
+        "words_*[*]",
+    }
     assert sum(d.flops for d in domains(module) if d.clock == "words_*[*]") == 2 * 16
     assert {d.reset.split(".")[-1] for d in domains(module)} == {"", "clear_*", "clear_window_*"}
     assert not any(d.reset for d in domains(module) if d.clock == "clk")
     for name in re.findall(
-        r"\*(generator|window_|or_tree_|delay_event_|sample_picture_)", async_constraints(sensor, Circuit())
+        r"\*(generator|window_|or_tree_|delay_event_|sample_picture_)",
+        async_constraints(sensor, Circuit()),
     ):
-        assert any(name in cell or name in net for cell in module["cells"] for net in (cell, *module["netnames"])), name
+        assert any(
+            name in cell or name in net
+            for cell in module["cells"]
+            for net in (cell, *module["netnames"])
+        ), name

@@ -27,9 +27,13 @@ def test_tables_keep_their_function(tmp_path, inputs):
         for bits in functions
     }
     (tmp_path / "netlist.json").write_text(
-        json.dumps({"modules": {"top": {"ports": {}, "netnames": {}, "cells": cells}}}), encoding="utf-8"
+        json.dumps({"modules": {"top": {"ports": {}, "netnames": {}, "cells": cells}}}),
+        encoding="utf-8",
     )
-    tables = {table.outputs[0] - 100: table for table in read_netlist(tmp_path / "netlist.json")["top"].tables}
+    tables = {
+        table.outputs[0] - 100: table
+        for table in read_netlist(tmp_path / "netlist.json")["top"].tables
+    }
     for bits, free in product(functions, product((0, 1), repeat=3)):
         values = dict(zip((0, 1, 2, 3, 4), (0, 1, *free), strict=True))
         row = sum(values[int(net)] << i for i, net in enumerate(inputs))

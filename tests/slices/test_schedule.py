@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Any netlist, updated in place in the order of its schedule, takes the step that all registers take at once."""
+"""Any netlist, updated in place in the order of its schedule, takes the step that all registers
+take at once.
+"""
 
 import random
 
@@ -9,14 +11,25 @@ from hypothesis import strategies as st
 
 from coincid.slices import schedule
 from coincid.slices.netlist import ONE, ZERO, Block, Flop, Table
-from coincid.slices.schedule import Copy, Evaluate, Guard, Lit, Op, Schedule, Write, with_lit
+from coincid.slices.schedule import (
+    Copy,
+    DarkTables,
+    Evaluate,
+    Guard,
+    Op,
+    Schedule,
+    Write,
+    with_dark_tables,
+)
 
 INPUTS, FLOPS, TABLES = 8, 40, 60
-SPARSE = 4  # inputs that are mostly dark
+DARK = 4  # inputs that are mostly dark
 
 
 def random_block(rng: random.Random) -> Block:
-    """Return a block whose flip-flops share few enables and resets, which may be registers of the same group."""
+    """Return a block whose flip-flops share few enables and resets, which may be registers of the
+    same group.
+    """
     inputs = tuple(range(2, 2 + INPUTS))
     outputs = list(range(100, 100 + FLOPS))
     nets, tables = [*inputs, *outputs], []
@@ -45,11 +58,16 @@ def step(block: Block, now: dict[int, int]) -> dict[int, int]:
     known = now | {ZERO: 0, ONE: 1}
     for table in block.tables:
         known[table.outputs[0]] = value(table, known)
-    return {f.output: following(f, *(known[net] for net in f.inputs), known[f.output]) for f in block.flops}
+    return {
+        f.output: following(f, *(known[net] for net in f.inputs), known[f.output])
+        for f in block.flops
+    }
 
 
-def play(ops: list[Op], words: dict[int, int], lit: set[int]) -> None:
-    """Do the operations on the words, in their order; a guard or a Lit that does not apply is skipped."""
+def play(ops: list[Op], words: dict[int, int], flags: set[int]) -> None:
+    """Do the operations on the words, in their order; a guard or a DarkTables that does not apply
+    is skipped.
+    """
 
     def named(op, nets):
         return {net: words[op.names.get(net, net)] for net in nets}
@@ -59,19 +77,21 @@ def play(ops: list[Op], words: dict[int, int], lit: set[int]) -> None:
             words[op.name] = words[op.net]
         elif isinstance(op, Write):
             of = named(op, op.flop.inputs)
-            words[op.flop.output] = following(op.flop, *(of[n] for n in op.flop.inputs), words[op.flop.output])
+            words[op.flop.output] = following(
+                op.flop, *(of[n] for n in op.flop.inputs), words[op.flop.output]
+            )
         elif isinstance(op, Guard):
             of = named(op, (op.enable, op.reset))
             if of[op.enable] or of[op.reset] if op.enable != ONE else not of[op.reset]:
-                play(list(op.body), words, lit)
+                play(list(op.body), words, flags)
             elif op.enable == ONE:
                 words |= {flop.output: flop.reset_value for flop in op.flops}
-        elif isinstance(op, Evaluate) and isinstance(op.node, Lit):
+        elif isinstance(op, Evaluate) and isinstance(op.node, DarkTables):
             inner = named(op, op.node.inputs)
             for table in op.node.tables:
                 inner[table.outputs[0]] = value(table, inner)
-            for net, dark in zip(op.node.outputs, op.node.dark, strict=True):
-                words[net] = inner[net] if op.node.flag in lit else dark
+            for net, dark_value in zip(op.node.outputs, op.node.dark_values, strict=True):
+                words[net] = inner[net] if op.node.flag in flags else dark_value
         elif isinstance(op, Evaluate) and isinstance(op.node, Table):
             words[op.node.outputs[0]] = value(op.node, named(op, op.node.inputs))
 
@@ -83,11 +103,13 @@ def test_updates_in_place_equal_all_at_once(guard_min, seed):
     rng = random.Random(seed)
     block = random_block(rng)
     (inputs,) = block.inputs.values()
-    sparse = [(k, frozenset(inputs[k : k + 2])) for k in range(0, SPARSE, 2)] + [(1, frozenset(inputs[:SPARSE]))]
-    flags = list(enumerate(nets for _, nets in sparse))
+    dark_fields = [(k, frozenset(inputs[k : k + 2])) for k in range(0, DARK, 2)] + [
+        (1, frozenset(inputs[:DARK]))
+    ]
+    flags = list(enumerate(nets for _, nets in dark_fields))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(schedule, "GUARD_MIN", guard_min)
-        ops = Schedule(block, {}, with_lit(block, flags)).ops
+        ops = Schedule(block, {}, with_dark_tables(block, flags)).ops
     words = {flop.output: rng.randint(0, 1) for flop in block.flops} | {ZERO: 0, ONE: 1}
     for _ in range(8):
         words |= {net: rng.randint(0, 1) & rng.randint(0, 1) for net in inputs}

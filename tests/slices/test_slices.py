@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slices of designs that are not ours, against Amaranth's simulator, in every lane and for every kind of word."""
+"""Slices of designs that are not ours, against Amaranth's simulator, in every lane and for every
+kind of word.
+"""
 
 import platform
 import random
@@ -14,7 +16,7 @@ from amaranth.sim import Simulator
 from pywellen import Waveform
 
 from coincid.hdl.to_verilog import to_verilog
-from coincid.slices.emit import Sparse
+from coincid.slices.emit import DarkInput
 from coincid.slices.library import LANES, PROCESSOR
 from coincid.slices.netlist import NetlistError
 from coincid.slices.slices import Slices
@@ -22,13 +24,18 @@ from coincid.slices.synthesis import Design
 from coincid.slices.waves import write_vcd
 
 CYCLES = 150
-pytestmark = pytest.mark.filterwarnings("ignore::amaranth.hdl.UnusedElaboratable")  # made for the widths of its ports
+# made for the widths of its ports
+pytestmark = pytest.mark.filterwarnings("ignore::amaranth.hdl.UnusedElaboratable")
 # Words of SIMD registers, of older ones, and of none.
-PROCESSORS = [PROCESSOR] + (["-march=x86-64-v3", "-march=x86-64"] if platform.machine() == "x86_64" else [])
+PROCESSORS = [PROCESSOR] + (
+    ["-march=x86-64-v3", "-march=x86-64"] if platform.machine() == "x86_64" else []
+)
 
 
 class Counters(Elaboratable):
-    """Registers with and without enable and reset, of both initial values; a wide one that loads rarely."""
+    """Registers with and without enable and reset, of both initial values; a wide one that loads
+    rarely.
+    """
 
     def __init__(self):
         self.enable, self.clear, self.value = Signal(), Signal(), Signal(24)
@@ -54,15 +61,20 @@ class Stops(Elaboratable):
     def elaborate(self, platform):
         m = Module()
         with m.If(self.run):
-            m.d.sync += [self.count.eq(self.count + self.step), self.run.eq(~(self.stop & (self.step == 5)))]
+            m.d.sync += [
+                self.count.eq(self.count + self.step),
+                self.run.eq(~(self.stop & (self.step == 5))),
+            ]
         return m
 
 
 class Rows:
-    """The ports of four equal counters with a sparse input and a common one, in a module each: a unit that repeats."""
+    """The ports of four equal counters with a dark input and a common one, in a module each: a unit
+    that repeats.
+    """
 
     def __init__(self):
-        self.lit, self.shared, self.out = Signal(32), Signal(3), Signal(20)
+        self.edges, self.shared, self.out = Signal(32), Signal(3), Signal(20)
 
     @staticmethod
     def expected(given, lane):
@@ -70,19 +82,24 @@ class Rows:
         values, out, seen = [9] * 4, 0, []
         for cycle in given:
             seen.append({"out": out})
-            lit, shared = cycle["lit"][lane], cycle["shared"][lane]
-            of_rows = [lit >> 8 * k & 0xFF for k in range(4)]
+            edges, shared = cycle["edges"][lane], cycle["shared"][lane]
+            of_rows = [edges >> 8 * k & 0xFF for k in range(4)]
             first = [max(0, (row & -row).bit_length() - 1) for row in of_rows]
             before = [shared, *(value & 7 for value in values)]
             out = sum((values[k] ^ first[k] + before[k]) << 5 * k for k in range(4))
             values = [
-                value + f + shared & 31 if row else value for value, f, row in zip(values, first, of_rows, strict=True)
+                value + f + shared & 31 if row else value
+                for value, f, row in zip(values, first, of_rows, strict=True)
             ]
         return seen
 
 
 DESIGNS = {
-    "fifo": (lambda: SyncFIFO(width=5, depth=6), ["w_data", "w_en", "r_en"], ["w_rdy", "r_data", "r_rdy", "level"]),
+    "fifo": (
+        lambda: SyncFIFO(width=5, depth=6),
+        ["w_data", "w_en", "r_en"],
+        ["w_rdy", "r_data", "r_rdy", "level"],
+    ),
     "buffered": (
         lambda: SyncFIFOBuffered(width=9, depth=10),
         ["w_data", "w_en", "r_en"],
@@ -91,7 +108,7 @@ DESIGNS = {
     "crc": (lambda: CRC16_CCITT(8).create(), ["start", "data", "valid"], ["crc", "match_detected"]),
     "counters": (Counters, ["enable", "clear", "value"], ["kept", "sum", "odd"]),
     "stops": (Stops, ["stop", "step"], ["count", "run"]),
-    "rows": (Rows, ["lit", "shared"], ["out"]),
+    "rows": (Rows, ["edges", "shared"], ["out"]),
 }
 
 
@@ -100,20 +117,20 @@ def signals(design, names):
 
 
 ROWS = """
-module row(input clk, input rst, input [7:0] lit, input [2:0] shared, before, output reg [4:0] value, output [4:0] logic_);
-  wire [2:0] first = lit[0] ? 0 : lit[1] ? 1 : lit[2] ? 2 : lit[3] ? 3 : lit[4] ? 4 : lit[5] ? 5 : lit[6] ? 6 : lit[7] ? 7 : 0;
+module row(input clk, input rst, input [7:0] edges, input [2:0] shared, before, output reg [4:0] value, output [4:0] logic_);
+  wire [2:0] first = edges[0] ? 0 : edges[1] ? 1 : edges[2] ? 2 : edges[3] ? 3 : edges[4] ? 4 : edges[5] ? 5 : edges[6] ? 6 : edges[7] ? 7 : 0;
   initial value = 9;
   assign logic_ = first + before;
-  always @(posedge clk) if (rst) value <= 9; else if (|lit) value <= value + first + shared;
+  always @(posedge clk) if (rst) value <= 9; else if (|edges) value <= value + first + shared;
 endmodule
 
-module rows(input clk, input rst, input [31:0] lit, input [2:0] shared, output reg [19:0] out);
+module rows(input clk, input rst, input [31:0] edges, input [2:0] shared, output reg [19:0] out);
   wire [19:0] value, logic_;
   initial out = 0;
-  row row_0(.clk(clk), .rst(rst), .lit(lit[7:0]), .shared(shared), .before(shared), .value(value[4:0]), .logic_(logic_[4:0]));
-  row row_1(.clk(clk), .rst(rst), .lit(lit[15:8]), .shared(shared), .before(value[2:0]), .value(value[9:5]), .logic_(logic_[9:5]));
-  row row_2(.clk(clk), .rst(rst), .lit(lit[23:16]), .shared(shared), .before(value[7:5]), .value(value[14:10]), .logic_(logic_[14:10]));
-  row row_3(.clk(clk), .rst(rst), .lit(lit[31:24]), .shared(shared), .before(value[12:10]), .value(value[19:15]), .logic_(logic_[19:15]));
+  row row_0(.clk(clk), .rst(rst), .edges(edges[7:0]), .shared(shared), .before(shared), .value(value[4:0]), .logic_(logic_[4:0]));
+  row row_1(.clk(clk), .rst(rst), .edges(edges[15:8]), .shared(shared), .before(value[2:0]), .value(value[9:5]), .logic_(logic_[9:5]));
+  row row_2(.clk(clk), .rst(rst), .edges(edges[23:16]), .shared(shared), .before(value[7:5]), .value(value[14:10]), .logic_(logic_[14:10]));
+  row row_3(.clk(clk), .rst(rst), .edges(edges[31:24]), .shared(shared), .before(value[12:10]), .value(value[19:15]), .logic_(logic_[19:15]));
   always @(posedge clk) if (rst) out <= 0; else out <= value ^ logic_;
 endmodule
 """
@@ -122,7 +139,7 @@ endmodule
 def sliced(name: str) -> Design:
     make, inputs, outputs = DESIGNS[name]
     if name == "rows":
-        return Design(name, {"rows.v": ROWS}, name, ["row"], [Sparse("row", "lit", 4)])
+        return Design(name, {"rows.v": ROWS}, name, ["row"], [DarkInput("row", "edges", 4)])
     design = make()
     ports = {port: (value, None) for port, value in signals(design, inputs + outputs).items()}
     text = to_verilog(rtlil.convert(design, name=name, ports=ports))
@@ -139,11 +156,16 @@ def stimulus(name: str, lanes: int, seed: int) -> list[dict[str, list[int]]]:
     def one(width: int) -> int:
         return rng.getrandbits(width) if rng.random() < 0.6 else 0
 
-    return [{port: [one(width) for _ in range(lanes)] for port, width in widths.items()} for _ in range(CYCLES)]
+    return [
+        {port: [one(width) for _ in range(lanes)] for port, width in widths.items()}
+        for _ in range(CYCLES)
+    ]
 
 
 def expected(name: str, given: list[dict[str, list[int]]], lane: int) -> list[dict[str, int]]:
-    """Return the outputs of a lane in every cycle, by Amaranth's simulator where the design is in Amaranth."""
+    """Return the outputs of a lane in every cycle, by Amaranth's simulator where the design is in
+    Amaranth.
+    """
     make, inputs, outputs = DESIGNS[name]
     if make is Rows:
         return Rows.expected(given, lane)
@@ -165,7 +187,9 @@ def expected(name: str, given: list[dict[str, list[int]]], lane: int) -> list[di
     return seen
 
 
-def play(slices: Slices, name: str, given: list[dict[str, list[int]]]) -> list[dict[str, list[int]]]:
+def play(
+    slices: Slices, name: str, given: list[dict[str, list[int]]]
+) -> list[dict[str, list[int]]]:
     seen = []
     for cycle in given:
         for port, values in cycle.items():
@@ -182,7 +206,9 @@ def test_every_lane_is_a_design_of_its_own(name):
     with Slices(sliced(name), 64) as slices:
         seen = play(slices, name, given)
     for lane in (0, 1, 31, 62, 63):
-        assert [{port: values[lane] for port, values in cycle.items()} for cycle in seen] == expected(name, given, lane)
+        assert [
+            {port: values[lane] for port, values in cycle.items()} for cycle in seen
+        ] == expected(name, given, lane)
 
 
 @pytest.mark.parametrize("flag", PROCESSORS)
@@ -195,7 +221,9 @@ def test_any_word_on_any_processor_gives_the_same_bits(lanes, flag):
         plain = play(slices, name, given)
     wide = [{port: values * (lanes // 64) for port, values in cycle.items()} for cycle in given]
     with Slices(design, lanes, flag) as slices:
-        assert play(slices, name, wide) == [{p: v * (lanes // 64) for p, v in cycle.items()} for cycle in plain]
+        assert play(slices, name, wide) == [
+            {p: v * (lanes // 64) for p, v in cycle.items()} for cycle in plain
+        ]
 
 
 def test_registers_can_be_read_and_written():
@@ -205,7 +233,8 @@ def test_registers_can_be_read_and_written():
         slices.set("value", 1)
         slices.step()
         assert slices.peek("sum") == [lane for lane in range(64)]  # 255 + kept + 1
-        assert slices.peek("odd") == [lane % 2 ^ 1 for lane in range(64)]  # logic that nothing keeps
+        # logic that nothing keeps
+        assert slices.peek("odd") == [lane % 2 ^ 1 for lane in range(64)]
         with pytest.raises(KeyError):
             slices.poke("no such register", 0)
 
@@ -221,7 +250,10 @@ def test_waveform_of_a_lane_is_what_amaranth_shows(tmp_path):
                 slices.set(port, values)
             rows.append(slices.record(lane)[0])
         write_vcd(tmp_path / "wave.vcd", slices.probe, {"lane": np.array(rows)}, cycle_ps=10)
-    wave = {variable.full_name: variable.signal for variable in Waveform(str(tmp_path / "wave.vcd")).all_vars()}
+    wave = {
+        variable.full_name: variable.signal
+        for variable in Waveform(str(tmp_path / "wave.vcd")).all_vars()
+    }
     for port in (*DESIGNS[name][1], *DESIGNS[name][2]):
         shown = [int(wave[f"lane.{port}"].value_at(10 * cycle)) for cycle in range(CYCLES)]
         wanted = [cycle[port][lane] for cycle in given] if port in DESIGNS[name][1] else None

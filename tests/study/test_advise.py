@@ -38,13 +38,22 @@ def test_advice_for_a_scene_of_ones_own(tmp_path):
 
 def test_advice_overloads_no_link_where_it_need_not():
     def tried(wrong, bits, dropped, load):
-        return Tried(config=parse_config({}), wrong=wrong, far=0.0, bits=bits, dropped=dropped, load=load)
+        return Tried(
+            config=parse_config({}), wrong=wrong, far=0.0, bits=bits, dropped=dropped, load=load
+        )
 
-    full, lossy, fits = tried(0.004, 100, 0.0, 1.08), tried(0.002, 200, 0.24, 0.9), tried(0.002, 300, 0.0, 0.7)
+    full, lossy, fits = (
+        tried(0.004, 100, 0.0, 1.08),
+        tried(0.002, 200, 0.24, 0.9),
+        tried(0.002, 300, 0.0, 0.7),
+    )
     assert cheapest([full, lossy, fits], lambda one: one.bits) is fits
     worse = tried(0.1, 50, 0.0, 0.1)
     assert cheapest([full, lossy, worse], lambda one: one.bits) is full
-    told = Advice(tried=[full, worse], best=full, klux=1.0).sentence, Advice(tried=[fits], best=fits, klux=1.0).sentence
+    told = (
+        Advice(tried=[full, worse], best=full, klux=1.0).sentence,
+        Advice(tried=[fits], best=fits, klux=1.0).sentence,
+    )
     assert ["overloaded" in sentence for sentence in told] == [True, False]
 
 
@@ -82,8 +91,14 @@ def test_what_is_wasted(document, words):
 
 
 def test_prices_are_those_of_the_pages():
-    cost = read_csv(DOCS / "images" / "cost.csv").set_index(["parameter", "value"])["area_um2_per_pixel"]
-    for parameter, name in (("subgroup", "pixels"), ("minigroup", "minigroup_pixels"), ("phases", "phases")):
+    cost = read_csv(DOCS / "images" / "cost.csv").set_index(["parameter", "value"])[
+        "area_um2_per_pixel"
+    ]
+    for parameter, name in (
+        ("subgroup", "pixels"),
+        ("minigroup", "minigroup_pixels"),
+        ("phases", "phases"),
+    ):
         assert cost[parameter].to_dict() == dict(zip(*UM2_PER_PIXEL[name], strict=True))
     chosen = read_csv(DOCS / "images" / "cost_choices.csv").set_index("choice")["um2_per_pixel"]
     for name, choice in (
@@ -93,7 +108,9 @@ def test_prices_are_those_of_the_pages():
         ("fifo_depth", "FIFO of 8 events"),
     ):
         assert UM2_PER_PIXEL[name][1] == (chosen[choice], chosen["`silicon`"])
-    assert um2_per_pixel(load_config("lean").sensor) == pytest.approx(chosen["`lean`: all of them"], rel=0.1)
+    assert um2_per_pixel(load_config("lean").sensor) == pytest.approx(
+        chosen["`lean`: all of them"], rel=0.1
+    )
     row = next(
         line
         for line in (DOCS / "power.md").read_text(encoding="utf-8").splitlines()

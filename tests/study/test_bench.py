@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark: it measures what it documents, and its slowest engine plays the sensor, too. No times are asserted."""
+"""The benchmark: it measures what it documents, and its slowest engine plays the sensor, too. No
+times are asserted.
+"""
 
 import itertools
 import json
@@ -18,21 +20,32 @@ from ..random_cases import configured, trouble
 
 
 def test_amaranths_simulator_plays_what_the_golden_model_predicts():
-    sensor = {"rows": 4, "cols": 12, "subgroup": [4, 4], "streams": 2, "phases": 8, "window_max": 64}
+    sensor = {
+        "rows": 4,
+        "cols": 12,
+        "subgroup": [4, 4],
+        "streams": 2,
+        "phases": 8,
+        "window_max": 64,
+    }
     frame = {"period": 30, "pulses": 4, "format": "full", "minigroup_records": True}
     config = configured(sensor, frame, {"window": 40, "threshold": 3})
     edges, cycles = trouble(config, 7, 40.0), []
     expected = Golden(config.sensor).frame(config, edges)
     beats, beat_cycle = pysim.play(config, edges, cycles.append)
     assert sum(map(len, beats)) > 100
-    found = Recorded(beats, beat_cycle, expected.commit_subgroup, expected.commit_cycle, len(cycles))
+    found = Recorded(
+        beats, beat_cycle, expected.commit_subgroup, expected.commit_cycle, len(cycles)
+    )
     check(config.sensor, expected, found)
     assert cycles == list(range(max(int(at[-1]) for at in beat_cycle) + 1))
 
 
 def test_page_shows_every_key():
     page = Path(__file__).parents[2] / "docs" / "performance.md"
-    assert re.findall(r"^\| `(\w+)` \|", page.read_text(encoding="utf-8"), re.MULTILINE) == list(bench.KEYS)
+    assert re.findall(r"^\| `(\w+)` \|", page.read_text(encoding="utf-8"), re.MULTILINE) == list(
+        bench.KEYS
+    )
 
 
 def test_benchmark_measures_every_key(tmp_path, monkeypatch):
@@ -56,7 +69,9 @@ def test_benchmark_measures_every_key(tmp_path, monkeypatch):
     monkeypatch.setattr(bench, "_in_new_process", in_new_process)
     told, out = [], tmp_path / "new" / "bench.json"
     result = bench.benchmark(out, repeats=3, tell=told.append)
-    assert list(result) == list(bench.KEYS) and json.loads(out.read_text(encoding="utf-8")) == result
+    assert (
+        list(result) == list(bench.KEYS) and json.loads(out.read_text(encoding="utf-8")) == result
+    )
     assert result["repeats"] == 3 and result["cocotb_icarus_cycles_per_s"] == 500 and told
     ratio = result["golden_cycles_per_s"] / result["sliced_cycles_per_s"]
     assert np.isclose(result["golden_per_sliced"], ratio, rtol=1e-3)

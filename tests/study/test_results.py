@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Digests of results, one for each way from a scene to numbers: the same input, parameters and seed give the same result.
+"""Digests of results, one for each way from a scene to numbers: the same input, parameters and seed
+give the same result.
 
 A change that means to change a result says so in CHANGELOG.md and renews the digests:
-`python -m tests.study.test_results` prints them. Floats count to six digits, because processors differ in the last one.
+`python -m tests.study.test_results` prints them. Floats count to six digits, because processors
+differ in the last one.
 """
 
 import hashlib
@@ -46,14 +48,25 @@ subgroup.threshold = [1, 3]
 
 
 def library(folder: Path) -> Any:
-    config = coincid.parse_config(SMALL | {"subgroup": {"auto": True}}).with_frame(frames=2, format="full")
+    config = coincid.parse_config(SMALL | {"subgroup": {"auto": True}}).with_frame(
+        frames=2, format="full"
+    )
     run = coincid.simulate(config, "five-objects", klux=20, seed=3)
     depth = run.depth(frame=1)
-    return run.result, run.edges.pulse, run.edges.pixel, run.edges.tick, depth.depth_m, depth.confidence
+    return (
+        run.result,
+        run.edges.pulse,
+        run.edges.pixel,
+        run.edges.tick,
+        depth.depth_m,
+        depth.confidence,
+    )
 
 
 def sim(folder: Path) -> Any:
-    done = command(f"sim --engine golden --set rows=8 --set cols=16 --pulses 40 --frames 2 --out {folder}")
+    done = command(
+        f"sim --engine golden --set rows=8 --set cols=16 --pulses 40 --frames 2 --out {folder}"
+    )
     assert done.exit_code == 0, done.output
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     with np.load(folder / "events.npz") as events:
@@ -69,7 +82,11 @@ def sweep(folder: Path) -> Any:
 
 
 def explorer(folder: Path) -> Any:
-    view = Explorer().run(check_settings({"rows": 16, "cols": 16, "pulses": 40, "klux": 20.0, "threshold": 3})).view()
+    view = (
+        Explorer()
+        .run(check_settings({"rows": 16, "cols": 16, "pulses": 40, "klux": 20.0, "threshold": 3}))
+        .view()
+    )
     return view.numbers, view.depth_m, view.threshold, [one.wrong_share for one in view.objects]
 
 
@@ -93,7 +110,9 @@ def surface(folder: Path) -> Any:
 
 
 DARK = {"dark": {1e6: {"spad": coincid.Spad(dark_cps=1e6)}}}
-INTERFERENCE = dict(PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1)
+INTERFERENCE = dict(
+    PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
+)
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "f1b6a1bd02092015"),
     "sim": (sim, "ed4fb83bae583761"),
@@ -101,8 +120,14 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "explorer": (explorer, "b904fc3e2af28bc9"),
     "surfaces": (surface, "56076c599e3d1736"),
     "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "84c6b4b042f08787"),
-    "modes": (section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1), "cb2fe70284e73fa9"),
-    "figure 8": (section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1), "34aedca1bc290ba7"),
+    "modes": (
+        section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
+        "cb2fe70284e73fa9",
+    ),
+    "figure 8": (
+        section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
+        "34aedca1bc290ba7",
+    ),
     "interference": (section(interference.interference, **INTERFERENCE), "4e34141db1efdaba"),
 }
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The front door: `import coincid`, the methods of a run, and that the golden model needs no RTL tool."""
+"""The front door: `import coincid`, the methods of a run, and that the golden model needs no RTL
+tool.
+"""
 
 import subprocess
 import sys
@@ -18,8 +20,16 @@ from coincid.model.depth.depth import Depth
 from coincid.model.depth.histograms import subgroup_histograms
 from coincid.model.light.link_budget import Optics
 
-RTL = {canonicalize_name(Requirement(one).name) for one in requires("coincid") or () if 'extra == "rtl"' in one}
-RTL_TOOLS = [name for name, wheels in packages_distributions().items() if RTL & set(map(canonicalize_name, wheels))]
+RTL = {
+    canonicalize_name(Requirement(one).name)
+    for one in requires("coincid") or ()
+    if 'extra == "rtl"' in one
+}
+RTL_TOOLS = [
+    name
+    for name, wheels in packages_distributions().items()
+    if RTL & set(map(canonicalize_name, wheels))
+]
 SMALL = {"sensor": {"rows": 16, "cols": 8}, "frame": {"pulses": 60}}
 
 
@@ -34,13 +44,16 @@ def test_a_saved_run_is_read_back(run, tmp_path):
 
 
 def test_histogram_of_a_pixel(run):
-    of_subgroups = np.stack(list(subgroup_histograms(run.result, run.config, pulse_sigma_ticks(run.config))))
+    of_subgroups = np.stack(
+        list(subgroup_histograms(run.result, run.config, pulse_sigma_ticks(run.config)))
+    )
     row, col = 9, 5  # in the second subgroup
     for pixel in (8 * row + col, (row, col)):
         assert np.array_equal(run.histogram(pixel), of_subgroups[1, 8 * (row - 8) + col])
     assert run.histogram(0)[:2]._repr_html_() is None  # a part of it has no picture
     with pytest.raises(
-        coincid.InputError, match=r"pixel = 128: must be .* from 0 to 127 \(or \(row, column\); the number"
+        coincid.InputError,
+        match=r"pixel = 128: must be .* from 0 to 127 \(or \(row, column\); the number",
     ):
         run.histogram(128)
     with pytest.raises(coincid.InputError, match="row = 16: must be"):
@@ -49,11 +62,18 @@ def test_histogram_of_a_pixel(run):
 
 def test_a_run_shows_itself_in_a_notebook(run):
     assert "data:image/png;base64," in run._repr_html_() and "<td>windows</td>" in run._repr_html_()
-    pages = {"histogram": run.histogram(77), "timeline": run.timeline(1, 5), "map_truth_m": run.plot()}
+    pages = {
+        "histogram": run.histogram(77),
+        "timeline": run.timeline(1, 5),
+        "map_truth_m": run.plot(),
+    }
     for name, shown in pages.items():
         page = shown._repr_html_()
         assert page.startswith("<iframe srcdoc=") and f"&quot;{name}&quot;" in page
-    for place, says in {(2, 0): "subgroup = 2: .* from 0 to 1", (1, 60): "pulse = 60: .* from 0 to 59"}.items():
+    for place, says in {
+        (2, 0): "subgroup = 2: .* from 0 to 1",
+        (1, 60): "pulse = 60: .* from 0 to 59",
+    }.items():
         with pytest.raises(coincid.InputError, match=says):
             run.timeline(*place)
 
@@ -71,7 +91,9 @@ def test_events_as_a_table(run, monkeypatch, with_pandas):
 def test_points_lie_where_their_pixels_look():
     depth_m = np.full((3, 5, 2), np.nan)
     depth_m[1, 2, 0], depth_m[0, 4, 0], depth_m[0, 4, 1] = 2.0, 4.0, 6.0
-    depth = Depth(depth_m, np.where(np.isnan(depth_m), 0, 0.5), np.zeros(depth_m.shape[:2], np.uint8))
+    depth = Depth(
+        depth_m, np.where(np.isnan(depth_m), 0, 0.5), np.zeros(depth_m.shape[:2], np.uint8)
+    )
     depth.reason[0, 4] = 3
     corner, behind, middle = coincid.point_cloud(depth, Optics(fov_h_deg=90, fov_v_deg=60)).tolist()
     assert middle == (0, 0, 2, 0.5, 0) and corner[4] == behind[4] == 3
@@ -86,7 +108,9 @@ def test_normals_of_a_wall_look_along_the_axis():
     tangent = (2 * np.arange(9) - 8) / 9
     depth_m = 3 * np.sqrt(1 + tangent[:, None] ** 2 + tangent**2)
     slope_m = np.stack(np.gradient(depth_m, edge_order=2), axis=2)
-    depth = Depth(depth_m[:, :, None], np.ones((9, 9, 1)), np.zeros((9, 9), np.uint8), slope_m=slope_m)
+    depth = Depth(
+        depth_m[:, :, None], np.ones((9, 9, 1)), np.zeros((9, 9), np.uint8), slope_m=slope_m
+    )
     points = coincid.point_cloud(depth, Optics(fov_h_deg=90, fov_v_deg=90), normals=True)
     middle = points[np.abs(points["x"]) < 2]
     assert np.stack([middle[name] for name in ("nx", "ny", "nz")], axis=1) == pytest.approx(
@@ -146,9 +170,13 @@ WITH_RTL = "verilog lint synth gls layout pnr formal bench".split()
 
 
 def test_only_what_has_rtl_needs_its_tools(tmp_path):
-    """The library and other commands run; those with RTL say in one line what is missing. All in one process."""
+    """The library and other commands run; those with RTL say in one line what is missing. All in
+    one process.
+    """
     np.savez(tmp_path / "edges.npz", **{name: np.arange(3) for name in ("pulse", "pixel", "tick")})
-    (tmp_path / "small.toml").write_text("[sensor]\nrows = 8\ncols = 8\n[frame]\npulses = 3\n", encoding="utf-8")
+    (tmp_path / "small.toml").write_text(
+        "[sensor]\nrows = 8\ncols = 8\n[frame]\npulses = 3\n", encoding="utf-8"
+    )
     lack = [words.replace("golden", "sliced") for words in WITHOUT_RTL[:2]] + WITH_RTL
     block = f"import sys\nsys.modules |= dict.fromkeys({RTL_TOOLS!r})\n"
     program = [sys.executable, "-c", block + RUN, tmp_path, *WITHOUT_RTL, *lack]
@@ -159,7 +187,9 @@ def test_only_what_has_rtl_needs_its_tools(tmp_path):
 
 def test_an_array_of_distances_is_a_scene():
     far_m = np.full((16, 8), 7.0)
-    run = coincid.simulate(None, far_m, reflectivity=0.6, klux=5, **{"rows": 16, "cols": 8, "pulses": 60})
+    run = coincid.simulate(
+        None, far_m, reflectivity=0.6, klux=5, **{"rows": 16, "cols": 8, "pulses": 60}
+    )
     assert np.all(run.scene.truth_m == 7) and abs(np.nanmedian(run.depth().depth_m) - 7) < 0.05
     assert coincid.simulate(scene=far_m * 2, rows=8, cols=8, pulses=3).scene.truth_m.shape == (8, 8)
 
@@ -167,7 +197,11 @@ def test_an_array_of_distances_is_a_scene():
 @pytest.mark.parametrize(
     ("arguments", "options", "words"),
     [
-        (("five-objects",), {}, "config = 'five-objects': is a scene; the configuration comes first"),
+        (
+            ("five-objects",),
+            {},
+            "config = 'five-objects': is a scene; the configuration comes first",
+        ),
         ((np.ones((8, 8)),), {}, "config = ndarray: is no configuration"),
         ((None, None), {}, "scene = None: must be a Scene"),
         ((None, "flat:5"), {"thresold": 3}, "thresold: unknown argument or setting"),
@@ -183,13 +217,23 @@ def test_what_simulate_refuses(arguments, options, words):
 def test_settings_are_options_of_simulate():
     given = {"threshold": 3, "pulses": 30, "window_max": 32, "spad_gate": True, "method": "maximum"}
     run = coincid.simulate(coincid.parse_config(SMALL), "flat:5,0.5", **given)
-    assert (run.config.threshold.max(), run.config.pulses, run.config.sensor.window_max) == (3, 30, 32)
-    assert run.config.sensor.rows == 16 and run.setup.spad_gate and run.setup.estimators == ("maximum",)
+    assert (run.config.threshold.max(), run.config.pulses, run.config.sensor.window_max) == (
+        3,
+        30,
+        32,
+    )
+    assert (
+        run.config.sensor.rows == 16
+        and run.setup.spad_gate
+        and run.setup.estimators == ("maximum",)
+    )
     with pytest.raises(coincid.InputError, match="estimator = -1: must be METHOD.*frame=-1"):
         run.depth(-1)
 
 
-@pytest.mark.parametrize(("compiled", "told"), [(False, "coincid: compiling the models, first run only\n"), (True, "")])
+@pytest.mark.parametrize(
+    ("compiled", "told"), [(False, "coincid: compiling the models, first run only\n"), (True, "")]
+)
 def test_a_first_run_says_that_it_compiles(compiled, told, monkeypatch, capsys):
     monkeypatch.setattr("coincid.study.run.is_compiled", lambda module: compiled)
     coincid.simulate(None, "flat:5", rows=8, cols=8, pulses=3)

@@ -18,7 +18,11 @@ from coincid.model.golden.shape import COUNTER
 @pytest.mark.parametrize("part", (1, 4, 16))
 def test_the_same_photons_settle_in_five_frames(part):
     run = Run(Setup.of("five-objects", subgroup={"auto": True}, klux="5|100"))
-    config, golden, states = run.config.with_frame(capacity=run.config.capacity // part), Golden(run.config.sensor), []
+    config, golden, states = (
+        run.config.with_frame(capacity=run.config.capacity // part),
+        Golden(run.config.sensor),
+        [],
+    )
     for _ in range(7):
         used = golden.frame(config, run.edges).counters[:, COUNTER.threshold_used]
         states.append((*golden.controller.budget, *golden.controller.limit, *used))
@@ -27,7 +31,9 @@ def test_the_same_photons_settle_in_five_frames(part):
 
 @given(data=st.data())
 def test_any_counts_come_to_rest(data):
-    """Whatever the windows of each subgroup are, the controller comes to rest, below a limit cycle of any length."""
+    """Whatever the windows of each subgroup are, the controller comes to rest, below a limit cycle
+    of any length.
+    """
     subgroups = data.draw(st.integers(1, 6))
     most = data.draw(st.sampled_from((9, 100, 10_000)))
     counts = st.lists(
@@ -36,7 +42,9 @@ def test_any_counts_come_to_rest(data):
     windows = np.array([sorted(data.draw(counts), reverse=True) for _ in range(subgroups)])
     frame = {"capacity": data.draw(st.integers(0, 2 * most * subgroups)), "auto_bounds": [0] * 6}
     settings = {"auto": True, "threshold": data.draw(st.integers(1, THRESHOLD_MAX))}
-    config = parse_config({"sensor": {"rows": 8, "cols": 8 * subgroups}, "frame": frame, "subgroup": settings})
+    config = parse_config(
+        {"sensor": {"rows": 8, "cols": 8 * subgroups}, "frame": frame, "subgroup": settings}
+    )
     controller, seen, every = Controller(config.sensor), [], np.arange(subgroups)
     while not seen or seen[-1] not in seen[:-1]:
         threshold = controller.begin(config)

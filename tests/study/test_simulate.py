@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The main job: files, report, every beat checked, orientation of a letter F, behaviour after a mismatch, waveform views."""
+"""The main job: files, report, every beat checked, orientation of a letter F, behaviour after a
+mismatch, waveform views.
+"""
 
 import io
 import json
@@ -19,31 +21,45 @@ from coincid.model.depth.quality import wrong_share
 from coincid.model.scenes.catalogue import load_scene
 from coincid.study import progress
 from coincid.study import simulate as job
-from coincid.study.simulate import DEPTH, EVENTS, PAGE, PICTURES, REPORT, SCHEMES, simulate
+from coincid.study.simulate import (
+    DEPTH,
+    EVENTS,
+    PAGE,
+    PICTURES,
+    REPORT,
+    SCHEMES,
+    simulate_to_folder,
+)
 from coincid.tb import wave_views
 
 from ..command import command
 
-# Sensors that other tests compile, too. Rows and columns differ, so that swapping them shows; the period covers the
-# letter's 8 m.
+# Sensors that other tests compile, too. Rows and columns differ, so that swapping them shows; the
+# period covers the letter's 8 m.
 LETTER = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 40, "pulses": 60}}
 SMALL = {"sensor": {"rows": 8, "cols": 8}, "frame": {"period": 60, "pulses": 4}}
-SMALLEST = {"rows": 4, "cols": 4, "subgroup": [4, 4], "phases": 4, "coarse_bits": 9}  # waveforms are slow to compile
+# waveforms are slow to compile
+SMALLEST = {"rows": 4, "cols": 4, "subgroup": [4, 4], "phases": 4, "coarse_bits": 9}
 FRAMES = 3  # frames in which the controller settles
-SHOWN = {"off": 0, "fixed": 1, "auto": 1 + FRAMES}  # frame of the result file that stands for each scheme
+# frame of the result file that stands for each scheme
+SHOWN = {"off": 0, "fixed": 1, "auto": 1 + FRAMES}
 
 
 def run(out, document=SMALL, scene="flat:5,0.4", threshold=None, waves=False, **setup):
     """Return the report, the arrays of the result and the lines of the console."""
     console = Console(file=io.StringIO(), width=100)
     setup = Setup.of(scene, **document, **{"klux": 5.0, "engine": "golden"} | setup)
-    report = simulate(setup, out=out, console=console, settling=FRAMES, threshold=threshold, waves=waves)
+    report = simulate_to_folder(
+        setup, out=out, console=console, settling=FRAMES, threshold=threshold, waves=waves
+    )
     return report, dict(np.load(out / EVENTS)), console.file.getvalue()
 
 
 def test_report_agrees_with_the_events(tmp_path):
     report, arrays, told = run(tmp_path)
-    assert json.loads((tmp_path / REPORT).read_text(encoding="utf-8")) == json.loads(json.dumps(report))
+    assert json.loads((tmp_path / REPORT).read_text(encoding="utf-8")) == json.loads(
+        json.dumps(report)
+    )
     assert report["events"] == len(arrays["pulse"]) == arrays["stored"].sum()
     assert report["dropped"] == arrays["dropped"].sum()
     assert report["mismatches"] == 0
@@ -61,8 +77,10 @@ def test_frames_see_the_same_light_under_their_own_thresholds(tmp_path):
     assert report["threshold_off"] == [1]
     assert report["threshold_fixed"] == [3]  # set by the configuration
     assert report["threshold_auto"] == arrays["threshold_used"][-1].tolist()
-    assert arrays["photons"][1].tolist() == arrays["photons"][-1].tolist()  # the same edges, whatever the threshold
-    assert arrays["photons"][1].tolist() != arrays["photons"][-2].tolist()  # the controller settles on other photons
+    # the same edges, whatever the threshold
+    assert arrays["photons"][1].tolist() == arrays["photons"][-1].tolist()
+    # the controller settles on other photons
+    assert arrays["photons"][1].tolist() != arrays["photons"][-2].tolist()
     assert arrays["threshold_used"][2].tolist() == [3]  # the initial value
     assert 1 in arrays["count"][arrays["pulse"] // 4 == 0]
     assert (arrays["count"][arrays["pulse"] // 4 == 1] >= 3).all()
@@ -83,8 +101,16 @@ def test_the_controller_wins_on_the_default_scene(tmp_path):
     report = json.loads((tmp_path / REPORT).read_text(encoding="utf-8"))
     assert report["configuration"]["frame"]["link_gbps"] == 8.0
     assert report["configuration"]["frame"]["format"] == "compact"
-    assert report["wrong_share_auto"] < 0.8 * report["wrong_share_fixed"] < 0.8 * report["wrong_share_off"]
-    assert report["wrong_share_auto_peak"] < report["wrong_share_fixed_peak"] < report["wrong_share_off_peak"]
+    assert (
+        report["wrong_share_auto"]
+        < 0.8 * report["wrong_share_fixed"]
+        < 0.8 * report["wrong_share_off"]
+    )
+    assert (
+        report["wrong_share_auto_peak"]
+        < report["wrong_share_fixed_peak"]
+        < report["wrong_share_off_peak"]
+    )
     assert len(set(report["threshold_auto"])) > 1
     assert report["load_auto"] <= 1.1
 
@@ -96,7 +122,9 @@ def test_same_seed_same_bytes(tmp_path):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
     assert (tmp_path / "a" / EVENTS).read_bytes() != (tmp_path / "c" / EVENTS).read_bytes()
     # Bokeh goes on counting its models in a process.
-    a, b = (re.sub(r'"p\d+"', "", (tmp_path / name / PAGE).read_text(encoding="utf-8")) for name in "ab")
+    a, b = (
+        re.sub(r'"p\d+"', "", (tmp_path / name / PAGE).read_text(encoding="utf-8")) for name in "ab"
+    )
     assert a == b
 
 
@@ -106,14 +134,17 @@ def test_letter_f_comes_out_as_it_went_in(tmp_path):
         assert report[f"wrong_share_{name}"] < 0.1, name  # wrongly oriented: a fifth
     assert report["checked"] > report["events"]
     depth_m = estimate_depth(arrays, parse_config(LETTER), frame=1).depth_m[:, :, 0]
-    assert wrong_share(depth_m, load_scene("letter-f", 8, 16).truth_m) == report["wrong_share_fixed"]
+    assert (
+        wrong_share(depth_m, load_scene("letter-f", 8, 16).truth_m) == report["wrong_share_fixed"]
+    )
     _, golden, _ = run(tmp_path / "golden", LETTER, "letter-f")
     for name, array in arrays.items():
         assert np.array_equal(array, golden[name]), name
 
 
 def test_spad_gate_leaves_fewer_edges(tmp_path):
-    document = SMALL | {"subgroup": {"gating": True, "gate_start": 14, "gate_len": 8}}  # 5 m: cycle 16
+    # 5 m: cycle 16
+    document = SMALL | {"subgroup": {"gating": True, "gate_start": 14, "gate_len": 8}}
     logic, switched = (run(tmp_path, document, klux=50.0, spad_gate=gate) for gate in (False, True))
     assert 0 < switched[0]["edges"] < logic[0]["edges"]
     for _, arrays, _ in (logic, switched):
@@ -122,7 +153,9 @@ def test_spad_gate_leaves_fewer_edges(tmp_path):
 
 def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
     class Wrong(job.Golden):
-        """A golden model that expects one pixel more in the count of the last frame's first event."""
+        """A golden model that expects one pixel more in the count of the last frame's first
+        event.
+        """
 
         def frame(self, *arguments):
             trace = super().frame(*arguments)
@@ -137,7 +170,15 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(job, "Golden", Wrong)
     result = command(words, "icarus")
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
-    for word in ("frame 2", "subgroup 0", "pulse 0", "cycle", "count is", "golden model", "sim.log"):
+    for word in (
+        "frame 2",
+        "subgroup 0",
+        "pulse 0",
+        "cycle",
+        "count is",
+        "golden model",
+        "sim.log",
+    ):
         assert word in result.stderr
     report = json.loads((out / REPORT).read_text(encoding="utf-8"))
     assert report["mismatches"] == 1 and report["mismatch"] in result.stderr
@@ -150,14 +191,24 @@ def test_views_name_signals_of_the_waveform(tmp_path, simulator):
     *_, told = run(tmp_path, SMALL | {"sensor": SMALLEST}, engine=simulator, waves=True)
     fst = tmp_path / f"{TOP}.fst"
     widths = {variable.full_name: variable.bitwidth for variable in Waveform(str(fst)).all_vars()}
-    assert (widths[f"{TOP}.m_axis_tdata"], widths[f"{TOP}.spad_0"], widths[f"{TOP}.laser"]) == (64, 16 * 4, 1)
+    assert (widths[f"{TOP}.m_axis_tdata"], widths[f"{TOP}.spad_0"], widths[f"{TOP}.laser"]) == (
+        64,
+        16 * 4,
+        1,
+    )
 
     gtkwave = (tmp_path / f"{TOP}.gtkw").read_text(encoding="utf-8").splitlines()
     shown = [line for line in gtkwave if line.startswith(TOP)]
-    assert [line[1:] for line in gtkwave if line.startswith("-")] == [title for title, _, _ in wave_views.BLOCKS]
-    blocks = [(f"{TOP}.{scope}".rstrip("."), signals.split()) for _, scope, signals in wave_views.BLOCKS]
+    assert [line[1:] for line in gtkwave if line.startswith("-")] == [
+        title for title, _, _ in wave_views.BLOCKS
+    ]
+    blocks = [
+        (f"{TOP}.{scope}".rstrip("."), signals.split()) for _, scope, signals in wave_views.BLOCKS
+    ]
     wanted = [f"{scope}.{name}" for scope, names in blocks for name in names]
-    assert shown == [f"{path}[{widths[path] - 1}:0]" if widths[path] > 1 else path for path in wanted]
+    assert shown == [
+        f"{path}[{widths[path] - 1}:0]" if widths[path] > 1 else path for path in wanted
+    ]
     surfer = (tmp_path / f"{TOP}.sucl").read_text(encoding="utf-8").splitlines()
     assert [line.split()[1] for line in surfer if line.startswith("variable_add")] == wanted
     for suffix in (".fst", ".gtkw", ".sucl"):
@@ -165,7 +216,8 @@ def test_views_name_signals_of_the_waveform(tmp_path, simulator):
 
 
 @pytest.mark.parametrize(
-    ("compiled", "told"), [(False, "photons (compiling the models, first run only)"), (True, "photons")]
+    ("compiled", "told"),
+    [(False, "photons (compiling the models, first run only)"), (True, "photons")],
 )
 def test_a_stage_that_compiles_says_so(compiled, told, monkeypatch):
     monkeypatch.setattr(progress, "is_compiled", lambda module: compiled)

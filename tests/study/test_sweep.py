@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sweeps: rows and columns, kept and repeated points, kills of the sweep and of workers, bad specs, the example."""
+"""Sweeps: rows and columns, kept and repeated points, kills of the sweep and of workers, bad specs,
+the example.
+"""
 
 import contextlib
 import json
@@ -43,7 +45,9 @@ GRID = f"{BASE}[[axis]]\nklux = [5, 50]\n[[axis]]\nsubgroup.threshold = [1, 2, 3
 def threads():
     """A client of workers in this process, which see patches made by tests."""
     with (
-        LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as local,
+        LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as local,
         Client(local) as client,
     ):
         yield client
@@ -52,13 +56,19 @@ def threads():
 @pytest.fixture
 def quick(monkeypatch, threads):
     """Sweeps run in this process."""
-    monkeypatch.setattr(dask_workers, "cluster", lambda workers, scheduler=None: contextlib.nullcontext(threads))
+    monkeypatch.setattr(
+        dask_workers, "cluster", lambda workers, scheduler=None: contextlib.nullcontext(threads)
+    )
 
 
 def listening():
     """Return (IP, port) on which this process and its children listen."""
     this = psutil.Process()
-    sockets = [socket for one in (this, *this.children(recursive=True)) for socket in one.net_connections("inet")]
+    sockets = [
+        socket
+        for one in (this, *this.children(recursive=True))
+        for socket in one.net_connections("inet")
+    ]
     return {tuple(socket.laddr) for socket in sockets if socket.status == psutil.CONN_LISTEN}
 
 
@@ -82,7 +92,9 @@ def table(folder, name="s"):
 
 
 def points(folder, name="s"):
-    return {path: path.stat().st_mtime_ns for path in (folder / f"{name}.parquet.points").glob("*.json")}
+    return {
+        path: path.stat().st_mtime_ns for path in (folder / f"{name}.parquet.points").glob("*.json")
+    }
 
 
 def test_a_row_a_point_in_the_order_of_the_axes(tmp_path, quick):
@@ -93,12 +105,17 @@ def test_a_row_a_point_in_the_order_of_the_axes(tmp_path, quick):
     assert found["subgroup.threshold"].to_pylist() == [1, 2, 3] * 2
     assert found.column_names == ["klux", "subgroup.threshold", *SWEPT, "settings", "point"]
     assert found.schema.field("events").metadata[b"meaning"].decode() == MEASURES["events"].meaning
-    assert [str(found.schema.field(name).type) for name in ("klux", "events")] == ["double", "int64"]
+    assert [str(found.schema.field(name).type) for name in ("klux", "events")] == [
+        "double",
+        "int64",
+    ]
     metadata = json.loads(found.schema.metadata[job.METADATA.encode()])
     assert metadata["axes"] == [{"klux": [5, 50]}, {"subgroup.threshold": [1, 2, 3]}]
     assert metadata["base"]["sensor"] == {"rows": 8, "cols": 8}
     assert {"coincid", "code", "numpy"} <= metadata["versions"]["golden"].keys()
-    for row, settings in zip(found.to_pylist(), map(json.loads, found["settings"].to_pylist()), strict=True):
+    for row, settings in zip(
+        found.to_pylist(), map(json.loads, found["settings"].to_pylist()), strict=True
+    ):
         assert settings.keys() == {*SETTINGS, "configuration"} and settings["klux"] == row["klux"]
         assert settings["configuration"]["subgroup"]["threshold"] == row["subgroup.threshold"]
     with Image.open(tmp_path / "s.png") as picture:
@@ -141,7 +158,10 @@ def test_keys_of_an_axis_vary_together_and_words_lie_over_a_preset(tmp_path):
 @pytest.mark.parametrize(
     "spec, clocks_mhz",
     [
-        ("clock_mhz = 250\n[[axis]]\nconfig = ['fpga', 'silicon']\n[[axis]]\nseed = [1]", [250, 250]),
+        (
+            "clock_mhz = 250\n[[axis]]\nconfig = ['fpga', 'silicon']\n[[axis]]\nseed = [1]",
+            [250, 250],
+        ),
         ("[frame]\nclock_mhz = 250\n[[axis]]\nclock_mhz = [100, 200]", [100, 200]),
         ("[[axis]]\nconfig = ['fpga', 'silicon']", [125, 500]),
     ],
@@ -186,7 +206,8 @@ def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path, quick, mo
     result = sweep(tmp_path)
     assert result.exit_code == 1
     assert result.stderr.splitlines() == [
-        f"coincid: point klux={klux} subgroup.threshold=2: OSError: no such luck" for klux in (5, 50)
+        f"coincid: point klux={klux} subgroup.threshold=2: OSError: no such luck"
+        for klux in (5, 50)
     ]
     assert table(tmp_path)["subgroup.threshold"].to_pylist() == [1, 3, 1, 3]
     monkeypatch.setitem(MEASURES, "edges", right)
@@ -200,7 +221,9 @@ def test_killed_in_the_middle_and_started_again(tmp_path, quick):
     spec = GRID.replace("pulses = 10", "pulses = 400").replace("[1, 2, 3]", str(list(range(1, 9))))
     (tmp_path / "s.toml").write_text(spec, encoding="utf-8")
     words = "-m coincid sweep s.toml --out s.parquet --workers 1"
-    killed = subprocess.Popen([sys.executable, *words.split()], cwd=tmp_path, start_new_session=True)
+    killed = subprocess.Popen(
+        [sys.executable, *words.split()], cwd=tmp_path, start_new_session=True
+    )
     while len(points(tmp_path)) < 2:
         assert killed.poll() is None
         time.sleep(0.005)
@@ -220,16 +243,24 @@ def test_lost_workers_lose_nothing(tmp_path, quick, processes, monkeypatch):
 
     def kill_one(done):
         if done in (1, 3):  # some points are finished, others are not
-            alive = (one for one in psutil.Process().children() if one.status() != psutil.STATUS_ZOMBIE)
+            alive = (
+                one for one in psutil.Process().children() if one.status() != psutil.STATUS_ZOMBIE
+            )
             workers = (one for one in alive if any("spawn_main" in word for word in one.cmdline()))
             victims.append(next(one.pid for one in workers if one.pid not in victims))
             os.kill(victims[-1], signal.SIGKILL)
 
-    monkeypatch.setattr(dask_workers, "cluster", lambda workers, scheduler=None: contextlib.nullcontext(processes))
+    monkeypatch.setattr(
+        dask_workers, "cluster", lambda workers, scheduler=None: contextlib.nullcontext(processes)
+    )
     (tmp_path / "lost").mkdir()
     spec, out = read_spec(tmp_path / "s.toml"), tmp_path / "lost" / "s.parquet"
     summary = job.sweep(spec, out, workers=2, title="s", progress=kill_one)
-    assert len(victims) == 2 and (summary.rows, summary.finished_before, summary.failed) == (6, 0, {})
+    assert len(victims) == 2 and (summary.rows, summary.finished_before, summary.failed) == (
+        6,
+        0,
+        {},
+    )
     for suffix in (".parquet", ".png"):
         assert out.with_suffix(suffix).read_bytes() == (tmp_path / f"s{suffix}").read_bytes()
 
@@ -243,7 +274,9 @@ def test_a_cluster_of_its_own_listens_on_loopback_only_and_serves_other_sweeps(t
 
 @pytest.mark.parametrize("address", ["host", "", "xyz://1.2.3.4:5", "tcp://127.0.0.1"])
 def test_an_address_that_makes_no_sense(tmp_path, address):
-    assert_refused(sweep(tmp_path, GRID, "--scheduler", address), f"scheduler = {address!r}: must be")
+    assert_refused(
+        sweep(tmp_path, GRID, "--scheduler", address), f"scheduler = {address!r}: must be"
+    )
 
 
 def test_two_sweeps_at_once_on_one_output(tmp_path, quick):
@@ -253,7 +286,11 @@ def test_two_sweeps_at_once_on_one_output(tmp_path, quick):
 
 
 BAD = [  # rules of the SPEC; the others' errors name the point
-    ("[[axis]]\nsubgroup.threshold = [1, 0]", "point subgroup.threshold=0: subgroup.threshold = 0", "from 1 to 64"),
+    (
+        "[[axis]]\nsubgroup.threshold = [1, 0]",
+        "point subgroup.threshold=0: subgroup.threshold = 0",
+        "from 1 to 64",
+    ),
     ("[[axis]]\nthreshold = [1]", "axis[0].threshold", "subgroup.KEY"),
     ("klx = 5", "klx", "unknown"),
     ("[[axis]]\nklux = 5", "axis[0].klux = 5", "list"),
@@ -262,10 +299,18 @@ BAD = [  # rules of the SPEC; the others' errors name the point
     ("[[axis]]\nklux = [1, 2]\nseed = [1]", "axis[0].seed", "1 values", "klux: 2"),
     ("[[axis]]\nklux = [1, 2, 1]", "klux = 1", "twice"),
     ("[[axis]]\nklux = [1]\n[[axis]]\nklux = [2]", "axis[1].klux", "another axis"),
-    ("\n".join(f"[[axis]]\nsensor.{key} = {[*range(1, 1000)]}" for key in ("rows", "cols")), "998001", "1 to 100000"),
+    (
+        "\n".join(f"[[axis]]\nsensor.{key} = {[*range(1, 1000)]}" for key in ("rows", "cols")),
+        "998001",
+        "1 to 100000",
+    ),
     ("[[axis]]\nklux = [-1]", "point klux=-1", "klux = -1", "at least 0"),
     ("clock_mhz = 5\n[frame]\nclock_mhz = 5", "clock_mhz", "one of them"),
-    ("[[axis]]\nclock_mhz = [1]\n[[axis]]\nframe.clock_mhz = [2]", "axis[1].frame.clock_mhz", "another axis"),
+    (
+        "[[axis]]\nclock_mhz = [1]\n[[axis]]\nframe.clock_mhz = [2]",
+        "axis[1].frame.clock_mhz",
+        "another axis",
+    ),
     ("[[axis]]\nseed = [-1]", "seed = -1", "from 0 to"),
     ("[[axis]]\nengine = ['silver']", "engine = 'silver'", "golden, sliced"),
     ("method = 'best'", "method = 'best'", "planes"),
@@ -284,7 +329,11 @@ def test_a_bad_spec_is_refused_before_anything_runs(tmp_path, spec, words):
 
 
 def test_outputs_that_cannot_be(tmp_path):
-    for options in (("--out", tmp_path / "x.png"), ("--out", tmp_path / "s.toml" / "x.parquet"), ("--workers", "0")):
+    for options in (
+        ("--out", tmp_path / "x.png"),
+        ("--out", tmp_path / "s.toml" / "x.parquet"),
+        ("--workers", "0"),
+    ):
         assert sweep(tmp_path, GRID, *options).exit_code == 2
 
 
@@ -298,13 +347,18 @@ def test_the_documentation_has_the_columns_and_settings():
 
 def test_the_example_parses():
     grid = read_spec(DOCS / "sweep-example.toml")
-    assert (len(grid.points), list(grid.points[0].values)) == (105, ["klux", "subgroup.threshold", "seed"])
+    assert (len(grid.points), list(grid.points[0].values)) == (
+        105,
+        ["klux", "subgroup.threshold", "seed"],
+    )
 
 
 def specs():
     """Return the documents' sweeps; one of them has a ray-traced scene."""
     for path in sorted(DOCS.glob("sweep-*.toml")):
-        needs = [pytest.mark.needs("raytrace")] if '"ray:' in path.read_text(encoding="utf-8") else []
+        needs = (
+            [pytest.mark.needs("raytrace")] if '"ray:' in path.read_text(encoding="utf-8") else []
+        )
         yield pytest.param(path, marks=needs, id=path.stem)
 
 

@@ -16,11 +16,25 @@ from coincid.tb.play import play
 
 from .. import random_cases
 
-# The simulators compile the same Verilog as the sliced engine, so some sensors suffice for them: on Verilator the one that
-# `test_ports.py` compiles, on Icarus the one with a single subgroup, which compiles fast.
-# Of its own here: windows of one tick, one column of minigroups in a subgroup, three streams of unequal length.
-NARROW = dict(rows=32, cols=8, subgroup=[16, 4], minigroup=[4, 4], phases=4, coarse_bits=7, window_max=1, streams=3)
-SENSORS = random_cases.SENSORS | {"narrow": NARROW | dict(rearm=2, fifo_depth=4), "lean": random_cases.LEAN}
+# The simulators compile the same Verilog as the sliced engine, so some sensors suffice for them: on
+# Verilator the one that `test_ports.py` compiles, on Icarus the one with a single subgroup, which
+# compiles fast.
+# Of its own here: windows of one tick, one column of minigroups in a subgroup, three streams of
+# unequal length.
+NARROW = dict(
+    rows=32,
+    cols=8,
+    subgroup=[16, 4],
+    minigroup=[4, 4],
+    phases=4,
+    coarse_bits=7,
+    window_max=1,
+    streams=3,
+)
+SENSORS = random_cases.SENSORS | {
+    "narrow": NARROW | dict(rearm=2, fifo_depth=4),
+    "lean": random_cases.LEAN,
+}
 SAMPLES = {
     "sliced": [name for name in SENSORS if name != "one"],
     "icarus": ["one", "tiny", "narrow"],
@@ -36,9 +50,11 @@ FRAMES = {"sliced": 40, "icarus": 12, "verilator": 12}
 
 
 def frames(sensor: dict, number: int) -> list[FrameJob]:
-    """Return consecutive frames with settings, edges and back-pressure of their own; the golden model keeps its memory.
+    """Return consecutive frames with settings, edges and back-pressure of their own; the golden
+    model keeps its memory.
 
-    In the later half, the threshold controller, where it is built, acts in every frame, with changing capacity.
+    In the later half, the threshold controller, where it is built, acts in every frame, with
+    changing capacity.
     """
     configs = random_cases.drawn(random_cases.configurations(sensor, frames_max=1), number // 2)
     if configs[0].sensor.controller:
@@ -50,7 +66,11 @@ def frames(sensor: dict, number: int) -> list[FrameJob]:
         configs, seeds, cycle(random_cases.DENSITIES), cycle(random_cases.READY_KINDS)
     ):
         ready = random_cases.ready_pattern(seed, kind, config.pulses * config.period + 200)
-        jobs.append(random_cases.predicted(golden, config, random_cases.trouble(config, seed, density), ready))
+        jobs.append(
+            random_cases.predicted(
+                golden, config, random_cases.trouble(config, seed, density), ready
+            )
+        )
     return jobs
 
 
@@ -74,22 +94,32 @@ def test_every_mode_in_every_format(sensor, tmp_path):
     jobs, golden = [], Golden(random_cases.built_sensor(table))
     configs = [config for config in random_cases.modes(table) for _ in range(2)]
     configs += [*random_cases.gate_bits(table), *random_cases.collections(table)]
-    configs += [case(table) for case in (random_cases.overfull, random_cases.lengthy, random_cases.dithered)]
+    configs += [
+        case(table) for case in (random_cases.overfull, random_cases.lengthy, random_cases.dithered)
+    ]
     for (number, config), kind in zip(enumerate(configs), cycle(random_cases.READY_KINDS)):
         edges = random_cases.trouble(config, number, 12.0 * config.period / 60)
-        jobs.append(random_cases.predicted(golden, config, edges, random_cases.ready_pattern(number, kind, 400)))
+        jobs.append(
+            random_cases.predicted(
+                golden, config, edges, random_cases.ready_pattern(number, kind, 400)
+            )
+        )
     records, _ = play(jobs, "sliced", tmp_path)
     assert_all_checked(records, jobs)
 
 
 def test_streams_have_budgets_of_their_own(tmp_path):
-    """Only the first stream sees light, so the streams' budgets differ, and its thresholds follow its own."""
+    """Only the first stream sees light, so the streams' budgets differ, and its thresholds follow
+    its own.
+    """
     configs = random_cases.scarce(random_cases.SENSORS["odd"])
     built, jobs = configs[0].sensor, []
     golden = Golden(built)
     for number, config in enumerate(configs):
         edges = random_cases.trouble(config, number, 25.0)
-        edges = edges.take(np.isin(pixel_table(built).subgroup[edges.pixel], built.stream_subgroups(0)))
+        edges = edges.take(
+            np.isin(pixel_table(built).subgroup[edges.pixel], built.stream_subgroups(0))
+        )
         jobs.append(random_cases.predicted(golden, config, edges))
     assert any(job.expected.budget[0] != job.expected.budget[-1] for job in jobs)
     records, _ = play(jobs, "sliced", tmp_path)
@@ -97,8 +127,12 @@ def test_streams_have_budgets_of_their_own(tmp_path):
 
 
 def test_counters_saturate(tmp_path):
-    config = random_cases.configured(random_cases.LEAN, {"period": 60, "pulses": 60}, {"threshold": 1})
-    job = random_cases.predicted(Golden(config.sensor), config, random_cases.trouble(config, 1, 20.0))
+    config = random_cases.configured(
+        random_cases.LEAN, {"period": 60, "pulses": 60}, {"threshold": 1}
+    )
+    job = random_cases.predicted(
+        Golden(config.sensor), config, random_cases.trouble(config, 1, 20.0)
+    )
     assert np.any(job.expected.counters == config.sensor.counter_max)
     records, _ = play([job], "sliced", tmp_path)
     assert_all_checked(records, [job])
@@ -114,9 +148,11 @@ def test_sizes_reach_every_parameter():
 
 
 def test_every_alignment_of_storing_and_freeing(tmp_path):
-    """A place becomes free before, in and after the cycle of the next commit or record; the stall moves it by one cycle.
+    """A place becomes free before, in and after the cycle of the next commit or record; the stall
+    moves it by one cycle.
 
-    The outcome changes between two such frames, so one of them is the exact tie; model and RTL agree in all.
+    The outcome changes between two such frames, so one of them is the exact tie; model and RTL
+    agree in all.
     """
     config = random_cases.configured(
         random_cases.SENSORS["tiny"],

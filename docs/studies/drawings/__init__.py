@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Programs that draw the documents' pictures into docs/images: `python -m docs.studies.drawings.NAME`."""
+"""Programs that draw the documents' pictures into docs/images:
+`python -m docs.studies.drawings.NAME`.
+"""
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws async_tdc.png, the linearity of a TDC with mismatched taps, from a simulation of its Verilog under Icarus.
+"""Draws async_tdc.png, the linearity of a TDC with mismatched taps, from a simulation of its
+Verilog under Icarus.
 
 python -m docs.studies.drawings.async_tdc
 """
@@ -26,14 +27,21 @@ SIGMA_PS = 0.1 * TICK_PS  # mismatch of the border of a tap, in this example
 
 
 def draw() -> None:
-    """Draw DNL and INL of a TDC with mismatched taps, from a code density test, and the bias of its stamps."""
+    """Draw DNL and INL of a TDC with mismatched taps, from a code density test, and the bias of its
+    stamps.
+    """
     errors = np.random.default_rng(1).normal(0, SIGMA_PS, SENSOR.phases)  # of the borders, in ps
-    packed = sum(int(round(e * FS_PER_PS)) % (1 << ERROR_BITS) << ERROR_BITS * k for k, e in enumerate(errors))
+    packed = sum(
+        int(round(e * FS_PER_PS)) % (1 << ERROR_BITS) << ERROR_BITS * k
+        for k, e in enumerate(errors)
+    )
     half = SENSOR.phases // 2
     parameters = {"PHASES": SENSOR.phases, "CLOCK_FS": CLOCK_FS, "LAG_FS": lag_fs(SENSOR)}
     parameters |= {"ERROR_BITS": ERROR_BITS, "MISMATCH_FS": packed, "EVENTS": 40_000}
     told = run_bench(
-        Path(__file__).with_name("async_tdc.v"), {CELLS.name: CELLS.read_text(encoding="utf-8")}, parameters=parameters
+        Path(__file__).with_name("async_tdc.v"),
+        {CELLS.name: CELLS.read_text(encoding="utf-8")},
+        parameters=parameters,
     )
     codes = np.array([[int(bit) for bit in line[::-1]] for line in told if set(line) <= {"0", "1"}])
     tick = np.where(codes[:, 0] == 1, codes.sum(1) - 1, half + (half - codes.sum(1)) - 1)
@@ -46,7 +54,9 @@ def draw() -> None:
         phase = np.arange(SENSOR.phases)
         left.bar(phase, truth, color=LIGHT_GREY, label="borders as given")
         density = "DNL, code density (2 sigma)"
-        left.errorbar(phase, found.dnl_lsb, 2 * found.sigma_lsb, fmt="o", color=GREEN, label=density)
+        left.errorbar(
+            phase, found.dnl_lsb, 2 * found.sigma_lsb, fmt="o", color=GREEN, label=density
+        )
         left.plot(phase, found.inl_lsb, color=ORANGE, label="INL")
         left.set(xlabel="phase", ylabel="LSB")
         left.legend()

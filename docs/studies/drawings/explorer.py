@@ -31,7 +31,9 @@ def make() -> None:
         raise InputError("chromium: is not installed; scripts/setup chromium installs it")
     from playwright.sync_api import sync_playwright
 
-    server = subprocess.Popen([sys.executable, "-c", SERVER], stdout=subprocess.PIPE, text=True, encoding="utf-8")
+    server = subprocess.Popen(
+        [sys.executable, "-c", SERVER], stdout=subprocess.PIPE, text=True, encoding="utf-8"
+    )
     assert server.stdout is not None
     try:
         address = server.stdout.readline().split()[2]

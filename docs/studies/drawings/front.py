@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Makes the picture on top of README and its caption: the scene of `make sim`, with its settings.
 
-The golden model plays the frames here; `make sim` plays them on the RTL and checks that every word is the same.
+The golden model plays the frames here; `make sim` plays them on the RTL and checks that every word
+is the same.
 """
 
 import io
@@ -16,7 +17,7 @@ from coincid.lab.setup import Setup, scene_of
 from coincid.model.contract.config import load_config
 from coincid.model.scenes.catalogue import usual_klux
 from coincid.model.shared import markdown
-from coincid.study.simulate import simulate, with_link
+from coincid.study.simulate import simulate_to_folder, with_link
 from coincid.tools.pages import picture, put
 
 PAGE, REGION, PICTURE = "README.md", "scene", "docs/images/depth.png"
@@ -48,7 +49,9 @@ def caption(report: dict[str, Any]) -> str:
 def make() -> None:
     """Write the picture and its caption into README."""
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
-        report = simulate(standard_setup(), out=Path(folder), console=Console(file=io.StringIO()))
+        report = simulate_to_folder(
+            standard_setup(), out=Path(folder), console=Console(file=io.StringIO())
+        )
         shutil.copyfile(Path(folder) / "depth.png", picture(PICTURE))
     put(PAGE, REGION, f"![{ALT}]({PICTURE})\n\n{caption(report)}")
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws ray-NAME.png for each ray-traced scene: the truth, and the depth from the RTL. Needs `make raytrace`.
+"""Draws ray-NAME.png for each ray-traced scene: the truth, and the depth from the RTL. Needs
+`make raytrace`.
 
 python -m docs.studies.drawings.raytrace
 """
@@ -22,11 +23,14 @@ from coincid.tools.pages import picture, put
 
 KLUX, PULSES, SEED = 50, 400, 1
 TITLES = "coincidence off", "threshold 2", "threshold per subgroup"  # of the schemes
-WINDOW_M = 1e-9 * SPEED_OF_LIGHT_M_S / 2  # surfaces within one coincidence window of 1 ns cannot be told apart
+# surfaces within one coincidence window of 1 ns cannot be told apart
+WINDOW_M = 1e-9 * SPEED_OF_LIGHT_M_S / 2
 
 
 def draw(name: str) -> list[tuple[float, float]]:
-    """Write the picture; return for each scheme the share wrong by over a window, and by the paper's criterion."""
+    """Write the picture; return for each scheme the share wrong by over a window, and by the
+    paper's criterion.
+    """
     config = load_config(None).with_pulses(PULSES).with_frame(frames=SETTLING + 1)
     scene = scene_of(config, PREFIX + name)
     run = Run(Setup(config=config, scene=scene, klux=KLUX, seed=SEED))
@@ -35,20 +39,29 @@ def draw(name: str) -> list[tuple[float, float]]:
     depths = [frame.depth_m for frame in frames.values()]
     panels = [
         Panel(title.format(threshold=np.unique(config.threshold)[0]), depth)
-        for (title, _), depth in zip(SCHEMES.values(), depths)
+        for (title, _), depth in zip(SCHEMES.values(), depths, strict=True)
     ]
     path = picture(f"docs/images/ray-{name}.png")
     shares = depth_row(
-        path, panels, scene.truth_m, f"{scene.name}, {KLUX} klux, {PULSES} laser pulses", tolerance_m=WINDOW_M
+        path,
+        panels,
+        scene.truth_m,
+        f"{scene.name}, {KLUX} klux, {PULSES} laser pulses",
+        tolerance_m=WINDOW_M,
     )
-    return [(share, wrong_share(depth, scene.truth_m)) for share, depth in zip(shares, depths)]
+    return [
+        (share, wrong_share(depth, scene.truth_m))
+        for share, depth in zip(shares, depths, strict=True)
+    ]
 
 
 def make() -> None:
     """Draw the pictures for their page, and write the table of the shares of wrong pixels."""
     rows = []
     for name in BUILT_IN:
-        rows.append((name, *(f"{100 * coarse:.1f} % ({100 * fine:.1f})" for coarse, fine in draw(name))))
+        rows.append(
+            (name, *(f"{100 * coarse:.1f} % ({100 * fine:.1f})" for coarse, fine in draw(name)))
+        )
         print(f"  {name}", flush=True)
     put("docs/raytrace.md", "depth", text_table(("scene", *TITLES), rows, left=range(4)))
     put("docs/raytrace.md", "pictures")

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the timing diagrams of docs/integrate.md from a simulation of the RTL, 8 x 8 pixels, in Amaranth's simulator.
+"""Draws the timing diagrams of docs/integrate.md from a simulation of the RTL, 8 x 8 pixels, in
+Amaranth's simulator.
 
 python -m docs.studies.drawings.timing_diagrams
 """
@@ -22,7 +23,7 @@ from coincid.tb.pysim import write_register
 from coincid.tools.pages import put
 
 from . import save
-from .waveform import PHASES, draw_boxes, draw_grid, finish, simulate
+from .waveform import PHASES, draw_boxes, draw_grid, finish, recorded_signals
 
 EDGES = (  # (pixel, cycle, phase)
     (9, 0, 22),
@@ -64,7 +65,7 @@ def traced(form: str) -> Trace:
         }
     )
     ports = {name: name for name in SensorTop(config.sensor).flat_ports()}
-    return simulate(config, EDGES, ports, three_accesses, STALLED)
+    return recorded_signals(config, EDGES, ports, three_accesses, STALLED)
 
 
 def frame_of(trace: Trace) -> int:
@@ -88,7 +89,16 @@ def draw(lines: Sequence[tuple[str, Sequence[object], str]], title: str, first: 
     draw_grid(axes, cycles)
     for i, (name, values, note) in enumerate(lines):
         y = -float(i)
-        axes.text(-0.3, y + 0.3, name, ha="right", va="center", color=DEEP_INK, fontsize=9, family="monospace")
+        axes.text(
+            -0.3,
+            y + 0.3,
+            name,
+            ha="right",
+            va="center",
+            color=DEEP_INK,
+            fontsize=9,
+            family="monospace",
+        )
         axes.text(cycles + 0.3, y + 0.3, note, ha="left", va="center", color=NOISE, fontsize=8.5)
         if isinstance(values[0], bool):
             edges, bits = np.arange(cycles + 1), y + 0.6 * np.array([*values, values[-1]], int)
@@ -108,9 +118,11 @@ def draw(lines: Sequence[tuple[str, Sequence[object], str]], title: str, first: 
 
 @frozen
 class Picture:
-    """A diagram. form: format of the events. span: returns the first cycle, the one after the last, and the one with number 0.
+    """A diagram. form: format of the events. span: returns the first cycle, the one after the last,
+    and the one with number 0.
 
-    lines: (name, note) of each line, see `values`; EVENT in a note stands for the fields of the frame's first event.
+    lines: (name, note) of each line, see `values`; EVENT in a note stands for the fields of the
+    frame's first event.
     """
 
     form: str
@@ -121,16 +133,25 @@ class Picture:
     def __call__(self, trace: Trace) -> Figure:
         begin, end, zero = self.span(trace)
         event = next((beat for beat in _beats(trace) if beat is not None and _kind(beat) == "E"), 0)
-        told = ", ".join(f"{name} {int(header_field(event, name))}" for name in ("stamp", "count", "winner"))
-        lines = [(name, values(trace, name, begin, end), note.replace("EVENT", told)) for name, note in self.lines]
+        told = ", ".join(
+            f"{name} {int(header_field(event, name))}" for name in ("stamp", "count", "winner")
+        )
+        lines = [
+            (name, values(trace, name, begin, end), note.replace("EVENT", told))
+            for name, note in self.lines
+        ]
         return draw(lines, self.title, begin - zero)
 
 
 def values(trace: Trace, name: str, begin: int, end: int) -> Sequence[object]:
-    """Return the content of a line in each cycle: bits of a port, texts of a valid bus, or a number of edges."""
+    """Return the content of a line in each cycle: bits of a port, texts of a valid bus, or a number
+    of edges.
+    """
     if name == "cycle":
         frame = frame_of(trace)
-        return [str((cycle - frame) % PERIOD) if cycle >= frame else None for cycle in range(begin, end)]
+        return [
+            str((cycle - frame) % PERIOD) if cycle >= frame else None for cycle in range(begin, end)
+        ]
     if name == "tdata":
         return _packets(trace, begin, end)
 
@@ -142,13 +163,16 @@ def values(trace: Trace, name: str, begin: int, end: int) -> Sequence[object]:
         return [str(word.bit_count()) if word else None for word in of(name)]
     if name in BUSES:
         valid, told = BUSES[name]
-        return [told(value) if on else None for value, on in zip(of(name), of(valid))]
+        return [told(value) if on else None for value, on in zip(of(name), of(valid), strict=True)]
     return [bool(value) for value in of(name)]
 
 
 def _beats(trace: Trace) -> list[int | None]:
     """Return the word on offer in each cycle, None without one."""
-    return [data if valid else None for data, valid in zip(trace["m_axis_tdata"], trace["m_axis_tvalid"])]
+    return [
+        data if valid else None
+        for data, valid in zip(trace["m_axis_tdata"], trace["m_axis_tvalid"], strict=True)
+    ]
 
 
 def _kind(beat: int) -> str:
@@ -157,13 +181,14 @@ def _kind(beat: int) -> str:
 
 
 def _packets(trace: Trace, begin: int, end: int) -> list[str | None]:
-    """Return the type of each beat: S frame start, E event, M map, G group, F frame end, C counters.
+    """Return the type of each beat: S frame start, E event, M map, G group, F frame end, C
+    counters.
 
     A zero-width space marks every second beat, so that equal neighbours get separate boxes.
     """
     texts: list[str | None] = []
     following, number, open_beat, name = "", 0, False, ""
-    for beat, ready in zip(_beats(trace)[:end], trace["m_axis_tready"]):
+    for beat, ready in zip(_beats(trace)[:end], trace["m_axis_tready"][:end], strict=True):
         if beat is None:
             texts.append(None)
             continue

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws waveform.svg, the way of photons to a word, from a simulation of the RTL (8 x 8 pixels) in Amaranth's simulator.
+"""Draws waveform.svg, the way of photons to a word, from a simulation of the RTL (8 x 8 pixels) in
+Amaranth's simulator.
 
 python -m docs.studies.drawings.waveform
 """
@@ -60,17 +61,18 @@ async def no_access(ctx: SimulatorContext, sensor: SensorTop) -> None:
     """Access no register before the sensor is programmed."""
 
 
-def simulate(
+def recorded_signals(
     config: Config,
     edges: Sequence[tuple[int, int, int]],
     signals: dict[str, str],
     first: Callable[[SimulatorContext, SensorTop], Awaitable[None]] = no_access,
     stalled: Container[int] = (),
 ) -> dict[str, list[int]]:
-    """Simulate a sensor of one subgroup; return the value of each of `signals` (name: path) at the end of every clock cycle.
+    """Simulate a sensor of one subgroup; return the value of each of `signals` (name: path) at the
+    end of every clock cycle.
 
-    first: register accesses before it is programmed and started. edges: (pixel, cycle, phase). stalled: cycles in which
-    `tready` is low. Cycles count from the laser trigger.
+    first: register accesses before it is programmed and started. edges: (pixel, cycle, phase).
+    stalled: cycles in which `tready` is low. Cycles count from the laser trigger.
     """
     sensor = SensorTop(config.sensor)
 
@@ -102,23 +104,32 @@ def simulate(
         with simulator.write_vcd(str(vcd)):
             simulator.run()
         waveform = Waveform(str(vcd))
-    found = {name: waveform[f"bench.top.{path}"].signal for name, path in {"clk": "clk", **signals}.items()}
+    found = {
+        name: waveform[f"bench.top.{path}"].signal
+        for name, path in {"clk": "clk", **signals}.items()
+    }
     ends = [time - 1 for time, value in found.pop("clk") if value and time]
     return {name: [signal.value_at(end) for end in ends] for name, signal in found.items()}
 
 
 def one_period() -> dict[str, list[int]]:
     """Return the values of `SIGNALS` in each cycle from the laser trigger on."""
-    config = parse_config({"sensor": {"rows": 8, "cols": 8, "phases": PHASES}, "frame": {"period": 40, "pulses": 1}})
-    values = simulate(config, EDGES, SIGNALS)
+    config = parse_config(
+        {"sensor": {"rows": 8, "cols": 8, "phases": PHASES}, "frame": {"period": 40, "pulses": 1}}
+    )
+    values = recorded_signals(config, EDGES, SIGNALS)
     begin = values["laser"].index(1)
     return {name: line[begin : begin + SHOWN_CYCLES] for name, line in values.items()}
 
 
 def covered(values: dict[str, list[int]]) -> list[int]:
-    """Return the phases that a window covers in each cycle, one bit per phase; the window begins at its first edge."""
+    """Return the phases that a window covers in each cycle, one bit per phase; the window begins at
+    its first edge.
+    """
     words = []
-    for is_open, opening, first, end in zip(values["open"], values["opening"], values["first"], values["end"]):
+    for is_open, opening, first, end in zip(
+        values["open"], values["opening"], values["first"], values["end"], strict=True
+    ):
         begin = 0 if is_open else first
         words.append(((1 << min(end, PHASES)) - (1 << begin)) if is_open or opening else 0)
     return words
@@ -130,23 +141,37 @@ def draw_grid(axes: Axes, cycles: int) -> None:
         axes.axvline(cycle, color=PALE, lw=0.8, zorder=0)
 
 
-def draw_boxes(axes: Axes, y: float, texts: Sequence[object], color: str, *, fontsize: float) -> None:
-    """Draw a bus at height `y`: a box per cycle with its text. Equal neighbours share a box; None: no box."""
+def draw_boxes(
+    axes: Axes, y: float, texts: Sequence[object], color: str, *, fontsize: float
+) -> None:
+    """Draw a bus at height `y`: a box per cycle with its text. Equal neighbours share a box; None:
+    no box.
+    """
     begin = 0
     for cycle in range(1, len(texts) + 1):
         if cycle == len(texts) or texts[cycle] != texts[begin]:
             if texts[begin] is not None:
                 x = [begin, begin + 0.12, cycle - 0.12, cycle, cycle - 0.12, begin + 0.12]
-                axes.fill(x, [y + 0.3, y + 0.6, y + 0.6, y + 0.3, y, y], fc="white", ec=color, lw=1.2)
+                axes.fill(
+                    x, [y + 0.3, y + 0.6, y + 0.6, y + 0.3, y, y], fc="white", ec=color, lw=1.2
+                )
                 at = (begin + cycle) / 2, y + 0.3
-                axes.text(*at, str(texts[begin]), ha="center", va="center", fontsize=fontsize, color=color)
+                axes.text(
+                    *at, str(texts[begin]), ha="center", va="center", fontsize=fontsize, color=color
+                )
             begin = cycle
 
 
 def finish(figure: Figure, axes: Axes, title: str, label_pt: float) -> None:
     """Put title and cycle numbers above the picture, and remove its frame."""
     axes.tick_params(
-        length=0, labelsize=label_pt, labelcolor=NOISE, top=True, labeltop=True, bottom=False, labelbottom=False
+        length=0,
+        labelsize=label_pt,
+        labelcolor=NOISE,
+        top=True,
+        labeltop=True,
+        bottom=False,
+        labelbottom=False,
     )
     axes.set_title(title, fontsize=9, color=NOISE, loc="left", pad=18)
     axes.set_yticks([])
@@ -155,7 +180,9 @@ def finish(figure: Figure, axes: Axes, title: str, label_pt: float) -> None:
 
 
 def draw(values: dict[str, list[int]]) -> Figure:
-    """Draw the picture over clock cycles; the 32 phases of a word are drawn side by side in their cycle."""
+    """Draw the picture over clock cycles; the 32 phases of a word are drawn side by side in their
+    cycle.
+    """
     figure, axes = plt.subplots(figsize=(12, 6.6))
     spads = [f"SPAD {pixel}" for pixel, _, _ in sorted(EDGES, key=lambda edge: edge[1:])]
     rows = ["laser", *spads, "root", "window", "ID map", "closed", "commit", "tdata"]
@@ -171,8 +198,18 @@ def draw(values: dict[str, list[int]]) -> Figure:
     level = {row: -1.0 * i - 0.35 * (i > 0) - 0.35 * (i > 5) for i, row in enumerate(rows)}
     draw_grid(axes, SHOWN_CYCLES)
     for row, y in level.items():
-        axes.text(-0.5, y + 0.3, row, ha="right", va="center", color=DEEP_INK, fontsize=10, weight="bold")
-        axes.text(SHOWN_CYCLES + 0.4, y + 0.3, notes.get(row, ""), ha="left", va="center", color=NOISE, fontsize=8.5)
+        axes.text(
+            -0.5, y + 0.3, row, ha="right", va="center", color=DEEP_INK, fontsize=10, weight="bold"
+        )
+        axes.text(
+            SHOWN_CYCLES + 0.4,
+            y + 0.3,
+            notes.get(row, ""),
+            ha="left",
+            va="center",
+            color=NOISE,
+            fontsize=8.5,
+        )
 
     def wave(row: str, bits: list[int], steps: int, color: str = DEEP_INK) -> None:
         """Draw a line of bits with `steps` bits per cycle."""
@@ -190,7 +227,12 @@ def draw(values: dict[str, list[int]]) -> Figure:
 
     wave("laser", values["laser"], 1)
     for pixel, cycle, _ in EDGES:
-        wave(f"SPAD {pixel}", phases(values["spad"], pixel * PHASES), PHASES, SIGNAL if cycle > 5 else NOISE)
+        wave(
+            f"SPAD {pixel}",
+            phases(values["spad"], pixel * PHASES),
+            PHASES,
+            SIGNAL if cycle > 5 else NOISE,
+        )
     wave("root", phases(values["root"]), PHASES)
     wave("window", phases(covered(values)), PHASES)
     counts = [bin(value).count("1") for value in values["hits"]]
@@ -198,7 +240,11 @@ def draw(values: dict[str, list[int]]) -> Figure:
     wave("closed", values["closed"], 1)
     wave("commit", values["commit"], 1, SIGNAL)
     axes.plot([0, SHOWN_CYCLES], [level["tdata"] + 0.3] * 2, color=FAINT, lw=1.2, zorder=0)
-    beats = [(cycle, data) for cycle, (valid, data) in enumerate(zip(values["tvalid"], values["tdata"])) if valid]
+    beats = [
+        (cycle, data)
+        for cycle, (valid, data) in enumerate(zip(values["tvalid"], values["tdata"], strict=True))
+        if valid
+    ]
     event = next(cycle for cycle, data in beats if header_field(data, "kind") == FORMATS["id"].code)
     for cycle, _ in beats:
         text = {event: "event", event + 1: "map"}.get(cycle, "frame start")
@@ -213,15 +259,39 @@ def draw(values: dict[str, list[int]]) -> Figure:
         pixel = next(p for p, c, k in EDGES if (c, k) == (cycle, phase))
         path = [(x, f"SPAD {pixel}"), (x + 1, "root"), (x + 2, "window")]
         axes.plot(
-            [at for at, _ in path], [level[row] + 0.3 for _, row in path], color=color, lw=1, ls=(0, (2, 2)), zorder=0
+            [at for at, _ in path],
+            [level[row] + 0.3 for _, row in path],
+            color=color,
+            lw=1,
+            ls=(0, (2, 2)),
+            zorder=0,
         )
     rejected = values["closed"].index(1)
-    axes.text(rejected + 1.3, level["commit"] + 0.3, "1 pixel: rejected", va="center", fontsize=8.5, color=NOISE)
+    axes.text(
+        rejected + 1.3,
+        level["commit"] + 0.3,
+        "1 pixel: rejected",
+        va="center",
+        fontsize=8.5,
+        color=NOISE,
+    )
     committed = values["commit"].index(1)
-    axes.text(committed + 1.3, level["commit"] + 0.3, "4 pixels: committed", va="center", fontsize=8.5, color=SIGNAL)
+    axes.text(
+        committed + 1.3,
+        level["commit"] + 0.3,
+        "4 pixels: committed",
+        va="center",
+        fontsize=8.5,
+        color=SIGNAL,
+    )
 
-    header, pixels = values["tdata"][event], [i for i in range(64) if values["tdata"][event + 1] >> i & 1]
-    pulse, stamp, count, winner = (int(header_field(header, name)) for name in ("pulse", "stamp", "count", "winner"))
+    header, pixels = (
+        values["tdata"][event],
+        [i for i in range(64) if values["tdata"][event + 1] >> i & 1],
+    )
+    pulse, stamp, count, winner = (
+        int(header_field(header, name)) for name in ("pulse", "stamp", "count", "winner")
+    )
     metres = stamp * Timing().tick_s * SPEED_OF_LIGHT_M_S / 2
     words = f"event = pulse {pulse}, stamp {stamp} ticks of 62.5 ps ({metres:.2f} m), count {count}, winner {winner}"
     words += f"     map = pixels {', '.join(map(str, pixels))}"

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws figures with their data (CSV) and a page: `python -m docs.studies.figures PAGE [--rtl] [--out DIR]`."""
+"""Draws figures with their data (CSV) and a page:
+`python -m docs.studies.figures PAGE [--rtl] [--out DIR]`.
+"""
 
 import argparse
 import sys
@@ -18,8 +20,12 @@ ENGINE = "sliced"  # plays some frames on the RTL
 def main() -> int:
     parser = argparse.ArgumentParser(description="Draw figures with their data (CSV) and a page.")
     parser.add_argument("page", choices=PAGES, metavar="PAGE", help=f"one of {', '.join(PAGES)}")
-    parser.add_argument("--rtl", action="store_true", help="play some frames of figures and modes on the RTL, too")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the figures; default: build/PAGE")
+    parser.add_argument(
+        "--rtl", action="store_true", help="play some frames of figures and modes on the RTL, too"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the figures; default: build/PAGE"
+    )
     given = parser.parse_args()
     page = PAGES[given.page]
     engine = ENGINE if given.rtl else None

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures from the equations, from Monte Carlo through the golden model, and from the RTL, in three pages."""
+"""Figures from the equations, from Monte Carlo through the golden model, and from the RTL, in three
+pages.
+"""
 
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -11,8 +13,16 @@ from coincid.lab.campaign import Processes, Progress
 from coincid.model.shared.files import FilePath
 from coincid.study.plot_style import style
 
-from . import four_modes, interference, light_over_distance, noisy_spads, reconstruction, rivals, thresholds
-from .sections import Section, write_page, write_section
+from . import (
+    four_modes,
+    interference,
+    light_over_distance,
+    noisy_spads,
+    reconstruction,
+    rivals,
+    thresholds,
+)
+from .sections import Section, write_figures_page, write_section
 
 COMPARISON = (
     rivals.background,
@@ -26,7 +36,9 @@ COMPARISON = (
 
 @frozen
 class Page:
-    """A page of figures. families: takes the engine that plays some frames as RTL; returns the functions that make the sections."""
+    """A page of figures. families: takes the engine that plays some frames as RTL; returns the
+    functions that make the sections.
+    """
 
     title: str
     introduction: str
@@ -68,11 +80,12 @@ def write(
     progress: Progress = lambda done, total: None,
     workers: int | None = None,
 ) -> list[Path]:
-    """Write the figures of a page (PNG, SVG), their data (CSV) and `index.html` to `out_dir`; return the paths, the page last.
+    """Write the figures of a page (PNG, SVG), their data (CSV) and `index.html` to `out_dir`;
+    return the paths, the page last.
 
     engine: also plays some frames on the RTL, as of `tb.replay`; None: without RTL.
-    progress(done, total) is called after each frame; `total` grows. workers: number of processes, all cores by default;
-    the files do not depend on it. Each file appears whole or not at all.
+    progress(done, total) is called after each frame; `total` grows. workers: number of processes,
+    all cores by default; the files do not depend on it. Each file appears whole or not at all.
     """
     folder = Path(out_dir)
     sections = []
@@ -80,8 +93,15 @@ def write(
         for family in page.families(engine):
             sections.append(family(run))
             write_section(folder, sections[-1])
-    write_page(folder, page.title, page.introduction, sections)
+    write_figures_page(folder, page.title, page.introduction, sections)
     files = [
-        folder / f"{stem}.{kind}" for section in sections for stem, _, _ in section.figures for kind in ("png", "svg")
+        folder / f"{stem}.{kind}"
+        for section in sections
+        for stem, _, _ in section.figures
+        for kind in ("png", "svg")
     ]
-    return [*files, *(folder / f"{section.name}.csv" for section in sections), folder / "index.html"]
+    return [
+        *files,
+        *(folder / f"{section.name}.csv" for section in sections),
+        folder / "index.html",
+    ]

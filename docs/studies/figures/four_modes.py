@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compares the paper's four modes (coincidence x gating) with both kinds of gate, behind a pane of glass and at 100 m.
+"""Compares the paper's four modes (coincidence x gating) with both kinds of gate, behind a pane of
+glass and at 100 m.
 
-Ref: paper III-A ("four different modes of operation with coincidence and gating", "time-gating ... around the desired
-target range"). Targets are flat and fill the picture. The criteria, and all numbers that the paper does not give, are our
-choice.
+Ref: paper III-A ("four different modes of operation with coincidence and gating", "time-gating ...
+around the desired target range"). Targets are flat and fill the picture. The criteria, and all
+numbers that the paper does not give, are our choice.
 """
 
 import math
@@ -49,7 +50,8 @@ MODE_STYLE = {
     "coincidence, SPAD gate": (SERIES[4], "-"),
 }
 METHODS = {"maximum": "the paper's peaks", "planes": "planes"}
-MEASURES = {"right_share": "right_share", "found_share": "found_share", "rms_m": "found_rms_m"}  # measure by column
+# measure by column
+MEASURES = {"right_share": "right_share", "found_share": "found_share", "rms_m": "found_rms_m"}
 HALF_GATE_M = 3.0  # on either side of the target
 
 DISTANCES_M, REFLECTIVITY = (3.0, 5.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0), 0.4
@@ -66,7 +68,8 @@ PULSE_NJ = 5.0  # 10 mW at 2 MHz (paper II)
 FAR_PULSES = (1000, 5000)
 FAR_THRESHOLDS = (0, 1, 2, 3)  # 0: coincidence off
 FAR_FRAME = {"period": 360}  # 108 m
-SCAN = {"start_m": 3.0, "gate_len": 40, "gate_step": 34, "gate_steps": 10}  # in cycles: a gate of 12 m moves by 10.2 m
+# in cycles: a gate of 12 m moves by 10.2 m
+SCAN = {"start_m": 3.0, "gate_len": 40, "gate_step": 34, "gate_steps": 10}
 SCHEDULES = {
     "none": "no gate",
     "scan": "progressive SPAD gate, 3 to 108 m",
@@ -79,14 +82,20 @@ FOUND_SHARE = 0.9  # share of the pixels within 15 cm, from which a target count
 def background(run: Processes, engine: str | None = None) -> Section:
     """Run all modes over distance, from 1 to 100 klux."""
     keys = product(MODES, KLUX, DISTANCES_M)
-    setups = {(mode, klux, distance_m): _flat(mode, klux, distance_m, HALF_GATE_M) for mode, klux, distance_m in keys}
+    setups = {
+        (mode, klux, distance_m): _flat(mode, klux, distance_m, HALF_GATE_M)
+        for mode, klux, distance_m in keys
+    }
     table = grouped(setups, outcome, run)
     figure = new_figure(13, 6)
     axes = figure.subplots(len(METHODS), len(KLUX), sharex=True, sharey=True)
-    for line, method in zip(axes, METHODS):
-        for axis, klux in zip(line, KLUX):
+    for line, method in zip(axes, METHODS, strict=True):
+        for axis, klux in zip(line, KLUX, strict=True):
             for mode, (colour, dashes) in MODE_STYLE.items():
-                values = [mean(table[mode, klux, distance_m], f"right_share_{method}") for distance_m in DISTANCES_M]
+                values = [
+                    mean(table[mode, klux, distance_m], f"right_share_{method}")
+                    for distance_m in DISTANCES_M
+                ]
                 axis.plot(DISTANCES_M, values, dashes, color=colour, label=mode)
             _share(axis)
             if method == "maximum":
@@ -97,8 +106,13 @@ def background(run: Processes, engine: str | None = None) -> Section:
     legend_below(figure)
     reach = {}
     for mode in MODES:
-        shares = {klux: [mean(table[mode, klux, d], "right_share_maximum") for d in DISTANCES_M] for klux in KLUX}
-        reach[mode] = ", ".join(f"{klux:g} klux: {_reach(of_klux)}" for klux, of_klux in shares.items())
+        shares = {
+            klux: [mean(table[mode, klux, d], "right_share_maximum") for d in DISTANCES_M]
+            for klux in KLUX
+        }
+        reach[mode] = ", ".join(
+            f"{klux:g} klux: {_reach(of_klux)}" for klux, of_klux in shares.items()
+        )
     return section(
         "modes",
         "Four modes, two kinds of gate",
@@ -119,9 +133,11 @@ def glass(run: Processes, engine: str | None = None) -> Section:
     table = grouped(setups, outcome, run)
     figure = new_figure(10, 4)
     at = [max(photons, PANE_PHOTONS[1] / 3) for photons in PANE_PHOTONS]
-    for axis, method in zip(figure.subplots(1, len(METHODS), sharey=True), METHODS):
+    for axis, method in zip(figure.subplots(1, len(METHODS), sharey=True), METHODS, strict=True):
         for mode, (colour, dashes) in MODE_STYLE.items():
-            values = [mean(table[mode, photons], f"found_share_{method}") for photons in PANE_PHOTONS]
+            values = [
+                mean(table[mode, photons], f"found_share_{method}") for photons in PANE_PHOTONS
+            ]
             axis.plot(at, values, dashes, color=colour, label=mode)
         _share(axis)
         axis.set_xscale("log")
@@ -148,12 +164,16 @@ def far(run: Processes, engine: str | None = None) -> Section:
     figure = new_figure(10, 6.4)
     axes = figure.subplots(len(FAR_REFLECTIVITIES), len(FAR_PULSES), sharex=True, sharey=True)
     needs: dict[str, dict[str, str]] = {}
-    for line, reflectivity in zip(axes, FAR_REFLECTIVITIES):
-        for axis, pulses in zip(line, FAR_PULSES):
-            for (schedule, name), colour in zip(SCHEDULES.items(), (GREY, SERIES[2], SERIES[4])):
+    for line, reflectivity in zip(axes, FAR_REFLECTIVITIES, strict=True):
+        for axis, pulses in zip(line, FAR_PULSES, strict=True):
+            for (schedule, name), colour in zip(
+                SCHEDULES.items(), (GREY, SERIES[2], SERIES[4]), strict=True
+            ):
                 best = [_best(table, reflectivity, schedule, pulses, power) for power in POWERS]
                 shares = [mean(outcomes, "found_share_planes") for _, outcomes in best]
-                axis.plot([PULSE_NJ * power for power in POWERS], shares, "-o", color=colour, label=name)
+                axis.plot(
+                    [PULSE_NJ * power for power in POWERS], shares, "-o", color=colour, label=name
+                )
                 needs.setdefault(f"{reflectivity:.0%}, {pulses} pulses", {})[name] = _need(best)
             _share(axis)
             axis.set_xscale("log")
@@ -182,17 +202,27 @@ def _flat(
     subgroup = {"coincidence": coincidence, "threshold": THRESHOLD, "gating": gate is not None}
     subgroup |= {"gate_start": start, "gate_len": math.ceil(2 * half_gate_m / _cycle_m())}
     signal = float(signal_per_pulse(distance_m, REFLECTIVITY))
-    targets = [(distance_m, signal)] if pane_photons is None else [(PANE_M, pane_photons), (distance_m, signal)]
+    targets = (
+        [(distance_m, signal)]
+        if pane_photons is None
+        else [(PANE_M, pane_photons), (distance_m, signal)]
+    )
     return _setups(targets, REFLECTIVITY, klux, gate == "spad", {}, subgroup)
 
 
-def _far(reflectivity: float, schedule: str, pulses: int, threshold: int, power: float) -> list[Setup]:
+def _far(
+    reflectivity: float, schedule: str, pulses: int, threshold: int, power: float
+) -> list[Setup]:
     frame: dict[str, Any] = FAR_FRAME | {"pulses": pulses}
     subgroup: dict[str, Any] = {"coincidence": threshold > 0, "threshold": max(1, threshold)}
     if schedule == "known":
         subgroup |= {"gating": True, "gate_start": _cycles(FAR_M - 5), "gate_len": _cycles(10)}
     elif schedule == "scan":
-        subgroup |= {"gating": True, "gate_start": _cycles(SCAN["start_m"]), "gate_len": SCAN["gate_len"]}
+        subgroup |= {
+            "gating": True,
+            "gate_start": _cycles(SCAN["start_m"]),
+            "gate_len": SCAN["gate_len"],
+        }
         frame |= {name: SCAN[name] for name in ("gate_step", "gate_steps")}
         frame["gate_every"] = pulses // int(SCAN["gate_steps"])
     targets = [(FAR_M, power * float(signal_per_pulse(FAR_M, reflectivity)))]
@@ -207,7 +237,9 @@ def _setups(
     frame: dict[str, Any],
     subgroup: dict[str, Any],
 ) -> list[Setup]:
-    """Return setups of flat targets, each (distance in metres, photons per pulse). The last one is the truth."""
+    """Return setups of flat targets, each (distance in metres, photons per pulse). The last one is
+    the truth.
+    """
     distance_m, signal = np.transpose(targets)
     light = Light(
         rows=SENSOR["rows"],
@@ -238,19 +270,26 @@ def _cycles(distance_m: float) -> int:
 
 
 def _checks(engine: str | None, groups: Sequence[list[Setup]]) -> str:
-    """Play some setups on the RTL, and return a sentence about the result. Raises `AssertionError` if a word differs."""
+    """Play some setups on the RTL, and return a sentence about the result. Raises `AssertionError`
+    if a word differs.
+    """
     if engine is None:
         return ""
     chosen = [Run(groups[int(k)][0]) for k in np.linspace(0, len(groups) - 1, SPOT_CHECKS)]
     runs = [run for run in chosen if run.config.pulses <= FAR_PULSES[0]]
     for run in runs:
-        assert not differences(run.result, run.but(engine=engine).result), "the RTL differs from the golden model"
+        assert not differences(run.result, run.but(engine=engine).result), (
+            "the RTL differs from the golden model"
+        )
     return f"{len(runs)} of these frames were also played on the RTL: every word equals the golden model's."
 
 
 def _rows(keys: tuple[str, ...], table: dict[Any, list[Outcome]]) -> list[Row]:
     """Return the rows of a CSV."""
-    columns = {f"{name}_{method}": f"{MEASURES[name]}_{method}" for name, method in product(MEASURES, METHODS)}
+    columns = {
+        f"{name}_{method}": f"{MEASURES[name]}_{method}"
+        for name, method in product(MEASURES, METHODS)
+    }
     columns |= {"events": "events", "dropped": "dropped"}
     return [(*keys, *columns), *mean_rows(keys, list(columns.values()), table)[1:]]
 
@@ -261,14 +300,20 @@ def _share(axis: Axes) -> None:
 
 
 def _reach(shares: Sequence[float]) -> str:
-    good = [distance_m for distance_m, share in zip(DISTANCES_M, shares) if share >= FOUND_SHARE]
+    good = [
+        distance_m
+        for distance_m, share in zip(DISTANCES_M, shares, strict=True)
+        if share >= FOUND_SHARE
+    ]
     return f"{max(good):g} m" if good else "none"
 
 
 def _best(
     table: dict[Any, list[Outcome]], reflectivity: float, schedule: str, pulses: int, power: float
 ) -> tuple[int, list[Outcome]]:
-    """Return the best threshold and its outcomes: most pixels see the target, then most are right, then it is the highest."""
+    """Return the best threshold and its outcomes: most pixels see the target, then most are right,
+    then it is the highest.
+    """
 
     def rank(threshold: int) -> tuple[float, float, int]:
         outcomes = table[reflectivity, schedule, pulses, threshold, power]
@@ -279,8 +324,10 @@ def _best(
 
 
 def _need(best: Sequence[tuple[int, list[Outcome]]]) -> str:
-    """Return the weakest laser pulse that finds the target, with the threshold and the precision."""
-    for power, (threshold, outcomes) in zip(POWERS, best):
+    """Return the weakest laser pulse that finds the target, with the threshold and the
+    precision.
+    """
+    for power, (threshold, outcomes) in zip(POWERS, best, strict=True):
         if mean(outcomes, "found_share_planes") >= FOUND_SHARE:
             how = f"threshold {threshold}" if threshold else "coincidence off"
             return f"{PULSE_NJ * power:g} nJ, {how}, {100 * mean(outcomes, 'found_rms_m_planes'):.1f} cm RMS"

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures the effect of a second LiDAR in the scene, and the benefit of a laser period that changes from pulse to pulse."""
+"""Measures the effect of a second LiDAR in the scene, and the benefit of a laser period that
+changes from pulse to pulse.
+"""
 
 from itertools import product
 from typing import NamedTuple, TypeAlias
@@ -23,13 +25,20 @@ from .sections import Row, Section, section
 from .setups import SCENE
 
 SIDE, KLUX, SEEDS = 32, 20.0, 3
-SHOWN = ("winner: planes", "this: fixed", "this: controller", "this: fixed planes", "this: controller planes")
+SHOWN = (
+    "winner: planes",
+    "this: fixed",
+    "this: controller",
+    "this: fixed planes",
+    "this: controller planes",
+)
 # Of the other LiDAR, per pixel and pulse; our own laser gives 0.23 from a white wall at 10 m.
 PHOTONS = (0.0, 0.02, 0.05, 0.2, 0.5, 1.0)
 OFFSETS = (0.0, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # relative, of the other LiDAR's laser period
 DITHER_BITS = (0, 1, 2, 3, 4, 6)
 PHOTONS_SHOWN, OFFSET_SHOWN, BITS_SHOWN = 0.2, 0.0, (0, 2, 4)
-PHASE_SHARE = (0.07, 0.11, 0.6)  # phase of the other LiDAR by seed: before, among and behind the objects
+# phase of the other LiDAR by seed: before, among and behind the objects
+PHASE_SHARE = (0.07, 0.11, 0.6)
 Key: TypeAlias = tuple[float, float, int]  # photons, offset, bits
 
 
@@ -40,10 +49,14 @@ class Result(NamedTuple):
 
 
 def setup(photons: float, offset: float, bits: int, seed: int) -> Setup:
-    """Return the setup of five objects with another LiDAR, whose light reaches all pixels at the same time."""
+    """Return the setup of five objects with another LiDAR, whose light reaches all pixels at the
+    same time.
+    """
     scene, period_s = load_scene(SCENE, SIDE, SIDE), Timing().period_s
     other = Interferer(
-        photons_per_pulse=photons, period_s=period_s * (1 + offset), phase_s=PHASE_SHARE[seed - 1] * period_s
+        photons_per_pulse=photons,
+        period_s=period_s * (1 + offset),
+        phase_s=PHASE_SHARE[seed - 1] * period_s,
     )
     light = scene_light(scene, KLUX, interferer=other if photons else None)
     return compared(scene, light=light, seed=seed, frame={"dither_bits": bits})
@@ -61,46 +74,64 @@ def look(run: Run) -> Result:
 
 
 def _same_and_wrong(depth_m: np.ndarray, truth_m: np.ndarray) -> float:
-    """Return the size of the largest ghost: pixels that are wrong by over half a metre and agree within 30 cm."""
+    """Return the size of the largest ghost: pixels that are wrong by over half a metre and agree
+    within 30 cm.
+    """
     wrong = depth_m[np.abs(depth_m - truth_m) > 0.5]
-    return float(np.bincount((wrong / 0.3).astype(np.int64), minlength=1).max() / truth_m.size) if wrong.size else 0.0
+    return (
+        float(np.bincount((wrong / 0.3).astype(np.int64), minlength=1).max() / truth_m.size)
+        if wrong.size
+        else 0.0
+    )
 
 
 def interference(run: Processes) -> Section:
     """Show the wrong share against the other LiDAR's light, its period, and the dither."""
     keys = {
-        "photons per pixel and pulse of the other LiDAR": [*product(PHOTONS, [OFFSET_SHOWN], BITS_SHOWN)],
+        "photons per pixel and pulse of the other LiDAR": [
+            *product(PHOTONS, [OFFSET_SHOWN], BITS_SHOWN)
+        ],
         "its laser period longer by": [*product([PHOTONS_SHOWN], OFFSETS, BITS_SHOWN)],
         "longest wait in cycles": [*product([PHOTONS_SHOWN], [OFFSET_SHOWN], DITHER_BITS)],
     }
     wanted = list(dict.fromkeys(key for part in keys.values() for key in part))
-    table = grouped({key: [setup(*key, seed + 1) for seed in range(SEEDS)] for key in wanted}, look, run)
+    table = grouped(
+        {key: [setup(*key, seed + 1) for seed in range(SEEDS)] for key in wanted}, look, run
+    )
     columns = "scheme photons_per_pulse period_offset dither_bits frame_us wrong_share ghost_share bits_per_frame"
     rows: list[Row] = [columns.split()]
     for key, results in table.items():
         frame_us = Timing(dither_bits=key[2]).start_cycles(PULSES)[-1] / Timing().clock_hz * 1e6
         for name in SHOWN:
-            means = (float(np.mean([part[name] for part in parts])) for parts in zip(*results))
+            means = (
+                float(np.mean([part[name] for part in parts]))
+                for parts in zip(*results, strict=True)
+            )
             rows.append((name, *key, float(frame_us), *means))
     figure = new_figure(15, 5)
     left, middle, right = figure.subplots(1, 3, sharey=True)
-    colours = dict(zip(BITS_SHOWN, (SERIES[0], SERIES[3], SERIES[5])))
-    for axis, at, (label, part) in zip((left, middle), (0, 1), keys.items()):
+    colours = dict(zip(BITS_SHOWN, (SERIES[0], SERIES[3], SERIES[5]), strict=True))
+    *of_the_other, of_the_dither = keys.items()
+    for axis, at, (label, part) in zip((left, middle), (0, 1), of_the_other, strict=True):
         for bits in BITS_SHOWN:
             chosen = [key for key in part if key[2] == bits]
             for name, line in (("this: fixed planes", "-o"), ("this: fixed", "--o")):
                 wait = f"wait of 0 to {(1 << bits) - 1} cycles" if bits else "no wait"
                 shares, label_of = _shares(table, chosen, name), f"{wait}, {name}"
-                axis.plot([key[at] for key in chosen], shares, line, color=colours[bits], label=label_of)
+                axis.plot(
+                    [key[at] for key in chosen], shares, line, color=colours[bits], label=label_of
+                )
         share_axis(axis, xlabel=label)
         axis.set_xscale("symlog", linthresh=part[len(BITS_SHOWN)][at], linscale=0.3)
         axis.set_xlim(left=0)
+    label, chosen = of_the_dither
     for name in SHOWN:
         colour, line, marker = STYLES[name]
-        chosen = keys["longest wait in cycles"]
         waits = [(1 << key[2]) - 1 for key in chosen]
-        right.plot(waits, _shares(table, chosen, name), line, marker=marker, color=colour, label=name)
-    share_axis(right, xlabel="longest wait in cycles", title=f"{PHOTONS_SHOWN:g} photons, same period")
+        right.plot(
+            waits, _shares(table, chosen, name), line, marker=marker, color=colour, label=name
+        )
+    share_axis(right, xlabel=label, title=f"{PHOTONS_SHOWN:g} photons, same period")
     right.set_xscale("symlog", linthresh=1)
     right.set_xlim(left=0)
     left.set(ylabel="share of wrong pixels", title="same period")

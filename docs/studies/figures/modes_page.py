@@ -31,7 +31,9 @@ def far() -> None:
     put(PAGE, "far picture")
     rows = []
     for one in section.comparisons:
-        reflectivity, pulses = one.quantity.removeprefix("least laser pulse, ").removesuffix(" pulses").split(", ")
+        reflectivity, pulses = (
+            one.quantity.removeprefix("least laser pulse, ").removesuffix(" pulses").split(", ")
+        )
         needs = [one.ours[four_modes.SCHEDULES[name]] for name in ("none", "scan", "known")]
         cells = [re.sub(r"^(\S+ nJ), .*, (\S+ cm) RMS$", r"\1, \2", need) for need in needs]
         rows.append((reflectivity.replace("%", " %"), pulses, *cells))

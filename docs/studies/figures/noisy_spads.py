@@ -33,7 +33,8 @@ SPADS: dict[str, dict[float, dict[str, Any]]] = {
         for share in (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)
     },
     "crosstalk probability to each neighbour": {
-        share: {"spad": Spad(crosstalk_probability=share)} for share in (0.0, 0.005, 0.01, 0.02, 0.05, 0.1)
+        share: {"spad": Spad(crosstalk_probability=share)}
+        for share in (0.0, 0.005, 0.01, 0.02, 0.05, 0.1)
     },
 }
 
@@ -44,14 +45,19 @@ def noisy_spads(run: Processes) -> Section:
     for (study, values), threshold in product(SPADS.items(), THRESHOLDS):
         for value, fields in values.items():
             subgroup = {"threshold": threshold}
-            setups[study, value, threshold] = cases(SEEDS, subgroup=subgroup, estimators=tuple(METHODS), **fields)
+            setups[study, value, threshold] = cases(
+                SEEDS, subgroup=subgroup, estimators=tuple(METHODS), **fields
+            )
     table = grouped(setups, outcome, run)
     figure = new_figure(4.4 * len(SPADS), 7.5)
     axes = figure.subplots(2, len(SPADS), sharey="row", squeeze=False)
-    for (above, below), (study, values) in zip(axes.T, SPADS.items()):
+    for (above, below), (study, values) in zip(axes.T, SPADS.items(), strict=True):
         at = range(len(values))
         for threshold, colour in THRESHOLDS.items():
-            shown, label = [table[study, value, threshold] for value in values], f"threshold {threshold}"
+            shown, label = (
+                [table[study, value, threshold] for value in values],
+                f"threshold {threshold}",
+            )
             for method, mark in METHODS.items():
                 wrong = [mean(one, f"wrong_share_{method}") for one in shown]
                 above.plot(at, wrong, mark, color=colour, label=f"{label}, {method}")

@@ -20,7 +20,9 @@ def made(family: Callable[[Processes], Section]) -> Section:
 
 
 def save(section: Section, **names: str) -> None:
-    """Write pictures of a section. names: file in docs/images without suffix, by the stem of the figure."""
+    """Write pictures of a section. names: file in docs/images without suffix, by the stem of the
+    figure.
+    """
     figures = {stem: figure for stem, figure, _ in section.figures}
     with style():
         for stem, name in names.items():
@@ -30,7 +32,7 @@ def save(section: Section, **names: str) -> None:
 def records(section: Section) -> list[dict[str, Any]]:
     """Return the rows of a section by the names in its first row."""
     head, *rows = section.rows
-    return [dict(zip(map(str, head), row)) for row in rows]
+    return [dict(zip(map(str, head), row, strict=True)) for row in rows]
 
 
 def per_cent(share: float) -> str:

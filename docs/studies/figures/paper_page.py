@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the pictures and tables of docs/paper-figures.md; the figures are those of `make figures`."""
+"""Writes the pictures and tables of docs/paper-figures.md; the figures are those of
+`make figures`.
+"""
 
 import re
 from typing import Any
@@ -41,7 +43,10 @@ COLUMNS_7 = {
 
 def figure_2() -> None:
     """Write the distances at which signal and background are equal."""
-    rows = [(key, told, f"{light_over_distance.zero_m('literal', key):.2f} m") for key, told in READINGS.items()]
+    rows = [
+        (key, told, f"{light_over_distance.zero_m('literal', key):.2f} m")
+        for key, told in READINGS.items()
+    ]
     put(PAGE, "fig2", text_table(("reading", "what is compared", "0 dB at"), rows, left=(0, 1)))
 
 
@@ -61,14 +66,16 @@ def figure_6() -> None:
             PAGE,
             f"fig6{panel}",
             paragraphs(
-                text_table(("source", "wrong pixels", "objects that are right"), table, left=(0, 2)),
+                text_table(
+                    ("source", "wrong pixels", "objects that are right"), table, left=(0, 2)
+                ),
                 shown(f"Fig. 6{panel} by every estimator", f"paper_fig6{panel}"),
             ),
         )
 
 
 def _judged(rows: list[dict[str, Any]]) -> tuple[str, str]:
-    """Return the share of wrong pixels, and the objects that are right."""
+    """Return the share of wrong pixels, and the objects with the right distance."""
     share = {row["object"]: row["wrong_share"] for row in rows}
     whole = share.pop("all")
     right = [str(label) for label in share if share[label] < reconstruction.RIGHT]
@@ -94,6 +101,9 @@ def figure_8() -> None:
     ours = {one.quantity[1]: one.ours for one in section.comparisons}
     rows = [("paper", "worse than (c)", "worse than (c)", "7 %")]
     for name, source in SOURCES_8.items():
-        cells = [re.sub(r"(\S+)% \(threshold (\d+)\)", r"\1 % (\2)", ours[panel][source]) for panel in SIZES_8]
+        cells = [
+            re.sub(r"(\S+)% \(threshold (\d+)\)", r"\1 % (\2)", ours[panel][source])
+            for panel in SIZES_8
+        ]
         rows.append((name, cells[0], cells[1], cells[2]))
     put(PAGE, "fig8", text_table(("source", *SIZES_8.values()), rows))

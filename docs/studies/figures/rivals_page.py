@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes pictures and tables of docs/rivals.md and docs/second-lidar.md; the figures are those of `make compare`."""
+"""Writes pictures and tables of docs/rivals.md and docs/second-lidar.md; the figures are those of
+`make compare`.
+"""
 
 from itertools import product
 from typing import Any
@@ -12,7 +14,8 @@ from .page_parts import made, only, per_cent, records, save
 
 PAGE = "docs/rivals.md"
 SHOWN_KLUX = (10.0, 50.0, 100.0)
-SEEN, APART = 0.9, 0.01  # share of detected pixels that counts as seen; of wrong pixels below which targets are apart
+# share of detected pixels that counts as seen; of wrong pixels below which targets are apart
+SEEN, APART = 0.9, 0.01
 BITS_ROWS = {  # row of the table of bits: scheme, threshold
     "zoomed: 16 bins": ("zoomed: 16 bins", 3),
     "zoomed: 64 bins": ("zoomed: 64 bins", 3),
@@ -36,7 +39,8 @@ BITS_ROWS = {  # row of the table of bits: scheme, threshold
     "this: controller, `compact`, planes": ("this: controller compact planes", 3),
 }
 BITS_COLUMNS = ((100, 10.0), (100, 50.0), (100, 100.0), (1000, 50.0), (1000, 100.0))  # pulses, klux
-OTHER_LIDAR = {  # row of the table: photons of the other LiDAR, offset of its period, bits of the wait
+# row of the table: photons of the other LiDAR, offset of its period, bits of the wait
+OTHER_LIDAR = {
     "no other LiDAR": (0.0, 0.0, 0),
     "same period": (0.2, 0.0, 0),
     "longer by 10 ppm": (0.2, 1e-5, 0),
@@ -63,11 +67,21 @@ def schemes() -> None:
     rows = []
     for scheme in rivals.SHOWN:
         wrong = {row["klux"]: row for row in only(records(by_background), scheme=scheme)}
-        kbit = sorted(round(wrong[klux]["bits_per_frame"] / 1e3) for klux in rivals.KLUX if klux >= SHOWN_KLUX[0])
+        kbit = sorted(
+            round(wrong[klux]["bits_per_frame"] / 1e3)
+            for klux in rivals.KLUX
+            if klux >= SHOWN_KLUX[0]
+        )
         bits = f"{kbit[0]}" if kbit[0] == kbit[-1] else f"{kbit[0]} to {kbit[-1]}"
         shares = [per_cent(wrong[klux]["wrong_share"]) for klux in SHOWN_KLUX]
         rows.append((scheme, *shares, bits, _seen(by_range, scheme), _apart(by_step, scheme)))
-    head = ["five objects, 10 klux", "50 klux", "100 klux", "kbit, 10 to 100 klux", "flat target seen to (100 klux)"]
+    head = [
+        "five objects, 10 klux",
+        "50 klux",
+        "100 klux",
+        "kbit, 10 to 100 klux",
+        "flat target seen to (100 klux)",
+    ]
     put(PAGE, "schemes", text_table(("", *head, "two targets apart from"), rows, left=range(7)))
 
 
@@ -112,9 +126,15 @@ def retroreflector() -> None:
     keys = [*product(rivals.BEHIND_M, rivals.GAINS)]
     rows = []
     for scheme in rivals.SHOWN:
-        of_key = [only(found, scheme=scheme, behind_m=behind_m, gain=gain)[0] for behind_m, gain in keys]
+        of_key = [
+            only(found, scheme=scheme, behind_m=behind_m, gain=gain)[0] for behind_m, gain in keys
+        ]
         rows.append((scheme, *(per_cent(row["wrong_share_of_dark"]) for row in of_key)))
-    put(PAGE, "retroreflector", text_table(("", *(f"{m:g} m, x {gain:g}" for m, gain in keys)), rows))
+    put(
+        PAGE,
+        "retroreflector",
+        text_table(("", *(f"{m:g} m, x {gain:g}" for m, gain in keys)), rows),
+    )
 
 
 def second_lidar() -> None:
@@ -127,6 +147,8 @@ def second_lidar() -> None:
     rows = []
     for name, (photons, offset, bits_of_wait) in OTHER_LIDAR.items():
         key = {"photons_per_pulse": photons, "period_offset": offset, "dither_bits": bits_of_wait}
-        cells = [only(found, scheme=scheme, **key)[0]["wrong_share"] for scheme in interference.SHOWN]
+        cells = [
+            only(found, scheme=scheme, **key)[0]["wrong_share"] for scheme in interference.SHOWN
+        ]
         rows.append((name, *map(per_cent, cells)))
     put(page, "errors", text_table(("wrong pixels", *interference.SHOWN), rows))

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sections of a page of figures, with pictures, data and our numbers next to the paper's; and functions that write them."""
+"""Sections of a page of figures, with pictures, data and our numbers next to the paper's; and
+functions that write them.
+"""
 
 import html
 from collections.abc import Sequence
@@ -26,7 +28,9 @@ class Comparison:
 
 @frozen(eq=False)
 class Section:
-    """A part of the page. name: stem of its files. figures: (stem, figure, caption). rows: of the CSV, header first."""
+    """A part of the page. name: stem of its files. figures: (stem, figure, caption). rows: of the
+    CSV, header first.
+    """
 
     name: str
     title: str
@@ -37,7 +41,13 @@ class Section:
 
 
 def section(
-    name: str, title: str, figure: Figure, caption: str, rows: Sequence[Row], *comparisons: Comparison, text: str = ""
+    name: str,
+    title: str,
+    figure: Figure,
+    caption: str,
+    rows: Sequence[Row],
+    *comparisons: Comparison,
+    text: str = "",
 ) -> Section:
     """Return a section with one figure, which has the name of the section."""
     return Section(name, title, [(name, figure, caption)], rows, comparisons, text)
@@ -50,10 +60,14 @@ def write_section(out_dir: Path, section: Section) -> None:
     write_csv(out_dir / f"{section.name}.csv", section.rows)
 
 
-def write_page(out_dir: Path, title: str, introduction: str, sections: Sequence[Section]) -> None:
+def write_figures_page(
+    out_dir: Path, title: str, introduction: str, sections: Sequence[Section]
+) -> None:
     """Write `index.html` for sections whose files are written already."""
     body = "\n".join(_section_html(section) for section in sections)
-    links = " · ".join(f'<a href="#{section.name}">{html.escape(section.title)}</a>' for section in sections)
+    links = " · ".join(
+        f'<a href="#{section.name}">{html.escape(section.title)}</a>' for section in sections
+    )
     page = f"""<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
@@ -91,8 +105,15 @@ def _section_html(section: Section) -> str:
 
 
 def _comparison_html(comparisons: Sequence[Comparison]) -> str:
-    sources = list(dict.fromkeys(source for comparison in comparisons for source in comparison.ours))
+    sources = list(
+        dict.fromkeys(source for comparison in comparisons for source in comparison.ours)
+    )
     table = [("quantity", "paper", *sources)] if comparisons else []
-    table += [(one.quantity, one.paper, *(one.ours.get(source, "") for source in sources)) for one in comparisons]
+    table += [
+        (one.quantity, one.paper, *(one.ours.get(source, "") for source in sources))
+        for one in comparisons
+    ]
     cells = ("".join(f"<td>{html.escape(text)}</td>" for text in row) for row in table)
-    return "<table>\n" + "".join(f"<tr>{row}</tr>\n" for row in cells) + "</table>\n" if table else ""
+    return (
+        "<table>\n" + "".join(f"<tr>{row}</tr>\n" for row in cells) + "</table>\n" if table else ""
+    )

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws Fig. 7 of the paper: the highest and the lowest threshold that are about as good as the best one."""
+"""Draws Fig. 7 of the paper: the highest and the lowest threshold that are about as good as the
+best one.
+"""
 
 from collections.abc import Iterable
 from itertools import product
@@ -8,7 +10,12 @@ from typing import TypeAlias
 import numpy as np
 
 from coincid.lab.campaign import Processes, grouped
-from coincid.model.light.analytic import THRESHOLDS, expected_threshold, lowest_threshold, success_by_threshold
+from coincid.model.light.analytic import (
+    THRESHOLDS,
+    expected_threshold,
+    lowest_threshold,
+    success_by_threshold,
+)
 from coincid.model.light.light import background_cps, signal_per_pulse
 from coincid.model.light.link_budget import FORMS
 from coincid.model.light.timing import Timing
@@ -19,40 +26,57 @@ from .sections import Comparison, Row, Section, section
 from .setups import MANY, PULSES, cases, mean, outcome
 
 DISTANCE_M = 9.7
-SIGNAL = np.geomspace(0.015, 0.235, 9)  # photons per pixel and pulse: 0.23 is a reflectivity of 0.9 at 9.7 m
+# photons per pixel and pulse: 0.23 is a reflectivity of 0.9 at 9.7 m
+SIGNAL = np.geomspace(0.015, 0.235, 9)
 KLUX = (5.0, 50.0)
 WINDOW_TICKS, PIXELS, SEEDS = 16, 64, 3
 Chosen: TypeAlias = dict[
     tuple[str, float, int], list[tuple[int, int]]
 ]  # (highest, lowest) threshold by source, klux and pulses, one pair for each of `SIGNAL`
-READINGS = (("highest", "rises with activity, 1 to 7"), ("lowest", "-"))  # threshold, the paper's text about it
+# threshold, the paper's text about it
+READINGS = (("highest", "rises with activity, 1 to 7"), ("lowest", "-"))
 
 
 def figure_7(run: Processes) -> Section:
-    """Show these thresholds against activity, for flat targets of increasing reflectivity under two backgrounds."""
+    """Show these thresholds against activity, for flat targets of increasing reflectivity under two
+    backgrounds.
+    """
     columns = "source klux pulses signal_per_pulse activity_cps expected_threshold lowest_threshold"
-    rows: list[Row] = [[*columns.split(), *(f"success_threshold_{threshold}" for threshold in THRESHOLDS)]]
+    rows: list[Row] = [
+        [*columns.split(), *(f"success_threshold_{threshold}" for threshold in THRESHOLDS)]
+    ]
     figure = new_figure(11, 4.2)
     axes = figure.subplots(1, 2, sharey=True)
     chosen: Chosen = {}
-    for axis, klux in zip(axes, KLUX):
+    for axis, klux in zip(axes, KLUX, strict=True):
         activity_cps = PIXELS * (background_cps(klux) + SIGNAL / Timing().period_s)
         for form in FORMS:
             expected = run.map(_success, [(float(signal), klux, form) for signal in SIGNAL])
             _add(rows, chosen, form, klux, PULSES, activity_cps, expected)
             highest, lowest = np.transpose(chosen[form, klux, PULSES])
-            axis.semilogx(activity_cps, highest, **SOURCES[form], label=f"analytic, {form}: highest")
-            axis.semilogx(activity_cps, lowest, **SOURCES[form], alpha=0.4, label=f"analytic, {form}: lowest")
+            axis.semilogx(
+                activity_cps, highest, **SOURCES[form], label=f"analytic, {form}: highest"
+            )
+            axis.semilogx(
+                activity_cps, lowest, **SOURCES[form], alpha=0.4, label=f"analytic, {form}: lowest"
+            )
         for pulses, marker in ((PULSES, "o"), (MANY * PULSES, "+")):
             success = _simulated(run, klux, pulses)
             _add(rows, chosen, "Monte Carlo", klux, pulses, activity_cps, success)
             for which, colour, thresholds in zip(
-                ("highest", "lowest"), (INK, GREY), np.transpose(chosen["Monte Carlo", klux, pulses])
+                ("highest", "lowest"),
+                (INK, GREY),
+                np.transpose(chosen["Monte Carlo", klux, pulses]),
+                strict=True,
             ):
                 label = f"Monte Carlo, {pulses} pulses: {which}"
-                axis.semilogx(activity_cps, thresholds, marker, color=colour, markersize=7, label=label)
+                axis.semilogx(
+                    activity_cps, thresholds, marker, color=colour, markersize=7, label=label
+                )
         axis.set(
-            xlabel="activity of the subgroup in detected photons per second", title=f"{klux:g} klux", ylim=(0.5, 7.5)
+            xlabel="activity of the subgroup in detected photons per second",
+            title=f"{klux:g} klux",
+            ylim=(0.5, 7.5),
         )
     axes[0].set_ylabel("threshold within 1 % of the best")
     legend_below(figure, 4)
@@ -72,7 +96,10 @@ def figure_7(run: Processes) -> Section:
             Comparison(
                 f"{which} threshold within 1 % of the best, {klux:g} klux",
                 paper,
-                {name: _ends(chosen[source, klux, pulses], i) for name, (source, pulses) in names.items()},
+                {
+                    name: _ends(chosen[source, klux, pulses], i)
+                    for name, (source, pulses) in names.items()
+                },
             )
             for klux in KLUX
             for i, (which, paper) in enumerate(READINGS)
@@ -83,7 +110,12 @@ def figure_7(run: Processes) -> Section:
 def _success(task: tuple[float, float, str]) -> np.ndarray:
     signal, klux, form = task
     return success_by_threshold(
-        signal, float(background_cps(klux)), DISTANCE_M, window_ticks=WINDOW_TICKS, pulses=PULSES, form=form
+        signal,
+        float(background_cps(klux)),
+        DISTANCE_M,
+        window_ticks=WINDOW_TICKS,
+        pulses=PULSES,
+        form=form,
     )
 
 
@@ -101,7 +133,9 @@ def _simulated(run: Processes, klux: float, pulses: int) -> np.ndarray:
             subgroup={"threshold": threshold, "window": WINDOW_TICKS},
             estimators=("maximum",),
         )
-    success = [1 - mean(outcomes, "wrong_share") for outcomes in grouped(setups, outcome, run).values()]
+    success = [
+        1 - mean(outcomes, "wrong_share") for outcomes in grouped(setups, outcome, run).values()
+    ]
     return np.reshape(success, (len(SIGNAL), len(THRESHOLDS)))
 
 
@@ -116,12 +150,20 @@ def _add(
 ) -> None:
     """Add rows to the CSV, and add the chosen thresholds to `chosen`."""
     shares = [np.asarray(one) for one in success]
-    chosen[source, klux, pulses] = [(expected_threshold(one), lowest_threshold(one)) for one in shares]
-    for signal, activity, thresholds, one in zip(SIGNAL, activity_cps, chosen[source, klux, pulses], shares):
-        rows.append((source, klux, pulses, float(signal), float(activity), *thresholds, *map(float, one)))
+    chosen[source, klux, pulses] = [
+        (expected_threshold(one), lowest_threshold(one)) for one in shares
+    ]
+    for signal, activity, thresholds, one in zip(
+        SIGNAL, activity_cps, chosen[source, klux, pulses], shares, strict=True
+    ):
+        rows.append(
+            (source, klux, pulses, float(signal), float(activity), *thresholds, *map(float, one))
+        )
 
 
 def _ends(chosen: list[tuple[int, int]], which: int) -> str:
-    """Return the threshold at lowest and highest activity, and a higher one in between. which: 0 highest, 1 lowest."""
+    """Return the threshold at lowest and highest activity, and a higher one in between. which: 0
+    highest, 1 lowest.
+    """
     first, last, most = chosen[0][which], chosen[-1][which], max(pair[which] for pair in chosen)
     return f"{first} to {last}" + (f", {most} between them" if most > max(first, last) else "")

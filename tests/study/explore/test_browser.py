@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The explorer in a real Chromium: every control, every click, and possible errors. Skipped if there is no Chromium."""
+"""The explorer in a real Chromium: every control, every click, and possible errors. Skipped if
+there is no Chromium.
+"""
 
 import re
 import shutil
@@ -44,7 +46,9 @@ def chromium():
 
 @pytest.fixture
 def tabs(chromium):
-    """Open tabs; at the end, check that no console has an error, and that no other machine was contacted."""
+    """Open tabs; at the end, check that no console has an error, and that no other machine was
+    contacted.
+    """
     context = chromium.new_context(viewport={"width": 1280, "height": 800}, accept_downloads=True)
     context.set_default_timeout(PATIENCE_MS)
     errors, requests = [], []
@@ -63,7 +67,11 @@ def tabs(chromium):
     yield new_tab
     context.close()
     assert [error for error in errors if not any(text in error for text in new_tab.forgiven)] == []
-    assert [url for url in requests if not url.startswith(("http://127.0.0.1:", "data:", "blob:", "file:"))] == []
+    assert [
+        url
+        for url in requests
+        if not url.startswith(("http://127.0.0.1:", "data:", "blob:", "file:"))
+    ] == []
 
 
 def shown(tab):
@@ -118,13 +126,16 @@ def figure_title(tab, name):
     return tab.evaluate("(name) => Bokeh.documents[0].get_model_by_name(name).title.text", name)
 
 
-LEFT_OUT = {"offsets": 0, "records": 0, "controller": 0}  # what other controls' other values need: by themselves
+# what other controls' other values need: by themselves
+LEFT_OUT = {"offsets": 0, "records": 0, "controller": 0}
 SMALL_TOO = {"pulses": 30, "cols": 24}  # legal with the other controls' other values
 
 
 def test_every_control_reaches_what_is_computed(tabs, address):
     tab = tabs(address)
-    others = {control.name: other_value(control) for control in CONTROLS if control.name not in LEFT_OUT} | SMALL_TOO
+    others = {
+        control.name: other_value(control) for control in CONTROLS if control.name not in LEFT_OUT
+    } | SMALL_TOO
     for values in (others, LEFT_OUT):
         for name, value in values.items():
             # A field that has no effect just now keeps its value, which counts in the link.
@@ -137,10 +148,15 @@ def test_every_control_reaches_what_is_computed(tabs, address):
                 [name, value],
             )
         shown(tab)
-        assert dict(parse_qsl(urlsplit(tab.url).query)) == {name: str(value) for name, value in values.items()}
+        assert dict(parse_qsl(urlsplit(tab.url).query)) == {
+            name: str(value) for name, value in values.items()
+        }
         tab.click("[data-do=reset]")
         shown(tab)
-        assert "five-objects, 50 klux, 100 pulses, threshold 2 " in tab.locator("#status").text_content()
+        assert (
+            "five-objects, 50 klux, 100 pulses, threshold 2 "
+            in tab.locator("#status").text_content()
+        )
 
 
 def test_a_result_is_shown_only_beside_its_own_legal_settings(tabs, address):
@@ -162,7 +178,9 @@ def test_a_result_is_shown_only_beside_its_own_legal_settings(tabs, address):
     assert "illegal" in tab.locator("[data-control=threshold]").get_attribute("class")
     assert tab.locator("#results").evaluate("(one) => getComputedStyle(one).opacity") == "0.06"
     put(tab, "threshold", "")
-    tab.wait_for_function("document.getElementById('refused').textContent.startsWith('Threshold: is empty')")
+    tab.wait_for_function(
+        "document.getElementById('refused').textContent.startsWith('Threshold: is empty')"
+    )
     put(tab, "threshold", 2)
     shown(tab)
     assert tab.locator("#refused").is_hidden()
@@ -170,7 +188,10 @@ def test_a_result_is_shown_only_beside_its_own_legal_settings(tabs, address):
 
 def test_the_threshold_and_the_dark_object(tabs, address):
     tab = tabs(address)
-    for number_of_try, text in ((0, "found the FIFO full"), (2, r"[7-9]\d% of the pixels are wrong.*, 0%\.")):
+    for number_of_try, text in (
+        (0, "found the FIFO full"),
+        (2, r"[7-9]\d% of the pixels are wrong.*, 0%\."),
+    ):
         tab.locator("[data-try]").nth(number_of_try).click()
         shown(tab)
         assert re.search(text, tab.locator("#story").text_content())
@@ -190,7 +211,9 @@ def test_a_click_picks_a_pixel_and_its_subgroup_and_pulses_play(tabs, address):
     tab.wait_for_function("document.querySelector('[data-look=row]').value === '9'")
     assert tab.input_value("[data-look=col]") == "4"
     click_map(tab, "depth_m", 3, 12)
-    tab.wait_for_function("document.getElementById('pixel').textContent.includes('row 3, column 12, subgroup 1')")
+    tab.wait_for_function(
+        "document.getElementById('pixel').textContent.includes('row 3, column 12, subgroup 1')"
+    )
     tab.fill("[data-look=pulse]", "7")
     wait_for_title(tab, "timeline", "startsWith('subgroup 1, pulse 7')")
     tab.fill("[data-look=row]", "99")
@@ -203,7 +226,9 @@ def test_a_click_picks_a_pixel_and_its_subgroup_and_pulses_play(tabs, address):
     for name in ("pulse", "frame"):
         before = tab.evaluate(f"link.new_words.words?.look.{name} ?? link.answer.words.look.{name}")
         tab.click(f"[data-play={name}]")
-        tab.wait_for_function(f"link.new_words.words && link.new_words.words.look.{name} !== {before}")
+        tab.wait_for_function(
+            f"link.new_words.words && link.new_words.words.look.{name} !== {before}"
+        )
         tab.click(f"[data-play={name}]")
 
 
@@ -221,17 +246,24 @@ def test_uploads(tabs, address, tmp_path):
     shown(tab)
     assert tab.input_value("#u-depth") == ""
     put(tab, "scene", "upload")
-    tab.wait_for_function("document.getElementById('refused').textContent.includes('choose a depth picture')")
+    tab.wait_for_function(
+        "document.getElementById('refused').textContent.includes('choose a depth picture')"
+    )
 
 
 def test_a_link_with_mistakes_says_so_and_the_rest_counts(tabs, address):
     tab = tabs(f"{address}?threshold=hello&window=8&moon=1&scene=mars&gating=perhaps")
     ignored = tab.locator("#ignored").text_content()
     assert "Threshold = 'hello': must be a number from 1 to 64" in ignored
-    assert all(name in ignored for name in ("moon: unknown setting", "Scene = 'mars'", "Gating = 'perhaps'"))
+    assert all(
+        name in ignored
+        for name in ("moon: unknown setting", "Scene = 'mars'", "Gating = 'perhaps'")
+    )
     assert tab.input_value("[name=window]") == "8" and tab.input_value("[name=threshold]") == "2"
     assert "; 8 = 0.5 ns" in tab.locator("[data-control=window] small").text_content()
-    assert tab.locator("#ignored").is_visible() and "window 8" in tab.locator("#status").text_content()
+    assert (
+        tab.locator("#ignored").is_visible() and "window 8" in tab.locator("#status").text_content()
+    )
 
 
 def test_settings_without_an_effect_are_disabled(tabs, address):
@@ -242,7 +274,9 @@ def test_settings_without_an_effect_are_disabled(tabs, address):
 
     assert enabled("threshold", "gate_start", "far_m", "shade_klux") == [True, False, False, False]
     put(tab, "auto", True)
-    assert enabled("threshold") == [False] and not tab.locator("[data-slides=threshold]").is_enabled()
+    assert (
+        enabled("threshold") == [False] and not tab.locator("[data-slides=threshold]").is_enabled()
+    )
     for name, value in (("gating", True), ("scene", "two-returns"), ("sun", "left half")):
         put(tab, name, value)
     assert enabled("gate_start", "far_m", "shade_klux", "gate_step") == [True, True, True, False]
@@ -283,8 +317,14 @@ def test_two_settings_side_by_side(tabs, address):
     tab.wait_for_selector("body[data-ab]")
     put(tab, "threshold", 5)
     shown(tab)
-    assert figure_title(tab, "map_a_depth_m") == "A: depth, m" and figure_title(tab, "map_depth_m") == "B: depth, m"
-    assert tab.locator("[data-map=map_a_error_m]").is_visible() and tab.locator("[data-map=map_truth_m]").is_hidden()
+    assert (
+        figure_title(tab, "map_a_depth_m") == "A: depth, m"
+        and figure_title(tab, "map_depth_m") == "B: depth, m"
+    )
+    assert (
+        tab.locator("[data-map=map_a_error_m]").is_visible()
+        and tab.locator("[data-map=map_truth_m]").is_hidden()
+    )
     assert number(tab, "mean threshold") == ["5.00 pixels", "2.00 pixels"]
     tab.select_option("[data-look=which]", "A")
     wait_for_title(tab, "timeline", "endsWith('needs 2 pixels')")
@@ -294,7 +334,10 @@ def test_two_settings_side_by_side(tabs, address):
     wait_for_title(tab, "histogram", "includes('column 15')")
     tab.click("[data-do=drop_a]")
     tab.wait_for_selector("body:not([data-ab])")
-    assert tab.locator("[data-map=map_a_depth_m]").is_hidden() and tab.locator("[data-map=map_truth_m]").is_visible()
+    assert (
+        tab.locator("[data-map=map_a_depth_m]").is_hidden()
+        and tab.locator("[data-map=map_truth_m]").is_visible()
+    )
 
 
 def test_what_is_saved(tabs, address):
@@ -307,7 +350,10 @@ def test_what_is_saved(tabs, address):
             assert file.read(16).startswith(start)
     tab.select_option("#save", "command")
     tab.wait_for_selector("#said:not([hidden])")
-    assert tab.locator("#said").text_content() == "coincid explore --set pulses=20 --set rows=16 --set cols=16"
+    assert (
+        tab.locator("#said").text_content()
+        == "coincid explore --set pulses=20 --set rows=16 --set cols=16"
+    )
 
 
 def test_a_server_that_was_killed_and_started_again(tabs):
@@ -325,7 +371,9 @@ def test_a_server_that_was_killed_and_started_again(tabs):
 
 
 def test_reports_and_a_notebooks_pages_need_no_server(tabs, tmp_path):
-    explored = Explorer().run(check_settings({"rows": 16, "cols": 16, "pulses": 10, "gating": True, "frames": 2}))
+    explored = Explorer().run(
+        check_settings({"rows": 16, "cols": 16, "pulses": 10, "gating": True, "frames": 2})
+    )
     views = [explored.view(k) for k in range(2)]
     write_report(tmp_path / "report.html", "a <run>", views)
     tab = tabs(f"file://{tmp_path}/report.html", ready=False)
@@ -339,11 +387,15 @@ def test_reports_and_a_notebooks_pages_need_no_server(tabs, tmp_path):
     tab.fill("[data-look=pulse]", "3")
     wait_for_title(tab, "timeline", "startsWith('subgroup 2, pulse 3')")
     period = views[1].timeline.period(2, 3)
-    edges, windows = tab.evaluate("[all.timeline.edges.data.y.length, all.timeline.windows.data.count]")
+    edges, windows = tab.evaluate(
+        "[all.timeline.edges.data.y.length, all.timeline.windows.data.count]"
+    )
     assert edges == len(period.tick) and windows == period.windows.count.tolist()
     assert tab.evaluate("all.timeline.fill.data.fill.slice(0, -1)") == period.fill.tolist()
     assert tab.evaluate("all.histogram.bars.data.pixel") == views[1].histogram(9, 4)[0].tolist()
-    coincid.simulate(None, "flat:5,0.5", rows=8, cols=8, pulses=5).timeline(0, 3).save(tmp_path / "period.html")
+    coincid.simulate(None, "flat:5,0.5", rows=8, cols=8, pulses=5).timeline(0, 3).save(
+        tmp_path / "period.html"
+    )
     tab = tabs(f"file://{tmp_path}/period.html", ready=False)
     tab.wait_for_function("Bokeh.documents[0]?.get_model_by_name('timeline')")
     assert figure_title(tab, "timeline") == "subgroup 0, pulse 3: a window needs 2 pixels"

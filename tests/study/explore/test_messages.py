@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The messages between page and server: page.js and page.html read and write the fields that messages.py describes."""
+"""The messages between page and server: page.js and page.html read and write the fields that
+messages.py describes.
+"""
 
 import inspect
 import re
@@ -37,8 +39,11 @@ def test_page_and_server_share_the_messages():
 
 def test_the_page_reads_every_field_of_what_the_server_sends():
     read = {name: keys(of) for of, name in READ.findall(SCRIPT)}
-    told_apart_by_bokeh = {"download": {"number"}}  # these fields only make the same message a change
-    expected = {name: fields(of) - told_apart_by_bokeh.get(name, set()) for name, of in MESSAGES.items()}
+    # these fields only make the same message a change
+    told_apart_by_bokeh = {"download": {"number"}}
+    expected = {
+        name: fields(of) - told_apart_by_bokeh.get(name, set()) for name, of in MESSAGES.items()
+    }
     assert read == {name: of for name, of in expected.items() if name not in SENT_BY_THE_PAGE}
     assert len(READ.findall(SCRIPT)) == len(read)
     # Every other message is heard: a change of its property calls a function.
@@ -60,8 +65,11 @@ def test_the_page_has_a_field_for_everything_that_is_looked_at():
 
 def test_the_page_orders_what_the_server_does():
     ordered = {name: keys(of) for name, of in ORDERED.findall(SCRIPT)}
-    buttons = set(re.findall(r'data-do="(\w+)"', TEMPLATE)) - {"reset"}  # the page itself resets, and orders `forget`
-    assert ordered | {name: set() for name in buttons} == {name: fields(of) for name, of in ORDERS.items()}
+    # the page itself resets, and orders `forget`
+    buttons = set(re.findall(r'data-do="(\w+)"', TEMPLATE)) - {"reset"}
+    assert ordered | {name: set() for name in buttons} == {
+        name: fields(of) for name, of in ORDERS.items()
+    }
     assert set(re.findall(r'data-play="(\w+)"', TEMPLATE)) == {"pulse", "frame"}
 
 
@@ -77,7 +85,9 @@ def test_every_field_has_its_comment(classes):
 
 
 def test_an_order_comes_as_its_class():
-    order = messages.order_of({"number": 3, "name": "look", "fields": {"name": "row", "value": "7"}})
+    order = messages.order_of(
+        {"number": 3, "name": "look", "fields": {"name": "row", "value": "7"}}
+    )
     assert order == messages.Look(name="row", value="7")
     with pytest.raises(TypeError, match="valu"):
         messages.order_of({"number": 3, "name": "look", "fields": {"name": "row", "valu": "7"}})

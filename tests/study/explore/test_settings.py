@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The explorer's settings: every control reaches the simulation, and illegal values are refused with the legal range."""
+"""The explorer's settings: every control reaches the simulation, and illegal values are refused
+with the legal range.
+"""
 
 import io
 import re
@@ -23,7 +25,15 @@ from coincid.study.explore.control_values import (
 from coincid.study.explore.controls import CONTROL, CONTROLS
 from coincid.study.explore.uploads import BYTES_MAX, Uploads
 
-OTHER = dict(scene="two-targets", rows=16, cols=64, subgroup="4x8", minigroup="4x4", format="full", method="maximum")
+OTHER = dict(
+    scene="two-targets",
+    rows=16,
+    cols=64,
+    subgroup="4x8",
+    minigroup="4x4",
+    format="full",
+    method="maximum",
+)
 
 
 def other_value(control):
@@ -33,7 +43,11 @@ def other_value(control):
     if control.kind == "switch":
         return not control.default
     if control.kind == "choice":
-        return next(choice for choice in control.choices if choice not in (control.default, "picture", "upload"))
+        return next(
+            choice
+            for choice in control.choices
+            if choice not in (control.default, "picture", "upload")
+        )
     default = 0 if control.default is None else control.default
     near = default + control.step, default - control.step, default // 2
     return next(value for value in near if _is_legal({control.name: value}))
@@ -55,10 +69,16 @@ def test_every_control_has_a_sentence_and_changes_the_settings(control):
     if control.where:
         table, key = control.where
         written = tomllib.loads(config_toml(settings))[table][key]
-        assert written == ([int(n) for n in value.split("x")] if control.name in ("subgroup", "minigroup") else value)
+        assert written == (
+            [int(n) for n in value.split("x")]
+            if control.name in ("subgroup", "minigroup")
+            else value
+        )
 
 
-@pytest.mark.parametrize("values", [{}, {"threshold": 5, "pulses": 50, "gating": True, "frames": 3, "subgroup": "4x4"}])
+@pytest.mark.parametrize(
+    "values", [{}, {"threshold": 5, "pulses": 50, "gating": True, "frames": 3, "subgroup": "4x4"}]
+)
 def test_the_configuration_that_is_written_is_the_one_that_is_simulated(values):
     settings = check_settings(values)
     read = parse_config(tomllib.loads(config_toml(settings)))
@@ -67,7 +87,9 @@ def test_the_configuration_that_is_written_is_the_one_that_is_simulated(values):
 
 
 def test_the_command_gives_the_same_settings_again():
-    settings = check_settings({"klux": 12.5, "scene": "two-targets", "gating": True, "sun": "left half"})
+    settings = check_settings(
+        {"klux": 12.5, "scene": "two-targets", "gating": True, "sun": "left half"}
+    )
     words = command(settings).split("--set ")[1:]
     again = given_settings([word.strip().strip("'") for word in words])
     assert again.values == settings.values
@@ -133,9 +155,13 @@ def test_an_uploaded_depth_picture_is_the_scene(tmp_path):
 
 def test_an_uploaded_picture_is_the_sun(tmp_path):
     grey = Image.fromarray(np.repeat(np.uint8([255, 0]), 32)[:, None].repeat(64, axis=1))
-    settings = check_settings({"scene": "flat", "sun": "picture"}, uploaded(tmp_path, "sun", "sun.png", grey))
+    settings = check_settings(
+        {"scene": "flat", "sun": "picture"}, uploaded(tmp_path, "sun", "sun.png", grey)
+    )
     background = settings.light(settings.scene()).background_cps.reshape(32, 32)
-    assert np.all(background[:16] == background.max()) and np.all(background[16:] == background.min())
+    assert np.all(background[:16] == background.max()) and np.all(
+        background[16:] == background.min()
+    )
 
 
 BAD = [
@@ -143,7 +169,11 @@ BAD = [
     ("depth.png", lambda: Image.new("RGB", (32, 32)), "colour or 8 bit"),
     ("depth.png", lambda: b"", "holds 0 bytes"),
     ("depth.png", lambda: bytes(BYTES_MAX + 1), "must hold 1 to"),
-    ("depth.png", lambda: Image.new("I;16", (10_000, 10_000), 4000), "x 10000 samples, must have 1 to 16"),
+    (
+        "depth.png",
+        lambda: Image.new("I;16", (10_000, 10_000), 4000),
+        "x 10000 samples, must have 1 to 16",
+    ),
     ("depth.npy", lambda: np.zeros((4100, 4100), np.uint8), "4100 x 4100 samples"),
     ("depth.npy", lambda: np.zeros((0, 5)), "0 x 5 samples, must have 1 to 16 million"),
     ("depth.exe", lambda: b"MZ", "must be a depth file"),
@@ -190,7 +220,9 @@ def test_labels_are_words_and_no_two_are_equal():
 
 
 @pytest.mark.parametrize(
-    "control", [one for one in CONTROLS if one.kind in ("integer", "real")], ids=lambda one: one.name
+    "control",
+    [one for one in CONTROLS if one.kind in ("integer", "real")],
+    ids=lambda one: one.name,
 )
 def test_a_refused_value_is_told_by_its_label(control):
     above = 2 * control.high + 1

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of the explorer: the golden model's result, cached stages, and answers only to the newest request."""
+"""Runs of the explorer: the golden model's result, cached stages, and answers only to the newest
+request.
+"""
 
 import csv
 import queue
@@ -22,17 +24,31 @@ SMALL = {"rows": 16, "cols": 16, "pulses": 20}
 def test_a_run_is_the_golden_models_whatever_was_run_before():
     explorer = Explorer()
     gated, led = {"gating": True, "spad_gate": True}, {"frames": 3, "auto": True}
-    for values in ({}, {"threshold": 4}, {"klux": 5.0}, {"gating": True}, gated, led, {"phases": 16}, {}):
+    for values in (
+        {},
+        {"threshold": 4},
+        {"klux": 5.0},
+        {"gating": True},
+        gated,
+        led,
+        {"phases": 16},
+        {},
+    ):
         explored = explorer.run(check_settings(SMALL | values))
         fresh = Explorer().run(check_settings(SMALL | values))
         assert not differences(explored.run.result, fresh.run.result)
-        assert not differences(explored.run.result, golden_result(explored.settings.config, explored.run.edges))
+        assert not differences(
+            explored.run.result, golden_result(explored.settings.config, explored.run.edges)
+        )
 
 
 def test_numbers_agree_with_each_other():
     view = Explorer().run(check_settings(SMALL | {"coincidence": False, "fifo_depth": 1})).view()
     numbers = view.numbers
-    assert numbers["committed"] == numbers["events"] + numbers["dropped"] and 0 < numbers["sun_share"] <= 1
+    assert (
+        numbers["committed"] == numbers["events"] + numbers["dropped"]
+        and 0 < numbers["sun_share"] <= 1
+    )
     assert view.drops[::8, ::8].sum() == numbers["dropped"] > 0
     of_pixel, of_subgroup = view.histogram(3, 5)
     assert of_subgroup.sum() == view.events.bounds[1] and np.all(of_pixel <= of_subgroup)
@@ -84,7 +100,10 @@ def test_what_is_saved():
     rows = list(csv.DictReader(events_csv(explored, 0).decode().splitlines()))
     assert len(rows) == len(explored.run.result["pulse"])
     assert int(rows[0]["count"]) == int(rows[0]["hits"], 16).bit_count()
-    assert parse_config(tomllib.loads(SAVES["toml"].content(explored, 0).decode())).pulses == SMALL["pulses"]
+    assert (
+        parse_config(tomllib.loads(SAVES["toml"].content(explored, 0).decode())).pulses
+        == SMALL["pulses"]
+    )
 
 
 def test_the_rtl_sends_the_same_words():

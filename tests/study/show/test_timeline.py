@@ -29,7 +29,9 @@ BUSY = {  # name: document; there are many edges, so that FIFOs overflow
 def played(document, edges_per_period=60):
     """Return (config, edges, trace) of one frame with uniformly random edges."""
     frame = {"period": 40, "pulses": 6} | document.get("frame", {})
-    config = parse_config(document | {"sensor": SENSOR | document.get("sensor", {}), "frame": frame})
+    config = parse_config(
+        document | {"sensor": SENSOR | document.get("sensor", {}), "frame": frame}
+    )
     edges = random_edges(config, edges_per_period * config.pulses, 7)
     return config, edges, Golden(config.sensor).frame(config, edges)
 
@@ -42,17 +44,23 @@ def counters(trace, name):
 def test_windows_are_those_of_the_counters(name):
     config, edges, trace = played(BUSY[name])
     timeline = frame_timeline(config, edges, trace)
-    subgroup = np.repeat(np.arange(config.sensor.subgroups), np.diff(timeline.window_bounds[:: config.pulses]))
+    subgroup = np.repeat(
+        np.arange(config.sensor.subgroups), np.diff(timeline.window_bounds[:: config.pulses])
+    )
     windows = timeline.windows
 
     def of(*verdicts):
-        return np.bincount(subgroup[np.isin(windows.verdict, verdicts)], minlength=config.sensor.subgroups)
+        return np.bincount(
+            subgroup[np.isin(windows.verdict, verdicts)], minlength=config.sensor.subgroups
+        )
 
     assert np.array_equal(of(*Verdict), counters(trace, "opened"))
     assert np.array_equal(of(Verdict.REJECTED), counters(trace, "rejected"))
     assert np.array_equal(of(Verdict.COMMITTED), counters(trace, "stored"))
     assert np.array_equal(of(Verdict.DROPPED), counters(trace, "dropped"))
-    assert np.array_equal(np.bincount(subgroup, windows.count, config.sensor.subgroups), counters(trace, "photons"))
+    assert np.array_equal(
+        np.bincount(subgroup, windows.count, config.sensor.subgroups), counters(trace, "photons")
+    )
 
 
 @pytest.mark.parametrize("name", BUSY)
@@ -60,13 +68,18 @@ def test_a_drop_finds_the_fifo_full_and_a_commit_does_not(name):
     config, edges, trace = played(BUSY[name], edges_per_period=200)
     timeline = frame_timeline(config, edges, trace)
     assert timeline.fill.min() == 0 and timeline.fill.max() <= config.sensor.fifo_depth
-    assert counters(trace, "dropped").any() or name not in ("every photon", "records between events")
+    assert counters(trace, "dropped").any() or name not in (
+        "every photon",
+        "records between events",
+    )
     for s, pulse in itertools.product(range(config.sensor.subgroups), range(config.pulses)):
         part = slice(*timeline.fill_bounds[s : s + 2])
         cycles, fill = timeline.fill_cycle[part], timeline.fill[part]
         assert fill[0] == fill[-1] == 0
         windows = timeline.period(s, pulse).windows
-        after = fill[np.searchsorted(cycles, timeline.start_cycles[pulse] + windows.commit, "right") - 1]
+        after = fill[
+            np.searchsorted(cycles, timeline.start_cycles[pulse] + windows.commit, "right") - 1
+        ]
         assert np.all(after[windows.verdict == Verdict.DROPPED] == config.sensor.fifo_depth)
         assert np.all(after[windows.verdict == Verdict.COMMITTED] >= 1)
 
@@ -91,13 +104,21 @@ def test_periods_hold_every_edge_once_in_time_order_and_inside_windows_as_the_fa
 
 
 def test_a_known_period():
-    config = parse_config({"sensor": SENSOR, "frame": {"period": 40, "pulses": 2}, "subgroup": {"threshold": 2}})
+    config = parse_config(
+        {"sensor": SENSOR, "frame": {"period": 40, "pulses": 2}, "subgroup": {"threshold": 2}}
+    )
     pixel = np.array([0, 1, 2, 0, 17])
     edges = Edges(np.zeros(5, np.int64), pixel, np.array([100, 104, 116, 300, 500]))
     period = frame_timeline(config, edges, Golden(config.sensor).frame(config, edges)).period(0, 0)
     assert period.tick.tolist() == [100, 104, 116, 300, 500]
     assert period.pixel.tolist() == [0, 1, 2, 0, 9]  # 17 is row 1, column 1 of the first subgroup
-    assert [Fate(f).name for f in period.fate] == ["OPENING", "COUNTED", "BLIND", "OPENING", "OPENING"]
+    assert [Fate(f).name for f in period.fate] == [
+        "OPENING",
+        "COUNTED",
+        "BLIND",
+        "OPENING",
+        "OPENING",
+    ]
     windows = period.windows
     assert (windows.start.tolist(), windows.end.tolist()) == ([100, 300, 500], [116, 316, 516])
     assert windows.count.tolist() == [2, 1, 1]
