@@ -12,7 +12,9 @@ from pathlib import Path
 from sphinx.cmd.build import build_main
 
 ROOT = Path(__file__).parents[1]
-SOURCE, SITE, DOCTREES = (ROOT / "build" / name for name in ("docs-source", "docs", "docs-doctrees"))
+SOURCE, SITE, DOCTREES = (
+    ROOT / "build" / name for name in ("docs-source", "docs", "docs-doctrees")
+)
 TOP = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "CITATION.cff", "LICENSE", "NOTICE")
 PAGES = {".md", ".toml", ".svg", ".png", ".csv"}  # of docs/, without
 STUDIES = ROOT / "docs" / "studies"  # the programs that make pages
@@ -61,7 +63,9 @@ def pages() -> dict[str, bytes]:
     files += [*(ROOT / "examples").glob("*.py"), ROOT / "examples" / "README.md"]
     made = {str(path.relative_to(ROOT)): path.read_bytes() for path in files}
     # The gallery's programs lie in a folder of their own, whose header is not the README of the examples.
-    made |= {f"programs/{path.name}": path.read_bytes() for path in (ROOT / "examples").glob("*.py")}
+    made |= {
+        f"programs/{path.name}": path.read_bytes() for path in (ROOT / "examples").glob("*.py")
+    }
     made["programs/GALLERY_HEADER.rst"] = GALLERY.encode()
     made["extra/index.html"] = FORWARD.encode()
     return made | {name: text.encode() for name, text in api().items()}
@@ -75,7 +79,11 @@ def api() -> dict[str, str]:
     front = [heading("The front door: coincid"), (coincid.__doc__ or "").partition("\n")[0], ""]
     for name in [*names, "InputError"]:
         kind = "function" if not isinstance(getattr(coincid, name), type) else "class"
-        front += [f".. auto{kind}:: coincid.{name}", *(["   :members:"] if kind == "class" else []), ""]
+        front += [
+            f".. auto{kind}:: coincid.{name}",
+            *(["   :members:"] if kind == "class" else []),
+            "",
+        ]
     made = {"api/coincid.rst": "\n".join(front)}
     for room, (title, modules) in MODULES.items():
         lines = [heading(f"{title}: coincid.{room}")]
@@ -84,7 +92,9 @@ def api() -> dict[str, str]:
             lines += [heading(module, "-"), f".. automodule:: {name}", "   :members:", ""]
         made[f"api/{room}.rst"] = "\n".join(lines)
     rooms = "".join(f"   {room}\n" for room in ("coincid", *MODULES))
-    return made | {"api/index.rst": f"{heading('API reference')}\n.. toctree::\n   :maxdepth: 1\n\n{rooms}"}
+    return made | {
+        "api/index.rst": f"{heading('API reference')}\n.. toctree::\n   :maxdepth: 1\n\n{rooms}"
+    }
 
 
 def heading(text: str, line: str = "=") -> str:

@@ -13,16 +13,25 @@ project, author, copyright = "Coincid", "The Coincid authors", "2026, The Coinci
 version = release = PROJECT["version"]
 language = "en"
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_gallery.gen_gallery",
+]
 root_doc = "docs/index"
 include_patterns = ["*.md", "docs/**", "examples/README.md", "gallery/**", "api/**"]
 exclude_patterns = ["gallery/**.py", "gallery/**.ipynb", "gallery/**.md5"]
 default_role = "literal"  # docstrings have names in single backticks
 
-myst_heading_anchors = 4  # the same anchors as on a Git host, so that a link to a missing heading is a warning
+myst_heading_anchors = (
+    4  # the same anchors as on a Git host, so that a link to a missing heading is a warning
+)
 
 autodoc_member_order = "bysource"
-suppress_warnings = ["ref.python"]  # names of the front door are also in their rooms: two targets for one name
+suppress_warnings = [
+    "ref.python"
+]  # names of the front door are also in their rooms: two targets for one name
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 napoleon_google_docstring = False
@@ -56,12 +65,16 @@ def contents(text):
     tables = []
     for part in re.split(rf"^{READERS}", text, flags=re.MULTILINE)[1:]:
         caption, _, body = part.partition("\n")
-        pages = [f"/docs/{link}"[:-3] for link in re.findall(r"^\* \[[^]]*\]\(([\w./-]+\.md)\)", body, re.MULTILINE)]
+        pages = [
+            f"/docs/{link}"[:-3]
+            for link in re.findall(r"^\* \[[^]]*\]\(([\w./-]+\.md)\)", body, re.MULTILINE)
+        ]
         pages = [page.replace("/docs/../", "/") for page in pages]
         tables.append((caption, pages))
     tables.append(("Reference", ["/gallery/index", "/api/index"]))
     return "\n".join(
-        f"```{{toctree}}\n:hidden:\n:caption: {caption}\n\n" + "\n".join(pages) + "\n```\n" for caption, pages in tables
+        f"```{{toctree}}\n:hidden:\n:caption: {caption}\n\n" + "\n".join(pages) + "\n```\n"
+        for caption, pages in tables
     )
 
 
@@ -92,12 +105,18 @@ def write_texts(app, error):
         return
     site, texts = Path(app.outdir), {}
     for path in sorted(site.rglob("*.html")):
-        main = re.search(r"<article\b[^>]*role=\"main\".*?</article>", path.read_text(encoding="utf-8"), re.DOTALL)
+        main = re.search(
+            r"<article\b[^>]*role=\"main\".*?</article>",
+            path.read_text(encoding="utf-8"),
+            re.DOTALL,
+        )
         if main:
             plain = re.sub(r"<(script|svg|style)\b.*?</\1>", "", main[0], flags=re.DOTALL)
             kept = re.sub(r"<(\w+)[^>]*?((?: id=\"[^\"]*\")?)[^>]*>", r"<\1\2>", plain)
             texts[path.relative_to(site).as_posix()] = f'<div role="main">{kept}</div>'
-    (site / "_static" / TEXTS).write_text(f"const TEXTS = {json.dumps(texts)};{READ_TEXTS}", encoding="utf-8")
+    (site / "_static" / TEXTS).write_text(
+        f"const TEXTS = {json.dumps(texts)};{READ_TEXTS}", encoding="utf-8"
+    )
 
 
 def describe_thumbnails(app, doctree, name):

@@ -44,11 +44,16 @@ def chosen(pages: Pages, names: Sequence[str]) -> list[Program]:
         of_name = [
             program
             for program in pages.programs.values()
-            if name == program.name or name in {Path(page).stem for page in program.writes} | {*program.writes}
+            if name == program.name
+            or name in {Path(page).stem for page in program.writes} | {*program.writes}
         ]
         if not of_name:
-            stems = {Path(page).stem for program in pages.programs.values() for page in program.writes}
-            raise InputError(f"NAMES: {name}: must be of {', '.join(sorted({*pages.programs, *stems}))}")
+            stems = {
+                Path(page).stem for program in pages.programs.values() for page in program.writes
+            }
+            raise InputError(
+                f"NAMES: {name}: must be of {', '.join(sorted({*pages.programs, *stems}))}"
+            )
         found += [program for program in of_name if program not in found]
     return found
 
@@ -84,16 +89,23 @@ def make(pages: Pages, program: Program) -> None:
             env=os.environ | {"PYTHONPATH": search, "COINCID_READ": str(read)},
         )
         if done.returncode:
-            raise InputError(f"{program.name}: {program.command} failed with exit code {done.returncode}")
+            raise InputError(
+                f"{program.name}: {program.command} failed with exit code {done.returncode}"
+            )
         outside = undeclared(pages, program, read.read_text(encoding="utf-8").splitlines())
     if outside:
-        raise InputError(f"{program.name}: reads files that its stamp does not cover: {', '.join(outside)}")
+        raise InputError(
+            f"{program.name}: reads files that its stamp does not cover: {', '.join(outside)}"
+        )
 
 
 def undeclared(pages: Pages, program: Program, read: Iterable[str]) -> list[str]:
     """Return the files that a program has read and does not depend on. read: paths below the root."""
     closure = pages.closure(program)
-    known = {str(pages.sources.modules[module].relative_to(pages.root)) for module in (*closure.modules, *WRITERS)}
+    known = {
+        str(pages.sources.modules[module].relative_to(pages.root))
+        for module in (*closure.modules, *WRITERS)
+    }
     known |= {str(path.relative_to(pages.root)) for path in closure.data}
     known |= {*program.data, *program.writes, *program.pictures, *ALWAYS}
     known |= {str(path.relative_to(pages.root)) for path in pages.root.glob("requirements*.lock")}
@@ -109,22 +121,32 @@ def undeclared(pages: Pages, program: Program, read: Iterable[str]) -> list[str]
 def inside_machinery(pages: Pages, name: str) -> bool:
     """Return whether a file is only imported by the writers of pages."""
     own = pages.sources.closure(*WRITERS)
-    return name in {str(pages.sources.modules[module].relative_to(pages.root)) for module in own.modules}
+    return name in {
+        str(pages.sources.modules[module].relative_to(pages.root)) for module in own.modules
+    }
 
 
 def make_all(pages: Pages, programs: Sequence[Program]) -> None:
     """Make the regions of programs, the cheap ones first, and tell the progress."""
     ordered = sorted(programs, key=lambda program: (not program.cheap, program.minutes))
     for number, program in enumerate(ordered, 1):
-        print(f"[{number}/{len(ordered)}] {program.name}: {program.command} ({_duration(program)})", flush=True)
+        print(
+            f"[{number}/{len(ordered)}] {program.name}: {program.command} ({_duration(program)})",
+            flush=True,
+        )
         began = time.monotonic()
         make(pages, program)
-        print(f"[{number}/{len(ordered)}] {program.name}: done in {time.monotonic() - began:.0f} s", flush=True)
+        print(
+            f"[{number}/{len(ordered)}] {program.name}: done in {time.monotonic() - began:.0f} s",
+            flush=True,
+        )
 
 
 def release_faults(pages: Pages) -> list[str]:
     """Return what stands against a release of the version in pyproject.toml."""
-    version = tomllib.loads((pages.root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    version = tomllib.loads((pages.root / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "version"
+    ]
     faults = [f"stale: {line}" for line in list_stale(pages)]
     if not re.search(
         rf"^## \[{re.escape(version)}\] - \d{{4}}-\d\d-\d\d$",
@@ -132,7 +154,9 @@ def release_faults(pages: Pages) -> list[str]:
         re.MULTILINE,
     ):
         faults.append(f"CHANGELOG.md: has no section '## [{version}] - DATE'")
-    cited = re.search(r"^version: (\S+)$", (pages.root / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
+    cited = re.search(
+        r"^version: (\S+)$", (pages.root / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE
+    )
     if cited is None or cited[1] != version:
         faults.append(
             f"CITATION.cff: version = {cited[1] if cited else 'none'}: must be {version}, as in pyproject.toml"
@@ -142,10 +166,18 @@ def release_faults(pages: Pages) -> list[str]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("names", nargs="*", help="programs of docs/pages.toml or names of pages; default: all")
-    parser.add_argument("--stale", action="store_true", help="only list the regions that are older than the sources")
-    parser.add_argument("--only-stale", action="store_true", help="make only what is older than the sources")
-    parser.add_argument("--release", action="store_true", help="fail if something stands against a release")
+    parser.add_argument(
+        "names", nargs="*", help="programs of docs/pages.toml or names of pages; default: all"
+    )
+    parser.add_argument(
+        "--stale", action="store_true", help="only list the regions that are older than the sources"
+    )
+    parser.add_argument(
+        "--only-stale", action="store_true", help="make only what is older than the sources"
+    )
+    parser.add_argument(
+        "--release", action="store_true", help="fail if something stands against a release"
+    )
     given = parser.parse_args()
     pages = all_pages()
     try:

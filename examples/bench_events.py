@@ -14,7 +14,12 @@ from cocotb.triggers import RisingEdge
 from cocotbext.axi import AxiLiteBus, AxiLiteMaster, AxiStreamBus, AxiStreamSink
 
 PHASES = 32  # ticks of a cycle
-EDGES = ((9, 5, 22), (10, 5, 25), (18, 5, 30), (2, 6, 3))  # (pixel, cycle, phase): four photons of a laser pulse
+EDGES = (
+    (9, 5, 22),
+    (10, 5, 25),
+    (18, 5, 30),
+    (2, 6, 3),
+)  # (pixel, cycle, phase): four photons of a laser pulse
 REGISTERS = json.loads(os.environ["COINCID_REGISTERS"])
 
 
@@ -40,12 +45,16 @@ async def one_event(dut):
         await RisingEdge(dut.clk)
     rows = []
     for cycle in range(1, 40):
-        dut.spad_0.value = sum(1 << pixel * PHASES + phase for pixel, at, phase in EDGES if at == cycle)
+        dut.spad_0.value = sum(
+            1 << pixel * PHASES + phase for pixel, at, phase in EDGES if at == cycle
+        )
         await RisingEdge(dut.clk)
         rows.append([cycle, int(dut.m_axis_tvalid.value), sum(at == cycle for _, at, _ in EDGES)])
 
     frame = await stream.recv()
-    beats = [int.from_bytes(frame.tdata[i : i + 8], "little") for i in range(0, len(frame.tdata), 8)]
+    beats = [
+        int.from_bytes(frame.tdata[i : i + 8], "little") for i in range(0, len(frame.tdata), 8)
+    ]
     events = [(beats[i], beats[i + 1]) for i in range(len(beats) - 1) if beats[i] >> 61 == 2]
     assert len(events) == 1, "one event with an ID map"
     header, hits = events[0]

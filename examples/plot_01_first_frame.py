@@ -21,7 +21,9 @@ settings = {
     "2 pixels within 1 ns": config.with_settings(threshold=2),
     "thresholds by the controller": config.with_frame(frames=6).with_settings(auto=True),
 }
-runs = {name: coincid.simulate(one, "sun-and-shade", klux=50, seed=1) for name, one in settings.items()}
+runs = {
+    name: coincid.simulate(one, "sun-and-shade", klux=50, seed=1) for name, one in settings.items()
+}
 
 # %%
 # Every event is one row: its time, the number of pixels that fired, and the first of them.
@@ -42,7 +44,9 @@ for name, run in runs.items():
     last = run.config.frames - 1
     depth_m = run.depth(frame=last).depth_m[:, :, 0]
     wrong_share = np.mean(~(np.abs(depth_m - truth_m) < 0.0345))
-    print(f"{name}: {wrong_share:.1%} of the pixels are wrong, {run.result['dropped'][last].sum()} events were dropped")
+    print(
+        f"{name}: {wrong_share:.1%} of the pixels are wrong, {run.result['dropped'][last].sum()} events were dropped"
+    )
     pictures[name] = depth_m
 for axis, (title, picture_m) in zip(axes[1:], pictures.items(), strict=True):
     image = axis.imshow(picture_m, cmap="viridis_r", vmin=truth_m.min(), vmax=truth_m.max())

@@ -25,7 +25,9 @@ brightness = np.where(row > 150, 120, 210)
 brightness[ball] = 60
 folder = Path(tempfile.mkdtemp())
 Image.fromarray(depth_mm.astype(np.uint16)).save(folder / "depth.png")
-Image.fromarray(np.repeat(brightness[:, :, None], 3, axis=2).astype(np.uint8)).save(folder / "colour.png")
+Image.fromarray(np.repeat(brightness[:, :, None], 3, axis=2).astype(np.uint8)).save(
+    folder / "colour.png"
+)
 
 # %%
 # On the command line the same is `make sim SCENE=depth.png,colour.png KLUX=20`.

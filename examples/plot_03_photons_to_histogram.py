@@ -18,7 +18,14 @@ pixel = 10 * 32 + 10
 mine = run.edges.pixel == pixel
 
 # The golden model gives every avalanche its fate, in the order of the edges.
-fates = ("opened a window", "counted in a window", "second hit in a window", "masked", "gated", "tree was not armed")
+fates = (
+    "opened a window",
+    "counted in a window",
+    "second hit in a window",
+    "masked",
+    "gated",
+    "tree was not armed",
+)
 fate = run.result["fate"][mine]
 
 # %%
@@ -26,14 +33,20 @@ fate = run.result["fate"][mine]
 # therefore reaches the histogram only if enough neighbours fired in the same nanosecond.
 
 events = np.asarray(run.histogram(pixel))
-print(f"{mine.sum()} avalanches in {config.pulses} pulses, {events.sum()} of them in events that left the sensor")
+print(
+    f"{mine.sum()} avalanches in {config.pulses} pulses, {events.sum()} of them in events that left the sensor"
+)
 
 tick_m = config.tick_s * 299_792_458 / 2
 figure, (upper, lower) = plt.subplots(2, 1, figsize=(8, 5.4), sharex=True, layout="constrained")
 for value in np.unique(fate):
     chosen = fate == value
     upper.plot(
-        run.edges.tick[mine][chosen] * tick_m, run.edges.pulse[mine][chosen], ".", markersize=4, label=fates[value]
+        run.edges.tick[mine][chosen] * tick_m,
+        run.edges.pulse[mine][chosen],
+        ".",
+        markersize=4,
+        label=fates[value],
     )
 upper.set(ylabel="laser pulse", title=f"avalanches of pixel {pixel}")
 upper.legend(loc="upper right")
@@ -41,6 +54,9 @@ bins_m = np.arange(len(events)) * tick_m
 lower.step(bins_m, events, where="post", color="#c8501e")
 lower.axvline(run.scene.truth_m.flat[pixel], color="black", linewidth=0.8, linestyle=":")
 lower.set(
-    xlabel="distance in m", ylabel="events with this pixel", title="histogram; dotted: the true distance", xlim=(0, 40)
+    xlabel="distance in m",
+    ylabel="events with this pixel",
+    title="histogram; dotted: the true distance",
+    xlim=(0, 40),
 )
 plt.show()

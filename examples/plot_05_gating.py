@@ -12,7 +12,9 @@ import numpy as np
 
 import coincid
 
-CYCLE_M = 2e-9 * 299_792_458 / 2  # the distance that light covers, there and back, in one clock cycle: 0.3 m
+CYCLE_M = (
+    2e-9 * 299_792_458 / 2
+)  # the distance that light covers, there and back, in one clock cycle: 0.3 m
 base = coincid.load_config().with_frame(pulses=200)
 ungated = base
 gated = base.with_settings(gating=True, gate_start=20, gate_len=20)
@@ -33,9 +35,14 @@ for axis, (title, config) in zip(axes, cases.items(), strict=True):
     distance_m = events["stamp"][subgroup] * config.tick_s * 299_792_458 / 2
     axis.plot(distance_m, events["pulse"][subgroup], ".", color="#277f8e", markersize=4)
     if config.gating.any():
-        step = config.frame.gate_every and np.arange(200) // config.frame.gate_every * config.frame.gate_step
+        step = (
+            config.frame.gate_every
+            and np.arange(200) // config.frame.gate_every * config.frame.gate_step
+        )
         start = (config.gate_start[5] + step) * CYCLE_M * np.ones(200)
-        axis.fill_betweenx(range(200), start, start + config.gate_len[5] * CYCLE_M, color="#f2c879", alpha=0.4)
+        axis.fill_betweenx(
+            range(200), start, start + config.gate_len[5] * CYCLE_M, color="#f2c879", alpha=0.4
+        )
     axis.set(title=title, ylabel="laser pulse", xlim=(0, 32))
     found_m = np.nanmedian(run.depth().depth_m[:, :, 0])
     print(f"{title}: {len(events)} events, most pixels at {found_m:.2f} m")

@@ -27,7 +27,16 @@ for step_m in steps_m:
     print(f"{step_m} m apart: {both.mean():.1%} of the pixels have both distances within 5 cm")
 
 left.plot(steps_m, seen, "o-", color="#277f8e")
-left.set(xlabel="distance between the surfaces in m", ylabel="share of pixels with both surfaces", ylim=(0, 1.05))
+left.set(
+    xlabel="distance between the surfaces in m",
+    ylabel="share of pixels with both surfaces",
+    ylim=(0, 1.05),
+)
 right.hist(depth_m.ravel(), bins=np.arange(4.5, 8, 0.02), color="#c8501e")
-right.set(xlabel="distance in m", ylabel="returns", title=f"both returns of all pixels, {step_m} m apart", yscale="log")
+right.set(
+    xlabel="distance in m",
+    ylabel="returns",
+    title=f"both returns of all pixels, {step_m} m apart",
+    yscale="log",
+)
 plt.show()

@@ -38,7 +38,9 @@ if __name__ == "__main__":  # the workers are processes that import this file ag
     folder = Path(tempfile.mkdtemp())
     (folder / "spec.toml").write_text(SPEC, encoding="utf-8")
     out = folder / "sweep.parquet"
-    summary = sweep(read_spec(folder / "spec.toml"), out, workers=2, title="FIFO depth and threshold")
+    summary = sweep(
+        read_spec(folder / "spec.toml"), out, workers=2, title="FIFO depth and threshold"
+    )
     table = pyarrow.parquet.read_table(out)
     print(f"{summary.rows} points; columns: {', '.join(table.column_names[:8])}, ...")
 
@@ -47,8 +49,20 @@ if __name__ == "__main__":  # the workers are processes that import this file ag
     for depth, colour in ((1, "#46327e"), (4, "#277f8e"), (16, "#4ac16d")):
         line = [row for row in rows if row["sensor.fifo_depth"] == depth]
         threshold = [row["subgroup.threshold"] for row in line]
-        left.plot(threshold, [row["dropped_share"] for row in line], "o-", color=colour, label=f"FIFO of {depth}")
-        right.plot(threshold, [row["wrong_share"] for row in line], "o-", color=colour, label=f"FIFO of {depth}")
+        left.plot(
+            threshold,
+            [row["dropped_share"] for row in line],
+            "o-",
+            color=colour,
+            label=f"FIFO of {depth}",
+        )
+        right.plot(
+            threshold,
+            [row["wrong_share"] for row in line],
+            "o-",
+            color=colour,
+            label=f"FIFO of {depth}",
+        )
     left.set(xlabel="threshold in pixels", ylabel="share of events dropped")
     right.set(xlabel="threshold in pixels", ylabel="share of wrong pixels", ylim=(0, 1))
     left.legend()

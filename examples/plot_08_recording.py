@@ -20,7 +20,9 @@ from coincid.model.recorded.recordings import recorded_edges
 config = coincid.parse_config({"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 200}})
 timing = coincid.Timing.from_config(config)
 scene = coincid.load_scene("two-targets:4,6", 8, 8)
-photons = coincid.generate_edges(coincid.scene_light(scene, 20), coincid.Spad(), timing, pulses=200, seed=1)
+photons = coincid.generate_edges(
+    coincid.scene_light(scene, 20), coincid.Spad(), timing, pulses=200, seed=1
+)
 path = Path(tempfile.mkdtemp()) / "recording.ptu"
 write_edges(path, photons, timing)
 
@@ -36,10 +38,15 @@ depth_m = coincid.estimate_depth(result, config).depth_m[:, :, 0]
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
 tick_m = config.tick_s * 299_792_458 / 2
 axes[0].hist(edges.tick * tick_m, bins=150, range=(0, 15), color="#999999", label="all photons")
-axes[0].hist(result["stamp"] * tick_m, bins=150, range=(0, 15), color="#c8501e", label="events, threshold 2")
+axes[0].hist(
+    result["stamp"] * tick_m, bins=150, range=(0, 15), color="#c8501e", label="events, threshold 2"
+)
 axes[0].set(xlabel="distance in m", ylabel="number", yscale="log")
 axes[0].legend()
-for axis, picture_m, title in ((axes[1], scene.truth_m, "truth in m"), (axes[2], depth_m, "from the recording in m")):
+for axis, picture_m, title in (
+    (axes[1], scene.truth_m, "truth in m"),
+    (axes[2], depth_m, "from the recording in m"),
+):
     image = axis.imshow(picture_m, cmap="viridis_r", vmin=3.5, vmax=6.5)
     axis.set_title(title)
 figure.colorbar(image, ax=axes[1:], shrink=0.8)

@@ -24,7 +24,10 @@ from coincid.model.contract.registers import address
 config = coincid.parse_config({"sensor": {"rows": 8, "cols": 8}})
 folder = Path(tempfile.mkdtemp())
 write_release(folder / "rtl", config)  # the same as `coincid verilog --config small.toml --out rtl`
-sources = [folder / "rtl" / name for name in (folder / "rtl" / "coincid.f").read_text(encoding="utf-8").split()]
+sources = [
+    folder / "rtl" / name
+    for name in (folder / "rtl" / "coincid.f").read_text(encoding="utf-8").split()
+]
 print(
     f"{len(sources)} Verilog files, {sum(len(path.read_text(encoding='utf-8').splitlines()) for path in sources)} lines"
 )
@@ -34,7 +37,10 @@ print(
 
 seen = folder / "seen.json"
 names = ("period", "pulses", "threshold", "control")
-environment = {"COINCID_REGISTERS": json.dumps({name: address(name) for name in names}), "COINCID_SEEN": str(seen)}
+environment = {
+    "COINCID_REGISTERS": json.dumps({name: address(name) for name in names}),
+    "COINCID_SEEN": str(seen),
+}
 sys.path.insert(0, os.getcwd())  # where bench_events.py is
 runner = get_runner("icarus")
 runner.build(
@@ -61,7 +67,9 @@ told = json.loads(seen.read_text(encoding="utf-8"))
 cycles, valid, photons = zip(*told["rows"], strict=True)
 figure, axis = plt.subplots(figsize=(9, 2.6), layout="constrained")
 axis.bar(cycles, photons, width=0.9, color="#c8501e", label="photons driven in this cycle")
-axis.step(cycles, [-1.5 + one for one in valid], where="mid", color="#277f8e", label="m_axis_tvalid")
+axis.step(
+    cycles, [-1.5 + one for one in valid], where="mid", color="#277f8e", label="m_axis_tvalid"
+)
 axis.set(xlabel="clock cycles since the laser trigger", yticks=[0, 1, 2, 3])
 axis.set_title(
     f"stamp {told['stamp']} ticks, count {told['count']}: frame start packet, event and map, frame end packet"

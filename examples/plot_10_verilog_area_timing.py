@@ -14,9 +14,14 @@ import coincid
 from coincid.flow.release import release_files
 from coincid.flow.synth import GATES, synthesize
 
-SIZES = {"4 phases, FIFO of 1": {"phases": 4, "fifo_depth": 1}, "8 phases, FIFO of 4": {"phases": 8, "fifo_depth": 4}}
+SIZES = {
+    "4 phases, FIFO of 1": {"phases": 4, "fifo_depth": 1},
+    "8 phases, FIFO of 4": {"phases": 8, "fifo_depth": 4},
+}
 base = {"rows": 4, "cols": 4, "subgroup": [4, 4], "window_max": 8, "coarse_bits": 6}
-configs = {name: coincid.parse_config({"sensor": base | changed}) for name, changed in SIZES.items()}
+configs = {
+    name: coincid.parse_config({"sensor": base | changed}) for name, changed in SIZES.items()
+}
 name, config = next(iter(configs.items()))
 verilog = [text for file, text in release_files(config).items() if file.endswith(".v")]
 print(f"{name}: {len(verilog)} Verilog files, {sum(text.count(chr(10)) for text in verilog)} lines")
@@ -25,7 +30,9 @@ netlists = {name: synthesize(config.sensor, GATES) for name, config in configs.i
 # %%
 # `synthesize` maps to two-input gates with Yosys. `coincid synth` writes the same table for standard cells and an ECP5 FPGA.
 
-blocks = sorted({name for netlist in netlists.values() for name, block in netlist.blocks.items() if block.total})
+blocks = sorted(
+    {name for netlist in netlists.values() for name, block in netlist.blocks.items() if block.total}
+)
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5), sharey=True, layout="constrained")
 for i, (name, netlist) in enumerate(netlists.items()):
     of = [netlist.blocks.get(block) for block in blocks]
@@ -36,7 +43,11 @@ for i, (name, netlist) in enumerate(netlists.items()):
     print(
         f"{name}: {netlist.total(lambda block: block.total):.0f} gates and flip-flops, {flops:.0f} of them flip-flops"
     )
-left.set_yticks(np.arange(len(blocks)) + 0.2, [block.removeprefix("coincid_") for block in blocks], fontsize="small")
+left.set_yticks(
+    np.arange(len(blocks)) + 0.2,
+    [block.removeprefix("coincid_") for block in blocks],
+    fontsize="small",
+)
 left.set(xlabel="gates and flip-flops in the sensor", xscale="log")
 right.set(xlabel="two-input gates on the longest path")
 figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=2)

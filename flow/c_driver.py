@@ -25,7 +25,9 @@ _GROUPS = {  # places and widths in groups of events
 
 def c_driver() -> dict[str, str]:
     """Return the files of the driver by name. It fits every sensor, and needs the header of the registers."""
-    return {path.name: path.read_text(encoding="utf-8") for path in SOURCES} | {PACKETS_HEADER: _packets_header()}
+    return {path.name: path.read_text(encoding="utf-8") for path in SOURCES} | {
+        PACKETS_HEADER: _packets_header()
+    }
 
 
 def _packets_header() -> str:
@@ -42,7 +44,10 @@ def _packets_header() -> str:
         f"enum {{ {kinds}, COINCID_GROUP = {GROUP_KIND}, COINCID_DAMAGED = {1 << KIND_BITS} }};",
         *(f"#define COINCID_{name} {value}u" for name, value in _GROUPS.items()),
         "/* Bits of the first beat that are 0 in these kinds. */",
-        *(f"#define {_kind(PACKETS[code])}_UNUSED {unused:#x}ull" for code, unused in UNUSED.items()),
+        *(
+            f"#define {_kind(PACKETS[code])}_UNUSED {unused:#x}ull"
+            for code, unused in UNUSED.items()
+        ),
         "",
         "/* PACKET(kind, times, fields): whatever follows the first beat comes `times` times. */",
         "#define COINCID_PACKETS(PACKET, NUMBER, ITEMS) \\",

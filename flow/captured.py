@@ -23,7 +23,9 @@ def captured_files(sensor: Sensor) -> dict[str, bytes]:
     """Return the files by name: for each format the beats (text), the events (CSV), and the whole result (NPZ)."""
     files: dict[str, bytes] = {}
     golden, formats = Golden(sensor), built_formats(sensor)
-    for number, (name, job) in enumerate(zip(formats, random_frames(sensor, len(formats)), strict=True)):
+    for number, (name, job) in enumerate(
+        zip(formats, random_frames(sensor, len(formats)), strict=True)
+    ):
         config = job.config.with_settings(threshold=1)  # so that there are events
         assert config.format == name
         trace, result = golden.frame(config, job.edges, job.ready), ResultBuilder(config)

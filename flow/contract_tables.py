@@ -18,7 +18,12 @@ def _settings_table(table: str) -> str:
         for name, setting in TABLES[table].items()
     ]
     return "\n".join(
-        [*markdown.table([f"`[{table}]`", "default", "legal", "unit", "meaning"], rows, left=range(5)), ""]
+        [
+            *markdown.table(
+                [f"`[{table}]`", "default", "legal", "unit", "meaning"], rows, left=range(5)
+            ),
+            "",
+        ]
     )
 
 
@@ -56,10 +61,17 @@ def header_table() -> str:
     """Return the fields of a packet's header."""
     docs = {field.name: field.doc for field in FRAME_START.fields}
     kinds = ", ".join(
-        f"{of.code} {name}{f' (with {of.doc})' * bool(of.doc)}" for name, of in FORMATS.items() if not of.grouped
+        f"{of.code} {name}{f' (with {of.doc})' * bool(of.doc)}"
+        for name, of in FORMATS.items()
+        if not of.grouped
     )
     docs["kind"] = (
         f"event: {kinds}; {GROUP_KIND} group of events, {RECORD.code} minigroup record, {FRAME_START.code} frame start, {FRAME_END.code} frame end"
     )
-    rows = [(f"`{name}`", f"{lsb + width - 1}:{lsb}", docs[name]) for name, (lsb, width) in HEADER.items()]
-    return "\n".join([*markdown.table(["header field", "bits", "meaning"], rows, left=range(3)), ""])
+    rows = [
+        (f"`{name}`", f"{lsb + width - 1}:{lsb}", docs[name])
+        for name, (lsb, width) in HEADER.items()
+    ]
+    return "\n".join(
+        [*markdown.table(["header field", "bits", "meaning"], rows, left=range(3)), ""]
+    )

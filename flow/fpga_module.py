@@ -23,7 +23,11 @@ def fpga_module() -> Board:
     """Return a module of the FPGA preset with registers, readout and deserialisers. Raises `ToolchainError` without nextpnr."""
     preset = load_config("fpga")
     sensor = evolve(preset.sensor, rows=8, cols=16)
-    files = verilog_files(sensor) | fpga_files(sensor) | {WRAPPER.name: WRAPPER.read_text(encoding="utf-8")}
+    files = (
+        verilog_files(sensor)
+        | fpga_files(sensor)
+        | {WRAPPER.name: WRAPPER.read_text(encoding="utf-8")}
+    )
     del files[FILE_LIST], files[f"{TOP}.v"]
     return Board(
         title="The FPGA preset placed and routed",
@@ -44,21 +48,38 @@ def _along_the_edge() -> str:
 
     Without them nextpnr would place the ports, and the logic behind them, at random. nextpnr chooses only the clock pin.
     """
-    sites = json.loads((wheel_folder(NEXTPNR) / PADS).read_text(encoding="utf-8"))["packages"][PACKAGE]
+    sites = json.loads((wheel_folder(NEXTPNR) / PADS).read_text(encoding="utf-8"))["packages"][
+        PACKAGE
+    ]
     right = max(site["col"] for site in sites.values())
 
     def clockwise(item: tuple[str, dict[str, Any]]) -> tuple[int, int, str]:
         """Return side, place on it and pad, from the lower left corner on."""
         row, col, pad = item[1]["row"], item[1]["col"], item[1]["pio"]
-        side, along = (0, -row) if col == 0 else (1, col) if row == 0 else (2, row) if col == right else (3, -col)
+        side, along = (
+            (0, -row)
+            if col == 0
+            else (1, col)
+            if row == 0
+            else (2, row)
+            if col == right
+            else (3, -col)
+        )
         return side, along, pad
 
-    ports = re.findall(r"(?:input|output) (?:\[(\d+):0\] )?(\w+)", WRAPPER.read_text(encoding="utf-8"))
+    ports = re.findall(
+        r"(?:input|output) (?:\[(\d+):0\] )?(\w+)", WRAPPER.read_text(encoding="utf-8")
+    )
     bits = [
-        f"{name}[{k}]" if msb else name for msb, name in ports for k in range(int(msb or 0) + 1) if name != "clk_in"
+        f"{name}[{k}]" if msb else name
+        for msb, name in ports
+        for k in range(int(msb or 0) + 1)
+        if name != "clk_in"
     ]
     along = (site for site, _ in sorted(sites.items(), key=clockwise))
-    return "".join(f'LOCATE COMP "{bit}" SITE "{site}";\n' for bit, site in zip(bits, along, strict=False))
+    return "".join(
+        f'LOCATE COMP "{bit}" SITE "{site}";\n' for bit, site in zip(bits, along, strict=False)
+    )
 
 
 def place_fpga_module() -> None:

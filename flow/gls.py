@@ -63,14 +63,23 @@ def cell_models(target: str = CELLS) -> str:
     text = source.read_text(encoding="utf-8")
     for name in re.findall(r"^(?:module |`CLOCK_GATE\()([^\s)]+)", own, flags=re.MULTILINE):
         text = re.sub(
-            rf"^module {re.escape(name)}\s*\(.*?^endmodule", "", text, count=1, flags=re.DOTALL | re.MULTILINE
+            rf"^module {re.escape(name)}\s*\(.*?^endmodule",
+            "",
+            text,
+            count=1,
+            flags=re.DOTALL | re.MULTILINE,
         )
     return text + own
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
     """Return random frames in every format. Coincidence, gating, controller, records and a stalled stream vary."""
-    rng, golden, jobs, formats = np.random.default_rng(seed), Golden(sensor), [], built_formats(sensor)
+    rng, golden, jobs, formats = (
+        np.random.default_rng(seed),
+        Golden(sensor),
+        [],
+        built_formats(sensor),
+    )
     scarce = {"auto_bounds": [0, 0, 0, 20, 40, 80], "capacity": 20} if sensor.controller else {}
     for n in range(frames):
         shortest = 2 * sensor.guard + 10
@@ -98,7 +107,9 @@ def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
             }
         )
         edges = _random_edges(config, rng)
-        ready = (rng.random(period * PULSES) < 0.6).astype(np.uint8) if n % 2 else np.zeros(0, np.uint8)
+        ready = (
+            (rng.random(period * PULSES) < 0.6).astype(np.uint8) if n % 2 else np.zeros(0, np.uint8)
+        )
         jobs.append(FrameJob(config, edges, golden.frame(config, edges, ready), ready))
     return jobs
 
@@ -115,7 +126,9 @@ def gate_level(sensor: Sensor, target: str, frames: int = FRAMES, seed: int = 1)
     return played(build, jobs, f"{target}-{sensor_key(sensor)}")
 
 
-def played(build: toolchain.Build, jobs: list[FrameJob], name: str, lines: bool = False) -> tuple[int, int]:
+def played(
+    build: toolchain.Build, jobs: list[FrameJob], name: str, lines: bool = False
+) -> tuple[int, int]:
     """Play frames in the folder `name`; return the same as `gate_level`. lines: as in `play_in`. Raises `Mismatch`."""
     records, _ = play_in(build, jobs, build_root() / "gls" / name, lines=lines)
     return sum(record.checked for record in records), sum(record.cycles for record in records)

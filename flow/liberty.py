@@ -70,9 +70,16 @@ class Cell:
 def read_cells(path: Path, names: Collection[str]) -> dict[str, Cell]:
     """Return some cells of a liberty file. Raises `ValueError` if one is missing."""
     text = path.read_text(encoding="utf-8")
-    starts = [(found[1], found.start()) for found in re.finditer(r"^\s*cell \((\w+)\) \{", text, re.MULTILINE)]
+    starts = [
+        (found[1], found.start())
+        for found in re.finditer(r"^\s*cell \((\w+)\) \{", text, re.MULTILINE)
+    ]
     ends = [*(at for _, at in starts[1:]), len(text)]
-    cells = {name: _cell(_parsed(text[at:end])) for (name, at), end in zip(starts, ends, strict=True) if name in names}
+    cells = {
+        name: _cell(_parsed(text[at:end]))
+        for (name, at), end in zip(starts, ends, strict=True)
+        if name in names
+    }
     if missing := sorted(set(names) - set(cells)):
         raise ValueError(f"{path.name}: no cell {missing[0]}")
     return cells
@@ -99,12 +106,17 @@ def _parsed(text: str) -> Group:
             if len(stack) == 1:
                 break
         else:
-            stack[-1].values[found["name"] or found["list"]] = (found["value"] or found["items"]).strip(' "')
+            stack[-1].values[found["name"] or found["list"]] = (
+                found["value"] or found["items"]
+            ).strip(' "')
     return next(iter(stack[0].groups.values()))[0]
 
 
 def _cell(group: Group) -> Cell:
-    return Cell(float(group.values["cell_leakage_power"]), {pin.of: _pin(pin) for pin in group.groups.get("pin", [])})
+    return Cell(
+        float(group.values["cell_leakage_power"]),
+        {pin.of: _pin(pin) for pin in group.groups.get("pin", [])},
+    )
 
 
 def _pin(group: Group) -> Pin:
@@ -114,9 +126,13 @@ def _pin(group: Group) -> Pin:
     if gate:
         powers = [power for power in powers if CLOSED.fullmatch(power.values.get("when", ""))]
     elif name in CLOCKS:
-        powers = [power for power in powers if AT_REST.search(power.values.get("when", "D & Q"))] or powers
+        powers = [
+            power for power in powers if AT_REST.search(power.values.get("when", "D & Q"))
+        ] or powers
     elif name == DATA:
-        powers = [power for power in powers if re.search(r"!(CK|G)\b", power.values.get("when", "!CK"))] or powers
+        powers = [
+            power for power in powers if re.search(r"!(CK|G)\b", power.values.get("when", "!CK"))
+        ] or powers
     tables = [
         table for power in powers for table in _tables(power) if table.fj.any()
     ]  # all 0: this edge does not occur
@@ -132,14 +148,20 @@ def _tables(power: Group) -> Iterator[Energies]:
     """Yield the tables of rise and fall at `SLEW_NS`."""
     for name in ("rise_power", "fall_power"):
         for table in power.groups.get(name, []):
-            slews, loads = (_numbers(table.values.get(index, "0")) for index in ("index_1", "index_2"))
+            slews, loads = (
+                _numbers(table.values.get(index, "0")) for index in ("index_1", "index_2")
+            )
             rows = _numbers(table.values["values"]).reshape(len(slews), len(loads))
-            yield Energies(loads, np.array([np.interp(SLEW_NS, slews, column) for column in rows.T]))
+            yield Energies(
+                loads, np.array([np.interp(SLEW_NS, slews, column) for column in rows.T])
+            )
 
 
 def _mean(tables: list[Energies]) -> Energies:
     loads = max((table.loads_ff for table in tables), key=len)
-    return Energies(loads, np.mean([[table.at(load) for load in loads] for table in tables], axis=0))
+    return Energies(
+        loads, np.mean([[table.at(load) for load in loads] for table in tables], axis=0)
+    )
 
 
 def _numbers(text: str) -> np.ndarray:

@@ -34,19 +34,30 @@ def lint(config: Config, view: View = POLYPHASE) -> dict[str, str]:
     return findings(files, [(top, files[names].split()) for top, names in lists], view)
 
 
-def findings(files: Mapping[str, str], runs: Sequence[tuple[str, list[str]]], view: View) -> dict[str, str]:
+def findings(
+    files: Mapping[str, str], runs: Sequence[tuple[str, list[str]]], view: View
+) -> dict[str, str]:
     """Return tool -> its findings in some tops, "" if there are none.
 
     files: text by name. runs: of each top, its name and those of its files. Raises `ToolchainError`.
     """
     options = [part for option in tool_options(view)["lint"] for part in option.split()]
-    found = {"verilator": ""} | ({"icarus": ""} if shutil.which("iverilog") and not view.macros else {})
+    found = {"verilator": ""} | (
+        {"icarus": ""} if shutil.which("iverilog") and not view.macros else {}
+    )
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         for name, text in files.items():
             (Path(folder) / name).parent.mkdir(exist_ok=True)
             (Path(folder) / name).write_text(text, encoding="utf-8")
         for top, names in runs:
-            verilator = [str(toolchain.verilator()), *VERILATOR, *options, "--top-module", top, CONTROL_FILE]
+            verilator = [
+                str(toolchain.verilator()),
+                *VERILATOR,
+                *options,
+                "--top-module",
+                top,
+                CONTROL_FILE,
+            ]
             icarus = ["iverilog", "-g2005", "-Wall", "-s", top, "-o", os.devnull]
             for tool, command in (("verilator", verilator), ("icarus", icarus)):
                 if tool in found:
@@ -56,6 +67,12 @@ def findings(files: Mapping[str, str], runs: Sequence[tuple[str, list[str]]], vi
 
 def _complaints(command: list[str], folder: str) -> str:
     done = subprocess.run(
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False, encoding="utf-8"
+        command,
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+        encoding="utf-8",
     )
     return done.stdout or (f"exit code {done.returncode}\n" if done.returncode else "")

@@ -31,8 +31,18 @@ def depths(module: Mapping[str, Any]) -> dict[str, int]:
             ends += [("", bit) for bit in port["bits"]]
     for name, cell in module["cells"].items():
         bits, kind = cell["connections"], cell["type"]
-        inputs = [bit for port, way in cell["port_directions"].items() if way == "input" for bit in bits[port]]
-        outputs = [bit for port, way in cell["port_directions"].items() if way == "output" for bit in bits[port]]
+        inputs = [
+            bit
+            for port, way in cell["port_directions"].items()
+            if way == "input"
+            for bit in bits[port]
+        ]
+        outputs = [
+            bit
+            for port, way in cell["port_directions"].items()
+            if way == "output"
+            for bit in bits[port]
+        ]
         if not kind.startswith("$"):  # a block that is not flattened
             ends += [("", bit) for bit in inputs]
             level |= dict.fromkeys(outputs, 0)
@@ -42,7 +52,9 @@ def depths(module: Mapping[str, Any]) -> dict[str, int]:
         else:
             gates |= dict.fromkeys(outputs, (kind not in FREE, inputs))
     try:
-        order = list(TopologicalSorter({bit: inputs for bit, (_, inputs) in gates.items()}).static_order())
+        order = list(
+            TopologicalSorter({bit: inputs for bit, (_, inputs) in gates.items()}).static_order()
+        )
     except CycleError as error:
         raise ValueError(f"combinational loop through net {error.args[1][0]}") from None
     for bit in order:

@@ -63,7 +63,9 @@ def map_block(
     `ToolchainError`.
     """
     files = bound(units_files([unit], cells=True), gated)
-    files |= {path.name: path.read_text(encoding="utf-8") for path in (*view.cells, *view.macros)} | dict(changed or {})
+    files |= {
+        path.name: path.read_text(encoding="utf-8") for path in (*view.cells, *view.macros)
+    } | dict(changed or {})
     script = [
         f"read_liberty -lib {LIBERTY}",
         f"read_verilog -sv {' '.join(files)}",
@@ -72,7 +74,9 @@ def map_block(
         f"write_verilog -simple-lhs -noexpr -noattr {NETLIST}",
     ]
     folder = yosys_once(build_root() / "mapped" / unit.unit_name, files | library_files(), script)
-    statistics = json.loads((folder / "stat.json").read_text(encoding="utf-8"))["modules"][f"\\{unit.unit_name}"]
+    statistics = json.loads((folder / "stat.json").read_text(encoding="utf-8"))["modules"][
+        f"\\{unit.unit_name}"
+    ]
     cells, macros = Counter[str](), Counter[str]()
     for kind, number in statistics["num_cells_by_type"].items():
         macro = MACRO.match(kind)
@@ -91,7 +95,9 @@ def slacks_ns(folder: Path, block: str, clock_ns: float) -> dict[str, float]:
     behind a clock gate.
     """
     timed = f"{block}.timed.v"
-    (folder / timed).write_text(without_parameters((folder / NETLIST).read_text(encoding="utf-8")), encoding="utf-8")
+    (folder / timed).write_text(
+        without_parameters((folder / NETLIST).read_text(encoding="utf-8")), encoding="utf-8"
+    )
     report = timing_report(folder, block, timed, clock_ns, LONGEST_PATHS)
     if found := least_slacks_ns(report):
         return found

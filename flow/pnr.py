@@ -72,12 +72,18 @@ class Placement:
     @property
     def fmax_mhz(self) -> dict[str, float]:
         """Fmax by clock, under its name in the Verilog."""
-        return {re.sub(r"[$].*?[$]", "", net): found["achieved"] for net, found in sorted(self.report["fmax"].items())}
+        return {
+            re.sub(r"[$].*?[$]", "", net): found["achieved"]
+            for net, found in sorted(self.report["fmax"].items())
+        }
 
     @property
     def longest(self) -> dict[str, Any]:
         """Longest path between registers of one clock."""
-        return max((path for path in self.report["critical_paths"] if path["from"] == path["to"]), key=_delay_ns)
+        return max(
+            (path for path in self.report["critical_paths"] if path["from"] == path["to"]),
+            key=_delay_ns,
+        )
 
 
 def _delay_ns(path: dict[str, Any]) -> float:
@@ -105,14 +111,25 @@ def synthesize(board: Board) -> Path:
 
 def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
     """Return the placement of a netlist with a seed, which is made once. netlist: from `synthesize`. Raises `ToolchainError`."""
-    options = [*board.device, "--seed", str(seed), "--freq", f"{board.goal_mhz:g}", "--timing-allow-fail"]
+    options = [
+        *board.device,
+        "--seed",
+        str(seed),
+        "--freq",
+        f"{board.goal_mhz:g}",
+        "--timing-allow-fail",
+    ]
     options += ["--lpf-allow-unconstrained", "--json", NETLIST, "--lpf", PINS]
     options += ["--report", "report.json", "--textcfg", "board.config"]
 
     def make(folder: Path) -> None:
-        (folder / NETLIST).hardlink_to(netlist / NETLIST)  # the wheel's nextpnr sees its own folder only
+        (folder / NETLIST).hardlink_to(
+            netlist / NETLIST
+        )  # the wheel's nextpnr sees its own folder only
         (folder / PINS).write_text(board.pins, encoding="utf-8")
-        (folder / "nextpnr.log").write_text(run_wheel(NEXTPNR, "run_nextpnr_ecp5", options, folder), encoding="utf-8")
+        (folder / "nextpnr.log").write_text(
+            run_wheel(NEXTPNR, "run_nextpnr_ecp5", options, folder), encoding="utf-8"
+        )
         run_wheel(NEXTPNR, "run_ecppack", ["board.config", BITSTREAM], folder)
 
     key = digest(netlist.name, board.pins, *options)
@@ -134,7 +151,9 @@ def fastest(placements: Sequence[Placement]) -> Placement:
     return max(placements, key=lambda placement: min(placement.fmax_mhz.values()))
 
 
-def write_placement_page(board: Board, placements: Sequence[Placement], out: Path | None = None) -> None:
+def write_placement_page(
+    board: Board, placements: Sequence[Placement], out: Path | None = None
+) -> None:
     """Write a page with Fmax of every clock and seed, the used resources, and the longest path. out: a file instead of the page."""
     first = placements[0]
     worst = max(placements, key=lambda placement: _delay_ns(placement.longest))
@@ -149,14 +168,23 @@ def write_placement_page(board: Board, placements: Sequence[Placement], out: Pat
         f"The longest path takes {_delay_ns(worst.longest):.2f} ns, with seed {worst.seed}. It passes {cells} cells from "
         f"`{hops[0]['from']['cell']}` to `{hops[-1]['to']['cell']}`."
     )
-    fmax = ([clock, *(f"{placement.fmax_mhz[clock]:.1f}" for placement in placements)] for clock in first.fmax_mhz)
-    used = ([name, use["used"], use["available"]] for name, use in first.report["utilization"].items() if name in USED)
+    fmax = (
+        [clock, *(f"{placement.fmax_mhz[clock]:.1f}" for placement in placements)]
+        for clock in first.fmax_mhz
+    )
+    used = (
+        [name, use["used"], use["available"]]
+        for name, use in first.report["utilization"].items()
+        if name in USED
+    )
     lines = [
         f"# {board.title}",
         "",
         *textwrap.wrap(intro, PAGE_COLUMNS, break_on_hyphens=False),
         "",
-        *markdown.table(["Fmax in MHz of", *(f"seed {placement.seed}" for placement in placements)], fmax),
+        *markdown.table(
+            ["Fmax in MHz of", *(f"seed {placement.seed}" for placement in placements)], fmax
+        ),
         "",
         *markdown.table(["resource", "used", "of"], used),
         "",

@@ -54,7 +54,10 @@ _MEANINGS = {  # pattern of a port's name -> value after a reset (outputs only),
     r"m_axis\d*_tready": ("", "the beat is taken; may be low for any time"),
     r"m_axis\d*_tlast": ("0", "last beat of the frame on this stream"),
     r"laser": ("0", "high in cycle 0 of every laser period"),
-    r"spad_gate": ("0; all ones two cycles later", "bit s: the gate of subgroup s is open, or gating is off"),
+    r"spad_gate": (
+        "0; all ones two cycles later",
+        "bit s: the gate of subgroup s is open, or gating is off",
+    ),
     r"phase_clocks": ("", "bit j: a clock like `clk`, (j + 1) ticks later, from the same PLL"),
 }
 
@@ -74,9 +77,18 @@ class PortRow:
 def port_rows(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> list[PortRow]:
     """Return the ports of a top module, `clk` and `rst` first, in the order of its Verilog."""
     ports = [("clk", 1, True), ("rst", 1, True)]
-    ports += [(port.name, port.width, port.is_input) for port in SensorTop(sensor, view, top == FPGA_TOP).ports()]
+    ports += [
+        (port.name, port.width, port.is_input)
+        for port in SensorTop(sensor, view, top == FPGA_TOP).ports()
+    ]
     return [
-        PortRow(name, width, "in" if is_input else "out", _clock(name, view), *_meaning(name, sensor, view))
+        PortRow(
+            name,
+            width,
+            "in" if is_input else "out",
+            _clock(name, view),
+            *_meaning(name, sensor, view),
+        )
         for name, width, is_input in ports
     ]
 
@@ -108,7 +120,9 @@ def _meaning(name: str, sensor: Sensor, view: View) -> tuple[str, str]:
 def port_table(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
     """Return the ports as a Markdown table. Ports that differ only in their number share a row."""
     told = []
-    for _, family in groupby(port_rows(sensor, top, view), lambda row: re.sub(r"^(spad|line)_\d+$", r"\1", row.name)):
+    for _, family in groupby(
+        port_rows(sensor, top, view), lambda row: re.sub(r"^(spad|line)_\d+$", r"\1", row.name)
+    ):
         first, *others = family
         name, meaning = f"`{first.name}`", first.meaning
         if others:
@@ -131,18 +145,27 @@ def stream_words(sensor: Sensor) -> str:
     """Return a description of the beats of every packet of a sensor, as Markdown."""
     lengths = layout(sensor)
     fields = ", ".join(
-        f"[{low + width - 1}:{low}] {'type' if name == 'kind' else name}" for name, (low, width) in HEADER.items()
+        f"[{low + width - 1}:{low}] {'type' if name == 'kind' else name}"
+        for name, (low, width) in HEADER.items()
     )
     counters = ", ".join(f"`{name}`" for name in COUNTER_NAMES)
     rows = [(FRAME_START, "frame start", 1, "nothing; `pulse` holds the frame's number")]
     for name, packet in FORMATS.items():
         if packet.grouped:
             continue
-        behind = ", then ".join(f"the {field.name}" for field in packet.fields if field.aligned) or "nothing"
+        behind = (
+            ", then ".join(f"the {field.name}" for field in packet.fields if field.aligned)
+            or "nothing"
+        )
         rows.append((packet, f"event, format {name}", lengths.length(packet), behind))
     rows += [
         (RECORD, "minigroup record", lengths.length(RECORD), "the minigroups' entries"),
-        (FRAME_END, "frame end", 1, f"{lengths.counter_beats} beats per subgroup of the stream: its counters"),
+        (
+            FRAME_END,
+            "frame end",
+            1,
+            f"{lengths.counter_beats} beats per subgroup of the stream: its counters",
+        ),
     ]
 
     def beats(field: Field) -> int:
@@ -158,7 +181,12 @@ def stream_words(sensor: Sensor) -> str:
     table = markdown.table(("type", "packet", "beats", "after the header"), coded, left=(1, 3))
     groups_told = "In the formats `compact` and `compact-full`, events leave in groups, whose beats have type 5"
     told += f"\n{groups_told} ([contract.md](contract.md#groups-of-events)).\n"
-    return f"The first beat of every packet is a header: {fields}.\n\n" + "\n".join(table) + "\n" + told
+    return (
+        f"The first beat of every packet is a header: {fields}.\n\n"
+        + "\n".join(table)
+        + "\n"
+        + told
+    )
 
 
 def pages() -> dict[str, dict[str, str]]:

@@ -87,7 +87,9 @@ class Design:
 def design(sensor: Sensor) -> Design:
     """Return the sensor in standard cells."""
     synthesized = synthesize(sensor, CELLS)
-    files = {name: (synthesized.folder / name).read_text(encoding="utf-8") for name in (LIBERTY, NETLIST)}
+    files = {
+        name: (synthesized.folder / name).read_text(encoding="utf-8") for name in (LIBERTY, NETLIST)
+    }
     script = (
         f"read_liberty -lib {LIBERTY}",
         f"read_verilog {NETLIST}",
@@ -95,7 +97,9 @@ def design(sensor: Sensor) -> Design:
         "flatten",
         f"write_json {FLAT}",
     )
-    folder = yosys_once(synthesized.folder.with_name(f"{synthesized.folder.name}-flat"), files, script)
+    folder = yosys_once(
+        synthesized.folder.with_name(f"{synthesized.folder.name}-flat"), files, script
+    )
     module = json.loads((folder / FLAT).read_text(encoding="utf-8"))["modules"][TOP]
     instances, scopes = [], {""}
     for name, cell in module["cells"].items():
@@ -103,7 +107,11 @@ def design(sensor: Sensor) -> Design:
             scopes.add(name)
             continue
         block = name.rpartition(".")[0]
-        nets = {pin: bits[0] for pin, bits in cell["connections"].items() if bits and isinstance(bits[0], int)}
+        nets = {
+            pin: bits[0]
+            for pin, bits in cell["connections"].items()
+            if bits and isinstance(bits[0], int)
+        }
         instances.append(Instance(block, cell["type"], nets))
         scopes.add(block)
     names: dict[int, list[tuple[str, int]]] = {}
@@ -128,7 +136,9 @@ def count_toggles(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
         return transitions(vcd, config.pulses, cycles, round(1e6 / config.clock_mhz))
 
 
-def transitions(vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle_ps: int) -> Toggles:
+def transitions(
+    vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle_ps: int
+) -> Toggles:
     """Return the transitions of every net in a VCD in each frame. A frame begins when `LASER` rises for its first pulse."""
     nets: dict[str, str] = {}  # net -> identifier in the file
     counts: dict[str, np.ndarray] = {}
@@ -156,14 +166,18 @@ def transitions(vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle
                 begins.append(now)
             rises += 1
         frame = len(begins) - 1
-        counted = 0 <= frame < len(frame_cycles) and now < begins[frame] + frame_cycles[frame] * cycle_ps
+        counted = (
+            0 <= frame < len(frame_cycles) and now < begins[frame] + frame_cycles[frame] * cycle_ps
+        )
         for code, text in values.items():
             value = np.frombuffer(text.rjust(counts[code].shape[1], "0").encode(), np.uint8)[::-1]
             if counted:
                 counts[code][frame] += value != last[code]
             last[code] = value
     if len(begins) != len(frame_cycles):
-        raise ToolchainError(f"power: the simulation shows {len(begins)} frames of {len(frame_cycles)}")
+        raise ToolchainError(
+            f"power: the simulation shows {len(begins)} frames of {len(frame_cycles)}"
+        )
     return {name: counts[code] for name, code in nets.items()}
 
 
@@ -249,7 +263,9 @@ def _tree_fj(buffer: Cell, loads_ff: list[float], wire_ff: float, half: float) -
     return fj
 
 
-def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, wire_ff: float) -> dict[str, Power]:
+def _sums(
+    of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, wire_ff: float
+) -> dict[str, Power]:
     """Return the power of every block from the transitions of the nets in a number of cycles."""
     loads: dict[int, float] = defaultdict(float)
     for _, net, pin in _pins(of):
@@ -263,8 +279,14 @@ def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, w
         cell = of.library[instance.kind]
         clock = internal = switching = 0.0
         at_clock = at_output = 0  # transitions of the clock, and of the output
-        gated = [net for name, net in instance.nets.items() if cell.pins[name].clock and cell.pins[name].output]
-        passed = sum(moves[net] for net in gated)  # transitions of the clock that a gate lets through
+        gated = [
+            net
+            for name, net in instance.nets.items()
+            if cell.pins[name].clock and cell.pins[name].output
+        ]
+        passed = sum(
+            moves[net] for net in gated
+        )  # transitions of the clock that a gate lets through
         for name, net in instance.nets.items():
             pin, count = cell.pins[name], moves[net]
             energy = pin.energies.at(loads[net]) if pin.energies else 0.0
@@ -285,7 +307,9 @@ def _sums(of: Design, moves: Mapping[int, int], cycles: int, clock_mhz: float, w
             if pin.output and name not in instance.nets and pin.energies:
                 internal += at_output * pin.energies.at(0.0)
         idle = clock * (1 - min(1, at_output / (at_clock / 2))) if at_clock and not gated else 0.0
-        clock, internal, switching, idle = (per_cycle * fj for fj in (clock, internal, switching, idle))
+        clock, internal, switching, idle = (
+            per_cycle * fj for fj in (clock, internal, switching, idle)
+        )
         own = Power(clock, internal, switching, MW_PER_NW * cell.leakage_nw, idle)
         sums[instance.block] += own
     return sums

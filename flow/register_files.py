@@ -104,9 +104,15 @@ def _rows(registers: tuple[Register, ...], sensor: Sensor) -> list[list[str]]:
         count, offset = register.count(sensor), f"{register.offset:#05x}"
         if count > 1:
             offset += f" + 4 i, i < {count}"
-        legal = f"{register.low(sensor)} to {register.high(sensor)}" if register.access in WRITABLE else ""
+        legal = (
+            f"{register.low(sensor)} to {register.high(sensor)}"
+            if register.access in WRITABLE
+            else ""
+        )
         reset = "" if register.access is Access.COUNTER else str(register.reset(sensor))
-        rows.append([offset, register.name, register.access.name.lower(), legal, reset, register.doc])
+        rows.append(
+            [offset, register.name, register.access.name.lower(), legal, reset, register.doc]
+        )
         for bits in register.bits:
             meaning = f"{bits.doc}{' Write 1 to clear.' if bits.clears else ''}"
             rows.append(["", f"bit {bits.lsb}: {bits.name}", "", "", "", meaning])
@@ -115,10 +121,24 @@ def _rows(registers: tuple[Register, ...], sensor: Sensor) -> list[list[str]]:
 
 def _markdown(sensor: Sensor) -> str:
     title, text = _intro(sensor)
-    lines = [f"# {title}", "", text, "", *(f"* {access.name.lower()}: {access.value}" for access in Access), ""]
+    lines = [
+        f"# {title}",
+        "",
+        text,
+        "",
+        *(f"* {access.name.lower()}: {access.value}" for access in Access),
+        "",
+    ]
     for title, text, rows in _blocks(sensor):
         escaped = ([cell.replace("|", r"\|") for cell in row] for row in rows)
-        lines += [f"## {title}", "", text, "", *markdown.table(HEAD, escaped, left=range(len(HEAD))), ""]
+        lines += [
+            f"## {title}",
+            "",
+            text,
+            "",
+            *markdown.table(HEAD, escaped, left=range(len(HEAD))),
+            "",
+        ]
     return "\n".join(lines)
 
 
@@ -127,12 +147,19 @@ def _html(sensor: Sensor) -> str:
     for title, text, rows in _blocks(sensor):
         lines += [f"<h2>{html.escape(title)}</h2>", f"<p>{html.escape(text)}</p>", "<table>"]
         lines.append("<tr>" + "".join(f"<th>{cell}</th>" for cell in HEAD) + "</tr>")
-        lines += ["<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
+        lines += [
+            "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>"
+            for row in rows
+        ]
         lines.append("</table>")
     title, text = map(html.escape, _intro(sensor))
-    access = (f"<dt>{access.name.lower()}</dt><dd>{html.escape(access.value)}</dd>" for access in Access)
+    access = (
+        f"<dt>{access.name.lower()}</dt><dd>{html.escape(access.value)}</dd>" for access in Access
+    )
     _, _, page = PAGE.read_text(encoding="utf-8").partition("\n")  # without the licence
-    return Template(page).substitute(title=title, text=text, access="\n".join(access), blocks="\n".join(lines))
+    return Template(page).substitute(
+        title=title, text=text, access="\n".join(access), blocks="\n".join(lines)
+    )
 
 
 RDL_FIELD = {  # access of software and hardware to the field of a register
@@ -141,7 +168,10 @@ RDL_FIELD = {  # access of software and hardware to the field of a register
     Access.PULSE: "sw = w; hw = r; singlepulse;",
     Access.COUNTER: "sw = r; hw = w;",
 }
-RDL_CLEARED, RDL_STATE = "sw = rw; onwrite = woclr; hw = w;", "sw = r; hw = w;"  # bits of the status register
+RDL_CLEARED, RDL_STATE = (
+    "sw = rw; onwrite = woclr; hw = w;",
+    "sw = r; hw = w;",
+)  # bits of the status register
 
 
 def _systemrdl(sensor: Sensor) -> str:
@@ -177,18 +207,26 @@ def _rdl_block(registers: tuple[Register, ...], sensor: Sensor, indent: str) -> 
             use = RDL_FIELD.get(register.access, RDL_CLEARED if bits.clears else RDL_STATE)
             value = reset >> bits.lsb & (1 << bits.width) - 1
             where = f"[{bits.lsb + bits.width - 1}:{bits.lsb}]"
-            lines.append(f'{indent}  field {{ desc = "{bits.doc}"; {use} }} {bits.name}{where} = {value:#x};')
+            lines.append(
+                f'{indent}  field {{ desc = "{bits.doc}"; {use} }} {bits.name}{where} = {value:#x};'
+            )
         if not register.bits:
             width = (
-                DATA_BITS if register.access in (Access.CONSTANT, Access.COUNTER) else bits_for(register.high(sensor))
+                DATA_BITS
+                if register.access in (Access.CONSTANT, Access.COUNTER)
+                else bits_for(register.high(sensor))
             )
-            lines.append(f"{indent}  field {{ {RDL_FIELD[register.access]} }} value[{width - 1}:0] = {reset:#x};")
+            lines.append(
+                f"{indent}  field {{ {RDL_FIELD[register.access]} }} value[{width - 1}:0] = {reset:#x};"
+            )
         lines.append(f"{indent}}} {register.name}{array} @ {register.offset:#x};")
     return lines
 
 
 def _ip_xact(rdl: str) -> str:
-    from peakrdl_ipxact import IPXACTExporter  # here, because simulations use this file without the compiler
+    from peakrdl_ipxact import (
+        IPXACTExporter,
+    )  # here, because simulations use this file without the compiler
     from systemrdl.compiler import RDLCompiler
 
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
@@ -216,7 +254,10 @@ def _header(sensor: Sensor) -> str:
         lines += _defines(register, sensor, f"{register.offset:#06x}u", [])
     for register in built(SUBGROUP, sensor):
         lines += _defines(
-            register, sensor, f"{SUBGROUP_BASE + register.offset:#06x}u + {SUBGROUP_STRIDE:#x}u * (sg)", ["sg"]
+            register,
+            sensor,
+            f"{SUBGROUP_BASE + register.offset:#06x}u + {SUBGROUP_STRIDE:#x}u * (sg)",
+            ["sg"],
         )
     return "\n".join([*lines, "", f"#endif /* {PREFIX}_REGS_H */", ""])
 
@@ -230,7 +271,10 @@ def _defines(register: Register, sensor: Sensor, address: str, arguments: list[s
     if register.access is Access.CONSTANT:
         lines.append(f"#define {name}_VALUE {register.reset(sensor)}u")
     if register.access is Access.SETTING:
-        lines += [f"#define {name}_LOWEST {register.low(sensor)}u", f"#define {name}_HIGHEST {register.high(sensor)}u"]
+        lines += [
+            f"#define {name}_LOWEST {register.low(sensor)}u",
+            f"#define {name}_HIGHEST {register.high(sensor)}u",
+        ]
     for bits in register.bits:
         mask = ((1 << bits.width) - 1) << bits.lsb
         lines.append(f"#define {name}_{bits.name.upper()} {mask:#x}u  /* {bits.doc} */")

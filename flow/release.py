@@ -65,9 +65,13 @@ def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str
     if view.macros:
         boxes = {path.name: path.read_text(encoding="utf-8") for path in view.macros}
         files |= boxes | {SYNTHESIS_LIST: _list([*lists[TOP], *boxes])}
-    cells = {name: (f"{CELLS_FOLDER}/{name}", text) for name, text in cell_files(sensor, view).items()}
+    cells = {
+        name: (f"{CELLS_FOLDER}/{name}", text) for name, text in cell_files(sensor, view).items()
+    }
     names = [cells[name][0] if name in cells else name for name in lists[TOP]]
-    files |= dict(cells.values()) | {CELLS_LIST: _list([*names, *(path.name for path in view.macros)])}
+    files |= dict(cells.values()) | {
+        CELLS_LIST: _list([*names, *(path.name for path in view.macros)])
+    }
     files |= {CORE: _core(lists, view), README: _readme(sensor, clock_mhz, lists, view)}
     return dict(sorted(files.items()))
 
@@ -93,8 +97,14 @@ def _constraints(sensor: Sensor, clock_mhz: float, top: str, view: View) -> str:
             lines.append(
                 f"create_clock -name phase_{j} -period $period -waveform {edges} [get_ports {{{phase_clock(sensor, j)}}}]"
             )
-    ports = [port for port in SensorTop(sensor, view, top == FPGA_TOP).ports() if port.name != "phase_clocks"]
-    events = {f"spad_{s}" for s in range(sensor.subgroups)} if view.macros else set()  # clocks of their own
+    ports = [
+        port
+        for port in SensorTop(sensor, view, top == FPGA_TOP).ports()
+        if port.name != "phase_clocks"
+    ]
+    events = (
+        {f"spad_{s}" for s in range(sensor.subgroups)} if view.macros else set()
+    )  # clocks of their own
     timed = [
         Port("rst", 1, True),
         *(port for port in ports if not port.name.startswith("line_") and port.name not in events),
@@ -109,9 +119,13 @@ def _constraints(sensor: Sensor, clock_mhz: float, top: str, view: View) -> str:
         ),
     ]
     if top == FPGA_TOP:
-        lines += ["# SPADs know no clock: their levels are sampled, and pass two flip-flops before any logic."]
         lines += [
-            f"set_false_path -from [get_ports {{{port.name}[*]}}]" for port in ports if port.name.startswith("line_")
+            "# SPADs know no clock: their levels are sampled, and pass two flip-flops before any logic."
+        ]
+        lines += [
+            f"set_false_path -from [get_ports {{{port.name}[*]}}]"
+            for port in ports
+            if port.name.startswith("line_")
         ]
     return "\n".join(lines) + "\n"
 
@@ -142,12 +156,26 @@ def _core(lists: dict[str, list[str]], view: View) -> str:
         sets |= {rtl: _verilog(names), bench: _verilog([f"{smoke}.v"])}
         linted = ["waivers", rtl, *(["boxes"] if boxes else [])]
         icarus = {"tool": "icarus", "iverilog_options": options["icarus"]}
-        verilator = {"tool": "verilator", "mode": "binary", "verilator_options": options["verilate"]}
+        verilator = {
+            "tool": "verilator",
+            "mode": "binary",
+            "verilator_options": options["verilate"],
+        }
         lint = {"tool": "verilator", "verilator_options": options["lint"]}
         targets |= {
             "default" if top == TOP else "fpga": {"filesets": [rtl], "toplevel": top},
-            f"lint{suffix}": {"flow": "lint", "flow_options": lint, "filesets": linted, "toplevel": top},
-            f"sim{suffix}": {"flow": "sim", "flow_options": icarus, "filesets": [rtl, bench], "toplevel": smoke},
+            f"lint{suffix}": {
+                "flow": "lint",
+                "flow_options": lint,
+                "filesets": linted,
+                "toplevel": top,
+            },
+            f"sim{suffix}": {
+                "flow": "sim",
+                "flow_options": icarus,
+                "filesets": [rtl, bench],
+                "toplevel": smoke,
+            },
             f"verilate{suffix}": {
                 "flow": "sim",
                 "flow_options": verilator,
@@ -160,7 +188,13 @@ def _core(lists: dict[str, list[str]], view: View) -> str:
     about = "SPAD direct time-of-flight sensor with coincidence detection"
     facts = {"name": f"coincid:sensor:{TOP}:{version('coincid')}", "description": about}
     entries = facts | {"filesets": sets, "targets": targets}
-    return "\n".join(["CAPI=2:", *(f"{key}: {json.dumps(value, indent=2)}" for key, value in entries.items()), ""])
+    return "\n".join(
+        [
+            "CAPI=2:",
+            *(f"{key}: {json.dumps(value, indent=2)}" for key, value in entries.items()),
+            "",
+        ]
+    )
 
 
 def _suffix(top: str) -> str:
@@ -175,22 +209,38 @@ def _verilog(names: list[str]) -> dict[str, Any]:
 
 def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view: View) -> str:
     options = {tool: " ".join(given) for tool, given in tool_options(view).items()}
-    linted = {top: SYNTHESIS_LIST if view.macros else FILE_LIST if top == TOP else f"{top}.f" for top in lists}
+    linted = {
+        top: SYNTHESIS_LIST if view.macros else FILE_LIST if top == TOP else f"{top}.f"
+        for top in lists
+    }
     commands = [
         f"verilator --lint-only {options['lint']} --top-module {top} {CONTROL_FILE} -f {names}"
         for top, names in linted.items()
     ]
     smoke = [PER_TOP[top] for top in lists]
-    commands += [f"iverilog {options['icarus']} -s {top} -o smoke.vvp -f {top}.f && vvp -n smoke.vvp" for top in smoke]
+    commands += [
+        f"iverilog {options['icarus']} -s {top} -o smoke.vvp -f {top}.f && vvp -n smoke.vvp"
+        for top in smoke
+    ]
     verilator = f"verilator --binary {options['verilate']} --top-module"
     commands += [f"{verilator} {top} {CONTROL_FILE} -f {top}.f && obj_dir/V{top}" for top in smoke]
     targets = [f"{target}{_suffix(top)}" for top in lists for target in TARGETS]
-    fusesoc = [f"fusesoc --cores-root . run --target {target} coincid:sensor:{TOP}" for target in targets]
+    fusesoc = [
+        f"fusesoc --cores-root . run --target {target} coincid:sensor:{TOP}" for target in targets
+    ]
     about, of_words, of_lines, of_levels = README_TEXT.read_text(encoding="utf-8").split("---\n")
     tops = [of_lines if view.macros else of_words, *([of_levels] if FPGA_TOP in lists else [])]
     late = deserialiser.CYCLES
-    numbers = {"phases": sensor.phases, "half": sensor.phases // 2, "late": late, "late_ticks": late * sensor.phases}
-    instances = (f"## An instance of `{top}`\n\n```verilog\n{instantiation(sensor, top, view)}```" for top in lists)
+    numbers = {
+        "phases": sensor.phases,
+        "half": sensor.phases // 2,
+        "late": late,
+        "late_ticks": late * sensor.phases,
+    }
+    instances = (
+        f"## An instance of `{top}`\n\n```verilog\n{instantiation(sensor, top, view)}```"
+        for top in lists
+    )
     return about.format(
         rows=sensor.rows,
         cols=sensor.cols,
@@ -216,9 +266,13 @@ def _manifest(config: Config, files: dict[str, bytes], view: View) -> str:
         "clock_mhz": int(clock_mhz) if clock_mhz.is_integer() else clock_mhz,
         "parameters": {name: getattr(sensor, name) for name in SENSOR} | own_rule(sensor),
         "derived": {name: getattr(sensor, name) for name in DERIVED},
-        "latency_cycles": {name.lower(): value for name, value in vars(latency).items() if name.isupper()}
+        "latency_cycles": {
+            name.lower(): value for name, value in vars(latency).items() if name.isupper()
+        }
         | ({"deserialiser": deserialiser.CYCLES} if FPGA_TOP in tops else {}),
-        "sha256": {name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())},
+        "sha256": {
+            name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())
+        },
     }
     return json.dumps(facts, indent=2) + "\n"
 
@@ -229,8 +283,12 @@ def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) ->
     Raises `InputError` if the folder cannot be written, or contains anything but an earlier release.
     """
     given, folder = folder, Path(folder).resolve()
-    if folder.exists() and not (folder.is_dir() and ((folder / FILE_LIST).exists() or not any(folder.iterdir()))):
-        raise InputError(f"{given}: holds other things, must be a new or empty folder, or one with an earlier export")
+    if folder.exists() and not (
+        folder.is_dir() and ((folder / FILE_LIST).exists() or not any(folder.iterdir()))
+    ):
+        raise InputError(
+            f"{given}: holds other things, must be a new or empty folder, or one with an earlier export"
+        )
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))

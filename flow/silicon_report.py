@@ -58,9 +58,9 @@ def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> tuple[str, dict[s
         "check -assert",
         "write_json netlist.json",
     )
-    return module.unit_name, json.loads((folder / "netlist.json").read_text(encoding="utf-8"))["modules"][
-        module.unit_name
-    ]
+    return module.unit_name, json.loads((folder / "netlist.json").read_text(encoding="utf-8"))[
+        "modules"
+    ][module.unit_name]
 
 
 def mapped(folder: Path, top: str) -> None:
@@ -79,23 +79,44 @@ def mapped(folder: Path, top: str) -> None:
     )
 
 
-def timing(folder: Path, top: str, sdc: str) -> tuple[list[str], list[tuple[str, str, float, float]]]:
+def timing(
+    folder: Path, top: str, sdc: str
+) -> tuple[list[str], list[tuple[str, str, float, float]]]:
     """Return the complaints of OpenSTA about the constraints `sdc` on the netlist of `mapped`, and the longest paths.
 
     A path is (from clock, to clock, ns required, ns taken), without wires. Macros and the gates of the OR tree are black boxes.
     """
     text = without_parameters((folder / MAPPED).read_text(encoding="utf-8"))
-    text = re.sub(r"^module \S*coincid_or2.*?^endmodule\n", "", text, flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(
+        r"^module \S*coincid_or2.*?^endmodule\n", "", text, flags=re.MULTILINE | re.DOTALL
+    )
     (folder / TIMED).write_text(text, encoding="utf-8")
-    lines = [f"read_liberty {LIBERTY}", f"read_verilog {TIMED}", f"link_design {top}", f"read_sdc {sdc}"]
+    lines = [
+        f"read_liberty {LIBERTY}",
+        f"read_verilog {TIMED}",
+        f"link_design {top}",
+        f"read_sdc {sdc}",
+    ]
     lines += ["check_setup -no_clock -loops -generated_clocks", 'puts "PATHS"']
     report = "report_checks -path_delay max -format end"
-    lines += [f'puts "{a} {b}"; {report} -from [get_clocks {a}] -to [get_clocks {b}]' for a in CLOCKS for b in CLOCKS]
+    lines += [
+        f'puts "{a} {b}"; {report} -from [get_clocks {a}] -to [get_clocks {b}]'
+        for a in CLOCKS
+        for b in CLOCKS
+    ]
     (folder / "timing.tcl").write_text("\n".join([*lines, ""]), encoding="utf-8")
     head, paths = run_program(["sta", "-exit", "timing.tcl"], folder, "sta").split("PATHS\n")
-    complaints = [line for line in head.splitlines() if re.match("Error|Warning", line) and "black box" not in line]
-    ends = re.compile(r"^(\w+) (\w+)\n(?:(?!^\w+ \w+$).*\n)*?\S+ \(\w+\) +(-?[\d.]+) +(-?[\d.]+) ", re.MULTILINE)
-    return complaints, [(a, b, float(required), float(taken)) for a, b, required, taken in ends.findall(paths)]
+    complaints = [
+        line
+        for line in head.splitlines()
+        if re.match("Error|Warning", line) and "black box" not in line
+    ]
+    ends = re.compile(
+        r"^(\w+) (\w+)\n(?:(?!^\w+ \w+$).*\n)*?\S+ \(\w+\) +(-?[\d.]+) +(-?[\d.]+) ", re.MULTILINE
+    )
+    return complaints, [
+        (a, b, float(required), float(taken)) for a, b, required, taken in ends.findall(paths)
+    ]
 
 
 def latches(module: dict[str, Any]) -> list[str]:
@@ -107,7 +128,8 @@ def domains(module: dict[str, Any]) -> list[Domain]:
     """Return the flops of a netlist by clock and asynchronous reset."""
     names: dict[int, str] = {}
     for name, net in sorted(
-        module["netnames"].items(), key=lambda item: (item[1].get("hide_name", 0), len(item[0]), item[0])
+        module["netnames"].items(),
+        key=lambda item: (item[1].get("hide_name", 0), len(item[0]), item[0]),
     ):
         for i, bit in enumerate(net["bits"]):
             if isinstance(bit, int):
@@ -135,10 +157,20 @@ def general(name: str) -> str:
     return re.sub(r"\d+", "*", re.sub(r"\$\d+", "", name))
 
 
-def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list[tuple[str, str, float, float]]) -> str:
+def report(
+    sensor: Sensor,
+    circuit: Circuit,
+    module: dict[str, Any],
+    paths: list[tuple[str, str, float, float]],
+) -> str:
     """Return the report as Markdown. paths: from `timing`."""
     flops = (
-        (f"`{d.clock}`", "falling" if d.falling else "rising", d.flops, f"`{d.reset}`" if d.reset else "none")
+        (
+            f"`{d.clock}`",
+            "falling" if d.falling else "rising",
+            d.flops,
+            f"`{d.reset}`" if d.reset else "none",
+        )
         for d in domains(module)
     )
     longest = ((a, b, f"{required:.2f}", f"{taken:.2f}") for a, b, required, taken in paths)
@@ -148,11 +180,15 @@ def report(sensor: Sensor, circuit: Circuit, module: dict[str, Any], paths: list
         f"A module of {min(2, sensor.subgroups)} subgroups of {sensor.pixels} SPADs, {circuit.banks_of(sensor)} window bank(s), "
         f"R = {sensor.rearm}; read from its netlist. `*` stands for a number. There is no latch outside the macros.",
         "",
-        *markdown.table(["clock", "edge", "flip-flops", "asynchronous reset"], flops, left=range(4)),
+        *markdown.table(
+            ["clock", "edge", "flip-flops", "asynchronous reset"], flops, left=range(4)
+        ),
         "",
         f"Longest paths in NanGate 45 nm cells, without wires, against the constraints for a cycle of {circuit.clock_fs / FS_PER_NS:g} ns:",
         "",
-        *markdown.table(["from clock", "to clock", "required ns", "taken ns"], longest, left=range(2)),
+        *markdown.table(
+            ["from clock", "to clock", "required ns", "taken ns"], longest, left=range(2)
+        ),
         "",
     ]
     return "\n".join(lines)
@@ -165,12 +201,16 @@ def write(sensor: Sensor, circuit: Circuit, folder: Path) -> tuple[str, Path, Pa
     """
     top, module = netlist(sensor, circuit, folder)
     text, sdc = folder / "domains.md", folder / "coincid_async.sdc"
-    clock = f"create_clock -name {SYSTEM} -period {circuit.clock_fs / FS_PER_NS:g} [get_ports {SYSTEM}]"
+    clock = (
+        f"create_clock -name {SYSTEM} -period {circuit.clock_fs / FS_PER_NS:g} [get_ports {SYSTEM}]"
+    )
     sdc.write_text(f"{clock}\n{async_constraints(sensor, circuit, 'words_*')}", encoding="utf-8")
     mapped(folder, top)
     complaints, paths = timing(folder, top, sdc.name)
     if found := [*latches(module), *complaints]:
-        raise ValueError(f"latches outside the macros, or constraints that do not hold on: {', '.join(found)}")
+        raise ValueError(
+            f"latches outside the macros, or constraints that do not hold on: {', '.join(found)}"
+        )
     text.write_text(report(sensor, circuit, module, paths), encoding="utf-8")
     return top, text, sdc
 

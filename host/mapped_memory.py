@@ -31,7 +31,9 @@ class MemoryTransport:
             with Path(path).open("r+b", buffering=0) as file:
                 self._map = mmap.mmap(file.fileno(), size, mmap.MAP_SHARED, offset=base)
         except (OSError, ValueError) as error:
-            raise InputError(f"{os.fspath(path)}: {size} bytes from {base:#x} on cannot be mapped ({error})") from None
+            raise InputError(
+                f"{os.fspath(path)}: {size} bytes from {base:#x} on cannot be mapped ({error})"
+            ) from None
         self._words = (ctypes.c_uint32 * (size // 4)).from_buffer(self._map)
 
     def __enter__(self) -> "MemoryTransport":

@@ -54,7 +54,9 @@ def errors_in(status: int) -> tuple[str, ...]:
     return tuple(name for name in ERRORS if status >> STATUS.bit(name) & 1)
 
 
-def changes(writes: Iterable[tuple[int, int]], programmed: Mapping[int, int]) -> list[tuple[int, int]]:
+def changes(
+    writes: Iterable[tuple[int, int]], programmed: Mapping[int, int]
+) -> list[tuple[int, int]]:
     """Return the (address, value) of `writes` that differ from the values known to be programmed, in order."""
     return [(address, value) for address, value in writes if programmed.get(address) != value]
 
@@ -73,7 +75,9 @@ def runs(writes: Iterable[tuple[int, int]]) -> list[tuple[int, list[int]]]:
 def read_block(transport: Transport, address: int, words: int) -> list[int]:
     """Return `words` words from `address` on, by the fastest way that the transport has."""
     whole: Callable[[int, int], list[int]] | None = getattr(transport, "read_block", None)
-    return whole(address, words) if whole else [transport.read(address + 4 * i) for i in range(words)]
+    return (
+        whole(address, words) if whole else [transport.read(address + 4 * i) for i in range(words)]
+    )
 
 
 def write_block(transport: Transport, address: int, values: Sequence[int]) -> None:

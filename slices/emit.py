@@ -12,7 +12,19 @@ from typing import TypeAlias
 from attrs import define, field, frozen
 
 from .netlist import ONE, ZERO, Block, Instance, NetlistError, Nets, Read, Table
-from .schedule import Call, Copy, DarkTables, Evaluate, Guard, Op, Put, Schedule, Write, settling, with_dark_tables
+from .schedule import (
+    Call,
+    Copy,
+    DarkTables,
+    Evaluate,
+    Guard,
+    Op,
+    Put,
+    Schedule,
+    Write,
+    settling,
+    with_dark_tables,
+)
 
 STATEMENTS = 400  # in a function, about
 Value: TypeAlias = Callable[[int], str]  # expression for a net
@@ -75,26 +87,36 @@ class _Unit:
 class Emission:
     """C++ (`source`, `header`) and `layout` of the block `top`; the other blocks are units that repeat in it."""
 
-    def __init__(self, blocks: Mapping[str, Block], top: str, dark_inputs: Sequence[DarkInput] = ()):
+    def __init__(
+        self, blocks: Mapping[str, Block], top: str, dark_inputs: Sequence[DarkInput] = ()
+    ):
         self.top, self.blocks = blocks[top], blocks
         self.layout = Layout()
         used = dict.fromkeys(instance.unit for instance in self.top.instances)
         flags = {name: _dark_fields(blocks[name], dark_inputs) for name in (*used, top)}
         nodes = {name: with_dark_tables(blocks[name], flags[name]) for name in (*used, top)}
-        schedules = {name: Schedule(blocks[name], blocks, nodes[name], name != top) for name in (*used, top)}
+        schedules = {
+            name: Schedule(blocks[name], blocks, nodes[name], name != top) for name in (*used, top)
+        }
         self._units = {name: self._unit(name, flags[name]) for name in used}
         text = []
         for name, unit in self._units.items():
             places = {net: f"M[{k}]" for net, k in unit.own.items()}
             places |= {net: f"C[{k}]" for net, k in unit.shared.items()}
-            for what, ops in (("pass", schedules[name].ops), ("settle", settling(unit.block, {}, nodes[name]))):
+            for what, ops in (
+                ("pass", schedules[name].ops),
+                ("settle", settling(unit.block, {}, nodes[name])),
+            ):
                 writer = _Writer(f"{_identifier(name)}_{what}", places, len(unit.shared))
                 text += writer.text(ops)
                 unit.temporaries = max(unit.temporaries, writer.temporaries)
         first_flag = self._place(schedules[top].homes, flags)
         places = {net: f"V[{k}]" for net, k in self.layout.nets.items()}
         lasting, temporaries = self.layout.words, 0
-        for what, ops in (("pass", schedules[top].ops), ("settle", settling(self.top, blocks, nodes[top]))):
+        for what, ops in (
+            ("pass", schedules[top].ops),
+            ("settle", settling(self.top, blocks, nodes[top])),
+        ):
             top_writer = _TopWriter(what, places, lasting, first_flag, self.layout, self._units)
             text += top_writer.text(ops)
             temporaries = max(temporaries, top_writer.temporaries)
@@ -114,7 +136,12 @@ class Emission:
         ]
         own = [net for nets in block.inputs.values() for net in nets if net not in set(shared)]
         own += [flop.output for flop in block.flops]
-        own += [net for nets in block.outputs.values() for net in nets if net > ONE and net not in set(shared)]
+        own += [
+            net
+            for nets in block.outputs.values()
+            for net in nets
+            if net > ONE and net not in set(shared)
+        ]
         return _Unit(
             block,
             {net: k for k, net in enumerate(dict.fromkeys(own))},
@@ -148,7 +175,9 @@ class Emission:
                 layout.flags_of[port] = [flags_of[net] for net in nets]
         return first_flag
 
-    def _place_unit(self, name: str, unit: _Unit, homes: set[int], flags_of: dict[int, list[int]]) -> None:
+    def _place_unit(
+        self, name: str, unit: _Unit, homes: set[int], flags_of: dict[int, list[int]]
+    ) -> None:
         """Reserve the words and the flags of a unit, and place each instance in them."""
         layout = self.layout
         unit.first_shared = layout.take(len(unit.shared) + unit.temporaries)
@@ -170,7 +199,9 @@ class Emission:
                     flags_of[outer[inner]].append(first_flag + number)
         unit.moves = list(dict.fromkeys(unit.moves))
 
-    def _connect_inputs(self, unit: _Unit, outer: Mapping[int, int], words: Mapping[int, int], homes: set[int]) -> None:
+    def _connect_inputs(
+        self, unit: _Unit, outer: Mapping[int, int], words: Mapping[int, int], homes: set[int]
+    ) -> None:
         """Give nets of the top the words of the inputs that they drive, or else list their moves."""
         place = self.layout.nets
         for inner, net in outer.items():
@@ -213,7 +244,9 @@ class Emission:
             layout.memories[memory.name] = first
             for row, value in enumerate(memory.init):
                 first_of_row = first + row * memory.width
-                layout.ones += [first_of_row + bit for bit in range(memory.width) if value >> bit & 1]
+                layout.ones += [
+                    first_of_row + bit for bit in range(memory.width) if value >> bit & 1
+                ]
 
 
 def _outer_nets(block: Block, instance: Instance) -> dict[int, int]:
@@ -228,12 +261,16 @@ def _identifier(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name)
 
 
-def _dark_fields(block: Block, dark_inputs: Sequence[DarkInput]) -> list[tuple[int, frozenset[int]]]:
+def _dark_fields(
+    block: Block, dark_inputs: Sequence[DarkInput]
+) -> list[tuple[int, frozenset[int]]]:
     """Return number and nets of the fields of a block's dark inputs, and of all of them together."""
     fields = []
     for hint in dark_inputs:
         nets = block.inputs[hint.port] if hint.block == block.name else ()
-        fields += [frozenset(nets[k : k + hint.field_bits]) for k in range(0, len(nets), hint.field_bits)]
+        fields += [
+            frozenset(nets[k : k + hint.field_bits]) for k in range(0, len(nets), hint.field_bits)
+        ]
     return list(enumerate([*fields, frozenset().union(*fields)] if len(fields) > 1 else fields))
 
 
@@ -260,7 +297,11 @@ def _header(layout: Layout) -> str:
         f"constexpr int SLICE_ONES[] = {{{_listed([*layout.ones, -1])}}};  // words that are 1 at the beginning, and -1",
     ]
     for kind, ports in (("IN", layout.inputs), ("OUT", layout.outputs)):
-        lines += [f"constexpr int {kind}_{port}[] = {{{_listed(words)}}};" for port, words in ports.items() if words]
+        lines += [
+            f"constexpr int {kind}_{port}[] = {{{_listed(words)}}};"
+            for port, words in ports.items()
+            if words
+        ]
     for port, flags in layout.flags_of.items():
         most = max(map(len, flags))
         # A bit with fewer flags repeats its last one.
@@ -287,15 +328,28 @@ class _Writer:
     places: expression of every net that lasts; first_temporary, first_flag: in their arrays.
     """
 
-    STATIC, PARAMETERS, ARGUMENTS = "static ", "W* __restrict M, W* __restrict C, const uint8_t* F", "M, C, F"
+    STATIC, PARAMETERS, ARGUMENTS = (
+        "static ",
+        "W* __restrict M, W* __restrict C, const uint8_t* F",
+        "M, C, F",
+    )
     TEMPORARIES = "C"
 
-    def __init__(self, name: str, places: Mapping[int, str], first_temporary: int, first_flag: int = 0):
+    def __init__(
+        self, name: str, places: Mapping[int, str], first_temporary: int, first_flag: int = 0
+    ):
         self.temporaries = 0
-        self._name, self._places, self._first_temporary, self._first_flag = name, places, first_temporary, first_flag
+        self._name, self._places, self._first_temporary, self._first_flag = (
+            name,
+            places,
+            first_temporary,
+            first_flag,
+        )
         self._parts: list[_Part] = []
         self._bodies: dict[Guard, list[_Part]] = {}
-        self._shared_words: dict[int, str] = {}  # value that several functions use -> expression of its word
+        self._shared_words: dict[
+            int, str
+        ] = {}  # value that several functions use -> expression of its word
         self._locals = 0
 
     def text(self, ops: Sequence[Op]) -> list[str]:
@@ -514,7 +568,10 @@ class _TopWriter(_Writer):
 
 
 def _row(address: Nets, row: int, value: Value) -> str:
-    return " & ".join(f"{'' if row >> k & 1 else '~'}{value(net)}" for k, net in enumerate(address)) or "ONES"
+    return (
+        " & ".join(f"{'' if row >> k & 1 else '~'}{value(net)}" for k, net in enumerate(address))
+        or "ONES"
+    )
 
 
 def _size(op: Op) -> int:

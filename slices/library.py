@@ -25,14 +25,18 @@ PROCESSOR = "-march=native"
 def processor(flag: str = PROCESSOR) -> str:
     """Return a key for the kind of processor: code for one kind may have instructions that another lacks."""
     require_programs({"g++": "g++"})
-    return digest(subprocess.run(["g++", flag, "-Q", "--help=target"], capture_output=True, check=True).stdout)
+    return digest(
+        subprocess.run(["g++", flag, "-Q", "--help=target"], capture_output=True, check=True).stdout
+    )
 
 
 @cache
 def widest(flag: str = PROCESSOR) -> int:
     """Return the bits of the longest word that this processor handles at once, or 128."""
     command = ["g++", flag, "-dM", "-E", "-x", "c++", os.devnull]
-    macros = subprocess.run(command, capture_output=True, text=True, check=True, encoding="utf-8").stdout
+    macros = subprocess.run(
+        command, capture_output=True, text=True, check=True, encoding="utf-8"
+    ).stdout
     return 512 if "__AVX512VL__" in macros else 256 if "__AVX2__" in macros else 128
 
 
@@ -62,14 +66,27 @@ def library(
     header: text of its "wiring.h". include: further folders of headers. objects: further objects and archives.
     """
     slice_object = compiled(design, lanes, flag)
-    contents = (path.read_text(encoding="utf-8") for path in (program, HERE / "lanes.h", HERE / "word.h"))
+    contents = (
+        path.read_text(encoding="utf-8") for path in (program, HERE / "lanes.h", HERE / "word.h")
+    )
     key = digest(*COMPILER, str(slice_object), *contents, header, *map(str, (*include, *objects)))
     directory = build_root() / "slices" / f"{program.stem}-{key}"
 
     def make(scratch: Path, run: Compile) -> None:
         (scratch / "wiring.h").write_text(header, encoding="utf-8")
         folders = [f"-I{folder}" for folder in (".", design.folder, HERE, *include)]
-        command = ["g++", "-shared", *COMPILER, flag, "-O2", f"-DLANES={lanes}", *folders, "-o", LIBRARY, str(program)]
+        command = [
+            "g++",
+            "-shared",
+            *COMPILER,
+            flag,
+            "-O2",
+            f"-DLANES={lanes}",
+            *folders,
+            "-o",
+            LIBRARY,
+            str(program),
+        ]
         run([*command, str(slice_object), *map(str, objects)])
 
     return compile_once(directory, make) / LIBRARY

@@ -125,8 +125,15 @@ def _nets(bits: Iterable[int | str]) -> Nets:
 
 
 def _block(name: str, module: Mapping[str, Any], units: Mapping[str, Any]) -> Block:
-    ports = {port: (of["direction"] == "input", _nets(of["bits"])) for port, of in module["ports"].items()}
-    names = {signal: _nets(of["bits"]) for signal, of in module["netnames"].items() if not of.get("hide_name")}
+    ports = {
+        port: (of["direction"] == "input", _nets(of["bits"]))
+        for port, of in module["ports"].items()
+    }
+    names = {
+        signal: _nets(of["bits"])
+        for signal, of in module["netnames"].items()
+        if not of.get("hide_name")
+    }
     block = Block(
         name,
         {port: nets for port, (is_input, nets) in ports.items() if is_input and port != CLOCK},
@@ -158,7 +165,9 @@ def _block(name: str, module: Mapping[str, Any], units: Mapping[str, Any]) -> Bl
         elif kind == "$mem_v2":
             block.memories.append(_memory(name, of["parameters"], nets, clock))
         elif kind in units:
-            block.instances.append(Instance(cell, kind, {port: n for port, n in nets.items() if port != CLOCK}))
+            block.instances.append(
+                Instance(cell, kind, {port: n for port, n in nets.items() if port != CLOCK})
+            )
         elif kind not in IGNORED:
             raise NetlistError(f"{name}: a cell {kind}, which slices do not know")
     return block
@@ -179,14 +188,20 @@ def _inits(module: Mapping[str, Any]) -> dict[int, int]:
     return found
 
 
-def _memory(block: str, parameters: Mapping[str, str], nets: Mapping[str, Nets], clock: Nets) -> Memory:
+def _memory(
+    block: str, parameters: Mapping[str, str], nets: Mapping[str, Nets], clock: Nets
+) -> Memory:
     """Return a memory of Yosys's `$mem_v2`, whose reads need no clock."""
     number = {key: int(value, 2) for key, value in parameters.items() if set(value) <= {"0", "1"}}
     rows, width, bits = number["SIZE"], number["WIDTH"], number["ABITS"]
     text = parameters["INIT"].replace("x", "0").replace("z", "0").zfill(rows * width)
-    init = [int(text[len(text) - (row + 1) * width : len(text) - row * width], 2) for row in range(rows)]
+    init = [
+        int(text[len(text) - (row + 1) * width : len(text) - row * width], 2) for row in range(rows)
+    ]
     if number["RD_CLK_ENABLE"] or number["OFFSET"]:
-        raise NetlistError(f"{block}: a memory whose reads are clocked, or whose rows do not begin at 0")
+        raise NetlistError(
+            f"{block}: a memory whose reads are clocked, or whose rows do not begin at 0"
+        )
     memory = Memory(parameters["MEMID"].lstrip("\\"), rows, width, init)
     for k in range(number["RD_PORTS"]):
         address, data = nets["RD_ADDR"][k * bits :][:bits], nets["RD_DATA"][k * width :][:width]
@@ -196,5 +211,9 @@ def _memory(block: str, parameters: Mapping[str, str], nets: Mapping[str, Nets],
         enables = set(nets["WR_EN"][k * width :][:width])
         if len(enables) > 1:
             raise NetlistError(f"{block}: memory {memory.name} writes parts of a row")
-        memory.stores.append(Store(nets["WR_ADDR"][k * bits :][:bits], nets["WR_DATA"][k * width :][:width], *enables))
+        memory.stores.append(
+            Store(
+                nets["WR_ADDR"][k * bits :][:bits], nets["WR_DATA"][k * width :][:width], *enables
+            )
+        )
     return memory

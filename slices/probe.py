@@ -65,7 +65,9 @@ class Probe:
         known: dict[Net, np.ndarray] = {}
         return {name: self._signal(samples, known, *self.signals[name]) for name in names}
 
-    def _signal(self, samples: np.ndarray, known: Known, instance: str, nets: tuple[int, ...]) -> np.ndarray:
+    def _signal(
+        self, samples: np.ndarray, known: Known, instance: str, nets: tuple[int, ...]
+    ) -> np.ndarray:
         for net in nets:
             self._compute(samples, known, (instance, net))
         return np.stack([known[instance, net] for net in nets])
@@ -78,7 +80,9 @@ class Probe:
             node = self._producers[self._blocks[instance].name].get(net)
             link = self._links.get((instance, net))
             needs = [link] if link else [(instance, x) for x in node.inputs] if node else []
-            missing = [] if (instance, net) in known else [need for need in needs if need not in known]
+            missing = (
+                [] if (instance, net) in known else [need for need in needs if need not in known]
+            )
             if missing:
                 stack += missing
                 continue
@@ -92,7 +96,9 @@ class Probe:
                 known[instance, net] = _table(node, inputs, samples.shape[1])
             elif node:
                 rows = self._read(samples, node, inputs)
-                known |= {(instance, output): row for output, row in zip(node.outputs, rows, strict=True)}
+                known |= {
+                    (instance, output): row for output, row in zip(node.outputs, rows, strict=True)
+                }
             else:
                 known[instance, net] = self._sampled(samples, instance, net)
 
@@ -106,14 +112,18 @@ class Probe:
         first = self.layout.memories[memory.name]
         value = np.zeros((memory.width, samples.shape[1]), np.uint64)
         for row in range(memory.rows):
-            value |= samples[first + row * memory.width :][: memory.width] & _chosen(row, address, samples.shape[1])
+            value |= samples[first + row * memory.width :][: memory.width] & _chosen(
+                row, address, samples.shape[1]
+            )
         return value
 
 
 def _producers(block: Block) -> dict[int, Table | Read]:
     """Return what computes each net, unless it is a register or a port."""
     found: dict[int, Table | Read] = {table.outputs[0]: table for table in block.tables}
-    found |= {net: read for memory in block.memories for read in memory.reads for net in read.outputs}
+    found |= {
+        net: read for memory in block.memories for read in memory.reads for net in read.outputs
+    }
     return found
 
 

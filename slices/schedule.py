@@ -14,12 +14,26 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 from attrs import define, field, frozen
 
-from .netlist import ONE, ZERO, Block, Flop, Instance, Memory, NetlistError, Nets, Read, Store, Table
+from .netlist import (
+    ONE,
+    ZERO,
+    Block,
+    Flop,
+    Instance,
+    Memory,
+    NetlistError,
+    Nets,
+    Read,
+    Store,
+    Table,
+)
 
 ELSEWHERE = -1
 FORCED = 1e6  # weight of an order that must be kept
 T = TypeVar("T")
-GUARD_MIN = 12  # flip-flops and nodes of a group for which it is worth asking whether any lane enables it
+GUARD_MIN = (
+    12  # flip-flops and nodes of a group for which it is worth asking whether any lane enables it
+)
 
 
 @frozen(eq=False)
@@ -119,7 +133,9 @@ def in_order(nodes: Iterable[Node]) -> list[Node]:
     """Return nodes so that each comes after those that it reads. Raises `NetlistError` if they form a loop."""
     nodes = list(nodes)
     producer = {net: node for node in nodes for net in node.outputs}
-    return _last_first(nodes, lambda node: (producer[net] for net in node.inputs if net in producer))
+    return _last_first(
+        nodes, lambda node: (producer[net] for net in node.inputs if net in producer)
+    )
 
 
 def with_dark_tables(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) -> list[Node]:
@@ -129,7 +145,9 @@ def with_dark_tables(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) 
     dark_values: dict[int, int] = {}
     for k, (_, zeros) in enumerate(flags):
         known: dict[int, int] = dict.fromkeys(zeros, 0)
-        behind: set[int] = set()  # nets that depend on this DarkTables's tables, and are not among them
+        behind: set[int] = (
+            set()
+        )  # nets that depend on this DarkTables's tables, and are not among them
         mine: set[int] = set()
         for table in order:
             value = _constant(table, known)
@@ -145,7 +163,9 @@ def with_dark_tables(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) 
     for table in order:
         if table in chosen:
             gathered[chosen[table]].append(table)
-    read_by: dict[int, set[int]] = defaultdict(set, {net: {ELSEWHERE} for net in _read_elsewhere(block)})
+    read_by: dict[int, set[int]] = defaultdict(
+        set, {net: {ELSEWHERE} for net in _read_elsewhere(block)}
+    )
     for table in order:
         for net in table.inputs:
             read_by[net].add(chosen.get(table, ELSEWHERE))
@@ -157,7 +177,11 @@ def with_dark_tables(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) 
         if tables:
             nodes.append(
                 DarkTables(
-                    flags[k][0], tuple(sorted(inputs)), outputs, tuple(dark_values[net] for net in outputs), tables
+                    flags[k][0],
+                    tuple(sorted(inputs)),
+                    outputs,
+                    tuple(dark_values[net] for net in outputs),
+                    tables,
                 )
             )
     return nodes
@@ -167,7 +191,9 @@ def _read_elsewhere(block: Block) -> set[int]:
     """Return the nets that something other than a table reads."""
     found = {net for nets in block.outputs.values() for net in nets}
     found |= {net for flop in block.flops for net in flop.inputs}
-    found |= {net for instance in block.instances for nets in instance.nets.values() for net in nets}
+    found |= {
+        net for instance in block.instances for nets in instance.nets.values() for net in nets
+    }
     for memory in block.memories:
         found |= {net for read in memory.reads for net in read.inputs}
         found |= {net for store in memory.stores for net in store.inputs}
@@ -193,7 +219,9 @@ class Schedule:
     pass also computes the outputs that are not registers, as they were before the edge.
     """
 
-    def __init__(self, block: Block, units: Mapping[str, Block], nodes: Sequence[Node], outputs: bool = False):
+    def __init__(
+        self, block: Block, units: Mapping[str, Block], nodes: Sequence[Node], outputs: bool = False
+    ):
         self.block, self.units = block, units
         self._shown = [net for nets in block.outputs.values() for net in nets] if outputs else []
         self.ops: list[Op] = []
@@ -235,7 +263,9 @@ class Schedule:
                 groups += [_Group([flop]) for flop in flops]
             else:
                 groups.append(_Group(flops, guarded=True))
-        groups += [_Group(put=(memory, store)) for memory in self.block.memories for store in memory.stores]
+        groups += [
+            _Group(put=(memory, store)) for memory in self.block.memories for store in memory.stores
+        ]
         return groups + [_Group(instances=instances) for instances in _by_unit(self.block).values()]
 
     def _inputs(self, group: _Group) -> list[int]:
@@ -272,7 +302,9 @@ class Schedule:
         self._owner = {node: group for node, group in owner.items() if group not in split}
 
     def _owners(self, live: Sequence[Node]) -> dict[Node, _Group]:
-        users: dict[int, set[_Group | None]] = defaultdict(set, {net: {None} for net in self._shown})
+        users: dict[int, set[_Group | None]] = defaultdict(
+            set, {net: {None} for net in self._shown}
+        )
         for group in self._groups:
             if group.guarded:
                 for flop in group.flops:
@@ -316,7 +348,10 @@ class Schedule:
         before = np.zeros((len(self._groups), len(self._groups)))
         for net, group in self._writer.items():
             before[list(_bits(reached[net])), number[group]] += 1
-        for net, unit in self._called.items():  # there is no copy of an instance's output before it is computed
+        for (
+            net,
+            unit,
+        ) in self._called.items():  # there is no copy of an instance's output before it is computed
             before[number[self._calls[unit]], list(_bits(reached[net]))] = FORCED
         for group, k in number.items():  # nor of a register in the place of an instance's input
             if self.homes & {flop.output for flop in group.flops}:
@@ -402,8 +437,13 @@ class Schedule:
 
     def _call(self, group: _Group) -> None:
         inputs = self._inputs(group)
-        if any(net in self._called and self._calls[self._called[net]] is group for net in self._cone(inputs)):
-            raise NetlistError(f"{group.instances[0].unit}: an output leads to an input without a register")
+        if any(
+            net in self._called and self._calls[self._called[net]] is group
+            for net in self._cone(inputs)
+        ):
+            raise NetlistError(
+                f"{group.instances[0].unit}: an output leads to an input without a register"
+            )
         self._need(inputs, self.ops)
         self._read(inputs)
         names = self._named(inputs)
@@ -425,13 +465,19 @@ class Schedule:
 
     def _guard(self, group: _Group) -> None:
         own = set(group.own)
-        outer = [net for node in group.own for net in node.inputs] + [flop.data for flop in group.flops]
+        outer = [net for node in group.own for net in node.inputs] + [
+            flop.data for flop in group.flops
+        ]
         outer = [net for net in outer if self._producer.get(net) not in own]
         controls = {group.enable, group.reset}  # which may be registers of this very group
         self._need([*outer, *controls], self.ops)
         # Readers that come after the guard get their copies before it.
         inside: dict[int, int] = defaultdict(int)
-        for inputs in (controls, *(node.inputs for node in group.own), *((flop.data,) for flop in group.flops)):
+        for inputs in (
+            controls,
+            *(node.inputs for node in group.own),
+            *((flop.data,) for flop in group.flops),
+        ):
             for net in set(inputs):
                 inside[net] += 1
         for flop in group.flops:
@@ -454,7 +500,9 @@ class Schedule:
         for k, flop in enumerate(group.flops):
             reached[flop.data] |= 1 << k
         _reach(group.own, reached)
-        order = _last_first(range(len(group.flops)), lambda k: _bits(reached[group.flops[k].output]), loops=True)
+        order = _last_first(
+            range(len(group.flops)), lambda k: _bits(reached[group.flops[k].output]), loops=True
+        )
         return [group.flops[k] for k in order]
 
 
@@ -471,7 +519,9 @@ def _reach(nodes: Sequence[Node], reached: dict[int, int]) -> None:
 def settling(block: Block, units: Mapping[str, Block], nodes: Sequence[Node]) -> list[Op]:
     """Return the operations that compute a block's outputs, and update nothing."""
     instances = _by_unit(block)
-    producer: dict[int, Node | str] = {net: node for node in (*nodes, *_reads(block)) for net in node.outputs}
+    producer: dict[int, Node | str] = {
+        net: node for node in (*nodes, *_reads(block)) for net in node.outputs
+    }
     producer |= _of_units(block, units)[0]
 
     def below(nets: Sequence[int]) -> list[Node | str]:
@@ -479,7 +529,8 @@ def settling(block: Block, units: Mapping[str, Block], nodes: Sequence[Node]) ->
 
     shown = [net for nets in block.outputs.values() for net in nets]
     order = _last_first(
-        below(shown), lambda of: below(_read_by(instances[of], units) if isinstance(of, str) else of.inputs)
+        below(shown),
+        lambda of: below(_read_by(instances[of], units) if isinstance(of, str) else of.inputs),
     )
     return [Call(instances[of], {}) if isinstance(of, str) else Evaluate(of, {}) for of in order]
 
@@ -527,7 +578,9 @@ def _least_backward(weight: np.ndarray) -> list[int]:
     front: list[int] = []
     back: list[int] = []
     while left.any():
-        rank = np.where(left, np.where(to == 0, -np.inf, np.where(of == 0, np.inf, to - of)), np.nan)
+        rank = np.where(
+            left, np.where(to == 0, -np.inf, np.where(of == 0, np.inf, to - of)), np.nan
+        )
         k = int(np.nanargmin(rank)) if np.nanmin(rank) == -np.inf else int(np.nanargmax(rank))
         (back if rank[k] == -np.inf else front).append(k)
         left[k] = False
@@ -536,7 +589,9 @@ def _least_backward(weight: np.ndarray) -> list[int]:
     return front + back[::-1]
 
 
-def _last_first(roots: Iterable[T], below: Callable[[T], Iterable[T]], loops: bool = False) -> list[T]:
+def _last_first(
+    roots: Iterable[T], below: Callable[[T], Iterable[T]], loops: bool = False
+) -> list[T]:
     """Return the roots and all below them, each after those below it. loops: permitted; then most are, else `NetlistError`."""
     order: list[T] = []
     done: dict[T, bool] = {}

@@ -33,8 +33,12 @@ class Slices:
         }
         self._library = load(library(design, lanes, flag=flag), "slice", functions)
         self._slice = self._library.slice_new()
-        self.words = array_at(self._library.slice_words(self._slice), (self._layout.words, lanes // 64))
-        self._flags = array_at(self._library.slice_flags(self._slice), (max(1, self._layout.flags),), np.uint8)
+        self.words = array_at(
+            self._library.slice_words(self._slice), (self._layout.words, lanes // 64)
+        )
+        self._flags = array_at(
+            self._library.slice_flags(self._slice), (max(1, self._layout.flags),), np.uint8
+        )
         self.step(0)
 
     def __enter__(self) -> "Slices":
@@ -47,7 +51,9 @@ class Slices:
     def set(self, port: str, values: Sequence[int] | int) -> None:
         """Set an input. values: a number for every lane, or one for all of them."""
         self._put(self._layout.inputs[port], values)
-        for word, flags in zip(self._layout.inputs[port], self._layout.flags_of.get(port, ()), strict=False):
+        for word, flags in zip(
+            self._layout.inputs[port], self._layout.flags_of.get(port, ()), strict=False
+        ):
             self._flags[flags] |= self.words[word].any()
 
     def get(self, port: str) -> list[int]:
@@ -75,7 +81,11 @@ class Slices:
     def _put(self, words: Sequence[int], values: Sequence[int] | int) -> None:
         each = [values] * self.lanes if isinstance(values, int) else list(values)
         size = -(-len(words) // 8)
-        data = np.frombuffer(b"".join(int(value).to_bytes(size, "little") for value in each), np.uint8)
-        bits = np.unpackbits(data.reshape(self.lanes, size), axis=1, bitorder="little")[:, : len(words)]
+        data = np.frombuffer(
+            b"".join(int(value).to_bytes(size, "little") for value in each), np.uint8
+        )
+        bits = np.unpackbits(data.reshape(self.lanes, size), axis=1, bitorder="little")[
+            :, : len(words)
+        ]
         packed = np.packbits(np.ascontiguousarray(bits.T), axis=1, bitorder="little")
         self.words[list(words)] = packed.view(np.uint64)

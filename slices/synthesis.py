@@ -15,7 +15,9 @@ from .emit import DarkInput, Emission
 from .netlist import read_netlist
 
 ROWS_MIN = 4  # memories with fewer rows become flip-flops
-FLOP_CELLS = " ".join(f"-cell {cell} 01" for cell in ("$_DFF_P_", "$_DFFE_PP_", "$_SDFF_PP?_", "$_SDFFE_PP?P_"))
+FLOP_CELLS = " ".join(
+    f"-cell {cell} 01" for cell in ("$_DFF_P_", "$_DFFE_PP_", "$_SDFF_PP?_", "$_SDFFE_PP?P_")
+)
 # Everything except flip-flops. With them, ABC would map the logic of each clock enable by itself: it takes three times as
 # long, and leaves a sixth more tables.
 LOGIC = "* t:*DFF* %d"
@@ -58,7 +60,9 @@ class Design:
         return Emission(read_netlist(folder / NETLIST), self.top, self._dark_inputs)
 
 
-def _script(top: str, files: Sequence[str], units: Sequence[str], before: Sequence[str]) -> list[str]:
+def _script(
+    top: str, files: Sequence[str], units: Sequence[str], before: Sequence[str]
+) -> list[str]:
     """Return the lines of Yosys's script."""
     small = " ".join(f"r:SIZE={rows}" for rows in range(1, ROWS_MIN))
     return [

@@ -22,9 +22,13 @@ def by_word(rows: np.ndarray, words: int) -> np.ndarray:
     turned = np.zeros((words, -(-cycles // 64) * 8), np.uint8)
     bytes_ = np.ascontiguousarray(rows).view(np.uint8).reshape(cycles, -1)
     for first in range(0, words, BLOCK):
-        bits = np.unpackbits(bytes_[:, first // 8 : (first + BLOCK) // 8], axis=1, bitorder="little")
+        bits = np.unpackbits(
+            bytes_[:, first // 8 : (first + BLOCK) // 8], axis=1, bitorder="little"
+        )
         bits = bits[:, : words - first]
-        turned[first : first + bits.shape[1], : -(-cycles // 8)] = np.packbits(bits.T, axis=1, bitorder="little")
+        turned[first : first + bits.shape[1], : -(-cycles // 8)] = np.packbits(
+            bits.T, axis=1, bitorder="little"
+        )
     return turned.view(np.uint64)
 
 
@@ -53,7 +57,10 @@ def write_vcd(
                 width = len(values[name])
                 full_scope = f"{scope}{SEPARATOR}{inner}".rstrip(SEPARATOR)
                 variables.append(writer.register_var(full_scope, last, "wire", size=width))
-                changes += [(cycle, len(variables) - 1, value) for cycle, value in _changes(values[name], len(rows))]
+                changes += [
+                    (cycle, len(variables) - 1, value)
+                    for cycle, value in _changes(values[name], len(rows))
+                ]
         changes.sort()
         for cycle, number, value in changes:
             writer.change(variables[number], (first_cycle + cycle) * cycle_ps, value)
@@ -62,9 +69,12 @@ def write_vcd(
 
 def _changes(bits: np.ndarray, cycles: int) -> list[tuple[int, int]]:
     """Return (cycle, value) of a signal at the beginning and wherever it changes."""
-    each = np.unpackbits(np.ascontiguousarray(bits).view(np.uint8), axis=1, bitorder="little", count=cycles)
+    each = np.unpackbits(
+        np.ascontiguousarray(bits).view(np.uint8), axis=1, bitorder="little", count=cycles
+    )
     at = np.flatnonzero(np.concatenate([[True], (each[:, 1:] != each[:, :-1]).any(axis=0)]))
     packed = np.packbits(each[:, at], axis=0, bitorder="little")
     return [
-        (int(cycle), int.from_bytes(column.tobytes(), "little")) for cycle, column in zip(at, packed.T, strict=True)
+        (int(cycle), int.from_bytes(column.tobytes(), "little"))
+        for cycle, column in zip(at, packed.T, strict=True)
     ]

@@ -54,7 +54,8 @@ class SensorBench:
         self.spad = [getattr(dut, f"spad_{s}") for s in range(sensor.subgroups)]
         names = [sensor.stream_name(stream) for stream in range(sensor.streams)]
         self.tdata, self.tvalid, self.tready, self.tlast = (
-            [getattr(dut, f"{name}_{wire}") for name in names] for wire in ("tdata", "tvalid", "tready", "tlast")
+            [getattr(dut, f"{name}_{wire}") for name in names]
+            for wire in ("tdata", "tvalid", "tready", "tlast")
         )
         self.stored = [getattr(dut, f"stored_of_{stream}") for stream in range(sensor.streams)]
         self.programmed: dict[int, int] = {}  # byte address -> value
@@ -155,7 +156,9 @@ class _Inputs:
     words: (subgroup, word) by cycle of the frame. stalled: cycles without `tready`.
     """
 
-    def __init__(self, bench: SensorBench, words: dict[int, list[tuple[int, int]]], stalled: set[int]):
+    def __init__(
+        self, bench: SensorBench, words: dict[int, list[tuple[int, int]]], stalled: set[int]
+    ):
         self._spad = bench.spad
         self._tready = bench.tready
         self._words = words
@@ -247,12 +250,17 @@ class LineBench(SensorBench):
         return {}
 
     async def _shine(self, levels: tuple[list[int], list[int], list[int]]) -> None:
-        falling, start = FallingEdge(self.dut.clk), 1 << bus.time_layout(self.sensor)["start"].offset
+        falling, start = (
+            FallingEdge(self.dut.clk),
+            1 << bus.time_layout(self.sensor)["start"].offset,
+        )
         while True:
             await falling
             if int(self.dut.timing.value) & start:
                 break
-        now = self.cycle_fs // 2 - LEAD * self.cycle_fs  # time of this falling edge; cycle 0 of the frame begins at 0
+        now = (
+            self.cycle_fs // 2 - LEAD * self.cycle_fs
+        )  # time of this falling edge; cycle 0 of the frame begins at 0
         for at, subgroup, word in zip(*levels, strict=True):
             if at > now:
                 await Timer(at - now, "fs")
@@ -265,7 +273,9 @@ async def play_job(dut: Any) -> None:
     """Play the job named in the environment and leave its records beside it, or else the first difference, as text."""
     path = Path(os.environ[JOB_VARIABLE])
     job, lines = load_job(path)
-    bench = (LineBench if lines else SensorBench)(dut, job[0].config.sensor, job[0].config.clock_mhz)
+    bench = (LineBench if lines else SensorBench)(
+        dut, job[0].config.sensor, job[0].config.clock_mhz
+    )
     await bench.reset()
     records, before = [], 0
     for number, frame in enumerate(job):

@@ -25,7 +25,9 @@ def prepare(engine: str, sensor: Sensor, waves: bool = False, view: View = POLYP
         build_sensor(sensor, engine, waves, view)
 
 
-def build_sensor(sensor: Sensor, simulator: str, waves: bool = False, view: View = POLYPHASE) -> toolchain.Build:
+def build_sensor(
+    sensor: Sensor, simulator: str, waves: bool = False, view: View = POLYPHASE
+) -> toolchain.Build:
     """Return the sensor in a view from `hdl/front_end_views.py`, compiled for a simulator, now or earlier."""
     delays = not view.by_words
     public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * delays
@@ -83,7 +85,9 @@ def play_in(
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         job = Path(folder) / "job"
         try:
-            run = build.run("coincid.tb.cosim", env=save_job(job, frames, lines), out_dir=out_dir, echo=line)
+            run = build.run(
+                "coincid.tb.cosim", env=save_job(job, frames, lines), out_dir=out_dir, echo=line
+            )
         except SimulationError as error:
             if job.with_suffix(MISMATCH).exists():
                 wave = f"waveform {error.wave}" if error.wave else "no waveform was asked for"

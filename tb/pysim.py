@@ -54,7 +54,8 @@ def play(
 
     async def frame(ctx: SimulatorContext) -> None:
         streams = [
-            [getattr(getattr(dut, name), wire) for wire in ("tvalid", "tdata", "tlast", "tready")] for name in names
+            [getattr(getattr(dut, name), wire) for wire in ("tvalid", "tdata", "tlast", "tready")]
+            for name in names
         ]
         spads = [getattr(dut, f"spad_{s}") for s in range(sensor.subgroups)]
         for *_, ready in streams:
@@ -86,4 +87,6 @@ def play(
     simulator.add_testbench(host)
     simulator.add_testbench(frame)
     simulator.run()
-    return [np.array(data, np.uint64) for data in beats], [np.array(cycles, np.int64) for cycles in beat_cycle]
+    return [np.array(data, np.uint64) for data in beats], [
+        np.array(cycles, np.int64) for cycles in beat_cycle
+    ]

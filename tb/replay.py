@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 DEFAULT_VIEW = "polyphase"
 
 
-def chosen_view(engine: str, view: "str | View", clock_mhz: float, waves: bool = False) -> "View | None":
+def chosen_view(
+    engine: str, view: "str | View", clock_mhz: float, waves: bool = False
+) -> "View | None":
     """Return the view from `hdl/front_end_views.py` that `engine` runs, at a system clock; None for the golden model.
 
     view: its name, or a view of a custom circuit. waves: a waveform of the whole sensor is wanted. Raises `InputError`,
@@ -86,22 +88,31 @@ def replay(
     ready = np.zeros(0, np.uint8) if ready is None else ready
     if chosen is None:
         done = progress or (lambda cycles: None)
-        return golden_result(config, edges, ready, lambda frames: done(frames * config.frame_cycles))
+        return golden_result(
+            config, edges, ready, lambda frames: done(frames * config.frame_cycles)
+        )
     from .play import play
     from .sliced import play_side_by_side
     from .stimulus import check_offsets
 
     if not chosen.by_words:
         check_offsets(config, edges)
-    frames = [FrameJob(config, edges.frame(number, config.pulses)[0], ready=ready) for number in range(config.frames)]
+    frames = [
+        FrameJob(config, edges.frame(number, config.pulses)[0], ready=ready)
+        for number in range(config.frames)
+    ]
     if engine == "sliced" and not config.controlled.any():  # then no frame depends on those before
-        return _result(config, [record for (record,) in play_side_by_side([[job] for job in frames], progress)])
+        return _result(
+            config, [record for (record,) in play_side_by_side([[job] for job in frames], progress)]
+        )
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         records, _ = play(frames, engine, Path(folder), progress=progress, view=chosen)
     return _result(config, records)
 
 
-def replay_together(jobs: Sequence[tuple[Config, Edges]], threads: int = 1) -> list[dict[str, np.ndarray]]:
+def replay_together(
+    jobs: Sequence[tuple[Config, Edges]], threads: int = 1
+) -> list[dict[str, np.ndarray]]:
     """Play configurations of one sensor through the sliced engine side by side; return the result of each as `replay` does.
 
     Raises `InputError` as `replay` does.
@@ -116,7 +127,9 @@ def replay_together(jobs: Sequence[tuple[Config, Edges]], threads: int = 1) -> l
     ]
     return [
         _result(config, records)
-        for (config, _), records in zip(jobs, play_side_by_side(chains, threads=threads), strict=True)
+        for (config, _), records in zip(
+            jobs, play_side_by_side(chains, threads=threads), strict=True
+        )
     ]
 
 

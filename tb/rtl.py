@@ -25,7 +25,9 @@ def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
     for name in SENSOR:
         value = getattr(sensor, name)
         if name not in ("rows", "cols") and value != getattr(default, name):
-            parts.append(name + ("x".join(map(str, value)) if isinstance(value, tuple) else str(value)))
+            parts.append(
+                name + ("x".join(map(str, value)) if isinstance(value, tuple) else str(value))
+            )
     if sensor.rule != AT_LEAST:
         parts.append(sensor.rule.name)
     if not view.is_default:
@@ -36,7 +38,11 @@ def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
 def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
     """Return the sensor's Verilog files in a view, emitted once for its parameters and the state of the sources."""
     sensor.rule.check_circuit()
-    folder = emitted(sensor_key(sensor, view), repr((sensor, view, view.version)), lambda: verilog_files(sensor, view))
+    folder = emitted(
+        sensor_key(sensor, view),
+        repr((sensor, view, view.version)),
+        lambda: verilog_files(sensor, view),
+    )
     return listed(folder / FILE_LIST)
 
 

@@ -48,13 +48,17 @@ def check(sensor: Sensor, expected: Trace, record: Recorded, frame: int = 0) -> 
     board = Scoreboard(sensor, expected, frame)
     shown = [
         (cycle, 0, s, 0, 0)
-        for s, cycle in zip(record.commit_subgroup.tolist(), record.commit_cycle.tolist(), strict=True)
+        for s, cycle in zip(
+            record.commit_subgroup.tolist(), record.commit_cycle.tolist(), strict=True
+        )
     ]
     for k in streams:
         ends = len(record.beats[k]) - 1
         shown += [
             (cycle, 1, k, data, i == ends)
-            for i, (cycle, data) in enumerate(zip(record.beat_cycle[k].tolist(), record.beats[k].tolist(), strict=True))
+            for i, (cycle, data) in enumerate(
+                zip(record.beat_cycle[k].tolist(), record.beats[k].tolist(), strict=True)
+            )
         ]
     for cycle, is_beat, which, data, last in sorted(shown):
         if is_beat:
@@ -87,9 +91,13 @@ class Scoreboard:
         if data != expected:
             self._explain(stream, index, cycle, data)
         if cycle != due:
-            raise Mismatch(f"{self._where(stream, index, cycle)}: transferred in cycle {cycle}, golden model {due}")
+            raise Mismatch(
+                f"{self._where(stream, index, cycle)}: transferred in cycle {cycle}, golden model {due}"
+            )
         if last != (index == len(beats) - 1):
-            raise Mismatch(f"{self._where(stream, index, cycle)}: tlast is {int(last)}, golden model {int(not last)}")
+            raise Mismatch(
+                f"{self._where(stream, index, cycle)}: tlast is {int(last)}, golden model {int(not last)}"
+            )
         self.beats[stream] += 1
         self.checked += 1
 
@@ -97,7 +105,11 @@ class Scoreboard:
         """Check an event that was stored."""
         index, due = self._commit_index[subgroup], self._commits[subgroup]
         if index >= len(due) or due[index] != cycle:
-            expected = f"golden model in cycle {due[index]}" if index < len(due) else "golden model stores none"
+            expected = (
+                f"golden model in cycle {due[index]}"
+                if index < len(due)
+                else "golden model stores none"
+            )
             raise Mismatch(
                 f"frame {self.frame}, subgroup {subgroup}, event {index}: stored in cycle {cycle}, {expected}"
             )
@@ -122,12 +134,12 @@ class Scoreboard:
         start, kind = locate(beats, index, self.sensor)
         of = "all subgroups"
         if kind == GROUP_KIND:
-            return (
-                f"frame {self.frame}, stream {stream}, cycle {cycle}, beat {index} of the frame, in a group of events"
-            )
+            return f"frame {self.frame}, stream {stream}, cycle {cycle}, beat {index} of the frame, in a group of events"
         if PACKETS[kind] not in (FRAME_START, FRAME_END):
             fields = packet_fields(beats, np.array([start]), self.sensor, PACKETS[kind])
-            of = ", ".join(f"{name} {fields[name][0, 0]}" for name in ("subgroup", "pulse") if name in fields)
+            of = ", ".join(
+                f"{name} {fields[name][0, 0]}" for name in ("subgroup", "pulse") if name in fields
+            )
         packet = f"{PACKETS[kind].name} packet, beat {index - start} of it"
         return f"frame {self.frame}, stream {stream}, {of}, cycle {cycle}, {packet}"
 
@@ -154,6 +166,10 @@ class Scoreboard:
             for name, lsb, width in [("kind", KIND_LSB, KIND_BITS)] * (beat == 0) + fields:
                 got, want = (value >> lsb & ((1 << width) - 1) for value in (data, expected))
                 if got != want:
-                    told.append(f"{name} is {got}, golden model {want}" if beat == 0 else f"{name} is {differing}")
+                    told.append(
+                        f"{name} is {got}, golden model {want}"
+                        if beat == 0
+                        else f"{name} is {differing}"
+                    )
             differing = "; ".join(told) or differing
         raise Mismatch(f"{where}: {differing}")

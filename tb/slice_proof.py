@@ -26,7 +26,8 @@ def prove_module(sensor: Sensor, files: list[Path]) -> None:
     """Raise `SimulationError` unless the module in these files is two slices; asked once for the same files."""
     module, piece, subgroup = SensorModule(sensor), Slice(sensor), Subgroup(sensor)
     needed = {
-        unit.unit_name for unit in (module, piece, *(POLYPHASE.tdc(sensor, lines) for lines in (1, module.lines)))
+        unit.unit_name
+        for unit in (module, piece, *(POLYPHASE.tdc(sensor, lines) for lines in (1, module.lines)))
     }
     texts = {path.name: path.read_text(encoding="utf-8") for path in files if path.stem in needed}
     texts[BOX] = f"(* blackbox *) {_head(subgroup)}\nendmodule\n"
@@ -72,7 +73,12 @@ def _two(module: SensorModule, piece: Slice, sensor: Sensor) -> str:
     own = own_ports(sensor)
     lines = [_head(module, "two")]
     for k in range(module.lines):
-        wires = {port.name: f"{port.name}_{k}" if port.name in own else port.name for port in piece.ports()}
+        wires = {
+            port.name: f"{port.name}_{k}" if port.name in own else port.name
+            for port in piece.ports()
+        }
         wires |= {"clk": "clk", "rst": "rst", "number": f"{{number, 1'd{k}}}"}
-        lines.append(f"  {piece.unit_name} slice_{k}({', '.join(f'.{port}({wire})' for port, wire in wires.items())});")
+        lines.append(
+            f"  {piece.unit_name} slice_{k}({', '.join(f'.{port}({wire})' for port, wire in wires.items())});"
+        )
     return "\n".join([*lines, "endmodule", ""])

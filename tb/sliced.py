@@ -71,7 +71,10 @@ def wiring_header(sensor: Sensor) -> str:
     widest = max(Slice(sensor).flat_ports()[name][1].shape().width for name in shared_ports(sensor))
     visits = []
     for stream in range(sensor.streams):
-        axis = [f"core.{sensor.stream_name(stream)}_{wire}" for wire in ("tdata", "tvalid", "tready", "tlast")]
+        axis = [
+            f"core.{sensor.stream_name(stream)}_{wire}"
+            for wire in ("tdata", "tvalid", "tready", "tlast")
+        ]
         nets = [f"core.{net}_of_{stream}" for net in STREAM_NETS]
         visits.append(f"    visit({stream}, {', '.join(axis + nets)});")
     return "\n".join(
@@ -101,7 +104,9 @@ def _library(sensor: Sensor, width: int, root: Path) -> ctypes.CDLL:
     for_core, for_slices = rtl_in_two(sensor)
     with ThreadPoolExecutor() as pool:
         proof = pool.submit(prove_module, sensor, for_slices)
-        core = pool.submit(verilated_unit, CORE, "Vcore", for_core, [toolchain.NOT_INLINED], CORE_OPTIMISE)
+        core = pool.submit(
+            verilated_unit, CORE, "Vcore", for_core, [toolchain.NOT_INLINED], CORE_OPTIMISE
+        )
         support = pool.submit(run_time)
         slices = design(sensor)
         compiled(slices, width)  # while the core is compiled
@@ -119,7 +124,10 @@ def _library(sensor: Sensor, width: int, root: Path) -> ctypes.CDLL:
         "write": (None, [pointer, i32, u32, u32]),
         "read": (None, [pointer, i32, u32]),
         "wait": (None, [pointer, i32, u32, u32]),
-        "frame": (None, [pointer, i32, u32, u32, i64, pointer, pointer, pointer, pointer, i64, i64, i64]),
+        "frame": (
+            None,
+            [pointer, i32, u32, u32, i64, pointer, pointer, pointer, pointer, i64, i64, i64],
+        ),
         "write_during_frame": (None, [pointer, i32, u32, u32]),
         "reset": (None, [pointer, i32]),
         "outcome": (i32, [pointer, i32]),
@@ -284,10 +292,14 @@ class SlicedSensor:
         """Raise `RefusedError` or `SimulationError` if anything that the sensor had to do has failed."""
         outcome = self._call("outcome")
         if outcome == HANGS:
-            raise SimulationError(f"no frame end within {self._call('cycle')} cycles: the sensor hangs")
+            raise SimulationError(
+                f"no frame end within {self._call('cycle')} cycles: the sensor hangs"
+            )
         if outcome == REFUSED:
             self._call("forget")
-            status = f", status {self.read(registers.address('status')):#x}" if what == "start" else ""
+            status = (
+                f", status {self.read(registers.address('status')):#x}" if what == "start" else ""
+            )
             raise RefusedError(f"{what}: SLVERR{status}")
 
     def records(self) -> list[Recorded]:
@@ -301,7 +313,11 @@ class SlicedSensor:
                 cycles.append(rows[:, 1].astype(np.int64))
             commits = self._rows("commits", k).astype(np.int64)
             commits = commits[np.argsort(commits[:, 0], kind="stable")]
-            found.append(Recorded(beats, cycles, commits[:, 0], commits[:, 1], max(int(c[-1]) for c in cycles) + 1))
+            found.append(
+                Recorded(
+                    beats, cycles, commits[:, 0], commits[:, 1], max(int(c[-1]) for c in cycles) + 1
+                )
+            )
         self._call("forget")
         return found
 
@@ -324,7 +340,9 @@ class SlicedSensor:
         words, lane = self._engine.words(self._number, subgroup, probe.layout.words)
         for k, word in enumerate(probe.words(name)):
             bit = np.uint64(1 << (lane % 64))
-            words[word, lane // 64] = words[word, lane // 64] & ~bit | bit * np.uint64(value >> k & 1)
+            words[word, lane // 64] = words[word, lane // 64] & ~bit | bit * np.uint64(
+                value >> k & 1
+            )
 
     def signals(self) -> list[str]:
         """Return the paths of all signals of a subgroup, for `peek` and `waves`."""
@@ -352,7 +370,9 @@ def _probe(sensor: Sensor) -> Probe:
 
 
 def play_side_by_side(
-    chains: Sequence[Sequence[FrameJob]], progress: Callable[[int], None] | None = None, threads: int | None = None
+    chains: Sequence[Sequence[FrameJob]],
+    progress: Callable[[int], None] | None = None,
+    threads: int | None = None,
 ) -> list[list[Recorded]]:
     """Play chains of frames, each chain on a sensor of its own that comes from a reset; return their records.
 

@@ -18,7 +18,9 @@ def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]
     cycle, subgroup, bit = port_bits(config, edges)
     order = np.lexsort((subgroup, cycle))
     words: dict[int, dict[int, int]] = {}
-    for c, s, b in zip(cycle[order].tolist(), subgroup[order].tolist(), bit[order].tolist(), strict=True):
+    for c, s, b in zip(
+        cycle[order].tolist(), subgroup[order].tolist(), bit[order].tolist(), strict=True
+    ):
         at = words.setdefault(c, {})
         at[s] = at.get(s, 0) | 1 << b
     return {c: list(at.items()) for c, at in words.items()}
@@ -60,7 +62,11 @@ def line_toggles(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, 
         if edges.offset_ps is None
         else np.rint(edges.offset_ps * FS_PER_PS).astype(np.int64)
     )
-    rise = config.start_cycles()[edges.pulse] * cycle_fs + edges.tick * tick_fs + offset.clip(1, tick_fs - 1)
+    rise = (
+        config.start_cycles()[edges.pulse] * cycle_fs
+        + edges.tick * tick_fs
+        + offset.clip(1, tick_fs - 1)
+    )
     rise, pixel = np.unique(np.stack([rise, edges.pixel]), axis=1)
     order = np.lexsort((rise, pixel))
     rise, pixel = rise[order], pixel[order]
@@ -69,7 +75,11 @@ def line_toggles(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, 
     high[:-1][same] = np.minimum(high[:-1], np.diff(rise) // 2)[same]
     alone = high > 0  # an edge one femtosecond before the next one on its line is dropped
     rise, pixel, high = rise[alone], pixel[alone], high[alone]
-    time, subgroup, line = np.concatenate([rise, rise + high]), table.subgroup[pixel], table.inside[pixel]
+    time, subgroup, line = (
+        np.concatenate([rise, rise + high]),
+        table.subgroup[pixel],
+        table.inside[pixel],
+    )
     order = np.lexsort((np.tile(subgroup, 2), time))
     return time[order], np.tile(subgroup, 2)[order], np.tile(line, 2)[order]
 
@@ -78,7 +88,9 @@ def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], lis
     """Return the levels: (time in fs from the frame's start, subgroup, word on its lines from then on), by time."""
     levels = [0] * config.sensor.subgroups
     at: list[tuple[int, int, int]] = []
-    for t, s, line in zip(*(column.tolist() for column in line_toggles(config, edges)), strict=True):
+    for t, s, line in zip(
+        *(column.tolist() for column in line_toggles(config, edges)), strict=True
+    ):
         levels[s] ^= 1 << line
         if at and at[-1][:2] == (t, s):
             at.pop()

@@ -65,7 +65,10 @@ def run_bench(
     `ToolchainError`.
     """
     top, files = bench.stem, {**files, bench.name: bench.read_text(encoding="utf-8")}
-    options = [f"-P{top}.{name}={value.bit_length() + 1}'d{value}" for name, value in (parameters or {}).items()]
+    options = [
+        f"-P{top}.{name}={value.bit_length() + 1}'d{value}"
+        for name, value in (parameters or {}).items()
+    ]
     options += [f"-DCOINCID_APERTURE_PS={APERTURE_PS}"] * aperture
     key = digest(*options, *(part for item in files.items() for part in item))
 
@@ -86,7 +89,9 @@ def run_bench(
         encoding="utf-8",
     )
     if done.returncode or not done.stdout.strip():
-        raise ToolchainError(f"{top}: the simulation failed: {done.stderr.strip() or 'it printed nothing'}")
+        raise ToolchainError(
+            f"{top}: the simulation failed: {done.stderr.strip() or 'it printed nothing'}"
+        )
     return done.stdout.strip().splitlines()
 
 
@@ -118,7 +123,10 @@ class Front:
             "CLOCK_FS": self.circuit.clock_fs,
         }
         lines = [f"localparam {name} = {value};" for name, value in sizes.items()]
-        lines += ["reg clk = 0, rst = 1, start_tdc = 0;", "always #(CLOCK_FS / 2 / 1000.0) clk = ~clk;"]
+        lines += [
+            "reg clk = 0, rst = 1, start_tdc = 0;",
+            "always #(CLOCK_FS / 2 / 1000.0) clk = ~clk;",
+        ]
         of_front, of_tdc = _widths(self.front), _widths(self.tdc)
         for port, width in of_front.items():
             if port in FIELDS:
@@ -127,11 +135,22 @@ class Front:
                 joined = ", ".join(name for name, _ in reversed(fields))
                 lines.append(f"wire [{width - 1}:0] {port} = {{{joined}}};")
             else:
-                lines.append(f"reg [{width - 1}:0] {port} = 0;" if port in DRIVEN else f"wire [{width - 1}:0] {port};")
+                lines.append(
+                    f"reg [{width - 1}:0] {port} = 0;"
+                    if port in DRIVEN
+                    else f"wire [{width - 1}:0] {port};"
+                )
         for name, field in getattr(self.front, SHOWN).shape():
-            lines.append(f"wire [{field.width - 1}:0] {name} = {SHOWN}[{field.offset}+:{field.width}];")
-        wires = {port: port.replace("line_0__", "line__") for port in of_tdc} | {"start": "start_tdc"}
-        lines += [_instance(self.tdc, "tdc", wires), _instance(self.front, "front", {port: port for port in of_front})]
+            lines.append(
+                f"wire [{field.width - 1}:0] {name} = {SHOWN}[{field.offset}+:{field.width}];"
+            )
+        wires = {port: port.replace("line_0__", "line__") for port in of_tdc} | {
+            "start": "start_tdc"
+        }
+        lines += [
+            _instance(self.tdc, "tdc", wires),
+            _instance(self.front, "front", {port: port for port in of_front}),
+        ]
         return "".join(f"  {line}\n" for line in lines)
 
 

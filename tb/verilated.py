@@ -24,13 +24,21 @@ def include() -> list[str]:
 
 
 def verilated_unit(
-    top: str, prefix: str, sources: list[Path], options: Sequence[str] = (), optimise: str = toolchain.OPTIMISE
+    top: str,
+    prefix: str,
+    sources: list[Path],
+    options: Sequence[str] = (),
+    optimise: str = toolchain.OPTIMISE,
 ) -> Path:
     """Verilate a unit: its headers and `objects_in`, in a folder keyed by its sources and options. optimise: of g++."""
     texts = {path.name: path.read_text(encoding="utf-8") for path in sources}
     flags = [*VERILATOR, *options, "--top-module", top, "--prefix", prefix, "--Mdir", "."]
     key = digest(
-        str(toolchain.verilator()), *flags, *COMPILER, optimise, *(part for of in texts.items() for part in of)
+        str(toolchain.verilator()),
+        *flags,
+        *COMPILER,
+        optimise,
+        *(part for of in texts.items() for part in of),
     )
 
     def make(scratch: Path, run: Compile) -> None:
@@ -39,7 +47,9 @@ def verilated_unit(
         run([str(toolchain.verilator()), *flags, *texts])
         names = {path.name for path in scratch.glob("*.cpp")}
         slow = {name for name in names if name.endswith(SLOW)}
-        with ThreadPoolExecutor() as pool:  # two files for the compiler, because many small ones take twice as long
+        with (
+            ThreadPoolExecutor() as pool
+        ):  # two files for the compiler, because many small ones take twice as long
             fast = pool.submit(_compiled, scratch, run, "fast.cpp", names - slow, optimise)
             _compiled(scratch, run, "slow.cpp", slow, UNOPTIMISED)
             fast.result()
@@ -66,5 +76,7 @@ def objects_in(*folders: Path) -> list[Path]:
 
 def _compiled(folder: Path, run: Compile, file: str, names: Iterable[str], optimise: str) -> None:
     """Compile C++ files as one."""
-    (folder / file).write_text("".join(f'#include "{name}"\n' for name in sorted(names)), encoding="utf-8")
+    (folder / file).write_text(
+        "".join(f'#include "{name}"\n' for name in sorted(names)), encoding="utf-8"
+    )
     run([*COMPILER, optimise, *include(), "-c", file, "-o", Path(file).with_suffix(".o").name])

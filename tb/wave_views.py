@@ -13,7 +13,11 @@ from ..model.shared.files import whole_file
 Block: TypeAlias = tuple[str, str, str]  # title, scope below the top, signals
 BLOCKS: tuple[Block, ...] = (
     ("sensor", "", "clk rst laser spad_gate m_axis_tvalid m_axis_tready m_axis_tlast m_axis_tdata"),
-    ("registers", "registers", "s_axi__awvalid s_axi__awaddr s_axi__wdata s_axi__bvalid s_axi__bresp start_frame done"),
+    (
+        "registers",
+        "registers",
+        "s_axi__awvalid s_axi__awaddr s_axi__wdata s_axi__bvalid s_axi__bresp start_frame done",
+    ),
     ("sequencer", "sequencer", "frame_begin timing finish number done"),
     ("subgroup 0: edges", "module_0.subgroup_0", "words"),
     ("subgroup 0: gate", "module_0.subgroup_0.gating", "accept spad_gate"),
@@ -23,7 +27,11 @@ BLOCKS: tuple[Block, ...] = (
         "line__root line__any line__phase line__coarse opening window_open left closing blind hits closed",
     ),
     ("TDC of module 0", "module_0.tdc", "start coarse"),
-    ("subgroup 0: DPCU", "module_0.subgroup_0.dpcu", "window_ticks threshold closed enough commit pulse photons"),
+    (
+        "subgroup 0: DPCU",
+        "module_0.subgroup_0.dpcu",
+        "window_ticks threshold closed enough commit pulse photons",
+    ),
     ("subgroup 0: FIFO", "module_0.subgroup_0.fifo", "stored dropped level take"),
     ("subgroup 0: packets", "module_0.subgroup_0.packetizer", "grant valid beat"),
     ("readout 0", "readout_0", "stored grant valid beat space"),
@@ -38,12 +46,20 @@ def views(fst: Path, blocks: tuple[Block, ...] = BLOCKS) -> list[Path]:
 
     Signals that are not in the waveform (because the sensor lacks the block) are left out.
     """
-    known: dict[str, tuple[str, int]] = {}  # path below the top module, in whatever scope a simulator puts the top
+    known: dict[
+        str, tuple[str, int]
+    ] = {}  # path below the top module, in whatever scope a simulator puts the top
     for variable in Waveform(str(fst)).all_vars():
-        known.setdefault(variable.full_name.partition(f"{TOP}.")[2], (variable.full_name, variable.bitwidth))
+        known.setdefault(
+            variable.full_name.partition(f"{TOP}.")[2], (variable.full_name, variable.bitwidth)
+        )
     groups = []
     for title, scope, signals in blocks:
-        found = [known[path] for path in (f"{scope}.{name}".lstrip(".") for name in signals.split()) if path in known]
+        found = [
+            known[path]
+            for path in (f"{scope}.{name}".lstrip(".") for name in signals.split())
+            if path in known
+        ]
         if found:
             groups.append((title, found))
     written = []

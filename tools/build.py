@@ -21,7 +21,16 @@ LOG_TAIL_LINES = 40
 NO_SPACE = os.strerror(errno.ENOSPC)
 FULL_BELOW_BYTES = 1 << 20  # less than any compiler's output
 # Settings of the calling make or shell must not change a build, because its key does not include them.
-COMPILER_VARIABLES = {"MAKEFLAGS", "MFLAGS", "MAKELEVEL", "CXXFLAGS", "CPPFLAGS", "LDFLAGS", "LDLIBS", "VERILATOR_ROOT"}
+COMPILER_VARIABLES = {
+    "MAKEFLAGS",
+    "MFLAGS",
+    "MAKELEVEL",
+    "CXXFLAGS",
+    "CPPFLAGS",
+    "LDFLAGS",
+    "LDLIBS",
+    "VERILATOR_ROOT",
+}
 
 Compile: TypeAlias = Callable[[Sequence[str]], None]
 
@@ -45,7 +54,9 @@ def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
             if not directory.is_dir():
                 for leftover in directory.parent.glob(f"{directory.name}.part*"):
                     shutil.rmtree(leftover, ignore_errors=True)
-                scratch = Path(tempfile.mkdtemp(prefix=f"{directory.name}.part", dir=directory.parent))
+                scratch = Path(
+                    tempfile.mkdtemp(prefix=f"{directory.name}.part", dir=directory.parent)
+                )
                 try:
                     make(scratch)
                     scratch.chmod(0o755)
@@ -110,7 +121,9 @@ def execute(
 
 def compile_in(cwd: Path, log: Path, command: Sequence[str]) -> None:
     """Run a compiler in `cwd`, and append its output to `log`. Raises `ToolchainError` with the end of the log."""
-    environment = {name: value for name, value in os.environ.items() if name not in COMPILER_VARIABLES}
+    environment = {
+        name: value for name, value in os.environ.items() if name not in COMPILER_VARIABLES
+    }
     if execute(command, cwd, log, environment):
         program, places = Path(command[0]).name, f"{log.parent} or {tempfile.gettempdir()}"
         # On a full disk, the log itself may be cut off.
@@ -118,7 +131,9 @@ def compile_in(cwd: Path, log: Path, command: Sequence[str]) -> None:
             NO_SPACE in log.read_text(errors="replace", encoding="utf-8")
             or shutil.disk_usage(log.parent).free < FULL_BELOW_BYTES
         ):
-            raise ToolchainError(f"{program}: {NO_SPACE}, in {places}; COINCID_BUILD and TMPDIR name others")
+            raise ToolchainError(
+                f"{program}: {NO_SPACE}, in {places}; COINCID_BUILD and TMPDIR name others"
+            )
         raise ToolchainError(f"{program} failed{tail(log)}")
 
 

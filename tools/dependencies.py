@@ -81,7 +81,10 @@ class Sources:
     @cached_property
     def modules(self) -> dict[str, Path]:
         """Return name -> path of all modules of the project."""
-        found = {PROJECT: self.root / PACKAGE / "__init__.py", PAGES: self.root / PAGES / "__init__.py"}
+        found = {
+            PROJECT: self.root / PACKAGE / "__init__.py",
+            PAGES: self.root / PAGES / "__init__.py",
+        }
         for path in (self.root / PACKAGE).glob("[!_]*.py"):
             found[f"{PROJECT}.{path.stem}"] = path
         for folder in self._rooms:
@@ -117,7 +120,9 @@ class Sources:
         """Return name -> version of the packages in all lock files."""
         found = {}
         for lock in sorted(self.root.glob(LOCKS)):
-            for name, version in re.findall(r"^([\w.-]+)==(\S+)", lock.read_text(encoding="utf-8"), re.MULTILINE):
+            for name, version in re.findall(
+                r"^([\w.-]+)==(\S+)", lock.read_text(encoding="utf-8"), re.MULTILINE
+            ):
                 found[_plain(name)] = version
         return found
 
@@ -177,7 +182,12 @@ class Sources:
         name = digest(FORMAT, module, text)
         if name not in self._before:
             facts = self._parsed(module, text)
-            self._before[name] = [sorted(facts.imports), sorted(facts.packages), sorted(facts.texts), facts.digest]
+            self._before[name] = [
+                sorted(facts.imports),
+                sorted(facts.packages),
+                sorted(facts.texts),
+                facts.digest,
+            ]
         imports, packages, texts, code = self._before[name]
         self._names[module] = name
         return Facts(frozenset(imports), frozenset(packages), frozenset(texts), code)
@@ -224,7 +234,9 @@ class Sources:
             found |= set(beside or everywhere)
             if name in self._folders:
                 folder = path.parent / name
-                found |= {file for files in self.data.values() for file in files if file.parent == folder}
+                found |= {
+                    file for files in self.data.values() for file in files if file.parent == folder
+                }
             if text.find("*") >= STEM_MIN:
                 found |= {
                     file
@@ -278,7 +290,11 @@ def _imported(tree: ast.AST, package: str) -> Iterator[tuple[str, str]]:
         elif isinstance(node, ast.Import):
             for alias in node.names:
                 yield alias.name, ""
-        elif isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+        elif (
+            isinstance(node, ast.If)
+            and isinstance(node.test, ast.Name)
+            and node.test.id == "TYPE_CHECKING"
+        ):
             for other in node.orelse:
                 yield from _imported(other, package)
         else:
@@ -292,7 +308,9 @@ def _texts(tree: ast.AST) -> Iterator[str]:
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             text = node.value
         elif isinstance(node, ast.JoinedStr):
-            text = "".join(str(part.value) if isinstance(part, ast.Constant) else "*" for part in node.values)
+            text = "".join(
+                str(part.value) if isinstance(part, ast.Constant) else "*" for part in node.values
+            )
         if 0 < len(text) <= NAME_MAX and "\n" not in text:
             yield text
 
@@ -303,9 +321,16 @@ def _code(text: str, tree: ast.AST) -> str:
     stays = [True] * len(lines)
     inside_text = set()
     for node in ast.walk(tree):
-        if isinstance(node, ast.Constant | ast.JoinedStr) and node.end_lineno and node.end_lineno > node.lineno:
+        if (
+            isinstance(node, ast.Constant | ast.JoinedStr)
+            and node.end_lineno
+            and node.end_lineno > node.lineno
+        ):
             inside_text |= set(range(node.lineno, node.end_lineno))
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and node.body:
+        if (
+            isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
+            and node.body
+        ):
             first = node.body[0]
             if (
                 isinstance(first, ast.Expr)

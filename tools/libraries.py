@@ -10,7 +10,9 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-Functions: TypeAlias = Mapping[str, tuple[Any, Sequence[Any]]]  # name -> types of the answer and of the arguments
+Functions: TypeAlias = Mapping[
+    str, tuple[Any, Sequence[Any]]
+]  # name -> types of the answer and of the arguments
 
 
 def load(path: Path, prefix: str, functions: Functions) -> ctypes.CDLL:
@@ -22,7 +24,9 @@ def load(path: Path, prefix: str, functions: Functions) -> ctypes.CDLL:
     return library
 
 
-def array_at(address: int | None, shape: Sequence[int], kind: npt.DTypeLike = np.uint64) -> np.ndarray:
+def array_at(
+    address: int | None, shape: Sequence[int], kind: npt.DTypeLike = np.uint64
+) -> np.ndarray:
     """Return the array of a library's memory at an address, which need not be one if the array is empty."""
     if address is None or not prod(shape):
         return np.zeros(shape, kind)

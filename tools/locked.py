@@ -20,7 +20,11 @@ from urllib.parse import unquote, urlparse
 
 LOG = Path(sys.prefix) / "install.log"
 PIP_OPTIONS = ("--no-input", "--disable-pip-version-check", "--retries", "1", "--timeout", "15")
-PLACES = {"find-links": "--find-links", "index-url": "--default-index", "extra-index-url": "--index"}
+PLACES = {
+    "find-links": "--find-links",
+    "index-url": "--default-index",
+    "extra-index-url": "--index",
+}
 NAMED_MAX = 3  # packages that a message names
 
 
@@ -57,8 +61,16 @@ def uv_options(settings: str) -> list[str]:
 
 def missing(locks: Sequence[str]) -> list[str]:
     """Return the lines of lock files whose packages are not installed in that version."""
-    lines = [line.strip() for lock in locks for line in Path(lock).read_text(encoding="utf-8").splitlines()]
-    return [line for line in lines if "==" in line and not line.startswith("#") and not _is_installed(line)]
+    lines = [
+        line.strip()
+        for lock in locks
+        for line in Path(lock).read_text(encoding="utf-8").splitlines()
+    ]
+    return [
+        line
+        for line in lines
+        if "==" in line and not line.startswith("#") and not _is_installed(line)
+    ]
 
 
 def _is_installed(line: str) -> bool:
@@ -77,12 +89,19 @@ def _may_exist(place: str) -> bool:
 
 def _pip_settings(pip: Sequence[str]) -> str:
     command = [*pip, "config", "list"]
-    return subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False).stdout
+    return subprocess.run(
+        command, capture_output=True, text=True, encoding="utf-8", check=False
+    ).stdout
 
 
 def _run(command: Sequence[str], log: TextIO) -> bool:
     print("$", shlex.join(command), file=log, flush=True)
-    return subprocess.run(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, check=False).returncode == 0
+    return (
+        subprocess.run(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, check=False
+        ).returncode
+        == 0
+    )
 
 
 def _what_to_do(locks: Sequence[str]) -> str:

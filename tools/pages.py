@@ -26,10 +26,15 @@ from .dependencies import Closure, Sources
 
 TABLE = Path("docs") / "pages.toml"
 UNKNOWN = "unknown"
-WRITERS = ("coincid.tools.pages", "coincid.tools.dependencies")  # write regions, and change no number
+WRITERS = (
+    "coincid.tools.pages",
+    "coincid.tools.dependencies",
+)  # write regions, and change no number
 FOLDER = "COINCID_PAGES"  # environment: the folder whose pages are written, instead of the checkout
 GROUPS = "without"  # key of the table with lists of modules, by name
-_BEGIN = re.compile(r"^<!-- begin (?P<name>[^:\n]+): (?P<command>.+); stamp (?P<stamp>\w+) -->$", re.MULTILINE)
+_BEGIN = re.compile(
+    r"^<!-- begin (?P<name>[^:\n]+): (?P<command>.+); stamp (?P<stamp>\w+) -->$", re.MULTILINE
+)
 
 
 @frozen
@@ -85,7 +90,9 @@ class Pages:
         programs = {}
         for name, table in document.items():
             told: dict[str, Any] = dict(table)
-            told["without"] = [module for group in told.get("without", []) for module in groups.get(group, [group])]
+            told["without"] = [
+                module for group in told.get("without", []) for module in groups.get(group, [group])
+            ]
             try:
                 programs[name] = Program(name=name, **told)
             except TypeError as error:
@@ -103,7 +110,9 @@ class Pages:
     def stamp(self, program: Program) -> str:
         """Return the digest of everything that a program's result depends on."""
         files = [self.root / name for name in program.data]
-        return self.sources.digest(self.closure(program), program.command, program.run, *program.data, *files)
+        return self.sources.digest(
+            self.closure(program), program.command, program.run, *program.data, *files
+        )
 
     def stale(self) -> dict[str, list[Region]]:
         """Return the regions whose stamps are not those of today's sources, by program."""
@@ -143,10 +152,14 @@ def regions(page: str, text: str) -> Iterator[Region]:
         if begin.start() < begun or end < 0:
             raise InputError(f"{page}: region '{name}' does not end before the next one begins")
         begun = end
-        yield Region(page, name, begin["command"], begin["stamp"], text[begin.end() : end].strip("\n"))
+        yield Region(
+            page, name, begin["command"], begin["stamp"], text[begin.end() : end].strip("\n")
+        )
 
 
-def with_region(page: str, text: str, name: str, content: str | None, command: str, stamp: str) -> str:
+def with_region(
+    page: str, text: str, name: str, content: str | None, command: str, stamp: str
+) -> str:
     """Return the text of a page with another content of a region (None: the same), command and stamp. Raises `InputError`."""
     begin = re.search(rf"^<!-- begin {re.escape(name)}: .+ -->$", text, re.MULTILINE)
     end = text.find(f"\n{_end(name)}\n", begin.end()) if begin else -1
@@ -169,7 +182,9 @@ def put(page: str, name: str, content: str | None = None) -> None:
     pages = _pages()
     program = pages.writer(page, name)
     path = folder() / page
-    text = with_region(page, path.read_text(encoding="utf-8"), name, content, program.command, _stamp(program.name))
+    text = with_region(
+        page, path.read_text(encoding="utf-8"), name, content, program.command, _stamp(program.name)
+    )
     with whole_file(path, "w") as file:
         file.write(text)
 
@@ -204,7 +219,9 @@ def folder() -> Path:
 def _root() -> Path:
     found = checkout()
     if found is None:
-        raise InputError("docs/: pages and their pictures are written in a checkout of the project only")
+        raise InputError(
+            "docs/: pages and their pictures are written in a checkout of the project only"
+        )
     return found
 
 

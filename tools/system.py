@@ -25,7 +25,9 @@ def system_packages(*names: str) -> None:
     root = os.geteuid() == 0
     sudo = "sudo " if which("sudo") and not root else ""
     command = f"{sudo}apt-get update && {sudo}apt-get install -y {' '.join(names)}"
-    missing = MissingPackagesError(f"missing system packages; run{'' if root or sudo else ' as root'}: {command}")
+    missing = MissingPackagesError(
+        f"missing system packages; run{'' if root or sudo else ' as root'}: {command}"
+    )
     prefix = [] if root else ["sudo", "-n"]
     if not which("apt-get") or not (root or sudo) or _run(*prefix, "true").returncode:
         raise missing
@@ -34,7 +36,15 @@ def system_packages(*names: str) -> None:
     with open(__file__, encoding="utf-8") as lock:  # apt-get does not wait for its list lock
         fcntl.flock(lock, fcntl.LOCK_EX)
         _run(*apt, "update")  # its failure matters only if the packages then cannot be found
-        done = _run(*apt, "-o", "DPkg::Lock::Timeout=600", "install", "-y", "--no-install-recommends", *names)
+        done = _run(
+            *apt,
+            "-o",
+            "DPkg::Lock::Timeout=600",
+            "install",
+            "-y",
+            "--no-install-recommends",
+            *names,
+        )
     if done.returncode:
         print(done.stdout, file=sys.stderr)
         raise missing

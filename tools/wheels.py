@@ -56,7 +56,9 @@ def yosys_once(
         then(scratch)
 
     wheel_folder(YOSYS)
-    key = digest(version(YOSYS), *script, *state, *(part for item in sorted(files.items()) for part in item))
+    key = digest(
+        version(YOSYS), *script, *state, *(part for item in sorted(files.items()) for part in item)
+    )
     return build_once(folder.with_name(f"{folder.name}-{key}"), make)
 
 
@@ -79,9 +81,16 @@ def run_wheel(package: str, function: str, arguments: Sequence[str], folder: Pat
 
 def run_program(command: Sequence[str], folder: Path, name: str) -> str:
     """Run a command in `folder` and return its output. Raises `ToolchainError` with the end of the output if it fails."""
-    log = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
+    log = {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.STDOUT,
+        "text": True,
+        "errors": "replace",
+    }
     with program(command, cwd=folder, **log) as process:
         output: str = process.communicate()[0]
     if process.returncode:
-        raise ToolchainError("\n".join([f"{name} failed in {folder}", *output.splitlines()[-TAIL_LINES:]]))
+        raise ToolchainError(
+            "\n".join([f"{name} failed in {folder}", *output.splitlines()[-TAIL_LINES:]])
+        )
     return output

@@ -65,7 +65,9 @@ def configuration(cell, job) -> BlockConf:
 
 def core_size_um(cell, margin: float) -> tuple[float, float]:
     """Return width and height of a block: nearly square, an even number of rows, `margin` of free area, and the ring."""
-    length = sum(um(instance.getMasterCell().getAbutmentBox().getWidth()) for instance in cell.getInstances())
+    length = sum(
+        um(instance.getMasterCell().getAbutmentBox().getWidth()) for instance in cell.getInstances()
+    )
     rows = int((length * ROW_UM * (1 + margin)) ** 0.5 / ROW_UM + 0.999)
     rows += rows % 2
     sites = int(length * (1 + margin) / rows / SITE_UM + 1) + RING_ROWS * RING_SITES
@@ -93,7 +95,9 @@ def snap(cell) -> None:
     rows: dict[int, list[Any]] = {}
     for instance in cell.getInstances():
         box = instance.getAbutmentBox()
-        rows.setdefault(box.getYMin(), []).append((box.getXMin(), instance.getName(), box.getWidth(), instance))
+        rows.setdefault(box.getYMin(), []).append(
+            (box.getXMin(), instance.getName(), box.getWidth(), instance)
+        )
     with UpdateSession():
         for row in rows.values():
             row.sort(key=lambda item: item[:2])
@@ -109,7 +113,9 @@ def snap(cell) -> None:
                 at = new + width
                 if new != x:
                     old = instance.getTransformation()
-                    instance.setTransformation(Transformation(old.getTx() + new - x, old.getTy(), old.getOrientation()))
+                    instance.setTransformation(
+                        Transformation(old.getTx() + new - x, old.getTy(), old.getOrientation())
+                    )
 
 
 def record(cell) -> None:
@@ -138,5 +144,10 @@ def record(cell) -> None:
         for net in cell.getNets()
         if net.isExternal() and not net.isSupply()
     }
-    whole = {"width": um(box.getWidth()), "height": um(box.getHeight()), "cells": cells, "ports": ports}
+    whole = {
+        "width": um(box.getWidth()),
+        "height": um(box.getHeight()),
+        "cells": cells,
+        "ports": ports,
+    }
     Path(PLACED).write_text(json.dumps(whole), encoding="utf-8")

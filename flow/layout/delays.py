@@ -27,7 +27,10 @@ def shell(unit: Unit, routed: Collection[str], sdf: Path) -> str:
     """
     ports = [Port(CLOCK, 1, True), Port("rst", 1, True), *unit.ports()]
     kept = {name.replace("__", "_") for name in routed}
-    lines = ["`timescale 1ns/1ps", f"module {unit.unit_name} ({', '.join(escaped(port.name) for port in ports)});"]
+    lines = [
+        "`timescale 1ns/1ps",
+        f"module {unit.unit_name} ({', '.join(escaped(port.name) for port in ports)});",
+    ]
     pins = []
     for port in ports:
         name, bits = port.name, port.width
@@ -35,7 +38,10 @@ def shell(unit: Unit, routed: Collection[str], sdf: Path) -> str:
         inner = escaped(name)
         if port.is_input and name != CLOCK:
             inner = f"late_{name}"
-            lines += [f"  wire [{bits - 1}:0] {inner};", f"  assign #{INPUT_NS} {inner} = {escaped(name)};"]
+            lines += [
+                f"  wire [{bits - 1}:0] {inner};",
+                f"  assign #{INPUT_NS} {inner} = {escaped(name)};",
+            ]
         for bit in range(bits):
             pin = (f"{name}_{bit}" if bits > 1 else name).replace("__", "_")  # as Coriolis has it
             if pin in kept:
@@ -53,12 +59,16 @@ def scaled(sdf: str, factor: float) -> str:
     """Return an SDF text with every delay multiplied by a factor."""
     return re.sub(
         r"\(([-\d.]+):([-\d.]+):([-\d.]+)\)",
-        lambda found: "(" + ":".join(f"{factor * float(value):.4f}" for value in found.groups()) + ")",
+        lambda found: (
+            "(" + ":".join(f"{factor * float(value):.4f}" for value in found.groups()) + ")"
+        ),
         sdf,
     )
 
 
-def play_with_delays(sensor: Sensor, unit: Unit, layout: Path, factor: float, view: View) -> tuple[int, int]:
+def play_with_delays(
+    sensor: Sensor, unit: Unit, layout: Path, factor: float, view: View
+) -> tuple[int, int]:
     """Play random frames through a sensor with a routed block, whose delays are multiplied by `factor`.
 
     layout: the folder of the block's netlist and delays. Returns the number of checked words and commits, and the cycles.
@@ -70,7 +80,8 @@ def play_with_delays(sensor: Sensor, unit: Unit, layout: Path, factor: float, vi
     sdf.write_text(scaled((layout / SDF).read_text(encoding="utf-8"), factor), encoding="utf-8")
     ports = re.findall(r"^  (?:input|output) (\w+);", routed, re.MULTILINE)
     (folder / "routed.v").write_text(
-        f"`timescale 1ns/1ps\n{routed.replace(f'module {name} ', f'module {name}_routed ', 1)}", encoding="utf-8"
+        f"`timescale 1ns/1ps\n{routed.replace(f'module {name} ', f'module {name}_routed ', 1)}",
+        encoding="utf-8",
     )
     (folder / f"{name}.v").write_text(shell(unit, ports, sdf), encoding="utf-8")
     (folder / "cells.v").write_text(cell_models(), encoding="utf-8")

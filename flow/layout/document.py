@@ -48,7 +48,11 @@ def write_layout_page(out: Path | None = None, tell: Callable[[str], None] = pri
         with whole_file(images / PICTURE.format(unit.unit_name.removeprefix(PREFIX))) as file:
             routed.save(file, format="png", optimize=True)
     tables = dict(
-        zip(("rows", "rules", "slacks", "played"), (_rows(*pair) for pair in zip(*columns, strict=True)), strict=True)
+        zip(
+            ("rows", "rules", "slacks", "played"),
+            (_rows(*pair) for pair in zip(*columns, strict=True)),
+            strict=True,
+        )
     )
     text = PAGE.read_text(encoding="utf-8").format(
         gds=FINAL, clock=1000 / clock_mhz, factor=TOO_SLOW, input=INPUT_NS, **tables
@@ -66,7 +70,9 @@ def played_with_delays(unit: Unit, view: View, folder: Path, tell: Callable[[str
         play_with_delays(SMALL, unit, folder, TOO_SLOW, view)
     except Mismatch:
         return [("words and commits", str(checked)), ("cycles", str(cycles)), ("mismatches", "0")]
-    raise Mismatch(f"the sensor passes with delays {TOO_SLOW:g} times as long, so the delays have no effect")
+    raise Mismatch(
+        f"the sensor passes with delays {TOO_SLOW:g} times as long, so the delays have no effect"
+    )
 
 
 def _rows(first: Column, second: Column) -> str:
@@ -82,7 +88,10 @@ def facts(found: dict[str, Any], mapped_um2: float) -> Column:
         ("cells with the clock tree", str(found["cells"])),
         ("their area, um2", f"{found['cell_area_um2']:,.0f}"),
         ("buffers of the clock tree", str(found["buffers"])),
-        ("power of the clock tree, without the flip-flops' pins, mW", f"{found['clock_tree_mw']:.2f}"),
+        (
+            "power of the clock tree, without the flip-flops' pins, mW",
+            f"{found['clock_tree_mw']:.2f}",
+        ),
         ("block, um", f"{found['width_um']:.1f} x {found['height_um']:.1f}"),
         ("block, um2", f"{area:,.0f}"),
         ("share of the block that cells cover", f"{found['cell_area_um2'] / area:.0%}"),

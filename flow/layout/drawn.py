@@ -17,9 +17,19 @@ ROW_UM, SITE_UM = 1.4, 0.19
 FILLERS = ("FILLCELL_X32", "FILLCELL_X16", "FILLCELL_X8", "FILLCELL_X4", "FILLCELL_X1")
 OUTLINE, TEXT_OF_CELLS = 235, 63  # layers of the cells' GDS that are not masks
 ROUTED = range(2, 7)  # metals that the router uses; metal2 has the strips of the pins
-WIDTH_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}  # least widths of metals, and least distances
+WIDTH_UM = {
+    1: 0.065,
+    2: 0.07,
+    3: 0.07,
+    4: 0.14,
+    5: 0.14,
+    6: 0.14,
+}  # least widths of metals, and least distances
 CUT_SPACE_UM = {1: 0.08, 2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16}
-END_UM, ENDED_VIAS = 0.035, (1, 2, 3)  # metal must reach so far beyond the cut of these vias on two opposite sides
+END_UM, ENDED_VIAS = (
+    0.035,
+    (1, 2, 3),
+)  # metal must reach so far beyond the cut of these vias on two opposite sides
 COLOURS = {
     3: 0xC8B878,
     1: 0x2E8B57,
@@ -51,7 +61,12 @@ def box(left: float, bottom: float, right: float, top: float) -> db.Box:
 
 
 def draw(
-    routed: Path, cells_gds: Path, placed: Placed, strips: Strips, widths_um: Mapping[str, float], top: str
+    routed: Path,
+    cells_gds: Path,
+    placed: Placed,
+    strips: Strips,
+    widths_um: Mapping[str, float],
+    top: str,
 ) -> db.Layout:
     """Return the layout of a block: cells with the strips of their pins, fillers, routed wires, and a text at each port."""
     layout = db.Layout()
@@ -103,7 +118,11 @@ def _library(layout: db.Layout, gds: Path, strips: Strips) -> dict[str, db.Cell]
 
 
 def _put(whole: db.Cell, cell: db.Cell, x: float, y: float, flipped: bool) -> None:
-    where = db.Trans(db.Trans.M0, database(x), database(y + ROW_UM)) if flipped else db.Trans(database(x), database(y))
+    where = (
+        db.Trans(db.Trans.M0, database(x), database(y + ROW_UM))
+        if flipped
+        else db.Trans(database(x), database(y))
+    )
     whole.insert(db.CellInstArray(cell.cell_index(), where))
 
 
@@ -133,9 +152,13 @@ def _wires(layout: db.Layout, whole: db.Cell, routed: Path) -> None:
         if info.datatype == 0 and metal(1) <= info.layer <= metal(10):
             for shape in top.shapes(index).each():
                 if shape.is_box() or shape.is_polygon() or shape.is_path():
-                    whole.shapes(layout.layer(info.layer, 0)).insert(shape.polygon.transformed(scale))
+                    whole.shapes(layout.layer(info.layer, 0)).insert(
+                        shape.polygon.transformed(scale)
+                    )
     for shape in list(whole.shapes(layout.layer(metal(3) + 1, 0)).each()):
-        whole.shapes(layout.layer(metal(4), 0)).insert(shape.bbox().enlarged(database(HALF_WIRE_UM)))
+        whole.shapes(layout.layer(metal(4), 0)).insert(
+            shape.bbox().enlarged(database(HALF_WIRE_UM))
+        )
 
 
 def pin_places(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, float, float]]:
@@ -159,9 +182,13 @@ class Wires:
         numbers = range(metal(ROUTED[0]), metal(ROUTED[-1]) + 1)
         self._layers = {n: self._flat.layer(n, 0) for n in numbers}
         for n, layer in self._layers.items():
-            self._cell.shapes(layer).insert(db.Region(whole.begin_shapes_rec(layout.layer(n, 0))).merged())
+            self._cell.shapes(layer).insert(
+                db.Region(whole.begin_shapes_rec(layout.layer(n, 0))).merged()
+            )
         self._nets = db.LayoutToNetlist(db.RecursiveShapeIterator(self._flat, self._cell, []))
-        self._regions = {n: self._nets.make_layer(layer, f"layer{n}") for n, layer in self._layers.items()}
+        self._regions = {
+            n: self._nets.make_layer(layer, f"layer{n}") for n, layer in self._layers.items()
+        }
         for n, region in self._regions.items():
             self._nets.connect(region)
             if n % 2 == 0:
@@ -172,7 +199,9 @@ class Wires:
     def part(self, layer: int, x: float, y: float) -> int | None:
         """Return the number of the connected part with metal at a place, or None."""
         at = db.Point(round(x), round(y))
-        if self._cell.begin_shapes_rec_overlapping(self._layers[layer], db.Box(at, at).enlarged(1)).at_end():
+        if self._cell.begin_shapes_rec_overlapping(
+            self._layers[layer], db.Box(at, at).enlarged(1)
+        ).at_end():
             return None
         found = self._nets.probe_net(self._regions[layer], at)
         return found.cluster_id if found else None
@@ -235,14 +264,19 @@ def _thin_cuts(layout: db.Layout, top: str, wires: Wires) -> int:
         shapes = layout.cell(top).shapes(layout.layer(metal(i) + 1, 0))
         for edges in db.Region(shapes).space_check(database(CUT_SPACE_UM[i])).each():
             ends = [edges.first.bbox().center(), edges.second.bbox().center()]
-            near = [[shape for shape in shapes.each() if shape.bbox().enlarged(1).contains(end)] for end in ends]
+            near = [
+                [shape for shape in shapes.each() if shape.bbox().enlarged(1).contains(end)]
+                for end in ends
+            ]
             if not all(near):
                 continue  # one via was just replaced
             boxes = [found[0].bbox() for found in near]
             nets = {wires.part(metal(i) + 1, one.center().x, one.center().y) for one in boxes}
             if len(nets) == 1 and None not in nets:
                 for level in (i, i + 1):
-                    layout.cell(top).shapes(layout.layer(metal(level), 0)).insert(boxes[0] + boxes[1])
+                    layout.cell(top).shapes(layout.layer(metal(level), 0)).insert(
+                        boxes[0] + boxes[1]
+                    )
                 for shape in near[1]:
                     shapes.erase(shape)
                 gone += 1
@@ -264,9 +298,16 @@ def check_rules(layout: db.Layout, top: str) -> list[tuple[str, int]]:
     for i in CUT_SPACE_UM:
         cuts, below, above = region(metal(i) + 1), region(metal(i)), region(metal(i + 1))
         found.append((f"via{i}: distance", cuts.space_check(database(CUT_SPACE_UM[i])).count()))
-        found.append((f"via{i}: covered by both metals", (cuts - below).count() + (cuts - above).count()))
+        found.append(
+            (f"via{i}: covered by both metals", (cuts - below).count() + (cuts - above).count())
+        )
         if i in ENDED_VIAS:
-            found.append((f"via{i}: metal beyond it on two sides", sum(_ends(cuts, wires) for wires in (below, above))))
+            found.append(
+                (
+                    f"via{i}: metal beyond it on two sides",
+                    sum(_ends(cuts, wires) for wires in (below, above)),
+                )
+            )
     return found
 
 
@@ -285,7 +326,11 @@ def draw_picture(gds: Path, png: Path) -> None:
     view = lay.LayoutView()
     view.load_layout(str(gds), True)
     view.max_hier()
-    for name, value in (("background-color", "#ffffff"), ("grid-visible", "false"), ("text-visible", "false")):
+    for name, value in (
+        ("background-color", "#ffffff"),
+        ("grid-visible", "false"),
+        ("text-visible", "false"),
+    ):
         view.set_config(name, value)
     layers = view.begin_layers()
     while not layers.at_end():
@@ -294,7 +339,9 @@ def draw_picture(gds: Path, png: Path) -> None:
         layer.visible = colour is not None
         if colour is not None:
             layer.fill_color = layer.frame_color = colour
-            layer.dither_pattern = 5 if layer.source_layer < metal(1) else 9 if layer.source_layer % 4 == 1 else 4
+            layer.dither_pattern = (
+                5 if layer.source_layer < metal(1) else 9 if layer.source_layer % 4 == 1 else 4
+            )
             layer.width, layer.transparent = 1, True
         layers.next()
     view.zoom_fit()

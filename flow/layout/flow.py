@@ -34,7 +34,13 @@ from .tools import layout_cells
 LEFS, GDS = ("rtk-tech.lef", "stdcells.lef"), "stdcells.gds"  # of `cells_folder`
 BLIF = "mapped.blif"
 VERILOG, SPEF, SDF, FINAL = "routed.v", "routed.spef", "routed.sdf", "routed.gds"
-PLACED, STRIPS, JOB, LOG, FACTS = "placed.json", "strips.json", "job.json", "coriolis.log", "facts.json"
+PLACED, STRIPS, JOB, LOG, FACTS = (
+    "placed.json",
+    "strips.json",
+    "job.json",
+    "coriolis.log",
+    "facts.json",
+)
 LIMIT_S = 300  # time limit of an attempt
 NOT_ROUTED = 3  # exit code of `place_route.py`
 CLOCK = "clk"
@@ -78,7 +84,9 @@ def lay_out(
 
     def make(folder: Path) -> None:
         route(top, cells, folder, tell)
-        (folder / FACTS).write_text(json.dumps(finish(top, cells, clock_mhz, folder), indent=1), encoding="utf-8")
+        (folder / FACTS).write_text(
+            json.dumps(finish(top, cells, clock_mhz, folder), indent=1), encoding="utf-8"
+        )
 
     script = [
         f"read_verilog -sv {' '.join(files)}",
@@ -94,23 +102,47 @@ def lay_out(
         "rename -enumerate -pattern u% */c:*",
         f"write_blif -buf BUF_X1 A Z {BLIF}",
     ]
-    code = (path for path in sorted(Path(__file__).parent.iterdir()) if path.suffix in (".py", ".toml"))
-    state = [str(clock_mhz), *(path.read_text(encoding="utf-8") for path in code if path.stem not in BEHIND)]
-    folder = yosys_once(build_root() / "layout" / top, {**files, **library_files()}, script, state, make)
+    code = (
+        path for path in sorted(Path(__file__).parent.iterdir()) if path.suffix in (".py", ".toml")
+    )
+    state = [
+        str(clock_mhz),
+        *(path.read_text(encoding="utf-8") for path in code if path.stem not in BEHIND),
+    ]
+    folder = yosys_once(
+        build_root() / "layout" / top, {**files, **library_files()}, script, state, make
+    )
     return folder, json.loads((folder / FACTS).read_text(encoding="utf-8"))
 
 
 def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> None:
     """Place and route the BLIF file of `folder`. Raises `ToolchainError` if no attempt succeeds."""
-    used = set(re.findall(r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(encoding="utf-8"), re.MULTILINE))
-    used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}  # for the clock tree, nets with many pins, and constants
+    used = set(
+        re.findall(
+            r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(encoding="utf-8"), re.MULTILINE
+        )
+    )
+    used |= {
+        "BUF_X4",
+        "BUF_X1",
+        "LOGIC0_X1",
+        "LOGIC1_X1",
+    }  # for the clock tree, nets with many pins, and constants
     places = strips(cells / LEFS[1], used)
-    flat = {cell: {pin: astuple(strip) for pin, strip in pins.items()} for cell, pins in places.items()}
+    flat = {
+        cell: {pin: astuple(strip) for pin, strip in pins.items()} for cell, pins in places.items()
+    }
     (folder / STRIPS).write_text(json.dumps(flat), encoding="utf-8")
-    files = {"blif": BLIF.removesuffix(".blif"), "lef": [str(cells / lef) for lef in LEFS], "strips": STRIPS}
+    files = {
+        "blif": BLIF.removesuffix(".blif"),
+        "lef": [str(cells / lef) for lef in LEFS],
+        "strips": STRIPS,
+    }
     for attempt in ATTEMPTS:
         tell(f"{top}: placing and routing, {attempt.margin:.0%} of the area free")
-        (folder / JOB).write_text(json.dumps(files | {"clock": CLOCK} | asdict(attempt)), encoding="utf-8")
+        (folder / JOB).write_text(
+            json.dumps(files | {"clock": CLOCK} | asdict(attempt)), encoding="utf-8"
+        )
         if run_coriolis(folder):
             return
     raise failed(f"{top}: {len(ATTEMPTS)} attempts did not route every net", folder)
@@ -123,7 +155,13 @@ def run_coriolis(folder: Path) -> bool:
     with (folder / LOG).open("a", encoding="utf-8") as log:
         try:
             code = subprocess.run(
-                command, cwd=folder, stdout=log, stderr=log, timeout=LIMIT_S, check=False, env=environment
+                command,
+                cwd=folder,
+                stdout=log,
+                stderr=log,
+                timeout=LIMIT_S,
+                check=False,
+                env=environment,
             ).returncode
         except subprocess.TimeoutExpired:
             return False
@@ -143,15 +181,24 @@ def finish(top: str, cells: Path, clock_mhz: float, folder: Path) -> dict[str, A
     Slacks are of paths between registers. sinks: number of inputs that the wires reach. rules: (rule, violations).
     """
     placed: Placed = json.loads((folder / PLACED).read_text(encoding="utf-8"))
-    stored, widths_um = json.loads((folder / STRIPS).read_text(encoding="utf-8")), cell_widths_um(cells / LEFS[1])
-    places = {cell: {pin: Strip(*values) for pin, values in pins.items()} for cell, pins in stored.items()}
+    stored, widths_um = (
+        json.loads((folder / STRIPS).read_text(encoding="utf-8")),
+        cell_widths_um(cells / LEFS[1]),
+    )
+    places = {
+        cell: {pin: Strip(*values) for pin, values in pins.items()} for cell, pins in stored.items()
+    }
     layout = drawn.draw(folder / f"{top}.gds", cells / GDS, placed, places, widths_um, top)
     nets, opens, shorts, off = drawn.connect(layout, top, placed, places)
     if opens or shorts or off:
-        raise ToolchainError(f"{top}: open nets {opens[:5]}, shorts {shorts[:5]}, pins without metal of {off[:5]}")
+        raise ToolchainError(
+            f"{top}: open nets {opens[:5]}, shorts {shorts[:5]}, pins without metal of {off[:5]}"
+        )
     layout.write(str(folder / FINAL))
     drawn.draw_picture(folder / FINAL, folder / f"{top}.png")
-    wired = wires.wired(top, placed, places, wires.lengths_um(folder / f"{top}_export.def"), cells / LEFS[0])
+    wired = wires.wired(
+        top, placed, places, wires.lengths_um(folder / f"{top}_export.def"), cells / LEFS[0]
+    )
     (folder / SPEF).write_text(wired.spef, encoding="utf-8")
     (folder / VERILOG).write_text(wires.netlist(top, placed), encoding="utf-8")
     slack_ns, hold_ns = time_wires(top, clock_mhz, folder)
@@ -166,7 +213,9 @@ def finish(top: str, cells: Path, clock_mhz: float, folder: Path) -> dict[str, A
         "nets": nets,
         "slack_ns": slack_ns,
         "hold_ns": hold_ns,
-        "clock_tree_mw": wires.clock_tree_mw(placed, wired, library, supply_v(folder / LIBERTY), clock_mhz),
+        "clock_tree_mw": wires.clock_tree_mw(
+            placed, wired, library, supply_v(folder / LIBERTY), clock_mhz
+        ),
         "wire_um": wired.length_um,
         "wire_ff": sum(wired.farads.values()),
         "sinks": wired.sinks,
@@ -195,5 +244,7 @@ write_sdf {SDF}
         raise ToolchainError(f"sta: no timing of {top}: {report[-500:]}")
     sdf = (folder / SDF).read_text(encoding="utf-8")
     # Icarus ignores a triplet with an empty middle. There is one corner, so all three values are the same.
-    (folder / SDF).write_text(re.sub(r"\(([-\d.]+)::([-\d.]+)\)", r"(\1:\2:\2)", sdf), encoding="utf-8")
+    (folder / SDF).write_text(
+        re.sub(r"\(([-\d.]+)::([-\d.]+)\)", r"(\1:\2:\2)", sdf), encoding="utf-8"
+    )
     return min(slacks.values()), min(map(float, holds))

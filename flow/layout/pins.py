@@ -60,7 +60,9 @@ def pin_metal(lef: Path) -> dict[str, dict[str, db.Region]]:
     cells: dict[str, dict[str, db.Region]] = {}
     for cell in layout.each_cell():
         pins = cells.setdefault(cell.name, {})
-        for shape in (shape for index in layout.layer_indexes() for shape in cell.shapes(index).each()):
+        for shape in (
+            shape for index in layout.layer_indexes() for shape in cell.shapes(index).each()
+        ):
             pin = shape.property("pin")
             if pin and pin not in SUPPLIES:
                 pins.setdefault(pin, db.Region()).insert(shape.polygon)
@@ -69,13 +71,21 @@ def pin_metal(lef: Path) -> dict[str, dict[str, db.Region]]:
 
 def cell_widths_um(lef: Path) -> dict[str, float]:
     """Return cell -> width from a LEF file."""
-    found = re.findall(r"^MACRO (\w+).*?SIZE ([\d.]+) BY", lef.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    found = re.findall(
+        r"^MACRO (\w+).*?SIZE ([\d.]+) BY",
+        lef.read_text(encoding="utf-8"),
+        re.MULTILINE | re.DOTALL,
+    )
     return {name: float(width) for name, width in found}
 
 
 def strips(lef: Path, cells: Collection[str]) -> dict[str, dict[str, Strip]]:
     """Return cell -> pin -> strip, for some cells of a LEF file."""
-    return {cell: _cell_strips(pins) for cell, pins in sorted(pin_metal(lef).items()) if pins and cell in cells}
+    return {
+        cell: _cell_strips(pins)
+        for cell, pins in sorted(pin_metal(lef).items())
+        if pins and cell in cells
+    }
 
 
 def _cell_strips(pins: dict[str, db.Region]) -> dict[str, Strip]:
@@ -104,7 +114,11 @@ def _places(metal: db.Region) -> list[Place]:
             if high - low >= 2 * HALF:
                 middle = (low + high) // 20 * 10
                 heights = range(-(-(low + HALF) // STEP) * STEP, high - HALF + 1, STEP)
-                y = min((y for y in heights if _fits(metal, x, y)), key=lambda y: abs(y - middle), default=None)
+                y = min(
+                    (y for y in heights if _fits(metal, x, y)),
+                    key=lambda y: abs(y - middle),
+                    default=None,
+                )
                 found.append((high - low, Place(x, middle if y is None else y, y is not None)))
     found.sort(key=lambda item: (not item[1].fits, -item[0], item[1].x))
     if not found:
@@ -115,7 +129,9 @@ def _places(metal: db.Region) -> list[Place]:
 def _fits(metal: db.Region, x: int, y: int) -> bool:
     """Return whether metal reaches beyond a via on two opposite sides."""
     pads = (PAD_HALF, HALF), (HALF, PAD_HALF)
-    return any((db.Region(db.Box(x - dx, y - dy, x + dx, y + dy)) - metal).is_empty() for dx, dy in pads)
+    return any(
+        (db.Region(db.Box(x - dx, y - dy, x + dx, y + dy)) - metal).is_empty() for dx, dy in pads
+    )
 
 
 def _joined(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -14,7 +14,16 @@ from coriolis.CRL import AllianceFramework, CellGauge, LefImport, RoutingGauge, 
 from coriolis.helpers import u
 from coriolis.helpers.overlay import CfgCache, UpdateSession
 from coriolis.helpers.technology import createBL, createVia, setEnclosures
-from coriolis.Hurricane import BasicLayer, Box, DataBase, DbU, Library, NetExternalComponents, Technology, Vertical
+from coriolis.Hurricane import (
+    BasicLayer,
+    Box,
+    DataBase,
+    DbU,
+    Library,
+    NetExternalComponents,
+    Technology,
+    Vertical,
+)
 
 SITE_UM, ROW_UM = 0.19, 1.4
 SITE_NAME = "LEF.FreePDK45_38x28_10R_NP_162NW_34O"
@@ -64,14 +73,26 @@ def _technology() -> None:
         layer = GDS_METAL1 + 2 * (i - 1)
         width = WIDTH_UM[i]
         metals[i] = createBL(
-            tech, f"metal{i}", material.metal, size=u(width), spacing=u(max(width, 0.065)), gds2Layer=layer
+            tech,
+            f"metal{i}",
+            material.metal,
+            size=u(width),
+            spacing=u(max(width, 0.065)),
+            gds2Layer=layer,
         )
         if i < METALS[-1]:
             createBL(
-                tech, f"via{i}", material.cut, size=u(WIDTH_UM[i]), spacing=u(CUT_SPACE_UM[i]), gds2Layer=layer + 1
+                tech,
+                f"via{i}",
+                material.cut,
+                size=u(WIDTH_UM[i]),
+                spacing=u(CUT_SPACE_UM[i]),
+                gds2Layer=layer + 1,
             )
     for i in METALS:
-        metals[i].setBlockageLayer(createBL(tech, f"metal{i}.block", material.blockage, gds2Layer=100 + i))
+        metals[i].setBlockageLayer(
+            createBL(tech, f"metal{i}.block", material.blockage, gds2Layer=100 + i)
+        )
     for i in METALS[:-1]:
         _via(tech, metals, i)
     createBL(tech, "OVERLAP", material.other, gds2Layer=235)
@@ -141,7 +162,9 @@ def _set(section: Any, values: dict[str, Any]) -> None:
             setattr(section, name, value)
 
 
-def _cells(lef: list[Path], strips: dict[str, dict[str, list[float]]], um2_per_pin: float) -> Library:
+def _cells(
+    lef: list[Path], strips: dict[str, dict[str, list[float]]], um2_per_pin: float
+) -> Library:
     framework = AllianceFramework.get()
     library = Library.create(DataBase.getDB().getRootLibrary(), "Nangate45")
     LefImport.load(str(lef[0]))
@@ -164,7 +187,9 @@ def _replace_pin(net, metal2, x: float, low: float, high: float) -> None:
     """Replace the shapes of a pin by its strip, so that the router sees only the strip."""
     for shape in list(net.getComponents()):
         shape.destroy()
-    NetExternalComponents.setExternal(Vertical.create(net, metal2, u(x), u(WIDTH_UM[2]), u(low), u(high)))
+    NetExternalComponents.setExternal(
+        Vertical.create(net, metal2, u(x), u(WIDTH_UM[2]), u(low), u(high))
+    )
 
 
 def _widen(cell, um2_per_pin: float) -> None:

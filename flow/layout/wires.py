@@ -28,7 +28,9 @@ def metals(lef: Path) -> dict[int, tuple[float, float]]:
     """Return routing layer -> (capacitance in fF per um, ohm per um) of a wire of least width, from a LEF file."""
     found = {}
     for number, body in re.findall(
-        r"^LAYER metal(\d+)\n(.*?)^END metal\d+", lef.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+        r"^LAYER metal(\d+)\n(.*?)^END metal\d+",
+        lef.read_text(encoding="utf-8"),
+        re.MULTILINE | re.DOTALL,
     ):
         value = {name: float(number) for name, number in re.findall(r"(\w+) ([\d.eE+-]+) ;", body)}
         width = value["WIDTH"]
@@ -45,7 +47,9 @@ def lengths_um(routed: Path) -> Lengths:
     if units is None or not nets:
         raise ValueError(f"{routed.name}: no units, or no nets")
     lengths: Lengths = {}
-    for net in (net for _, part in nets for net in re.split(r"^\s*- ", part, flags=re.MULTILINE)[1:]):
+    for net in (
+        net for _, part in nets for net in re.split(r"^\s*- ", part, flags=re.MULTILINE)[1:]
+    ):
         on = lengths.setdefault(net.split()[0], defaultdict(float))
         for level, points in re.findall(r"(?:ROUTED|NEW)\s+metal(\d+)\s([^;]*?)(?=NEW|;|\Z)", net):
             on[int(level)] += _way(re.findall(r"\( (\S+) (\S+)[^)]*\)", points)) / int(units[1])
@@ -123,7 +127,11 @@ def _net(
         lines.append(f"*I {root} O")
     lines += [f"*I {end} I" for end in ends]
     nodes = [root, *ends, *([net] if port and driver else [])]
-    lines += ["*CAP", *(f"{k} {node} {farads / len(nodes):.5f}" for k, node in enumerate(nodes, 1)), "*RES"]
+    lines += [
+        "*CAP",
+        *(f"{k} {node} {farads / len(nodes):.5f}" for k, node in enumerate(nodes, 1)),
+        "*RES",
+    ]
     for k, node in enumerate(nodes[1:], 1):
         far = 1.0
         if driver and node in ends:
@@ -132,12 +140,16 @@ def _net(
     return [*lines, "*END", ""]
 
 
-def clock_tree_mw(placed: Placed, wires: Wired, cells: Mapping[str, Cell], supply_v: float, clock_mhz: float) -> float:
+def clock_tree_mw(
+    placed: Placed, wires: Wired, cells: Mapping[str, Cell], supply_v: float, clock_mhz: float
+) -> float:
     """Return the power of the buffers and wires of the clock tree, without the pins of flip-flops and latches.
 
     Every net of the tree changes twice per cycle. cells: from `liberty.read_cells`.
     """
-    tree = [one for one in placed["cells"] if one["kind"] == CLOCK_BUFFER]  # nothing else in a placed block has it
+    tree = [
+        one for one in placed["cells"] if one["kind"] == CLOCK_BUFFER
+    ]  # nothing else in a placed block has it
     loads = {one["nets"]["A"]: 0.0 for one in tree} | {one["nets"]["Z"]: 0.0 for one in tree}
     pins = dict.fromkeys(loads, 0.0)
     for one in placed["cells"]:
@@ -159,7 +171,10 @@ def netlist(top: str, placed: Placed) -> str:
     ports: Mapping[str, str] = placed["ports"]
     cells = [one for one in placed["cells"] if not one["kind"].startswith("FILL")]
     nets = sorted({net for one in cells for net in one["nets"].values()} - set(ports))
-    lines = [f"module {top} ({', '.join(ports)});", *(f"  {way} {name};" for name, way in ports.items())]
+    lines = [
+        f"module {top} ({', '.join(ports)});",
+        *(f"  {way} {name};" for name, way in ports.items()),
+    ]
     lines += [f"  wire {net};" for net in nets]
     lines += [
         f"  {one['kind']} {one['name']} ({', '.join(f'.{pin}({net})' for pin, net in one['nets'].items())});"

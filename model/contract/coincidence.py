@@ -55,7 +55,9 @@ class Rule:
     def check_circuit(self) -> None:
         """Raise `InputError` if the rule has no circuit."""
         if type(self).circuit is Rule.circuit:
-            message = f"sensor.rule = {self.name!r}: has no circuit, so only the engine golden plays it"
+            message = (
+                f"sensor.rule = {self.name!r}: has no circuit, so only the engine golden plays it"
+            )
             raise InputError(message, field="sensor.rule")
 
     def judged(self, maps: np.ndarray, threshold: int) -> np.ndarray:
@@ -101,7 +103,8 @@ def check_rule(rule: object) -> Rule:
     """Return a rule. Raises `InputError`."""
     if not isinstance(rule, Rule):
         raise InputError(
-            f"sensor.rule = {rule!r}: must be a Rule of model/contract/coincidence.py", field="sensor.rule"
+            f"sensor.rule = {rule!r}: must be a Rule of model/contract/coincidence.py",
+            field="sensor.rule",
         )
     check_part("sensor.rule", rule)
     return rule
@@ -127,7 +130,9 @@ def rises(rule: Rule, shape: tuple[int, int], threshold: int) -> tuple[Rise, ...
         return (Rise(threshold, 1.0),)
     pixels = shape[0] * shape[1]
     random = np.random.default_rng(SAMPLING_SEED)
-    place = random.permuted(np.tile(np.arange(pixels), (SAMPLES, 1)), axis=1)  # the order in which pixels are hit
+    place = random.permuted(
+        np.tile(np.arange(pixels), (SAMPLES, 1)), axis=1
+    )  # the order in which pixels are hit
     found = []
     before = 0.0
     for count in range(max(1, rule.least(threshold)), pixels + 1):

@@ -52,12 +52,14 @@ class Config(SubgroupSettings):
         guard, period = self.sensor.guard, self.period
         if period <= guard:
             raise out_of_range(
-                "frame.period", period, guard + 1, self.sensor.period_max, f"above the guard of {guard} cycles"
+                "frame.period",
+                period,
+                guard + 1,
+                self.sensor.period_max,
+                f"above the guard of {guard} cycles",
             )
         if self.format not in (built := built_formats(self.sensor)):
-            legal = (
-                f"one of {', '.join(built)}, because the sensor is built without coarse offsets (sensor.offsets = 0)"
-            )
+            legal = f"one of {', '.join(built)}, because the sensor is built without coarse offsets (sensor.offsets = 0)"
             raise wrong_value("frame.format", self.format, legal)
         for name, setting in (FRAME | SUBGROUP).items():
             value = getattr(self.frame if name in FRAME else self, name)
@@ -71,12 +73,15 @@ class Config(SubgroupSettings):
         check_link(self.frame.link_gbps, self.clock_mhz)
         if np.any(np.diff(self.auto_bounds) < 0):
             raise InputError(
-                f"frame.auto_bounds = {self.auto_bounds.tolist()}: must not descend", field="frame.auto_bounds"
+                f"frame.auto_bounds = {self.auto_bounds.tolist()}: must not descend",
+                field="frame.auto_bounds",
             )
         late = np.flatnonzero(self.gating & (self.gate_start >= period))
         if len(late):
             where = f"subgroup {late[0]}: gating is on and the period has {period} cycles"
-            raise out_of_range("subgroup.gate_start", int(self.gate_start[late[0]]), 0, period - 1, where)
+            raise out_of_range(
+                "subgroup.gate_start", int(self.gate_start[late[0]]), 0, period - 1, where
+            )
 
     @property
     def frames(self) -> int:
@@ -117,13 +122,18 @@ class Config(SubgroupSettings):
         """Raise `InputError` if the events of the format have no map, which depth needs."""
         if self.format not in WITH_MAP:
             legal = " or ".join(WITH_MAP)
-            raise wrong_value("frame.format", self.format, f"{legal}, because depth needs the ID map")
+            raise wrong_value(
+                "frame.format", self.format, f"{legal}, because depth needs the ID map"
+            )
 
     @property
     def auto_bounds(self) -> np.ndarray:
         """int64[6]: the controller's bounds, ascending; by default, those for noise in the longest window."""
         bounds = self.frame.auto_bounds or noise_bounds(
-            self.sensor, window_ticks=int(self.window.max()), period_cycles=self.period, pulses=self.pulses
+            self.sensor,
+            window_ticks=int(self.window.max()),
+            period_cycles=self.period,
+            pulses=self.pulses,
         )
         return np.array(bounds, np.int64)
 
@@ -131,7 +141,11 @@ class Config(SubgroupSettings):
     def capacity(self) -> int:
         """Events that a stream carries in a frame; by default, as many as its link takes."""
         given: int | None = self.frame.capacity
-        return self.capacity_of(int(self.pulses * self.period * self.link_share)) if given is None else given
+        return (
+            self.capacity_of(int(self.pulses * self.period * self.link_share))
+            if given is None
+            else given
+        )
 
     def capacity_of(self, beats: int) -> int:
         """Return the number of events that `beats` of a stream carry in a frame.
@@ -140,17 +154,27 @@ class Config(SubgroupSettings):
         """
         parts, packet = layout(self.sensor), FORMATS[self.format]
         if self.frame.minigroup_records:
-            subgroups = max(len(self.sensor.stream_subgroups(stream)) for stream in range(self.sensor.streams))
+            subgroups = max(
+                len(self.sensor.stream_subgroups(stream)) for stream in range(self.sensor.streams)
+            )
             beats -= self.pulses * subgroups * parts.length(RECORD)
         if packet.grouped:
             bits = group_widths(self.sensor).listed_bits(packet, self.period_ticks, LARGE_PIXELS)
-            return min(max(0, beats) * PAYLOAD_BITS // bits, self.pulses * self.period // parts.length(packet))
+            return min(
+                max(0, beats) * PAYLOAD_BITS // bits,
+                self.pulses * self.period // parts.length(packet),
+            )
         return max(0, beats) // parts.length(packet)
 
     @property
     def shares(self) -> np.ndarray:
         """int64[streams]: share of each subgroup in the capacity of its stream, in events."""
-        return np.array([self.capacity // len(self.sensor.stream_subgroups(k)) for k in range(self.sensor.streams)])
+        return np.array(
+            [
+                self.capacity // len(self.sensor.stream_subgroups(k))
+                for k in range(self.sensor.streams)
+            ]
+        )
 
     @property
     def controlled(self) -> np.ndarray:
@@ -159,7 +183,9 @@ class Config(SubgroupSettings):
 
     def start_cycles(self) -> np.ndarray:
         """int64[pulses + 1]: cycle at which each period of a frame begins, starting at 0; the last element ends the frame."""
-        starts = start_cycles(self.pulses, self.period, self.frame.dither_bits, self.frame.dither_seed)
+        starts = start_cycles(
+            self.pulses, self.period, self.frame.dither_bits, self.frame.dither_seed
+        )
         starts[-1] = starts[-2] + self.period
         return starts
 
@@ -209,8 +235,14 @@ class Config(SubgroupSettings):
         """
         document = self.written()
         document["sensor"] |= _known("sensor", parameters, SENSOR)
-        own = {name: document["subgroup"].pop(name) for name, one in SUBGROUP.items() if self._differs(name)}
-        changed = _blaming(_keys("sensor", parameters), lambda: parse_config(document).with_settings(**own))
+        own = {
+            name: document["subgroup"].pop(name)
+            for name, one in SUBGROUP.items()
+            if self._differs(name)
+        }
+        changed = _blaming(
+            _keys("sensor", parameters), lambda: parse_config(document).with_settings(**own)
+        )
         return changed.with_rule(self.sensor.rule)
 
     def with_rule(self, rule: Rule) -> "Config":
@@ -243,7 +275,10 @@ class Config(SubgroupSettings):
         """
         columns: dict[str, Any] = {}
         for name, value in _known("subgroup", settings, SUBGROUP).items():
-            setting, many = SUBGROUP[name], isinstance(value, list | tuple | np.ndarray) and np.ndim(value) > 0
+            setting, many = (
+                SUBGROUP[name],
+                isinstance(value, list | tuple | np.ndarray) and np.ndim(value) > 0,
+            )
             if not many:
                 columns[name] = _column(setting, value, self.sensor)
             elif len(value) != self.sensor.subgroups:
@@ -252,7 +287,10 @@ class Config(SubgroupSettings):
                     field=setting.key,
                 )
             else:
-                values = [setting.checked(f"{setting.key}[{s}]", one, self.sensor) for s, one in enumerate(value)]
+                values = [
+                    setting.checked(f"{setting.key}[{s}]", one, self.sensor)
+                    for s, one in enumerate(value)
+                ]
                 columns[name] = np.array(values)
         return evolve(self, **columns, given=self.given | _keys("subgroup", settings))
 
@@ -274,17 +312,35 @@ class Config(SubgroupSettings):
             value: Any = derived[name] if name in derived else getattr(self.frame, name)
             if setting.offset is not None and setting.words(self.sensor):
                 words = np.atleast_1d(setting.choices.index(value) if setting.choices else value)
-                writes += [(registers.address(name, index=i), int(word)) for i, word in enumerate(words)]
+                writes += [
+                    (registers.address(name, index=i), int(word)) for i, word in enumerate(words)
+                ]
         if self.sensor.controller:
-            writes += [(registers.address("share", index=k), int(share)) for k, share in enumerate(self.shares)]
-        mode = sum(getattr(self, name).astype(np.int64) << switch.bit for name, switch in SWITCHES.items())
-        numbers = [name for name, of in SUBGROUP.items() if of.offset is not None and of.kind is not Kind.MASK]
+            writes += [
+                (registers.address("share", index=k), int(share))
+                for k, share in enumerate(self.shares)
+            ]
+        mode = sum(
+            getattr(self, name).astype(np.int64) << switch.bit for name, switch in SWITCHES.items()
+        )
+        numbers = [
+            name
+            for name, of in SUBGROUP.items()
+            if of.offset is not None and of.kind is not Kind.MASK
+        ]
         for s in range(self.sensor.subgroups):
             writes.append((registers.address(MODE.name, s), int(mode[s])))
-            writes += [(registers.address(name, s), int(getattr(self, name)[s])) for name in numbers]
+            writes += [
+                (registers.address(name, s), int(getattr(self, name)[s])) for name in numbers
+            ]
             bits = sum(1 << int(i) for i in np.flatnonzero(self.mask[s]))
             for w in range(self.sensor.mask_words):
-                writes.append((registers.address("mask", s, w), bits >> MASK_BITS * w & ((1 << MASK_BITS) - 1)))
+                writes.append(
+                    (
+                        registers.address("mask", s, w),
+                        bits >> MASK_BITS * w & ((1 << MASK_BITS) - 1),
+                    )
+                )
         return writes
 
 
@@ -363,7 +419,9 @@ def read_toml(path: FilePath) -> dict[str, Any]:
 def toml_text(document: Mapping[str, Mapping[str, object]]) -> str:
     """Return tables of numbers, texts, switches and lists of them as a TOML document, without the empty tables."""
     tables = [
-        "".join([f"[{name}]\n", *(f"{key} = {json.dumps(value)}\n" for key, value in values.items())])
+        "".join(
+            [f"[{name}]\n", *(f"{key} = {json.dumps(value)}\n" for key, value in values.items())]
+        )
         for name, values in document.items()
         if values
     ]
@@ -378,15 +436,22 @@ def parse_config(document: dict[str, Any]) -> Config:
     tables = {"sensor": dict, "frame": dict, "subgroup": dict, "override": list}
     for name, value in document.items():
         if name not in tables:
-            raise InputError(f"[{name}]: unknown table, must be one of {', '.join(tables)}", field=f"[{name}]")
+            raise InputError(
+                f"[{name}]: unknown table, must be one of {', '.join(tables)}", field=f"[{name}]"
+            )
         if not isinstance(value, tables[name]):
             form = "[[override]]" if name == "override" else f"[{name}]"
             raise InputError(f"{name}: must be written as {form}", field=name)
-    written = {table: _known(table, document.get(table, {}), settings) for table, settings in TABLES.items()}
+    written = {
+        table: _known(table, document.get(table, {}), settings)
+        for table, settings in TABLES.items()
+    }
     sensor = Sensor(**written["sensor"])
     frame = evolve(frame_defaults(sensor), **_frame(written["frame"], sensor))
     columns = {
-        name: _column(setting, written["subgroup"].get(name, setting.default_of(sensor, frame)), sensor)
+        name: _column(
+            setting, written["subgroup"].get(name, setting.default_of(sensor, frame)), sensor
+        )
         for name, setting in SUBGROUP.items()
     }
     given = frozenset().union(*(_keys(table, keys) for table, keys in written.items()))
@@ -398,7 +463,13 @@ def parse_config(document: dict[str, Any]) -> Config:
         chosen = values.pop("subgroups", None)
         if not isinstance(chosen, list):
             last = sensor.subgroups - 1
-            raise wrong_value(f"{where}.subgroups", chosen, f"a list of integers from 0 to {last}", low=0, high=last)
+            raise wrong_value(
+                f"{where}.subgroups",
+                chosen,
+                f"a list of integers from 0 to {last}",
+                low=0,
+                high=last,
+            )
         for s in chosen:
             check_integer(f"{where}.subgroups", s, 0, sensor.subgroups - 1)
         for name, value in values.items():
@@ -422,12 +493,17 @@ def _keys(table: str, names: Collection[str]) -> frozenset[str]:
 def _frame(given: dict[str, Any], sensor: Sensor) -> dict[str, Any]:
     """Return the checked values of some keys of [frame]."""
     settings = {FRAME[name]: value for name, value in _known("frame", given, FRAME).items()}
-    return {setting.name: setting.checked(setting.key, value, sensor) for setting, value in settings.items()}
+    return {
+        setting.name: setting.checked(setting.key, value, sensor)
+        for setting, value in settings.items()
+    }
 
 
 def _column(setting: Setting, value: Any, sensor: Sensor) -> np.ndarray:
     """Return an array with the same checked value for every subgroup."""
-    return np.repeat(np.asarray(setting.checked(setting.key, value, sensor))[None], sensor.subgroups, axis=0)
+    return np.repeat(
+        np.asarray(setting.checked(setting.key, value, sensor))[None], sensor.subgroups, axis=0
+    )
 
 
 def sensor_table(sensor: Sensor) -> dict[str, Any]:
@@ -446,4 +522,6 @@ def frame_table(frame: FrameSettings) -> dict[str, Any]:
 
 
 def _lists(table: dict[str, Any]) -> dict[str, Any]:
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in table.items()}
+    return {
+        name: list(value) if isinstance(value, tuple) else value for name, value in table.items()
+    }

@@ -66,7 +66,9 @@ def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -
     legal range.
     """
     arrays = read_npz(path, NAMES, optional=("offset_ps",))
-    return checked_edges(arrays, pixels=pixels, pulses=pulses, period_ticks=period_ticks, source=f"{path}: ")
+    return checked_edges(
+        arrays, pixels=pixels, pulses=pulses, period_ticks=period_ticks, source=f"{path}: "
+    )
 
 
 def checked_edges(
@@ -76,12 +78,16 @@ def checked_edges(
     for name in NAMES:
         array = arrays[name]
         if array.ndim != 1:
-            raise InputError(f"{source}{name}: has {array.ndim} dimensions, must have 1", field=name)
+            raise InputError(
+                f"{source}{name}: has {array.ndim} dimensions, must have 1", field=name
+            )
         if array.dtype.kind not in "iu" and len(array):
             raise InputError(f"{source}{name}: holds {array.dtype}, must hold integers", field=name)
     lengths = {name: len(arrays[name]) for name in NAMES}
     if len(set(lengths.values())) > 1:
-        raise InputError(f"{source}lengths differ: " + ", ".join(f"{name} {n}" for name, n in lengths.items()))
+        raise InputError(
+            f"{source}lengths differ: " + ", ".join(f"{name} {n}" for name, n in lengths.items())
+        )
     for name, bound in zip(NAMES, (pulses, pixels, period_ticks), strict=True):
         bad = np.flatnonzero((arrays[name] < 0) | (arrays[name] >= bound))
         if len(bad):

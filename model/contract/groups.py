@@ -27,7 +27,9 @@ HEAD = Head(pulse=16, number=8, stamp_bits=4, with_offsets=1)  # widths in bits
 FIRST_LSB, LAST_LSB = KIND_LSB - 1, KIND_LSB - 2  # marks of a group's first and last beat
 PAYLOAD_BITS = LAST_LSB  # of a beat
 CHECK_BITS = 32  # in the highest bits of the last beat's payload
-CHECK_POLYNOMIAL = 0xEDB88320  # of CRC-32 (IEEE 802.3), reversed: the lowest bit of a beat comes first
+CHECK_POLYNOMIAL = (
+    0xEDB88320  # of CRC-32 (IEEE 802.3), reversed: the lowest bit of a beat comes first
+)
 CHECK_LSB = PAYLOAD_BITS - CHECK_BITS
 HEAD_BITS = sum(HEAD)
 LISTED_BITS = 3
@@ -54,7 +56,11 @@ class Groups:
     def listed_max(self) -> int:
         """Most pixels that an event lists, including the winner: a longer list would take more bits or cycles than a map."""
         parts = -(-self.sensor.pixels // MAP_PART_BITS)
-        return min(MAPPED - 1, 1 + self.sensor.pixels // self.sensor.winner_bits, FIRST_PIXELS + PER_PART * parts)
+        return min(
+            MAPPED - 1,
+            1 + self.sensor.pixels // self.sensor.winner_bits,
+            FIRST_PIXELS + PER_PART * parts,
+        )
 
     @property
     def fixed_bits(self) -> int:

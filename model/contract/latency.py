@@ -13,7 +13,9 @@ import numpy as np
 _Number = TypeVar("_Number", int, np.ndarray)
 
 COMMIT = 8  # L: close cycle of a window -> cycle of its commit (the FIFO is written at the end of that cycle)
-RECORD = 3  # first cycle after a period -> cycle in which the minigroup record of the period is written
+RECORD = (
+    3  # first cycle after a period -> cycle in which the minigroup record of the period is written
+)
 STORE_TO_GRANT = 3  # an event or record is stored -> earliest grant of the readout
 # Grant -> the subgroup forms the packet's first beat; the last beat frees the event's or record's place.
 GRANT_TO_READ = 2

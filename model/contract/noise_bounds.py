@@ -17,18 +17,26 @@ from .parameters import Sensor, guard_cycles
 from .settings import AUTO_BOUNDS
 
 NOISE_COMMITS_PER_PULSE = 0.25
-PHOTONS_PER_TICK = (1e-7, 10.0, 100_000)  # photons per tick of a subgroup: lowest, highest, number of values tried
+PHOTONS_PER_TICK = (
+    1e-7,
+    10.0,
+    100_000,
+)  # photons per tick of a subgroup: lowest, highest, number of values tried
 
 
 @cache
-def noise_bounds(sensor: Sensor, *, window_ticks: int, period_cycles: int, pulses: int) -> tuple[int, ...]:
+def noise_bounds(
+    sensor: Sensor, *, window_ticks: int, period_cycles: int, pulses: int
+) -> tuple[int, ...]:
     """Return `auto_bounds`. Bound k, from 1, is a number of opened windows per frame.
 
     If noise alone opens so many windows, it commits `NOISE_COMMITS_PER_PULSE` at threshold k. With more windows, threshold
     k + 1 may be needed.
     """
     phases = sensor.phases
-    laws = [rises(sensor.rule, sensor.subgroup, threshold) for threshold in range(1, AUTO_BOUNDS + 1)]
+    laws = [
+        rises(sensor.rule, sensor.subgroup, threshold) for threshold in range(1, AUTO_BOUNDS + 1)
+    ]
     per_tick = np.geomspace(*PHOTONS_PER_TICK)
     open_ticks = phases * (period_cycles - guard_cycles(window_ticks, phases, sensor.rearm))
     busy_ticks = window_ticks + (phases - 1) / 2 + phases * sensor.rearm
@@ -37,7 +45,10 @@ def noise_bounds(sensor: Sensor, *, window_ticks: int, period_cycles: int, pulse
     further = _further(per_tick, window_ticks, most)
     bounds = []
     for law in laws:
-        too_many = opened * event_share(law, lambda pixels: further[pixels - 1]) > NOISE_COMMITS_PER_PULSE * pulses
+        too_many = (
+            opened * event_share(law, lambda pixels: further[pixels - 1])
+            > NOISE_COMMITS_PER_PULSE * pulses
+        )
         bounds.append(int(np.ceil(opened[too_many.argmax()])) if too_many.any() else EVENTS_MAX)
     return tuple(bounds)
 

@@ -70,7 +70,9 @@ class Part:
 
 _STAMP = Field("stamp", STAMP_FIELD_BITS, "opening tick")
 _WINNER = Field("winner", 8, "pixel in the subgroup")
-_COUNT = Field("count", 9, "distinct pixels; frame start: 1 if the events of the frame come in groups")
+_COUNT = Field(
+    "count", 9, "distinct pixels; frame start: 1 if the events of the frame come in groups"
+)
 _PULSE = Field("pulse", 16, "in the frame; frame start and end: frame number")
 _SUBGROUP = Field("subgroup", bits_for(SUBGROUPS_MAX - 1))
 _OVERRUN = Field("overrun", 1, "events were dropped before this one")
@@ -86,11 +88,17 @@ FORMATS = {  # packets of events, in the order of the format register's values
     "id": Packet(2, "event_id", (*_HEADER, MAP), "map"),
     "full": Packet(3, "event_full", (*_HEADER, MAP, OFFSETS), "map and offsets"),
     "compact": Packet(2, "event_id", (*_HEADER, MAP), "id in groups", grouped=True),
-    "compact-full": Packet(3, "event_full", (*_HEADER, MAP, OFFSETS), "full in groups", grouped=True),
+    "compact-full": Packet(
+        3, "event_full", (*_HEADER, MAP, OFFSETS), "full in groups", grouped=True
+    ),
 }
 FORMAT_NAMES = tuple(FORMATS)
-UNBUILT = tuple(name for name, packet in FORMATS.items() if packet.has("offsets"))  # without `Sensor.offsets`
-WITH_MAP = tuple(name for name, packet in FORMATS.items() if packet.has("map"))  # formats from which depth can be made
+UNBUILT = tuple(
+    name for name, packet in FORMATS.items() if packet.has("offsets")
+)  # without `Sensor.offsets`
+WITH_MAP = tuple(
+    name for name, packet in FORMATS.items() if packet.has("map")
+)  # formats from which depth can be made
 RECORD = Packet(4, "record", (*_HEADER, ENTRIES))
 FRAME_START = Packet(6, "frame_start", _HEADER)
 FRAME_END = Packet(7, "frame_end", (*_HEADER, _COUNTERS))
@@ -101,7 +109,11 @@ def built_formats(sensor: Sensor) -> tuple[str, ...]:
     return tuple(name for name in FORMATS if sensor.offsets or name not in UNBUILT)
 
 
-PACKETS = {packet.code: packet for packet in (*FORMATS.values(), RECORD, FRAME_START, FRAME_END) if not packet.grouped}
+PACKETS = {
+    packet.code: packet
+    for packet in (*FORMATS.values(), RECORD, FRAME_START, FRAME_END)
+    if not packet.grouped
+}
 
 
 @cache
@@ -172,7 +184,9 @@ def layout(sensor: Sensor) -> Layout:
 
 UNUSED = {  # bits of a packet's first beat that are 0, by kind
     packet.code: sum(
-        ((1 << width) - 1) << lsb for name, (lsb, width) in HEADER.items() if name not in ("kind", "pulse", *more)
+        ((1 << width) - 1) << lsb
+        for name, (lsb, width) in HEADER.items()
+        if name not in ("kind", "pulse", *more)
     )
     for packet, more in ((RECORD, ("subgroup",)), (FRAME_START, ("count",)), (FRAME_END, ()))
 }
@@ -181,4 +195,6 @@ UNUSED = {  # bits of a packet's first beat that are 0, by kind
 def header_field(beats: ArrayLike, name: str) -> np.ndarray:
     """Return a field of the usual header, from the first beats of some packets, as int64."""
     lsb, width = HEADER[name]
-    return ((np.asarray(beats, np.uint64) >> np.uint64(lsb)) & np.uint64((1 << width) - 1)).astype(np.int64)
+    return ((np.asarray(beats, np.uint64) >> np.uint64(lsb)) & np.uint64((1 << width) - 1)).astype(
+        np.int64
+    )

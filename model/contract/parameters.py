@@ -13,11 +13,15 @@ from .table import Kind, Limit, number, settings_of_class
 TOP = "coincid_sensor"  # the RTL's top module
 STAMP_FIELD_BITS = 15  # width of the header's field; packet.py lays the fields out
 MASK_BITS = 32  # pixels per register of the mask
-QUARTERS = 4  # coarse stamps count quarters of a cycle, and a step of the offsets is at most a quarter
+QUARTERS = (
+    4  # coarse stamps count quarters of a cycle, and a step of the offsets is at most a quarter
+)
 PHASES_MAX = 64
 OFFSET_NONE = 255  # offset byte of a minigroup that was not hit
 RECORD_BITS = (16, 32)  # an entry of a minigroup record takes the smaller size that holds it
-SHORTEST_GUARD_CYCLES = 4  # a minigroup collection that opens as late as possible must close before the period ends
+SHORTEST_GUARD_CYCLES = (
+    4  # a minigroup collection that opens as late as possible must close before the period ends
+)
 CLOCK_MHZ = 500.0  # system clock of the preset `silicon`, and default of a configuration
 PARTS = {  # parameters that say whether a part is built, and its name
     "offsets": "coarse offsets",
@@ -47,12 +51,30 @@ def _integer(default: int, low: int, high: Limit, offset: int, doc: str, unit: s
             return default
 
     of_sensor = Factory(default_of, takes_self=True)
-    return _field(Kind.INTEGER, of_sensor, default=default, low=low, high=high, offset=offset, doc=doc, unit=unit)
+    return _field(
+        Kind.INTEGER,
+        of_sensor,
+        default=default,
+        low=low,
+        high=high,
+        offset=offset,
+        doc=doc,
+        unit=unit,
+    )
 
 
 def _size(default: tuple[int, int], low: int, high: int, offset: int, doc: str) -> Any:
     """Return a field that holds (rows, cols); its registers are NAME_rows and NAME_cols."""
-    return _field(Kind.SIZE, default, default=default, low=low, high=high, offset=offset, doc=doc, unit="pixels")
+    return _field(
+        Kind.SIZE,
+        default,
+        default=default,
+        low=low,
+        high=high,
+        offset=offset,
+        doc=doc,
+        unit="pixels",
+    )
 
 
 def _field(kind: Kind, made: Any, **columns: Any) -> Any:
@@ -75,23 +97,42 @@ class Sensor:
 
     rows: int = _integer(32, 1, 4096, 0x08, "SPAD rows of the sensor.", "pixels")
     cols: int = _integer(32, 1, 4096, 0x0C, "SPAD columns of the sensor.", "pixels")
-    phases: int = _integer(32, 4, PHASES_MAX, 0x10, "Ticks (TDC LSBs) per clock cycle.", "ticks per cycle")
-    coarse_bits: int = _integer(10, 3, "coarse_bits_max", 0x14, "Width of the TDC's coarse counter.", "bits")
+    phases: int = _integer(
+        32, 4, PHASES_MAX, 0x10, "Ticks (TDC LSBs) per clock cycle.", "ticks per cycle"
+    )
+    coarse_bits: int = _integer(
+        10, 3, "coarse_bits_max", 0x14, "Width of the TDC's coarse counter.", "bits"
+    )
     window_max: int = _integer(128, 1, 1024, 0x18, "Longest coincidence window in ticks.", "ticks")
     rearm: int = _integer(0, 0, 15, 0x1C, "Re-arm gap R in cycles.", "cycles")
     fifo_depth: int = _integer(16, 1, 1024, 0x20, "Events that a subgroup's FIFO holds.", "events")
-    streams: int = _integer(1, 1, 64, 0x24, "AXI4-Streams, which share the subgroups in the order of their numbers.")
+    streams: int = _integer(
+        1, 1, 64, 0x24, "AXI4-Streams, which share the subgroups in the order of their numbers."
+    )
     subgroup: tuple[int, int] = _size((8, 8), 16, 256, 0x28, "SPADs of a subgroup, rows x columns.")
     minigroup: tuple[int, int] = _size((2, 2), 1, 16, 0x30, "SPADs of a minigroup, rows x columns.")
-    offset_phases: int = _integer(16, QUARTERS, "phases", 0x38, "Steps per clock cycle of the coarse offsets.")
-    offsets: int = _integer(1, 0, 1, 0x3C, "1: the formats with coarse offsets are built; 0: they are not.")
+    offset_phases: int = _integer(
+        16, QUARTERS, "phases", 0x38, "Steps per clock cycle of the coarse offsets."
+    )
+    offsets: int = _integer(
+        1, 0, 1, 0x3C, "1: the formats with coarse offsets are built; 0: they are not."
+    )
     records: int = _integer(1, 0, 1, 0x98, "1: minigroup records are built; 0: they are not.")
     controller: int = _integer(1, 0, 1, 0x9C, "1: the threshold controller is built; 0: it is not.")
     counter_bits: int = _integer(
-        COUNTER_BITS, COUNTER_BITS_MIN, COUNTER_BITS, 0xA0, "Width of a subgroup's counters, which saturate.", "bits"
+        COUNTER_BITS,
+        COUNTER_BITS_MIN,
+        COUNTER_BITS,
+        0xA0,
+        "Width of a subgroup's counters, which saturate.",
+        "bits",
     )
     held: int = _integer(
-        1, 0, 1, 0xA4, "1: a subgroup's settings can be written during a frame, for the next one; 0: they cannot."
+        1,
+        0,
+        1,
+        0xA4,
+        "1: a subgroup's settings can be written during a frame, for the next one; 0: they cannot.",
     )
     rule: Rule = field(default=AT_LEAST)
 
@@ -143,10 +184,14 @@ class Sensor:
 
         own: what to say if the error names this parameter, instead of `why`.
         """
-        chosen = next(name for name in names if getattr(self, name) != SENSOR[name].default_of(self))
+        chosen = next(
+            name for name in names if getattr(self, name) != SENSOR[name].default_of(self)
+        )
         value = getattr(self, chosen)
         shown = list(value) if isinstance(value, tuple) else value
-        return InputError(f"sensor.{chosen} = {shown}: {own.get(chosen, why)}", field=f"sensor.{chosen}")
+        return InputError(
+            f"sensor.{chosen} = {shown}: {own.get(chosen, why)}", field=f"sensor.{chosen}"
+        )
 
     @property
     def coarse_bits_max(self) -> int:

@@ -30,11 +30,16 @@ def pixel_number(sensor: Sensor, pixel: Any) -> int:
     if isinstance(pixel, tuple | list) and len(pixel) == 2:
         row, col = (
             check_integer(*one)
-            for one in (("row", pixel[0], 0, sensor.rows - 1), ("column", pixel[1], 0, sensor.cols - 1))
+            for one in (
+                ("row", pixel[0], 0, sensor.rows - 1),
+                ("column", pixel[1], 0, sensor.cols - 1),
+            )
         )
         return row * sensor.cols + col
     last = sensor.array_pixels - 1
-    return check_integer("pixel", pixel, 0, last, f"or (row, column); the number is row * {sensor.cols} + column")
+    return check_integer(
+        "pixel", pixel, 0, last, f"or (row, column); the number is row * {sensor.cols} + column"
+    )
 
 
 def subgroup_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:
@@ -64,4 +69,8 @@ def port_bits(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.
     table, phases = pixel_table(config.sensor), config.sensor.phases
     cycle, phase = np.divmod(edges.tick, phases)
     pixel = edges.pixel
-    return config.start_cycles()[edges.pulse] + cycle, table.subgroup[pixel], table.inside[pixel] * phases + phase
+    return (
+        config.start_cycles()[edges.pulse] + cycle,
+        table.subgroup[pixel],
+        table.inside[pixel] * phases + phase,
+    )

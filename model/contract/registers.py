@@ -23,7 +23,9 @@ ADDRESS_BITS = 20
 SUBGROUP_BASE = 0x1000
 SUBGROUP_STRIDE = 0x80
 ID_VALUE = 0x434F494E  # "COIN"
-VERSION_VALUE = 0x00020003  # 16 bits each for major and minor; every change that software can see raises it
+VERSION_VALUE = (
+    0x00020003  # 16 bits each for major and minor; every change that software can see raises it
+)
 
 Value = Callable[[Sensor], int]
 
@@ -78,7 +80,9 @@ class Register:
 def _registers(table: dict[str, Setting]) -> list[Register]:
     """Return the registers of a table of settings, by address."""
     placed = {one.offset: one for one in table.values() if one.offset is not None}
-    return [register for offset in sorted(placed) for register in _of_setting(placed[offset], offset)]
+    return [
+        register for offset in sorted(placed) for register in _of_setting(placed[offset], offset)
+    ]
 
 
 def _of_setting(of: Setting, offset: int) -> list[Register]:
@@ -108,7 +112,9 @@ def _of_setting(of: Setting, offset: int) -> list[Register]:
 def _of_stream(name: str, offset: int, access: Access, doc: str, high: int = 0) -> Register:
     """Return a register of the threshold controller, of which a sensor has one per stream."""
     doc = f"Threshold controller, stream i: {doc}"
-    return Register(name, offset, access, doc, EVENTS_MAX, high=high, count=lambda s: s.streams * s.controller)
+    return Register(
+        name, offset, access, doc, EVENTS_MAX, high=high, count=lambda s: s.streams * s.controller
+    )
 
 
 _STICKY = {  # from bit 1 of the status on: bits that stay until software clears them
@@ -124,7 +130,9 @@ _STICKY = {  # from bit 1 of the status on: bits that stay until software clears
 }
 GLOBAL: tuple[Register, ...] = (
     Register("id", 0x00, CONSTANT, "Identifies the sensor: COIN in ASCII.", reset=ID_VALUE),
-    Register("version", 0x04, CONSTANT, "Version of this map: major << 16 | minor.", reset=VERSION_VALUE),
+    Register(
+        "version", 0x04, CONSTANT, "Version of this map: major << 16 | minor.", reset=VERSION_VALUE
+    ),
     *_registers(SENSOR),
     Register(
         "control",
@@ -132,7 +140,10 @@ GLOBAL: tuple[Register, ...] = (
         PULSE,
         "Starts and ends a frame. A start that the checks refuse is answered with SLVERR and has no effect.",
         high=3,
-        bits=(Bits("start", 0, "Begins a frame."), Bits("abort", 1, "Makes the running period the last of the frame.")),
+        bits=(
+            Bits("start", 0, "Begins a frame."),
+            Bits("abort", 1, "Makes the running period the last of the frame."),
+        ),
     ),
     Register(
         "status",
@@ -142,7 +153,10 @@ GLOBAL: tuple[Register, ...] = (
         high=0xFFFF_FFFF,
         bits=(
             Bits("busy", 0, "A frame is running or being delivered."),
-            *(Bits(name, lsb, doc, clears=True) for lsb, (name, doc) in enumerate(_STICKY.items(), start=1)),
+            *(
+                Bits(name, lsb, doc, clears=True)
+                for lsb, (name, doc) in enumerate(_STICKY.items(), start=1)
+            ),
         ),
     ),
     *_registers(settings.FRAME),
@@ -153,8 +167,15 @@ GLOBAL: tuple[Register, ...] = (
         "capacity // number of its subgroups. First value and lower limit of the budget.",
         high=EVENTS_MAX,
     ),
-    _of_stream("budget", 0x200, COUNTER, "a subgroup lowers its threshold if it would then commit no more events."),
-    _of_stream("limit", 0x300, COUNTER, "a subgroup that commits more events raises its threshold."),
+    _of_stream(
+        "budget",
+        0x200,
+        COUNTER,
+        "a subgroup lowers its threshold if it would then commit no more events.",
+    ),
+    _of_stream(
+        "limit", 0x300, COUNTER, "a subgroup that commits more events raises its threshold."
+    ),
 )
 
 MODE = Register(
@@ -207,5 +228,8 @@ def reset_values(sensor: Sensor) -> dict[int, int]:
     for table, subgroups in ((GLOBAL, 1), (SUBGROUP, sensor.subgroups)):
         for _, register, index in words(table, sensor):
             if register.access is SETTING:
-                values |= {address(register.name, s, index): register.reset(sensor) for s in range(subgroups)}
+                values |= {
+                    address(register.name, s, index): register.reset(sensor)
+                    for s in range(subgroups)
+                }
     return values

@@ -28,7 +28,10 @@ class ResultBuilder:
         self._counters: list[np.ndarray] = []
 
     def add(
-        self, beats: list[np.ndarray], commit_subgroup: np.ndarray | None = None, commit_cycle: np.ndarray | None = None
+        self,
+        beats: list[np.ndarray],
+        commit_subgroup: np.ndarray | None = None,
+        commit_cycle: np.ndarray | None = None,
     ) -> None:
         """Add a frame: its beats per stream, and subgroups and commit cycles of its stored events (by time in a subgroup).
 
@@ -39,16 +42,23 @@ class ResultBuilder:
         base = len(self._counters) * self.config.pulses
         counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
         subgroups = [len(sensor.stream_subgroups(k)) for k in range(sensor.streams)]
-        frames = [decode_frame(stream, sensor, n).check() for stream, n in zip(beats, subgroups, strict=True)]
+        frames = [
+            decode_frame(stream, sensor, n).check()
+            for stream, n in zip(beats, subgroups, strict=True)
+        ]
         for k, frame in enumerate(frames):
             counters[sensor.stream_subgroups(k)] = frame.counters
-        columns = dict(zip(HEADER, np.concatenate([frame.events for frame in frames]).T, strict=True))
+        columns = dict(
+            zip(HEADER, np.concatenate([frame.events for frame in frames]).T, strict=True)
+        )
         commit = np.full(len(columns["subgroup"]), COMMIT_UNKNOWN)
         if commit_subgroup is not None and commit_cycle is not None:
             order = np.argsort(commit_subgroup, kind="stable")
             left = np.argsort(columns["subgroup"], kind="stable")
             if not np.array_equal(columns["subgroup"][left], commit_subgroup[order]):
-                raise ValueError("the events that left the sensor are not the ones that its FIFOs stored")
+                raise ValueError(
+                    "the events that left the sensor are not the ones that its FIFOs stored"
+                )
             commit[left] = commit_cycle[order]
         columns["pulse"] = columns["pulse"] + base
         hits, offsets, records, entries = (
@@ -61,7 +71,9 @@ class ResultBuilder:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of the result file, with rows frame by frame, and stream by stream within a frame."""
-        *fields, commit, hits, offsets = (np.concatenate(column) for column in zip(*self._events, strict=True))
+        *fields, commit, hits, offsets = (
+            np.concatenate(column) for column in zip(*self._events, strict=True)
+        )
         result = dict(zip(EVENT_FIELDS, fields, strict=True))
         result["overrun"] = result["overrun"].astype(bool)
         result["commit_cycle"] = commit
@@ -70,11 +82,17 @@ class ResultBuilder:
             result["hits"] = hits
         if packet.has("offsets"):
             result["mg_offset"] = offsets
-        subgroup, pulse, entries = (np.concatenate(column) for column in zip(*self._records, strict=True))
+        subgroup, pulse, entries = (
+            np.concatenate(column) for column in zip(*self._records, strict=True)
+        )
         result |= {"mg_subgroup": subgroup, "mg_pulse": pulse}
-        result |= {"mg_stamp": entries[:, :, 0].astype(np.uint16), "mg_map": entries[:, :, 1].astype(np.uint16)}
+        result |= {
+            "mg_stamp": entries[:, :, 0].astype(np.uint16),
+            "mg_map": entries[:, :, 1].astype(np.uint16),
+        }
         return result | {
-            name: np.stack([frame[:, i] for frame in self._counters]) for i, name in enumerate(COUNTER_NAMES)
+            name: np.stack([frame[:, i] for frame in self._counters])
+            for i, name in enumerate(COUNTER_NAMES)
         }
 
 
@@ -88,7 +106,9 @@ def events_table(arrays: dict[str, np.ndarray]) -> Any:
     try:
         from pandas import DataFrame
     except ImportError:
-        return np.rec.fromarrays(columns.values(), dtype=[(name, column.dtype) for name, column in columns.items()])
+        return np.rec.fromarrays(
+            columns.values(), dtype=[(name, column.dtype) for name, column in columns.items()]
+        )
     return DataFrame(columns)
 
 

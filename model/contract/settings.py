@@ -18,18 +18,28 @@ from .table import NO_BIT, Kind, Limit, settings_of_class
 
 AUTO_BOUNDS = 6
 THRESHOLD_MAX = 1 + AUTO_BOUNDS  # highest threshold of the controller
-BUDGET_GROWTHS = 3, 2, 1, 0  # from frame to frame, the controller's budget may grow by these powers of 1/2 of itself
+BUDGET_GROWTHS = (
+    3,
+    2,
+    1,
+    0,
+)  # from frame to frame, the controller's budget may grow by these powers of 1/2 of itself
 LIMIT_DROP = 2  # from frame to frame, its limit may fall by this power of 1/2 of itself
 FRAMES_MAX = 1 << 16  # the frame number has 16 bits
 LINK_GBPS_MAX = 1e6  # highest rate of the link behind a stream
 GATE_BITS = 16
 GATE_MAX = (1 << GATE_BITS) - 1  # highest number of a gate's cycles, pulses and steps
 GATE = "Progressive gating"
-_FORMATS_TOLD = ", ".join(f"{n} {name}" + f" ({of.doc})" * bool(of.doc) for n, (name, of) in enumerate(FORMATS.items()))
+_FORMATS_TOLD = ", ".join(
+    f"{n} {name}" + f" ({of.doc})" * bool(of.doc) for n, (name, of) in enumerate(FORMATS.items())
+)
 
 
 def _setting(kind: Kind, doc: str, **columns: Any) -> Any:
-    return field(metadata={"kind": kind, "doc": doc} | columns, converter=_constant if kind is Kind.INTEGERS else None)
+    return field(
+        metadata={"kind": kind, "doc": doc} | columns,
+        converter=_constant if kind is Kind.INTEGERS else None,
+    )
 
 
 def _constant(value: Any) -> tuple[int, ...] | None:
@@ -59,7 +69,9 @@ class FrameSettings:
     """The settings of a frame: a value of every key of [frame]. Numbers below: default, lowest and highest legal value."""
 
     frames: int = _integer(1, 1, FRAMES_MAX, "Number of frames.")
-    clock_mhz: float = _setting(Kind.REAL, "System clock.", default=CLOCK_MHZ, unit="MHz", low=1e-3, high=1e5)
+    clock_mhz: float = _setting(
+        Kind.REAL, "System clock.", default=CLOCK_MHZ, unit="MHz", low=1e-3, high=1e5
+    )
     link_gbps: float = _setting(
         Kind.REAL,
         "Rate of the link behind each stream; 0: as fast as the stream.",
@@ -75,9 +87,15 @@ class FrameSettings:
         unit="cycles",
         offset=0x48,
     )
-    pulses: int = _integer(100, 1, 1 << 16, "Number of laser periods in a frame.", unit="laser pulses", offset=0x4C)
+    pulses: int = _integer(
+        100, 1, 1 << 16, "Number of laser periods in a frame.", unit="laser pulses", offset=0x4C
+    )
     format: str = _setting(
-        Kind.CHOICE, f"Event words: {_FORMATS_TOLD}.", default="id", choices=tuple(FORMATS), offset=0x50
+        Kind.CHOICE,
+        f"Event words: {_FORMATS_TOLD}.",
+        default="id",
+        choices=tuple(FORMATS),
+        offset=0x50,
     )
     minigroup_records: bool = _switch(
         False,
@@ -86,14 +104,30 @@ class FrameSettings:
         offset=0x54,
     )
     mg_threshold: int = _integer(
-        2, 1, "minigroup_pixels", "Number of distinct pixels at which a minigroup latches.", unit="pixels", offset=0x58
+        2,
+        1,
+        "minigroup_pixels",
+        "Number of distinct pixels at which a minigroup latches.",
+        unit="pixels",
+        offset=0x58,
     )
-    mg_window: int = _integer(2, 1, 4, "Cycles of a minigroup's collection.", unit="cycles", offset=0x5C)
-    gate_step: int = _integer(0, 0, GATE_MAX, f"{GATE}: shift per step, in cycles.", unit="cycles", offset=0x60)
+    mg_window: int = _integer(
+        2, 1, 4, "Cycles of a minigroup's collection.", unit="cycles", offset=0x5C
+    )
+    gate_step: int = _integer(
+        0, 0, GATE_MAX, f"{GATE}: shift per step, in cycles.", unit="cycles", offset=0x60
+    )
     gate_every: int = _integer(
-        0, 0, GATE_MAX, f"{GATE}: pulses per step; 0 turns it off.", unit="laser pulses", offset=0x64
+        0,
+        0,
+        GATE_MAX,
+        f"{GATE}: pulses per step; 0 turns it off.",
+        unit="laser pulses",
+        offset=0x64,
     )
-    gate_steps: int = _integer(1, 1, GATE_MAX, f"{GATE}: number of steps before it starts over.", offset=0x68)
+    gate_steps: int = _integer(
+        1, 1, GATE_MAX, f"{GATE}: number of steps before it starts over.", offset=0x68
+    )
     dither_bits: int = _integer(
         0,
         0,
@@ -119,7 +153,9 @@ class FrameSettings:
         count=AUTO_BOUNDS,
     )
     capacity: int | None = _of_controller(
-        Kind.INTEGER, "events that a stream carries in a frame.", **_counted("events", reset=EVENTS_MAX, offset=0x8C)
+        Kind.INTEGER,
+        "events that a stream carries in a frame.",
+        **_counted("events", reset=EVENTS_MAX, offset=0x8C),
     )
 
 
@@ -132,12 +168,23 @@ class SubgroupSettings:
 
     coincidence: np.ndarray = _switch(True, "0: winner takes all (window 1, threshold 1).", bit=0)
     gating: np.ndarray = _switch(False, "1: edges outside the gate are ignored.", bit=1)
-    auto: np.ndarray = _switch(False, "1: the controller sets the threshold.", needs="controller", bit=2)
-    threshold: np.ndarray = _integer(
-        2, 1, "pixels", "Number of distinct pixels that make a coincidence.", unit="pixels", offset=0x04
+    auto: np.ndarray = _switch(
+        False, "1: the controller sets the threshold.", needs="controller", bit=2
     )
-    window: np.ndarray = _integer(16, 1, "window_max", "Coincidence window in ticks.", unit="ticks", offset=0x08)
-    gate_start: np.ndarray = _integer(0, 0, GATE_MAX, "Gate: first cycle, in cycles.", unit="cycles", offset=0x0C)
+    threshold: np.ndarray = _integer(
+        2,
+        1,
+        "pixels",
+        "Number of distinct pixels that make a coincidence.",
+        unit="pixels",
+        offset=0x04,
+    )
+    window: np.ndarray = _integer(
+        16, 1, "window_max", "Coincidence window in ticks.", unit="ticks", offset=0x08
+    )
+    gate_start: np.ndarray = _integer(
+        0, 0, GATE_MAX, "Gate: first cycle, in cycles.", unit="cycles", offset=0x0C
+    )
     gate_len: np.ndarray = _integer(
         None, 0, GATE_MAX, "Gate: length, in cycles.", follows="period", unit="cycles", offset=0x10
     )

@@ -51,14 +51,20 @@ class ReceivedFrame:
     records: np.ndarray  # int64[k, 2]: subgroup and pulse
     entries: np.ndarray  # int64[k, minigroups, 2]: stamp and map
     counters: np.ndarray  # int64[subgroups of the stream, 11]
-    damaged: np.ndarray  # int64[m]: beats at which a group of events is missing or wrong; all other events are right
+    damaged: (
+        np.ndarray
+    )  # int64[m]: beats at which a group of events is missing or wrong; all other events are right
     missing: int  # number of events that were left out, because their group is damaged
 
     def check(self) -> "ReceivedFrame":
         """Return the frame. Raises `StreamError` if events are missing."""
         if len(self.damaged) or self.missing:
-            places = f", near beats {', '.join(map(str, self.damaged))}" if len(self.damaged) else ""
-            raise StreamError(f"{self.missing} events of the frame were damaged on their way{places}")
+            places = (
+                f", near beats {', '.join(map(str, self.damaged))}" if len(self.damaged) else ""
+            )
+            raise StreamError(
+                f"{self.missing} events of the frame were damaged on their way{places}"
+            )
         return self
 
 
@@ -71,14 +77,17 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> ReceivedF
     kinds, starts = packet_starts(beats, sensor, subgroups)
     tail = layout(sensor).length(FRAME_END, subgroups)
     head, end = beats[0], beats[len(beats) - tail]
-    if header_field(head, "kind") != FRAME_START.code or header_field(end, "kind") != FRAME_END.code:
+    if (
+        header_field(head, "kind") != FRAME_START.code
+        or header_field(end, "kind") != FRAME_END.code
+    ):
         raise StreamError("the frame does not begin with a frame start and end with a frame end")
     if header_field(head, "pulse") != header_field(end, "pulse"):
         raise StreamError("frame start and frame end have different numbers")
 
-    counters = _split(beats[len(beats) - tail + 1 :].reshape(subgroups, -1), np.uint32)[:, : len(COUNTER_NAMES)].astype(
-        np.int64
-    )
+    counters = _split(beats[len(beats) - tail + 1 :].reshape(subgroups, -1), np.uint32)[
+        :, : len(COUNTER_NAMES)
+    ].astype(np.int64)
     is_record = kinds == RECORD.code
     records, entries = _records(beats, starts[is_record], sensor)
     if is_grouped(head):
@@ -146,10 +155,14 @@ def _records(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> tuple[np.ndar
     records = np.concatenate([values["subgroup"], values["pulse"]], axis=1).astype(np.int64)
     raw = _split(values["entries"], np.uint16 if sensor.record_bits == 16 else np.uint32)
     raw = raw[:, : sensor.minigroups].astype(np.int64)
-    return records, np.stack([raw & ((1 << sensor.record_stamp_bits) - 1), raw >> sensor.record_stamp_bits], axis=2)
+    return records, np.stack(
+        [raw & ((1 << sensor.record_stamp_bits) - 1), raw >> sensor.record_stamp_bits], axis=2
+    )
 
 
-def packet_fields(beats: np.ndarray, at: np.ndarray, sensor: Sensor, packet: Packet) -> dict[str, np.ndarray]:
+def packet_fields(
+    beats: np.ndarray, at: np.ndarray, sensor: Sensor, packet: Packet
+) -> dict[str, np.ndarray]:
     """Return the fields of the packets that begin at the beats `at`, as uint64[packets, words], lowest bits first."""
     words = {field.name: -(-field.bits(sensor) // BEAT_BITS) for field in packet.fields}
     values = {name: np.zeros((len(at), n), np.uint64) for name, n in words.items()}
@@ -162,7 +175,9 @@ def packet_fields(beats: np.ndarray, at: np.ndarray, sensor: Sensor, packet: Pac
     return values
 
 
-def packet_starts(beats: np.ndarray, sensor: Sensor, subgroups: int) -> tuple[np.ndarray, np.ndarray]:
+def packet_starts(
+    beats: np.ndarray, sensor: Sensor, subgroups: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return kind and first beat of each packet between a frame's start and end, int64[n] each. Raises `StreamError`.
 
     In a frame with groups, a beat that can neither be of a group nor begin a record is damaged, and counts as a packet.
@@ -184,13 +199,17 @@ def _split(beats: np.ndarray, dtype: type[np.unsignedinteger]) -> np.ndarray:
 
 
 @njit
-def _packets(beats: np.ndarray, lengths: np.ndarray, end: int, grouped: bool) -> tuple[np.ndarray, np.ndarray, int]:
+def _packets(
+    beats: np.ndarray, lengths: np.ndarray, end: int, grouped: bool
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Return kinds and first beats of the packets from the frame start to `end`, and the first beat that is no header (or -1)."""
     kinds, starts = np.empty(max(end, 0), np.int64), np.empty(max(end, 0), np.int64)
     n, at = 0, 1
     while at < end:
         kind = np.int64(beats[at] >> np.uint64(KIND_LSB))
-        if grouped and (lengths[kind] == 0 or (kind == _RECORD and beats[at] & _UNUSED_IN_RECORD != 0)):
+        if grouped and (
+            lengths[kind] == 0 or (kind == _RECORD and beats[at] & _UNUSED_IN_RECORD != 0)
+        ):
             kind = np.int64(_DAMAGED)
         if lengths[kind] == 0:
             return kinds[:n], starts[:n], at

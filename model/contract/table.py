@@ -86,7 +86,11 @@ class Setting:
         if self.kind is Kind.MASK:
             return f"{(1 << sensor.pixels) - 1:x}"
         default = getattr(frame, self.follows) if self.follows else self.default
-        return min(default, self.limits(sensor)[1]) if self.kind is Kind.INTEGER and default is not None else default
+        return (
+            min(default, self.limits(sensor)[1])
+            if self.kind is Kind.INTEGER and default is not None
+            else default
+        )
 
     def reset_of(self, sensor: Any, frame: Any) -> int:
         """Return the value of a word of its register after a reset. frame: `FrameSettings`, those of the reset."""
@@ -121,7 +125,13 @@ class Setting:
                 return check_choice(where, value, self.choices)
             case Kind.INTEGERS:
                 if not isinstance(value, list) or len(value) != self.count:
-                    raise wrong_value(where, value, f"{self.count} integers from {low} to {high}", low=low, high=high)
+                    raise wrong_value(
+                        where,
+                        value,
+                        f"{self.count} integers from {low} to {high}",
+                        low=low,
+                        high=high,
+                    )
                 return [check_integer(where, item, low, high) for item in value]
             case Kind.SIZE:
                 return _checked_size(where, value, low, high)
@@ -137,7 +147,9 @@ def number(limit: Limit, sensor: Any) -> Any:
 
 def settings_of_class(of: type, table: str) -> dict[str, Setting]:
     """Return the settings that the attributes of a class describe, by name. table: of the configuration file."""
-    return {a.name: Setting(name=a.name, table=table, **a.metadata) for a in fields(of) if a.metadata}
+    return {
+        a.name: Setting(name=a.name, table=table, **a.metadata) for a in fields(of) if a.metadata
+    }
 
 
 def _plain(value: Any) -> Any:
@@ -148,15 +160,29 @@ def _plain(value: Any) -> Any:
 
 
 def _checked_size(where: str, value: Any, low: int, high: int) -> tuple[int, int]:
-    legal = isinstance(value, list) and len(value) == 2 and all(type(n) is int and n > 0 for n in value)
+    legal = (
+        isinstance(value, list) and len(value) == 2 and all(type(n) is int and n > 0 for n in value)
+    )
     if not legal or not low <= value[0] * value[1] <= high:
-        raise wrong_value(where, value, f"[rows, cols] of {low} to {high} pixels", low=low, high=high)
+        raise wrong_value(
+            where, value, f"[rows, cols] of {low} to {high} pixels", low=low, high=high
+        )
     return value[0], value[1]
 
 
 def _checked_mask(where: str, value: Any, pixels: int) -> np.ndarray:
-    if isinstance(value, list) and len(value) == pixels and all(isinstance(on, bool) for on in value):
+    if (
+        isinstance(value, list)
+        and len(value) == pixels
+        and all(isinstance(on, bool) for on in value)
+    ):
         return np.array(value)
-    if not isinstance(value, str) or not re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", value) or int(value, 16) >> pixels:
-        raise wrong_value(where, value, f"a string of hex digits below 2^{pixels} (bit i = pixel i)")
+    if (
+        not isinstance(value, str)
+        or not re.fullmatch(r"(0[xX])?[0-9a-fA-F]+", value)
+        or int(value, 16) >> pixels
+    ):
+        raise wrong_value(
+            where, value, f"a string of hex digits below 2^{pixels} (bit i = pixel i)"
+        )
     return np.array([int(value, 16) >> i & 1 for i in range(pixels)], bool)

@@ -183,7 +183,9 @@ def _read(beats: np.ndarray, bit: int, width: int) -> Any:
 
 
 @njit
-def _events(beats: np.ndarray, widths: _Widths, minigroup: np.ndarray, rows: Ungrouped, n: int) -> int:
+def _events(
+    beats: np.ndarray, widths: _Widths, minigroup: np.ndarray, rows: Ungrouped, n: int
+) -> int:
     """Decode the events of a group into the rows from `n` on, and return the next row."""
     end = len(beats) * groups.PAYLOAD_BITS - groups.CHECK_BITS
     number_bit = groups.HEAD.pulse + groups.HEAD.number
@@ -214,7 +216,9 @@ def _events(beats: np.ndarray, widths: _Widths, minigroup: np.ndarray, rows: Ung
 
 
 @part
-def _numbers(beats: np.ndarray, bit: int, head: _Head, widths: _Widths, pulse: int, row: np.ndarray) -> tuple[int, int]:
+def _numbers(
+    beats: np.ndarray, bit: int, head: _Head, widths: _Widths, pulse: int, row: np.ndarray
+) -> tuple[int, int]:
     """Read the numbers of an event from `bit` on; return the bit behind the stamp, and the pulse.
 
     pulse: of the event before, which is also that of this one if no age is told.
@@ -251,7 +255,9 @@ def _pixels(beats: np.ndarray, bit: int, listed: int, widths: _Widths, hit: np.n
 
 
 @part
-def _note_hits(hit: np.ndarray, minigroup: np.ndarray, in_hit: np.ndarray, words: np.ndarray) -> int:
+def _note_hits(
+    hit: np.ndarray, minigroup: np.ndarray, in_hit: np.ndarray, words: np.ndarray
+) -> int:
     """Write the map of an event and the minigroups that were hit; return the number of pixels."""
     number = 0
     in_hit[:] = False
@@ -264,7 +270,9 @@ def _note_hits(hit: np.ndarray, minigroup: np.ndarray, in_hit: np.ndarray, words
 
 
 @part(allocates=True)
-def _offsets(beats: np.ndarray, bit: int, widths: _Widths, in_hit: np.ndarray, offsets: np.ndarray) -> int:
+def _offsets(
+    beats: np.ndarray, bit: int, widths: _Widths, in_hit: np.ndarray, offsets: np.ndarray
+) -> int:
     """Read the offsets of the minigroups that were hit; return the bit behind them.
 
     Their order is the lowest, the highest, and on to the middle.

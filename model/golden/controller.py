@@ -35,7 +35,11 @@ class Controller:
         if self.budget is None:
             self.budget = self.limit = config.shares
         stays = config.controlled & self._controlled
-        return np.where(stays, self._next(config), config.threshold) if stays.any() else config.threshold
+        return (
+            np.where(stays, self._next(config), config.threshold)
+            if stays.any()
+            else config.threshold
+        )
 
     def _next(self, config: Config) -> np.ndarray:
         """int64[subgroups]: thresholds one step from the previous frame's, by its counters, the budget and the limit after it."""
@@ -45,7 +49,9 @@ class Controller:
         committed, lower = column[COUNTER.committed], column[COUNTER.lower]
         rises = committed > self.limit[self._stream]
         falls = ~rises & (lower <= self.budget[self._stream])
-        ceiling = 1 + np.searchsorted(config.auto_bounds, opened, side="right")  # at most THRESHOLD_MAX
+        ceiling = 1 + np.searchsorted(
+            config.auto_bounds, opened, side="right"
+        )  # at most THRESHOLD_MAX
         floor = max(1, config.frame.threshold_floor)
         return np.maximum(floor, np.minimum(threshold + rises - falls, ceiling))
 
@@ -70,8 +76,14 @@ class Controller:
         span = self.sensor.stream_subgroups(stream)
         of_stream = slice(span.start, span.stop)
         column, controlled = self._counters[of_stream].T, config.controlled[of_stream]
-        committed, lower = column[COUNTER.committed], column[COUNTER.lower]  # equal at a threshold of 1
-        total, top = int(committed.sum()), min(limit, int(committed.max(where=controlled, initial=0)))
+        committed, lower = (
+            column[COUNTER.committed],
+            column[COUNTER.lower],
+        )  # equal at a threshold of 1
+        total, top = (
+            int(committed.sum()),
+            min(limit, int(committed.max(where=controlled, initial=0))),
+        )
         if total > capacity:
             return share, share if total > 2 * capacity else max(share, top - (top >> LIMIT_DROP))
         candidates = [budget, *(budget + (budget >> growth) + 1 for growth in BUDGET_GROWTHS)]

@@ -58,7 +58,13 @@ class Golden:
         self.controller = Controller(sensor)
         self._pixel = pixel_table(sensor)
 
-    def frame(self, config: Config, edges: Edges, ready: np.ndarray | None = None, pulses: int | None = None) -> Trace:
+    def frame(
+        self,
+        config: Config,
+        edges: Edges,
+        ready: np.ndarray | None = None,
+        pulses: int | None = None,
+    ) -> Trace:
         """Run one frame; the pulses of `edges` count from the frame's start.
 
         ready: uint8[n] or None; the receiver behind the streams' links (`contract/link.py`) takes a beat in cycle c if
@@ -69,7 +75,9 @@ class Golden:
         self.frames += 1
         return self._traced(config, played)
 
-    def frames_of(self, config: Config, edges: Sequence[Edges], workers: int | None = None) -> list[Trace]:
+    def frames_of(
+        self, config: Config, edges: Sequence[Edges], workers: int | None = None
+    ) -> list[Trace]:
         """Run one frame after the other, those that do not depend on each other side by side.
 
         A frame depends on the one before if the controller sets a threshold. workers: threads; None: one per core. Their
@@ -80,7 +88,9 @@ class Golden:
         threshold = self.controller.begin(config)
         plan, numbers = _plan(config, threshold), range(self.frames, self.frames + len(edges))
         with Threads(workers) as threads:
-            played = threads.map(lambda frame: self._play(frame[0], plan, frame[1]), zip(numbers, edges, strict=True))
+            played = threads.map(
+                lambda frame: self._play(frame[0], plan, frame[1]), zip(numbers, edges, strict=True)
+            )
         self.frames += len(edges)
         return [self._traced(config, one) for one in played]
 
@@ -97,7 +107,9 @@ class Golden:
         fate = np.empty(len(edges), np.uint8)
         settings = plan.settings
         if sensor.rule != AT_LEAST:
-            settings = settings._replace(threshold=thresholds_of_candidates(sensor.rule, settings.threshold))
+            settings = settings._replace(
+                threshold=thresholds_of_candidates(sensor.rule, settings.threshold)
+            )
         rules = Rules(shape, settings, plan.timeline, self._pixel)
         fate[order], events, records = front_end(key, bounds, rules, counters)
         if sensor.rule != AT_LEAST:
@@ -121,7 +133,11 @@ class Golden:
         commit_subgroup = np.repeat(np.arange(sensor.subgroups), np.diff(events.bounds))
         row = events.row[: len(commit_subgroup)]
         stored = row["stored"] != 0
-        commits = {"commit_subgroup": commit_subgroup, "commit_cycle": row["cycle"], "freed_cycle": row["free_at"]}
+        commits = {
+            "commit_subgroup": commit_subgroup,
+            "commit_cycle": row["cycle"],
+            "freed_cycle": row["free_at"],
+        }
         chosen = {name: column[stored] for name, column in commits.items()}
         return {"beats": beats, "beat_cycle": cycles, "fate": fate, "counters": counters} | chosen
 
@@ -140,7 +156,12 @@ class _Plan(NamedTuple):
     next_ready: np.ndarray
 
 
-def _plan(config: Config, threshold: np.ndarray, ready: np.ndarray | None = None, pulses: int | None = None) -> _Plan:
+def _plan(
+    config: Config,
+    threshold: np.ndarray,
+    ready: np.ndarray | None = None,
+    pulses: int | None = None,
+) -> _Plan:
     frame = config.frame
     start = config.start_cycles()
     phases = config.sensor.phases
@@ -169,7 +190,10 @@ def _plan(config: Config, threshold: np.ndarray, ready: np.ndarray | None = None
 
 
 def golden_result(
-    config: Config, edges: Edges, ready: np.ndarray | None = None, progress: Callable[[int], None] = lambda frames: None
+    config: Config,
+    edges: Edges,
+    ready: np.ndarray | None = None,
+    progress: Callable[[int], None] = lambda frames: None,
 ) -> dict[str, np.ndarray]:
     """Play all frames of `config` through the golden model and return the arrays of the result file, with `fate`.
 

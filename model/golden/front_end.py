@@ -114,7 +114,9 @@ class _Workspace(NamedTuple):
 
     seen_at: np.ndarray  # [pixels], cycle of each pixel's last edge, as of `_cycle`
     accepted: np.ndarray  # [edges], indices of the edges that the tree sees
-    windows: np.ndarray  # [edges, 2], indices in `accepted`: a window's first edge, and the first edge after it
+    windows: (
+        np.ndarray
+    )  # [edges, 2], indices in `accepted`: a window's first edge, and the first edge after it
     collected: _Collection
 
 
@@ -126,7 +128,9 @@ class _Own(NamedTuple):
     fate: np.ndarray  # uint8
 
 
-def time_order(edges: Edges, pixel: Pixels, shape: Shape) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def time_order(
+    edges: Edges, pixel: Pixels, shape: Shape
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the sort keys (pulse, tick, pixel), the edges' order by subgroup and time, and its bounds.
 
     A stable counting sort by subgroup preserves the order of time, which edges mostly have already. Subgroups for which
@@ -261,7 +265,9 @@ def _accept(own, rules, work):
             own.fate[e] = _DUPLICATE
         elif not settings.mask[own.s, inside]:
             own.fate[e] = _MASKED
-        elif settings.gating[own.s] and not _in_gate(own.s, own.key[e], shape, settings, rules.timeline):
+        elif settings.gating[own.s] and not _in_gate(
+            own.s, own.key[e], shape, settings, rules.timeline
+        ):
             own.fate[e] = _GATED
         else:
             work.accepted[n] = e
@@ -364,7 +370,9 @@ def _commit(own, accepted, windows, rules, events, counters):
             rejected += 1
             continue
         event = events.row[row]
-        event.cycle = rules.timeline.start[pulse] + cycle + close[opening - cycle_start] + latency.COMMIT
+        event.cycle = (
+            rules.timeline.start[pulse] + cycle + close[opening - cycle_start] + latency.COMMIT
+        )
         event.pulse = pulse
         event.stamp = opening
         event.count = count
@@ -394,7 +402,13 @@ def _collect_records(own, accepted, rules, collected, records):
     row = records.bounds[own.s]
     for k in range(len(accepted)):
         pulse, tick, inside = _fields(own.key[accepted[k]])
-        _add(collected, pixel.minigroup[inside], np.uint64(1) << np.uint64(pixel.bit[inside]), tick, shape)
+        _add(
+            collected,
+            pixel.minigroup[inside],
+            np.uint64(1) << np.uint64(pixel.bit[inside]),
+            tick,
+            shape,
+        )
         period_ends = k + 1 == len(accepted) or own.key[accepted[k + 1]] >> _PULSE_LSB != pulse
         if period_ends and _latch(collected, records.entries[row], shape):
             record = records.row[row]

@@ -15,7 +15,9 @@ def thresholds_of_candidates(rule: Rule, threshold: np.ndarray) -> np.ndarray:
     return np.array(least, np.int64)
 
 
-def judged(candidates: Events, sensor: Sensor, threshold: np.ndarray, counters: np.ndarray) -> Events:
+def judged(
+    candidates: Events, sensor: Sensor, threshold: np.ndarray, counters: np.ndarray
+) -> Events:
     """Return the candidates that the sensor's rule makes events, and correct the counters of windows.
 
     threshold: int64[subgroups], in force; counters: int64[subgroups, counters].
@@ -29,7 +31,9 @@ def judged(candidates: Events, sensor: Sensor, threshold: np.ndarray, counters: 
         committed = np.count_nonzero(kept[span])
         counters[s, COUNTER.committed] = committed
         counters[s, COUNTER.rejected] = counters[s, COUNTER.opened] - committed
-        counters[s, COUNTER.lower] = np.count_nonzero(sensor.rule.judged(maps, int(threshold[s]) - 1))
+        counters[s, COUNTER.lower] = np.count_nonzero(
+            sensor.rule.judged(maps, int(threshold[s]) - 1)
+        )
     kept_before = np.concatenate([[0], np.cumsum(kept)])
     return Events(
         bounds=kept_before[bounds],

@@ -68,7 +68,12 @@ class _Room(NamedTuple):
 
 
 def readout(
-    stream: Stream, shape: Shape, events: Events, records: Records, counters: np.ndarray, next_ready: np.ndarray
+    stream: Stream,
+    shape: Shape,
+    events: Events,
+    records: Records,
+    counters: np.ndarray,
+    next_ready: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the beats of a stream, and the cycles of their transfer.
 
@@ -115,7 +120,12 @@ def _beats(queues: np.ndarray, shape: Shape) -> int:
     # equivalent: room for more beats, which is cut off
     records = int((queues["end_record"] - queues["next_record"]).sum())
     # equivalent (2: one more): room for more beats, which is cut off
-    return 2 + len(queues) * shape.counter_beats + events * shape.event_beats + records * shape.record_beats
+    return (
+        2
+        + len(queues) * shape.counter_beats
+        + events * shape.event_beats
+        + records * shape.record_beats
+    )
 
 
 @njit(allocates=False)
@@ -137,7 +147,9 @@ def _play(stream, shape, room, packers, events, records, counters):
     pointer = 0
     while True:
         t = _when_room(shape.longest_word, t, done, sent_at, shape)
-        chosen, upcoming = _arbitrate(t, pointer, queues, room.wake, events.row, records.row, shape.fifo_depth)
+        chosen, upcoming = _arbitrate(
+            t, pointer, queues, room.wake, events.row, records.row, shape.fifo_depth
+        )
         if chosen != _NONE:
             done, length = _grant(chosen, t, done, stream, shape, room, packer, events, records)
             t += length
@@ -154,7 +166,9 @@ def _play(stream, shape, room, packers, events, records, counters):
     _encode(beats[done : done + 1], _FRAME_END, values, shape.frame_parts)
     done = _send(packer, room, done, 1, t, shape)
     t += 1
-    for s in range(n):  # a wait for room would not show: the buffer keeps the stream busy while it lasts
+    for s in range(
+        n
+    ):  # a wait for room would not show: the buffer keeps the stream busy while it lasts
         _count(counters[stream.first + s], queues[s], shape.counter_max)
         _pack(beats[done : done + shape.counter_beats], counters[stream.first + s], COUNTER_BITS)
         done = _send(packer, room, done, shape.counter_beats, t, shape)
@@ -183,7 +197,9 @@ def _grant(chosen, t, done, stream, shape, room, packer, events, records):
     done = _take(sent_at, done, length, t, packer.taken)
     hits = events.hits[event]
     offsets = events.offsets[event]
-    pack_event(packer, room.packed, events.row[event], subgroup, hits, offsets, sent_at[done - 1], shape)
+    pack_event(
+        packer, room.packed, events.row[event], subgroup, hits, offsets, sent_at[done - 1], shape
+    )
     return done, length
 
 
@@ -217,7 +233,9 @@ def _arbitrate(t, pointer, queues, wake, events, records, fifo_depth):
             if queue.next_event < queue.end_event:
                 wake[chosen] = events[queue.next_event].cycle + latency.STORE_TO_GRANT
             if queue.next_record < queue.end_record:
-                wake[chosen] = min(wake[chosen], records[queue.next_record].cycle + latency.STORE_TO_GRANT)
+                wake[chosen] = min(
+                    wake[chosen], records[queue.next_record].cycle + latency.STORE_TO_GRANT
+                )
         upcoming = min(upcoming, wake[chosen])
     return _NONE, upcoming
 
@@ -225,7 +243,10 @@ def _arbitrate(t, pointer, queues, wake, events, records, fifo_depth):
 @part
 def _admit_events(queue, t, events, fifo_depth):
     """Move events that may be granted by cycle `t` into the FIFO, or drop them if it was full at their commit."""
-    while queue.next_event < queue.end_event and events[queue.next_event].cycle + latency.STORE_TO_GRANT <= t:
+    while (
+        queue.next_event < queue.end_event
+        and events[queue.next_event].cycle + latency.STORE_TO_GRANT <= t
+    ):
         event = events[queue.next_event]
         while queue.oldest < queue.next_event and events[queue.oldest].free_at <= event.cycle:
             queue.level -= events[queue.oldest].stored
@@ -248,7 +269,10 @@ def _admit_events(queue, t, events, fifo_depth):
 @part
 def _admit_records(queue, t, records):
     """Move records that may be granted by cycle `t` to the only place, or drop them if it was taken."""
-    while queue.next_record < queue.end_record and records[queue.next_record].cycle + latency.STORE_TO_GRANT <= t:
+    while (
+        queue.next_record < queue.end_record
+        and records[queue.next_record].cycle + latency.STORE_TO_GRANT <= t
+    ):
         if queue.waiting == _NONE and queue.place_free_at <= records[queue.next_record].cycle:
             queue.waiting = queue.next_record
             queue.mg_stored += 1
@@ -292,7 +316,9 @@ def _encode(beats, code, values, parts):
         beats[k] = 0
     beats[0] = np.uint64(code) << np.uint64(KIND_LSB)
     for field in parts:
-        bits = values[field.word] >> np.uint64(field.shift) & _ALL >> np.uint64(BEAT_BITS - field.width)
+        bits = values[field.word] >> np.uint64(field.shift) & _ALL >> np.uint64(
+            BEAT_BITS - field.width
+        )
         beats[field.beat] |= bits << np.uint64(field.lsb)
 
 
@@ -343,7 +369,9 @@ def _pass(packer, room, done, end, shape):
 @part
 def _take(sent_at, done, length, t, taken):
     """Write to `sent_at` when the packer takes an event's beats, the first one from cycle `taken` on; return the new `done`."""
-    sent_at[done] = max(t + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT, sent_at[done - 1] + 1, taken)
+    sent_at[done] = max(
+        t + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT, sent_at[done - 1] + 1, taken
+    )
     for k in range(done + 1, done + length):
         sent_at[k] = sent_at[k - 1] + 1
     return done + length

@@ -92,9 +92,19 @@ _PART = row_type(
 
 def _part_rows(sensor: Sensor, packet: Packet) -> np.ndarray:
     """Return where the fields of a packet stand, as rows: `width` bits of a word, from bit `shift` on, go to a beat."""
-    first = NUMBER._asdict() | {"map": ARRAY, "offsets": ARRAY + _words(sensor.pixels), "entries": ARRAY}
+    first = NUMBER._asdict() | {
+        "map": ARRAY,
+        "offsets": ARRAY + _words(sensor.pixels),
+        "entries": ARRAY,
+    }
     rows = [
-        (first[part.field] + part.shift // BEAT_BITS, part.shift % BEAT_BITS, part.width, part.beat, part.lsb)
+        (
+            first[part.field] + part.shift // BEAT_BITS,
+            part.shift % BEAT_BITS,
+            part.width,
+            part.beat,
+            part.lsb,
+        )
         for part in parts_of(sensor, packet)
     ]
     return np.array(rows, _PART)

@@ -76,7 +76,12 @@ def effective_cps(
 
 
 def noise_photons(
-    effective_noise_cps: Numbers, window_s: Numbers, threshold: Numbers, dead_time_s: float, pixels: int, form: str
+    effective_noise_cps: Numbers,
+    window_s: Numbers,
+    threshold: Numbers,
+    dead_time_s: float,
+    pixels: int,
+    form: str,
 ) -> Numbers:
     """(3): noise photons of a pixel in the coincidence window of `window_s`.
 
@@ -89,7 +94,12 @@ def noise_photons(
 
 
 def signal_photons(
-    effective_signal_cps: Numbers, laser_hz: float, threshold: Numbers, dead_time_s: float, pixels: int, form: str
+    effective_signal_cps: Numbers,
+    laser_hz: float,
+    threshold: Numbers,
+    dead_time_s: float,
+    pixels: int,
+    form: str,
 ) -> Numbers:
     """(4): signal photons of a pixel in a laser period. Literal: with dead time as in (3). Corrected: without."""
     if _literal(form):
@@ -103,24 +113,32 @@ def pixel_probability(photons_pixel: Numbers, form: str) -> Numbers:
     return photons_pixel * np.exp(-photons_pixel) if _literal(form) else -np.expm1(-photons_pixel)
 
 
-def minigroup_probability(photons_minigroup: Numbers, threshold: Numbers, pixels_minigroup: int, form: str) -> Numbers:
+def minigroup_probability(
+    photons_minigroup: Numbers, threshold: Numbers, pixels_minigroup: int, form: str
+) -> Numbers:
     """(10): probability of threshold - 1 photons in a pixel's minigroup.
 
     Literal: from all its pixels, Poisson. Corrected: from the other pixels, which must be distinct, binomial.
     """
     if _literal(form):
         return stats.poisson.pmf(threshold - 1, photons_minigroup)
-    return stats.binom.pmf(threshold - 1, pixels_minigroup - 1, _share(photons_minigroup, pixels_minigroup))
+    return stats.binom.pmf(
+        threshold - 1, pixels_minigroup - 1, _share(photons_minigroup, pixels_minigroup)
+    )
 
 
-def rest_probability(photons_rest: Numbers, threshold: Numbers, pixels_rest: int, form: str) -> Numbers:
+def rest_probability(
+    photons_rest: Numbers, threshold: Numbers, pixels_rest: int, form: str
+) -> Numbers:
     """(12): probability of threshold - 1 photons outside the minigroup. Literal: Poisson. Corrected: binomial."""
     if _literal(form):
         return stats.poisson.pmf(threshold - 1, photons_rest)
     return stats.binom.pmf(threshold - 1, pixels_rest, _share(photons_rest, pixels_rest))
 
 
-def others_probability(photons: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
+def others_probability(
+    photons: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str
+) -> Numbers:
     """(13): probability that the other pixels of the subgroup contribute the missing threshold - 1 detections.
 
     Literal: union of (10) and (12), assumed independent. Corrected: at least threshold - 1 of the others, in any split.
@@ -130,15 +148,23 @@ def others_probability(photons: MeanPhotons, threshold: Numbers, sizes: Sizes, f
         inside = minigroup_probability(photons.minigroup, threshold, sizes.minigroup, form)
         outside = rest_probability(rest, threshold, sizes.subgroup - sizes.minigroup, form)
         return inside + outside - inside * outside
-    return stats.binom.sf(threshold - 2, sizes.subgroup - 1, _share(photons.subgroup, sizes.subgroup))
+    return stats.binom.sf(
+        threshold - 2, sizes.subgroup - 1, _share(photons.subgroup, sizes.subgroup)
+    )
 
 
-def coincidence_probability(photons: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
+def coincidence_probability(
+    photons: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str
+) -> Numbers:
     """(8), (14): probability that a pixel detects and the threshold is met, of noise or of signal alone."""
-    return pixel_probability(photons.pixel, form) * others_probability(photons, threshold, sizes, form)
+    return pixel_probability(photons.pixel, form) * others_probability(
+        photons, threshold, sizes, form
+    )
 
 
-def signal_probability(noise: MeanPhotons, signal: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str) -> Numbers:
+def signal_probability(
+    noise: MeanPhotons, signal: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str
+) -> Numbers:
     """(15): probability that a pixel detects a signal photon in an event, in the presence of noise.
 
     Literal: no noise in the pixel, no noise event, a signal event. Corrected: the other pixels count whether they detect
@@ -153,7 +179,9 @@ def signal_probability(noise: MeanPhotons, signal: MeanPhotons, threshold: Numbe
     return pixel_probability(signal.pixel, form) * others_probability(both, threshold, sizes, form)
 
 
-def windows_per_period(effective_noise_sg_cps: Numbers, period_s: float, busy_s: float, form: str) -> Numbers:
+def windows_per_period(
+    effective_noise_sg_cps: Numbers, period_s: float, busy_s: float, form: str
+) -> Numbers:
     """Windows that noise opens in a laser period. Literal: one, as (16a) assumes. Corrected: each
     window occupies the tree for `busy_s`.
     """
@@ -179,20 +207,33 @@ def noise_counts(
 
 
 def signal_counts(
-    noise: MeanPhotons, signal: MeanPhotons, threshold: Numbers, pulses: int, armed: Numbers, sizes: Sizes, form: str
+    noise: MeanPhotons,
+    signal: MeanPhotons,
+    threshold: Numbers,
+    pulses: int,
+    armed: Numbers,
+    sizes: Sizes,
+    form: str,
 ) -> Numbers:
     """(16b): signal counts of a pixel in a frame: (15) times `pulses`. Corrected: times `armed`, P(the tree is armed)."""
     counts = signal_probability(noise, signal, threshold, sizes, form) * pulses
     return counts if _literal(form) else counts * armed
 
 
-def noise_per_bin(noise_counts: Numbers, laser_hz: float, jitter_s: float, lsb_s: float, form: str) -> Numbers:
+def noise_per_bin(
+    noise_counts: Numbers, laser_hz: float, jitter_s: float, lsb_s: float, form: str
+) -> Numbers:
     """(17): noise counts in a bin of the histogram. Literal: in a time `jitter_s`. Corrected: in one LSB, as in (18)."""
     return noise_counts * laser_hz * (jitter_s if _literal(form) else lsb_s)
 
 
 def signal_per_bin(
-    signal_counts: Numbers, time_s: Numbers, flight_s: Numbers, jitter_s: float, lsb_s: float, form: str
+    signal_counts: Numbers,
+    time_s: Numbers,
+    flight_s: Numbers,
+    jitter_s: float,
+    lsb_s: float,
+    form: str,
 ) -> Numbers:
     """(18): signal counts in the bin centred at `time_s`; `jitter_s` is the sigma.
 
@@ -201,7 +242,12 @@ def signal_per_bin(
     z = (np.asarray(time_s) - flight_s) / jitter_s
     if _literal(form):
         unit = PRINTED_TIME_UNIT_S
-        return signal_counts / np.sqrt(2 * np.pi * jitter_s / unit) * (lsb_s / unit) * np.exp(-(z**2) / 2)
+        return (
+            signal_counts
+            / np.sqrt(2 * np.pi * jitter_s / unit)
+            * (lsb_s / unit)
+            * np.exp(-(z**2) / 2)
+        )
     half = lsb_s / jitter_s / 2
     return signal_counts * (special.ndtr(z + half) - special.ndtr(z - half))
 
@@ -212,7 +258,9 @@ def busy_s(window_ticks: int, rearm_cycles: int, timing: Timing) -> float:
     A window opens in any phase of a cycle with equal probability.
     """
     phase = np.arange(timing.phases)
-    armed_ticks = armed_cycle(close_cycle(phase, window_ticks, timing.phases), rearm_cycles) * timing.phases
+    armed_ticks = (
+        armed_cycle(close_cycle(phase, window_ticks, timing.phases), rearm_cycles) * timing.phases
+    )
     return float(np.mean(armed_ticks - phase) * timing.tick_s)
 
 
@@ -244,19 +292,35 @@ def histogram(
     check_choice("scheme", scheme, SCHEMES)
     check_integer("threshold", threshold, 1, sensor.pixels)
     if _literal(form) and sensor.rule != AT_LEAST:
-        raise InputError(f"form = {form!r}: knows only the paper's rule, not sensor.rule = {sensor.rule.name!r}")
+        raise InputError(
+            f"form = {form!r}: knows only the paper's rule, not sensor.rule = {sensor.rule.name!r}"
+        )
     check_integer("window_ticks", window_ticks, 1, sensor.window_max)
     pixels = (sensor.pixels,)
     distance_m = real_array("distance_m", distance_m, pixels, 0, nan=True)
     noise_cps = real_array("noise_cps", noise_cps, pixels, 0)
-    signal = np.where(np.isnan(distance_m), 0, real_array("signal_per_pulse", signal_per_pulse, pixels, 0))
+    signal = np.where(
+        np.isnan(distance_m), 0, real_array("signal_per_pulse", signal_per_pulse, pixels, 0)
+    )
     flight_s = np.nan_to_num(2 * distance_m / SPEED_OF_LIGHT_M_S) % timing.period_s
     fill = _literal_histogram if _literal(form) else _corrected_histogram
     if scheme == 1:
         threshold, window_ticks = 1, 1
     sigma_s = system_fwhm_s * SIGMA_PER_FWHM
     return fill(
-        _Case(flight_s, signal, noise_cps, threshold, window_ticks, pulses, scheme, sensor, timing, spad, sigma_s)
+        _Case(
+            flight_s,
+            signal,
+            noise_cps,
+            threshold,
+            window_ticks,
+            pulses,
+            scheme,
+            sensor,
+            timing,
+            spad,
+            sigma_s,
+        )
     )
 
 
@@ -280,7 +344,12 @@ def success_probability(expected: np.ndarray, flight_s: float, timing: Timing) -
 
 
 def success_by_threshold(
-    signal_per_pulse: float, noise_cps: float, distance_m: float, *, timing: Timing | None = None, **setting: Any
+    signal_per_pulse: float,
+    noise_cps: float,
+    distance_m: float,
+    *,
+    timing: Timing | None = None,
+    **setting: Any,
 ) -> np.ndarray:
     """`success_probability` of a pixel in an evenly lit subgroup, for each of `THRESHOLDS`: float64[7]. See `histogram`."""
     timing = timing or Timing()
@@ -328,12 +397,19 @@ def _share(photons: Numbers, pixels: int) -> Numbers:
 
 
 # Arguments of `histogram`, checked. flight_s, signal (photons per pulse), noise_cps: float64[pixels].
-_Case = namedtuple("_Case", "flight_s signal noise_cps threshold window_ticks pulses scheme sensor timing spad sigma_s")
+_Case = namedtuple(
+    "_Case",
+    "flight_s signal noise_cps threshold window_ticks pulses scheme sensor timing spad sigma_s",
+)
 
 
 def _literal_histogram(of: _Case) -> np.ndarray:
     """Equations (3) to (18) as printed, on the grid of ticks."""
-    form, laser_hz, sizes = FORMS[0], 1 / of.timing.period_s, Sizes(of.sensor.minigroup_pixels, of.sensor.pixels)
+    form, laser_hz, sizes = (
+        FORMS[0],
+        1 / of.timing.period_s,
+        Sizes(of.sensor.minigroup_pixels, of.sensor.pixels),
+    )
     window_s = of.timing.period_s if of.scheme == 1 else of.window_ticks * of.timing.tick_s
     dead = (of.threshold, of.spad.dead_time_s, of.sensor.pixels, form)
     effective_noise_cps, effective_signal_cps = effective_cps(
@@ -343,7 +419,10 @@ def _literal_histogram(of: _Case) -> np.ndarray:
     of_signal = _grouped(signal_photons(effective_signal_cps, laser_hz, *dead), of.sensor)
     if of.scheme == 1:
         detects_noise = pixel_probability(of_noise.pixel, form)
-        counts = of.pulses * detects_noise, of.pulses * (1 - detects_noise) * pixel_probability(of_signal.pixel, form)
+        counts = (
+            of.pulses * detects_noise,
+            of.pulses * (1 - detects_noise) * pixel_probability(of_signal.pixel, form),
+        )
     else:
         windows = windows_per_period(of_noise.subgroup, 0, 0, form)
         counts = (
@@ -353,7 +432,9 @@ def _literal_histogram(of: _Case) -> np.ndarray:
     per_pixel_noise, per_pixel_signal = (np.asarray(part)[:, None] for part in counts)
     time_s = (np.arange(of.timing.period_ticks) + 0.5) * of.timing.tick_s
     floor = noise_per_bin(per_pixel_noise, laser_hz, of.sigma_s, of.timing.tick_s, form)
-    peak = signal_per_bin(per_pixel_signal, time_s, of.flight_s[:, None], of.sigma_s, of.timing.tick_s, form)
+    peak = signal_per_bin(
+        per_pixel_signal, time_s, of.flight_s[:, None], of.sigma_s, of.timing.tick_s, form
+    )
     return np.asarray(floor + peak)
 
 
@@ -374,7 +455,11 @@ def _corrected_histogram(of: _Case) -> np.ndarray:
     live = (1 / (1 + of.noise_cps * of.spad.dead_time_s))[:, None]
     pulse = special.ndtr((border_s - of.flight_s[:, None]) / of.sigma_s)
     fired = live * (of.noise_cps[:, None] * border_s - np.expm1(-of.signal[:, None] * pulse))
-    start, after, end = fired[:, :ticks], fired[:, 1 : ticks + 1], fired[:, of.window_ticks : ticks + of.window_ticks]
+    start, after, end = (
+        fired[:, :ticks],
+        fired[:, 1 : ticks + 1],
+        fired[:, of.window_ticks : ticks + of.window_ticks],
+    )
     nobody = np.prod(1 - (after - start), axis=0)  # at this tick
     in_window, in_rest = end - start, end - after
     # A pixel is in the map of an event that this tick opens if it fires in the window, less the cases in which no pixel
@@ -383,7 +468,11 @@ def _corrected_histogram(of: _Case) -> np.ndarray:
     met = event_share(law, lambda pixels: _met_by_others(pixels, in_window))
     met_in_rest = event_share(law, lambda pixels: _met_by_others(pixels, in_rest))
     armed = _armed(
-        nobody, of.window_ticks, of.timing.phases, of.sensor.rearm, ticks - of.sensor.guard * of.timing.phases
+        nobody,
+        of.window_ticks,
+        of.timing.phases,
+        of.sensor.rearm,
+        ticks - of.sensor.guard * of.timing.phases,
     )
     return of.pulses * armed * (in_window * met - nobody * in_rest * met_in_rest)
 
@@ -395,7 +484,9 @@ def _met_by_others(pixels: int, share: np.ndarray) -> np.ndarray:
 
 
 @njit
-def _armed(nobody: np.ndarray, window_ticks: int, phases: int, rearm_cycles: int, open_ticks: int) -> np.ndarray:
+def _armed(
+    nobody: np.ndarray, window_ticks: int, phases: int, rearm_cycles: int, open_ticks: int
+) -> np.ndarray:
     """Probability that the tree is armed at each tick: at the period's start, and some cycles after each opening."""
     armed, again, now = np.zeros(nobody.size), np.zeros(nobody.size), 1.0
     for t in range(open_ticks):
@@ -413,4 +504,6 @@ def _maximum_law(k: np.ndarray, means: np.ndarray) -> np.ndarray:
     """P(the largest of independent Poisson counts <= k); means are rounded to three digits, so that few differ."""
     digits = 10.0 ** (np.floor(np.log10(np.maximum(means, 1e-12))) - 2)
     means, times = np.unique(np.round(means / digits) * digits, return_counts=True)
-    return np.exp(np.sum(times[:, None] * np.log(np.maximum(special.pdtr(k, means[:, None]), 1e-300)), axis=0))
+    return np.exp(
+        np.sum(times[:, None] * np.log(np.maximum(special.pdtr(k, means[:, None]), 1e-300)), axis=0)
+    )

@@ -32,7 +32,9 @@ def code_density(tick: np.ndarray, phases: int) -> CodeDensity:
     check_integer("phases", phases, 2, 1024)
     tick = np.asarray(tick)
     if len(tick) < phases:
-        raise InputError(f"tick: holds {len(tick)} edges, must hold at least one per phase ({phases})")
+        raise InputError(
+            f"tick: holds {len(tick)} edges, must hold at least one per phase ({phases})"
+        )
     share = np.bincount(tick % phases, minlength=phases) / len(tick)
     dnl_lsb = share * phases - 1
     sigma_lsb = phases * np.sqrt(share * (1 - share) / len(tick))

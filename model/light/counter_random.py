@@ -94,7 +94,9 @@ def _rare_normal(key: np.uint64, layer: np.int64, z: float) -> float:
                 attempt += 1
                 x = exponential(key, 0, attempt) / _LAST_X
             return _LAST_X + x if z > 0 else -_LAST_X - x
-        if _DENSITY[layer] + uniform(key, 2, attempt) * (_DENSITY[layer + 1] - _DENSITY[layer]) < math.exp(-z * z / 2):
+        if _DENSITY[layer] + uniform(key, 2, attempt) * (
+            _DENSITY[layer + 1] - _DENSITY[layer]
+        ) < math.exp(-z * z / 2):
             return z
         attempt += 1
         bits = _bits(key, 3, attempt)

@@ -14,8 +14,12 @@ from numpy.typing import ArrayLike
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import Numbers, check_choice, given, real, real_array
 
-BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50  # detected, per pixel; our preset: a level at which thresholds are selective
-SIGNAL_REFERENCE = 0.613  # detected photons per pulse and pixel by equation (1) at the two values below
+BACKGROUND_CPS_PER_KLUX = (
+    1.226e6 / 50
+)  # detected, per pixel; our preset: a level at which thresholds are selective
+SIGNAL_REFERENCE = (
+    0.613  # detected photons per pulse and pixel by equation (1) at the two values below
+)
 REFERENCE_DISTANCE_M = 4.0
 REFERENCE_REFLECTIVITY = 0.4
 NEAREST_M = 0.05  # nearest surface of a scene: the signal grows without bound towards 0
@@ -32,7 +36,9 @@ def background_cps(klux: Numbers, reflectivity: ArrayLike = REFERENCE_REFLECTIVI
     distance. The level is our preset. Raises `InputError`.
     """
     checked_klux = real_array("klux", klux, np.shape(klux), 0)
-    rate_cps = BACKGROUND_CPS_PER_KLUX * checked_klux * (np.asarray(reflectivity) / REFERENCE_REFLECTIVITY)
+    rate_cps = (
+        BACKGROUND_CPS_PER_KLUX * checked_klux * (np.asarray(reflectivity) / REFERENCE_REFLECTIVITY)
+    )
     return rate_cps if rate_cps.ndim else float(rate_cps)
 
 
@@ -51,7 +57,11 @@ def signal_per_pulse(distance_m: ArrayLike, reflectivity: ArrayLike) -> np.ndarr
 
     Equation (1) of the paper: proportional to reflectivity / distance^2.
     """
-    scaled = np.asarray(reflectivity) / REFERENCE_REFLECTIVITY * (REFERENCE_DISTANCE_M / np.asarray(distance_m)) ** 2
+    scaled = (
+        np.asarray(reflectivity)
+        / REFERENCE_REFLECTIVITY
+        * (REFERENCE_DISTANCE_M / np.asarray(distance_m)) ** 2
+    )
     return np.nan_to_num(SIGNAL_REFERENCE * scaled, nan=0.0)
 
 
@@ -88,12 +98,22 @@ class Arrivals:
     def __attrs_post_init__(self) -> None:
         n = len(self.photons)
         first = np.asarray(self.first, np.int64)
-        if first.ndim != 1 or len(first) < 2 or first[0] != 0 or first[-1] != n or np.any(np.diff(first) < 0):
+        if (
+            first.ndim != 1
+            or len(first) < 2
+            or first[0] != 0
+            or first[-1] != n
+            or np.any(np.diff(first) < 0)
+        ):
             raise InputError(f"first: must ascend from 0 to the {n} bins")
         object.__setattr__(self, "first", first)
         object.__setattr__(self, "start_s", real_array("start_s", self.start_s, (n,), 0))
-        object.__setattr__(self, "photons", real_array("photons", self.photons, (n,), 0, SIGNAL_MAX))
-        inner = np.delete(np.diff(self.start_s), first[1:-1][(first[1:-1] > 0) & (first[1:-1] < n)] - 1)
+        object.__setattr__(
+            self, "photons", real_array("photons", self.photons, (n,), 0, SIGNAL_MAX)
+        )
+        inner = np.delete(
+            np.diff(self.start_s), first[1:-1][(first[1:-1] > 0) & (first[1:-1] < n)] - 1
+        )
         if np.any(inner < 0):
             raise InputError("start_s: must ascend in every pixel")
 
@@ -135,10 +155,14 @@ class Light:
             ("system_fwhm_s", per_target, 1.0),
             ("background_cps", (self.pixels,), RATE_MAX_CPS),
         ):
-            checked = real_array(name, getattr(self, name), shape, 0, highest, nan=name == "distance_m")
+            checked = real_array(
+                name, getattr(self, name), shape, 0, highest, nan=name == "distance_m"
+            )
             object.__setattr__(self, name, checked)
         if self.arrivals is not None and len(self.arrivals.first) != self.pixels + 1:
-            raise InputError(f"arrivals: has {len(self.arrivals.first) - 1} pixels, must have {self.pixels}")
+            raise InputError(
+                f"arrivals: has {len(self.arrivals.first) - 1} pixels, must have {self.pixels}"
+            )
 
     @property
     def pixels(self) -> int:
@@ -182,20 +206,28 @@ class Light:
         """
         distance_m = np.asarray(distance_m, dtype=np.float64)
         if distance_m.ndim not in (2, 3):
-            raise InputError(f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets")
+            raise InputError(
+                f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets"
+            )
         rows, cols = distance_m.shape[:2]
         distance_m = real_array("distance_m", distance_m, distance_m.shape, NEAREST_M, nan=True)
         reflectivity = real_array("reflectivity", reflectivity, distance_m.shape, 0, 1)
         signal = signal_per_pulse(distance_m, reflectivity)
         flat = (rows * cols, -1)
         targets = ~np.isnan(distance_m).reshape(flat)
-        seen = np.where(targets.any(axis=1), np.where(targets, reflectivity.reshape(flat), 0).sum(axis=1), np.nan)
+        seen = np.where(
+            targets.any(axis=1),
+            np.where(targets, reflectivity.reshape(flat), 0).sum(axis=1),
+            np.nan,
+        )
         ambient = ambient_reflectivity(seen, background)
         return cls(
             rows=rows,
             cols=cols,
             distance_m=distance_m.reshape(flat),
             signal_per_pulse=signal.reshape(flat),
-            background_cps=background_cps(real_array("klux", klux, (rows, cols), 0).ravel(), ambient),
+            background_cps=background_cps(
+                real_array("klux", klux, (rows, cols), 0).ravel(), ambient
+            ),
             **others,
         )

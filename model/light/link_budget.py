@@ -81,7 +81,9 @@ class LinkBudget:
     target_area_m2: Numbers = _line("m2", "4 d^2 tan(H/2) tan(V/2)")
     irradiance_w_m2: float = _line("W/m2", "spectrum through the filter")
     signal_rate_cps: Numbers = _line("1/s", "equation (1), per pixel, before dead time")
-    background_rate_cps: float = _line("1/s", "equation (2) and dark counts, per pixel, before dead time")
+    background_rate_cps: float = _line(
+        "1/s", "equation (2) and dark counts, per pixel, before dead time"
+    )
     background_live_cps: float = _line("1/s", "the same after a non-paralyzable dead time")
     signal_per_pulse: Numbers = _line("", "signal rate / laser rate")
     sbr_reading: str = _line("", "; ".join(f"{key}: {text}" for key, text in SBR_READINGS.items()))
@@ -90,7 +92,10 @@ class LinkBudget:
 
     def rows(self) -> list[tuple[str, object, str, str]]:
         """Return the budget line by line: (name, value, unit, source)."""
-        return [(a.name, getattr(self, a.name), a.metadata["unit"], a.metadata["source"]) for a in fields(type(self))]
+        return [
+            (a.name, getattr(self, a.name), a.metadata["unit"], a.metadata["source"])
+            for a in fields(type(self))
+        ]
 
     def json(self) -> dict[str, object]:
         """Return flat keys for a file; a ratio without background is None."""
@@ -139,7 +144,11 @@ def link_budget(
     half_h, half_v = (math.radians(angle / 2) for angle in (optics.fov_h_deg, optics.fov_v_deg))
     target_area_m2 = 4 * distance_m**2 * math.tan(half_h) * math.tan(half_v)
     irradiance = irradiance_w_m2(
-        klux, laser.wavelength_nm, optics.filter_fwhm_nm, filter_shape=optics.filter_shape, spectrum=spectrum
+        klux,
+        laser.wavelength_nm,
+        optics.filter_fwhm_nm,
+        filter_shape=optics.filter_shape,
+        spectrum=spectrum,
     )
     solid_angle = (2 if form == "literal" else 1) * math.pi
     cps_per_watt = (
@@ -152,7 +161,9 @@ def link_budget(
         / photon_energy_j
     )
     signal_rate_cps = laser.average_power_w * cps_per_watt
-    on_target = irradiance * target_area_m2 * cps_per_watt  # the same at every distance, up to rounding
+    on_target = (
+        irradiance * target_area_m2 * cps_per_watt
+    )  # the same at every distance, up to rounding
     background_rate_cps = float(np.mean(on_target) + np.mean(spad.dark_cps))
     background_live_cps = background_rate_cps / (1 + background_rate_cps * spad.dead_time_s)
     signal_per_pulse = signal_rate_cps / laser.repetition_hz

@@ -35,13 +35,17 @@ def own_chunk(
     pixel = np.asarray(found.pixel)
     time_s = np.asarray(found.time_s, np.float64)
     if not np.issubdtype(pixel.dtype, np.integer) or pixel.shape != time_s.shape or pixel.ndim != 1:
-        raise InputError(f"{spad.name}.edges_of: must return int64[n] and float64[n] of the same length")
+        raise InputError(
+            f"{spad.name}.edges_of: must return int64[n] and float64[n] of the same length"
+        )
     if len(pixel) and not 0 <= pixel.min() <= pixel.max() < light.pixels:
         raise InputError(f"{spad.name}.edges_of: pixel must be from 0 to {light.pixels - 1}")
     yield _edges(pixel.astype(np.int64), time_s, timing, pulses)
 
 
-def _photons(light: Light, spad: OwnSpad, timing: Timing, pulses: range, generate: Generate) -> SpadTimes:
+def _photons(
+    light: Light, spad: OwnSpad, timing: Timing, pulses: range, generate: Generate
+) -> SpadTimes:
     """Return the times at which a SPAD that is always ready detects photons."""
     fineness = min(FINENESS, PHASES_MAX // timing.phases)
     fine = evolve(timing, phases=timing.phases * fineness, tap_width_lsb=None)

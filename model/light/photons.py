@@ -63,7 +63,12 @@ def generate_edges(light: Light, spad: Spad, timing: Timing, **options: Any) -> 
     same edges in chunks.
     """
     chunks = list(edge_chunks(light, spad, timing, **options))
-    return Edges(*(np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in ("pulse", "pixel", "tick")))
+    return Edges(
+        *(
+            np.concatenate([getattr(chunk, name) for chunk in chunks])
+            for name in ("pulse", "pixel", "tick")
+        )
+    )
 
 
 def edge_chunks(
@@ -95,9 +100,16 @@ def edge_chunks(
     physics, arrays = _in_ticks(light, spad, timing, gate, pulse_start + pulses)
     if isinstance(spad, OwnSpad):
         generate = partial(
-            generate_edges, pulses=pulses, pulse_start=pulse_start, seed=seed, gate=gate, workers=workers
+            generate_edges,
+            pulses=pulses,
+            pulse_start=pulse_start,
+            seed=seed,
+            gate=gate,
+            workers=workers,
         )
-        return own_chunk(light, spad, timing, range(pulse_start, pulse_start + pulses), seed, generate)
+        return own_chunk(
+            light, spad, timing, range(pulse_start, pulse_start + pulses), seed, generate
+        )
     photons_per_pulse = _photons_per_pulse(physics, arrays)
     edges_per_pulse = photons_per_pulse * (1 + 2 * physics.afterpulse + 4 * physics.crosstalk)
     if physics.dead:
@@ -105,10 +117,20 @@ def edge_chunks(
     packing = Packing((light.pixels - 1).bit_length(), (timing.period_ticks - 1).bit_length())
     if chunk_pulses is None:
         chunk_pulses = min(max(1, int(CHUNK_EDGES / (edges_per_pulse.sum() + 1e-9))), CHUNK_EDGES)
-    check_integer("chunk_pulses", chunk_pulses, 1, 1 << min(31, 63 - sum(packing)), "of this array and period")
+    check_integer(
+        "chunk_pulses", chunk_pulses, 1, 1 << min(31, 63 - sum(packing)), "of this array and period"
+    )
     borders = [light.pixels * i // workers for i in range(workers + 1)]
     walkers = [
-        _Walker(physics, arrays, np.uint64(seed), block, packing, photons_per_pulse.max(), edges_per_pulse)
+        _Walker(
+            physics,
+            arrays,
+            np.uint64(seed),
+            block,
+            packing,
+            photons_per_pulse.max(),
+            edges_per_pulse,
+        )
         for block in pairwise(borders)
     ]
     return _chunks(walkers, range(pulse_start, pulse_start + pulses), chunk_pulses)
@@ -123,12 +145,16 @@ def _chunks(walkers: list["_Walker"], pulses: range, chunk_pulses: int) -> Itera
             span = (first, min(chunk_pulses, pulses.stop - first))
             received = Received(np.empty(0, np.int64), np.empty(0))
             if physics.crosstalk > 0:
-                sent = threads.map(partial(_Walker.walk, span=span, received=received, sending=True), walkers)
+                sent = threads.map(
+                    partial(_Walker.walk, span=span, received=received, sending=True), walkers
+                )
                 where = np.concatenate([part.where for part in sent])
                 time = np.concatenate([part.time for part in sent])
                 order = np.lexsort((time, where))
                 received = Received(where[order], time[order])
-            made = threads.map(partial(_Walker.walk, span=span, received=received, sending=False), walkers)
+            made = threads.map(
+                partial(_Walker.walk, span=span, received=received, sending=False), walkers
+            )
             keys = np.concatenate([part.where for part in made])
             keys.sort()
             yield Edges(*unpacked(keys, first, packing))
@@ -143,7 +169,9 @@ def _in_ticks(
     pulse_variance_s2 = light.system_fwhm_s**2 - spad.jitter_fwhm_s**2
     if np.any(pulse_variance_s2 < 0):
         narrowest = light.system_fwhm_s.min()
-        raise InputError(f"system_fwhm_s = {narrowest:g}: must be at least the SPAD's {spad.jitter_fwhm_s:g}")
+        raise InputError(
+            f"system_fwhm_s = {narrowest:g}: must be at least the SPAD's {spad.jitter_fwhm_s:g}"
+        )
     flight_ticks = np.nan_to_num(2 * light.distance_m / SPEED_OF_LIGHT_M_S / tick_s)
     seen = ~np.isnan(light.distance_m) & (light.range_ambiguity | (flight_ticks < period_ticks))
     gate = gate or SpadGate(start_cycles=0, len_cycles=timing.period_cycles)
@@ -183,14 +211,18 @@ def _in_ticks(
         gate_start=gate_start,
         gate_len=gate_len,
         gate_step=gate_step,
-        taps=np.empty(0) if timing.tap_width_lsb is None else np.cumsum(timing.tap_width_lsb, dtype=np.float64)[:-1],
+        taps=np.empty(0)
+        if timing.tap_width_lsb is None
+        else np.cumsum(timing.tap_width_lsb, dtype=np.float64)[:-1],
         laps=(flight_ticks // period_ticks).astype(np.int64),
         bin_first=bin_first,
         bin_start=bin_start,
         bin_photons=bin_photons,
         other=real_array("photons_per_pulse", other.photons_per_pulse, (pixels,), 0, SIGNAL_MAX),
         other_first=(other.phase_s + real_array("delay_s", other.delay_s, (pixels,), 0)) / tick_s,
-        starts=timing.start_cycles(pulse_stop) * float(timing.phases) if timing.dither_bits else np.empty(0),
+        starts=timing.start_cycles(pulse_stop) * float(timing.phases)
+        if timing.dither_bits
+        else np.empty(0),
     )
     return physics, arrays
 
@@ -200,16 +232,26 @@ def _photons_per_pulse(physics: Physics, arrays: Arrays) -> np.ndarray:
     filled = np.diff(arrays.bin_first) > 0
     binned = np.zeros(len(filled))
     binned[filled] = arrays.bin_photons[arrays.bin_first[1:][filled] - 1]
-    others = physics.period_ticks / physics.other_period_ticks + 1 if physics.other_period_ticks else 0.0
-    photons: np.ndarray = arrays.noise + (arrays.signal.sum(axis=1) + binned) + arrays.other * others
+    others = (
+        physics.period_ticks / physics.other_period_ticks + 1 if physics.other_period_ticks else 0.0
+    )
+    photons: np.ndarray = (
+        arrays.noise + (arrays.signal.sum(axis=1) + binned) + arrays.other * others
+    )
     return photons
 
 
-def _bins(light: Light, tick_s: float, period_ticks: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _bins(
+    light: Light, tick_s: float, period_ticks: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(bin_first, bin_start, bin_photons) of `Arrays`."""
     if light.arrivals is None:
         return np.zeros(light.pixels + 1, np.int64), np.empty(0), np.empty(0)
-    first, start, photons = light.arrivals.first, light.arrivals.start_s / tick_s, light.arrivals.photons
+    first, start, photons = (
+        light.arrivals.first,
+        light.arrivals.start_s / tick_s,
+        light.arrivals.photons,
+    )
     if not light.range_ambiguity:
         photons = np.where(start < period_ticks, photons, 0.0)
     summed = np.concatenate([np.cumsum(photons[begin:end]) for begin, end in pairwise(first)])
@@ -239,7 +281,9 @@ class _Walker:
         self.first, self.end = block
         self.packing = packing
         self.edges_per_pulse = edges_per_pulse[self.first : self.end].sum()
-        self.photons_max = int(brightest + 12 * math.sqrt(brightest)) + 64  # doubled if it is ever exceeded
+        self.photons_max = (
+            int(brightest + 12 * math.sqrt(brightest)) + 64
+        )  # doubled if it is ever exceeded
         pixels = self.end - self.first
         carriers = np.full((pixels, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
         fresh = State(np.zeros(pixels), carriers)

@@ -102,7 +102,11 @@ class SpadGate:
         subgroup, frame = pixel_table(config.sensor).subgroup, config.frame
         start, length, step = (
             np.where(config.gating, on, off)[subgroup]
-            for on, off in ((config.gate_start, 0), (config.gate_len, config.period), (frame.gate_step, 0))
+            for on, off in (
+                (config.gate_start, 0),
+                (config.gate_len, config.period),
+                (frame.gate_step, 0),
+            )
         )
         return cls(
             start_cycles=start,
@@ -114,10 +118,14 @@ class SpadGate:
         )
 
 
-def dark_count_map(pixels: int, *, median_cps: float, hot_fraction: float, hot_cps: float, seed: int) -> np.ndarray:
+def dark_count_map(
+    pixels: int, *, median_cps: float, hot_fraction: float, hot_cps: float, seed: int
+) -> np.ndarray:
     """Dark count rates, float64[pixels]: `median_cps`, and `hot_cps` in a random share `hot_fraction` of the pixels."""
     check_integer("pixels", pixels, 1, 1 << 24)
     hot = round(pixels * check_real("hot_fraction", hot_fraction, 0, 1))
     dark_cps = np.full(pixels, check_real("median_cps", median_cps, 0))
-    dark_cps[np.random.default_rng(seed).permutation(pixels)[:hot]] = check_real("hot_cps", hot_cps, 0)
+    dark_cps[np.random.default_rng(seed).permutation(pixels)[:hot]] = check_real(
+        "hot_cps", hot_cps, 0
+    )
     return dark_cps

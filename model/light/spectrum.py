@@ -62,7 +62,10 @@ def photopic(wavelength_nm: np.ndarray) -> np.ndarray:
     lobes = ((0.821, 568.8, 0.0213, 0.0247), (0.286, 530.9, 0.0613, 0.0322))
     return np.sum(
         [
-            height * np.exp(-0.5 * ((wavelength_nm - peak) * np.where(wavelength_nm < peak, left, right)) ** 2)
+            height
+            * np.exp(
+                -0.5 * ((wavelength_nm - peak) * np.where(wavelength_nm < peak, left, right)) ** 2
+            )
             for height, peak, left, right in lobes
         ],
         axis=0,
@@ -76,9 +79,19 @@ def _spectrum(name: str) -> tuple[np.ndarray, float]:
     if name == "planck":
         wavelength_m = _GRID_NM * 1e-9
         exponent = PLANCK_J_S * SPEED_OF_LIGHT_M_S / (wavelength_m * BOLTZMANN_J_K * SUN_K)
-        density = 1e-9 * 2 * np.pi * PLANCK_J_S * SPEED_OF_LIGHT_M_S**2 / wavelength_m**5 / np.expm1(exponent)
+        density = (
+            1e-9
+            * 2
+            * np.pi
+            * PLANCK_J_S
+            * SPEED_OF_LIGHT_M_S**2
+            / wavelength_m**5
+            / np.expm1(exponent)
+        )
     else:
-        from pvlib.spectrum import get_reference_spectra  # here, because importing pvlib takes a second
+        from pvlib.spectrum import (
+            get_reference_spectra,
+        )  # here, because importing pvlib takes a second
 
         table = get_reference_spectra()
         density = np.interp(_GRID_NM, table.index.to_numpy(), table[TABLE_COLUMNS[name]].to_numpy())

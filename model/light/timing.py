@@ -39,7 +39,9 @@ class Timing:
         if self.tap_width_lsb is not None:
             total = real_array("tap_width_lsb", self.tap_width_lsb, (self.phases,), 0).sum()
             if abs(total - self.phases) > 1e-9 * self.phases:
-                raise InputError(f"tap_width_lsb: sums to {total:g}, must sum to the {self.phases} phases")
+                raise InputError(
+                    f"tap_width_lsb: sums to {total:g}, must sum to the {self.phases} phases"
+                )
 
     @classmethod
     def from_config(cls, config: Config, tap_width_lsb: np.ndarray | None = None) -> "Timing":
@@ -73,7 +75,9 @@ class Timing:
 
     def start_cycles(self, pulses: int) -> np.ndarray:
         """int64[pulses + 1]: start of each pulse's period, in cycles from the first one. Frames follow without a gap."""
-        frame = start_cycles(self.frame_pulses or pulses, self.period_cycles, self.dither_bits, self.dither_seed)
+        frame = start_cycles(
+            self.frame_pulses or pulses, self.period_cycles, self.dither_bits, self.dither_seed
+        )
         number, pulse = np.divmod(np.arange(pulses + 1), max(1, len(frame) - 1))
         return number * frame[-1] + frame[pulse]
 

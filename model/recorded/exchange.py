@@ -46,7 +46,9 @@ def read_recording(path: FilePath, sync_channel: int | None = None) -> Recording
         return _of_syncs(path, NAMES, read(NAMES), "edges", sync_channel)
     unit = next((name for name in UNITS_PS if name in names), None)
     if unit is None or "channel" not in names:
-        raise InputError(f"{path}: has the columns {', '.join(names) or 'none'}; must have {EXPECTED}")
+        raise InputError(
+            f"{path}: has the columns {', '.join(names) or 'none'}; must have {EXPECTED}"
+        )
     if "sync" in names:
         sync, channel, time = read(("sync", "channel", unit))
         columns = sync, channel, time * UNITS_PS[unit]
@@ -61,7 +63,9 @@ def read_recording(path: FilePath, sync_channel: int | None = None) -> Recording
     if not is_sync.any():
         raise InputError(f"{path}: has no events on channel {sync_channel} (--sync-channel)")
     _not_negative(path, unit, time)
-    return since_sync(time[~is_sync], channel[~is_sync], time[is_sync], UNITS_PS[unit], "table of absolute times")
+    return since_sync(
+        time[~is_sync], channel[~is_sync], time[is_sync], UNITS_PS[unit], "table of absolute times"
+    )
 
 
 def write_edges(path: FilePath, edges: Edges, timing: Timing) -> None:
@@ -79,7 +83,9 @@ def write_edges(path: FilePath, edges: Edges, timing: Timing) -> None:
         data = io.BytesIO()
         with h5py.File(data, "w") as archive:
             for name in NAMES:
-                archive.create_dataset(name, data=getattr(edges, name), compression="gzip" if len(edges) else None)
+                archive.create_dataset(
+                    name, data=getattr(edges, name), compression="gzip" if len(edges) else None
+                )
         with whole_file(path) as file:
             file.write(data.getvalue())
 
@@ -97,9 +103,13 @@ def parse_channels(text: str) -> dict[int, int]:
     if text.lower().endswith(".csv"):
         names, read = _csv(text)
         if not {"channel", "pixel"} <= set(names):
-            raise InputError(f"{text}: has the columns {', '.join(names)}; must have channel, pixel")
+            raise InputError(
+                f"{text}: has the columns {', '.join(names)}; must have channel, pixel"
+            )
         columns = zip(("channel", "pixel"), read(("channel", "pixel")), strict=True)
-        pairs = list(zip(*(_integers(text, name, column).tolist() for name, column in columns), strict=True))
+        pairs = list(
+            zip(*(_integers(text, name, column).tolist() for name, column in columns), strict=True)
+        )
         if not pairs:
             raise InputError(f"{text}: names no channel")
     else:
@@ -107,7 +117,10 @@ def parse_channels(text: str) -> dict[int, int]:
             raise InputError(
                 f"channels = {text!r}: must be CHANNEL:PIXEL,CHANNEL:PIXEL,... or a CSV file with the columns channel, pixel"
             )
-        pairs = [(int(channel), int(pixel)) for channel, pixel in (pair.split(":") for pair in text.split(","))]
+        pairs = [
+            (int(channel), int(pixel))
+            for channel, pixel in (pair.split(":") for pair in text.split(","))
+        ]
     for which, values in zip(("channel", "pixel"), zip(*pairs, strict=True), strict=True):
         twice = [value for value in values if values.count(value) > 1]
         if twice:
@@ -120,9 +133,12 @@ def _of_syncs(
 ) -> Recording:
     """Return the photons of a table with syncs, or of edges, whose times are ticks. names: of the columns, in messages."""
     if sync_channel is not None:
-        raise InputError(f"sync-channel = {sync_channel}: {path} is a {kind}, which has no triggers among its events")
+        raise InputError(
+            f"sync-channel = {sync_channel}: {path} is a {kind}, which has no triggers among its events"
+        )
     whole = [
-        values if name == "time" else _integers(path, name, values) for name, values in zip(names, columns, strict=True)
+        values if name == "time" else _integers(path, name, values)
+        for name, values in zip(names, columns, strict=True)
     ]
     for name, values in zip(names, whole, strict=True):
         _not_negative(path, name, values)
@@ -135,14 +151,18 @@ def _integers(path: FilePath, name: str, values: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
         bad = np.flatnonzero(~((values == np.floor(values)) & (np.abs(values) < SYNC_MAX)))
     if len(bad):
-        raise InputError(f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be an integer below 2^53")
+        raise InputError(
+            f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be an integer below 2^53"
+        )
     return values.astype(np.int64)
 
 
 def _not_negative(path: FilePath, name: str, values: np.ndarray) -> None:
     bad = np.flatnonzero(~((values >= 0) & (values < np.inf)))
     if len(bad):
-        raise InputError(f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be a number of at least 0")
+        raise InputError(
+            f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be a number of at least 0"
+        )
 
 
 def _csv(path: FilePath) -> tuple[list[str], Read]:
@@ -156,8 +176,15 @@ def _csv(path: FilePath) -> tuple[list[str], Read]:
 
     def read(chosen: tuple[str, ...]) -> Columns:
         try:
-            with warnings.catch_warnings(category=UserWarning, action="ignore"):  # no rows: no photons
-                form: dict[str, Any] = {"delimiter": separator, "skiprows": lines, "ndmin": 2, "encoding": "utf-8-sig"}
+            with warnings.catch_warnings(
+                category=UserWarning, action="ignore"
+            ):  # no rows: no photons
+                form: dict[str, Any] = {
+                    "delimiter": separator,
+                    "skiprows": lines,
+                    "ndmin": 2,
+                    "encoding": "utf-8-sig",
+                }
                 columns = np.loadtxt(path, usecols=[names.index(name) for name in chosen], **form)
         except (OSError, ValueError, IndexError) as error:
             raise InputError(f"{path}: is not a table of numbers ({error})") from None
@@ -197,5 +224,7 @@ def _columns(path: FilePath, arrays: dict[str, np.ndarray]) -> Columns:
             )
     lengths = {name: len(array) for name, array in arrays.items()}
     if len(set(lengths.values())) > 1:
-        raise InputError(f"{path}: lengths differ: " + ", ".join(f"{name} {n}" for name, n in lengths.items()))
+        raise InputError(
+            f"{path}: lengths differ: " + ", ".join(f"{name} {n}" for name, n in lengths.items())
+        )
     return [array.astype(np.float64) for array in arrays.values()]

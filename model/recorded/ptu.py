@@ -23,9 +23,15 @@ from .recordings import NO_SYNC, Recording, since_sync
 
 PS_PER_S = 1e12
 T2_SYNC = 1 << 6  # upper 7 bits of a sync's record: the special bit, and input 0
-CHANNEL_BITS, DTIME_BITS, NSYNC_BITS = 6, 15, 10  # widths in a written record, below the special bit
+CHANNEL_BITS, DTIME_BITS, NSYNC_BITS = (
+    6,
+    15,
+    10,
+)  # widths in a written record, below the special bit
 NO_SYNC_YET = np.int64(1) << 62
-OVERFLOW = (1 << CHANNEL_BITS + 1) - 1  # special bit and channel of a record that counts wraps of nsync
+OVERFLOW = (
+    1 << CHANNEL_BITS + 1
+) - 1  # special bit and channel of a record that counts wraps of nsync
 MAGIC, VERSION = b"PQTTTR\0\0", b"1.0.00\0\0"
 INTEGER, REAL, EMPTY = 0x10000008, 0x20000008, 0xFFFF0008  # types of tags
 
@@ -47,14 +53,20 @@ def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
         raw, photons = file.read_records(), file.decode_records()
         unit_ps = file.global_resolution * PS_PER_S
         if not 0 < unit_ps < np.inf:
-            raise InputError(f"{path}: MeasDesc_GlobalResolution = {unit_ps / PS_PER_S:g}: must be above 0")
+            raise InputError(
+                f"{path}: MeasDesc_GlobalResolution = {unit_ps / PS_PER_S:g}: must be above 0"
+            )
         if not file.is_t3:
             return _t2(path, raw, photons, unit_ps, file.record_type, sync_channel)
         if sync_channel is not None:
-            raise InputError(f"sync-channel = {sync_channel}: {path} is a T3 recording, whose syncs are counted")
+            raise InputError(
+                f"sync-channel = {sync_channel}: {path} is a T3 recording, whose syncs are counted"
+            )
         bin_ps = file.tcspc_resolution * PS_PER_S
         if not 0 < bin_ps < np.inf:
-            raise InputError(f"{path}: MeasDesc_Resolution = {bin_ps / PS_PER_S:g}: must be above 0")
+            raise InputError(
+                f"{path}: MeasDesc_Resolution = {bin_ps / PS_PER_S:g}: must be above 0"
+            )
         scan = _Scan.of(path, file) if file.measurement_ndim == 3 else None
     chosen = photons["channel"] >= 0
     time = photons["time"].astype(np.int64)
@@ -69,7 +81,12 @@ def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
 
 
 def _t2(
-    path: FilePath, raw: np.ndarray, photons: np.ndarray, unit_ps: float, record_type: int, sync_channel: int | None
+    path: FilePath,
+    raw: np.ndarray,
+    photons: np.ndarray,
+    unit_ps: float,
+    record_type: int,
+    sync_channel: int | None,
 ) -> Recording:
     channel, time = photons["channel"].astype(np.int64), photons["time"].astype(np.int64)
     if record_type == ptufile.PtuRecordType.PicoHarpT2:
@@ -88,7 +105,13 @@ def _t2(
             f"{path}: has no events {which}: --sync-channel must name the input of the laser's trigger "
             f"(inputs with events: {inputs})"
         )
-    return since_sync(time[is_photon], channel[is_photon], time[is_sync], unit_ps, f"T2, clock of {unit_ps:.6g} ps")
+    return since_sync(
+        time[is_photon],
+        channel[is_photon],
+        time[is_sync],
+        unit_ps,
+        f"T2, clock of {unit_ps:.6g} ps",
+    )
 
 
 class _Scan:
@@ -107,13 +130,24 @@ class _Scan:
             raise InputError(
                 f"{path}: is an image without its size or its line markers (ImgHdr_PixX, PixY, LineStart, LineStop)"
             )
-        return cls(rows, cols, file.line_start_mask, file.line_stop_mask, file.frame_change_mask, file.is_bidirectional)
+        return cls(
+            rows,
+            cols,
+            file.line_start_mask,
+            file.line_stop_mask,
+            file.frame_change_mask,
+            file.is_bidirectional,
+        )
 
     def place(self, recording: Recording, time: np.ndarray, marker: np.ndarray) -> Recording:
         """Return `recording` with positions as channels, and syncs that count in a position's dwell, then through frames."""
-        begins, ends, changes = (time[(marker & mask) > 0] for mask in (self.start, self.stop, self.frame))
+        begins, ends, changes = (
+            time[(marker & mask) > 0] for mask in (self.start, self.stop, self.frame)
+        )
         ends = np.append(ends, -1)[np.searchsorted(ends, begins, side="right")]
-        cut = (ends < begins) | (ends > np.append(begins[1:], NO_SYNC_YET))  # no stop before the next start
+        cut = (ends < begins) | (
+            ends > np.append(begins[1:], NO_SYNC_YET)
+        )  # no stop before the next start
         if cut.all():
             raise InputError("scan: the recording holds no whole line between its markers")
         ends = np.where(cut, begins, ends)
@@ -151,18 +185,25 @@ def write_ptu(path: FilePath, edges: Edges, timing: Timing) -> None:
     Raises `InputError` for pixels or ticks that the records cannot hold.
     """
     pulse, pixel, tick = (
-        getattr(edges, name)[np.lexsort((edges.pixel, edges.tick, edges.pulse))] for name in ("pulse", "pixel", "tick")
+        getattr(edges, name)[np.lexsort((edges.pixel, edges.tick, edges.pulse))]
+        for name in ("pulse", "pixel", "tick")
     )
     for name, values, bits in (("pixel", pixel, CHANNEL_BITS), ("tick", tick, DTIME_BITS)):
         if len(values) and values.max() >> bits:
-            raise InputError(f"{path}: {name} = {values.max()}: must be from 0 to {(1 << bits) - 1} in a PTU file")
+            raise InputError(
+                f"{path}: {name} = {values.max()}: must be from 0 to {(1 << bits) - 1} in a PTU file"
+            )
     wraps = np.diff(pulse >> NSYNC_BITS, prepend=0)
     most = (1 << NSYNC_BITS) - 1  # wraps that one record can count
     before = -(-wraps // most)
     counts = np.full(before.sum(), most)
     counts[(np.cumsum(before) - 1)[before > 0]] = (wraps - (before - 1) * most)[before > 0]
     records = pixel << DTIME_BITS + NSYNC_BITS | tick << NSYNC_BITS | pulse & most
-    records = np.insert(records, np.repeat(np.arange(len(pulse)), before), OVERFLOW << DTIME_BITS + NSYNC_BITS | counts)
+    records = np.insert(
+        records,
+        np.repeat(np.arange(len(pulse)), before),
+        OVERFLOW << DTIME_BITS + NSYNC_BITS | counts,
+    )
     tags = {
         "Measurement_Mode": int(ptufile.PtuMeasurementMode.T3),
         "Measurement_SubMode": int(ptufile.PtuMeasurementSubMode.POINT),
@@ -176,7 +217,11 @@ def write_ptu(path: FilePath, edges: Edges, timing: Timing) -> None:
     with whole_file(path) as file:
         file.write(MAGIC + VERSION)
         for name, value in tags.items():
-            file.write(struct.pack("<32siI", name.encode(), -1, REAL if isinstance(value, float) else INTEGER))
+            file.write(
+                struct.pack(
+                    "<32siI", name.encode(), -1, REAL if isinstance(value, float) else INTEGER
+                )
+            )
             file.write(struct.pack("<d" if isinstance(value, float) else "<q", value))
         file.write(struct.pack("<32siIq", b"Header_End", -1, EMPTY, 0))
         file.write(records.astype("<u4").tobytes())

@@ -37,7 +37,9 @@ class Recording:
     in_ticks: bool = False
 
 
-def since_sync(time: np.ndarray, channel: np.ndarray, sync_time: np.ndarray, unit_ps: float, kind: str) -> Recording:
+def since_sync(
+    time: np.ndarray, channel: np.ndarray, sync_time: np.ndarray, unit_ps: float, kind: str
+) -> Recording:
     """Return a recording of absolute times: each photon belongs to the last trigger at or before it.
 
     time, sync_time: in `unit_ps`, any order; integers (or whole float64) keep the difference exact.
@@ -45,7 +47,13 @@ def since_sync(time: np.ndarray, channel: np.ndarray, sync_time: np.ndarray, uni
     triggers = np.sort(sync_time)
     sync = np.searchsorted(triggers, time, side="right") - 1
     period = float(np.median(np.diff(triggers))) * unit_ps if len(triggers) > 1 else None
-    return Recording(sync=sync, channel=channel, time_ps=(time - triggers[sync]) * unit_ps, period_ps=period, kind=kind)
+    return Recording(
+        sync=sync,
+        channel=channel,
+        time_ps=(time - triggers[sync]) * unit_ps,
+        period_ps=period,
+        kind=kind,
+    )
 
 
 def recorded_edges(
@@ -77,7 +85,8 @@ def recorded_edges(
     reasons = {
         recording.outside: recording.sync == NO_SYNC,
         f"before sync {first_sync} (--first-sync)": pulse < 0,
-        f"after sync {first_sync + pulses - 1}, the last of {config.frames} x {config.pulses} pulses": pulse >= pulses,
+        f"after sync {first_sync + pulses - 1}, the last of {config.frames} x {config.pulses} pulses": pulse
+        >= pulses,
         "in channels without a pixel": pixel < 0,
         "before the trigger, by the delay": tick < 0,
         f"beyond the laser period of {timing.period_ticks} ticks": tick >= timing.period_ticks,
@@ -92,7 +101,9 @@ def recorded_edges(
         raise InputError(f"no photon is left: {told(lost)}{span}")
     pulse, pixel, tick = pulse[left], pixel[left], tick[left].astype(np.int64)
     order = np.lexsort((pixel, tick, pulse))
-    return Edges(pulse[order], pixel[order], tick[order]), {reason: count for reason, count in lost.items() if count}
+    return Edges(pulse[order], pixel[order], tick[order]), {
+        reason: count for reason, count in lost.items() if count
+    }
 
 
 def told(lost: dict[str, int]) -> str:
@@ -103,7 +114,10 @@ def told(lost: dict[str, int]) -> str:
 def period_note(recording: Recording, timing: Timing) -> str:
     """Return a sentence if the recording's laser period differs from the frame's, else nothing."""
     period_ps = timing.period_s * PS_PER_S
-    if recording.period_ps is None or abs(recording.period_ps - period_ps) <= SAME_PERIOD * period_ps:
+    if (
+        recording.period_ps is None
+        or abs(recording.period_ps - period_ps) <= SAME_PERIOD * period_ps
+    ):
         return ""
     return (
         f"laser period: {recording.period_ps / 1e3:.6g} ns in the recording, {period_ps / 1e3:.6g} ns in the frame "
@@ -111,22 +125,32 @@ def period_note(recording: Recording, timing: Timing) -> str:
     )
 
 
-def _pixels(recording: Recording, rows: int, cols: int, channels: dict[int, int] | None) -> np.ndarray:
+def _pixels(
+    recording: Recording, rows: int, cols: int, channels: dict[int, int] | None
+) -> np.ndarray:
     """int64[n]: pixel of each photon, -1 = none."""
     if channels is None:
         row, col = (
-            np.divmod(recording.channel, recording.grid[1]) if recording.grid else np.divmod(recording.channel, cols)
+            np.divmod(recording.channel, recording.grid[1])
+            if recording.grid
+            else np.divmod(recording.channel, cols)
         )
-        return np.where((recording.channel >= 0) & (row < rows) & (col < cols), row * cols + col, -1)
+        return np.where(
+            (recording.channel >= 0) & (row < rows) & (col < cols), row * cols + col, -1
+        )
     if recording.grid:
         raise InputError("channels: the recording is an image, whose positions are the pixels")
     known, index = np.unique(recording.channel, return_inverse=True)
     for channel, pixel in channels.items():
         if channel not in known:
-            raise InputError(f"channels: channel {channel} is not in the recording, must be one of {_listed(known)}")
+            raise InputError(
+                f"channels: channel {channel} is not in the recording, must be one of {_listed(known)}"
+            )
         check_integer(f"channels: pixel of channel {channel}", pixel, 0, rows * cols - 1)
     return np.array([channels.get(int(channel), -1) for channel in known], np.int64)[index]
 
 
 def _listed(values: np.ndarray, most: int = 16) -> str:
-    return ", ".join(map(str, values[:most])) + (f", ... {values[-1]}" if len(values) > most else "")
+    return ", ".join(map(str, values[:most])) + (
+        f", ... {values[-1]}" if len(values) > most else ""
+    )

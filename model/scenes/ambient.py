@@ -15,7 +15,9 @@ from ..shared.quantities import Numbers, check_real, real_array
 from .image_files import centre_crop, check_picture_array, covered_samples, open_picture, read_array
 
 Ambient: TypeAlias = str | float | np.ndarray
-AMBIENT_FORMS = "a number, LOW|HIGH (right half in the sun), FILE.npy in klux, or PICTURE,WHITE_KLUX (grey)"
+AMBIENT_FORMS = (
+    "a number, LOW|HIGH (right half in the sun), FILE.npy in klux, or PICTURE,WHITE_KLUX (grey)"
+)
 WHITE = {"L": 255, "I;16": 65535, "I;16B": 65535, "I": 65535}  # value of white, by a picture's mode
 
 
@@ -27,7 +29,11 @@ def ambient_klux(source: Ambient, rows: int, cols: int) -> Numbers:
     mean of the samples that it covers. The samples of a picture are linear, with 0 = dark.
     """
     if not isinstance(source, str):
-        return real_array("klux", source, (rows, cols), 0) if np.ndim(source) else check_real("klux", source, 0)
+        return (
+            real_array("klux", source, (rows, cols), 0)
+            if np.ndim(source)
+            else check_real("klux", source, 0)
+        )
     if (number := _number(source)) is not None:
         return check_real("klux", number, 0)
     if source.count("|") == 1 and not Path(source).exists():
@@ -64,12 +70,18 @@ def _read_klux(source: str) -> np.ndarray:
         return real_array(f"{source}: klux", samples, samples.shape, 0)
     path, comma, white = source.rpartition(",")
     if not comma:
-        what = f"{source}: a picture needs its white level in klux" if Path(source).exists() else f"klux = {source!r}"
+        what = (
+            f"{source}: a picture needs its white level in klux"
+            if Path(source).exists()
+            else f"klux = {source!r}"
+        )
         raise InputError(f"{what}: must be {AMBIENT_FORMS}")
     white_klux = _klux(source, white)
     with open_picture(path) as picture:
         if picture.mode not in WHITE:
-            raise InputError(f"{path}: is a picture of mode {picture.mode}, must be grey of 8 or 16 bits")
+            raise InputError(
+                f"{path}: is a picture of mode {picture.mode}, must be grey of 8 or 16 bits"
+            )
         return np.asarray(picture, np.float64) * (white_klux / WHITE[picture.mode])
 
 
@@ -78,5 +90,7 @@ def _resampled(source: str, samples: np.ndarray, rows: int, cols: int) -> np.nda
     full_height, full_width = samples.shape
     top, left, height, width = centre_crop(full_height, full_width, rows, cols)
     row, col, pixel = covered_samples(height, width, rows, cols)
-    sums = np.bincount(pixel.ravel(), weights=samples[top + row, left + col].ravel(), minlength=rows * cols)
+    sums = np.bincount(
+        pixel.ravel(), weights=samples[top + row, left + col].ravel(), minlength=rows * cols
+    )
     return (sums / np.bincount(pixel.ravel(), minlength=rows * cols)).reshape(rows, cols)

@@ -29,13 +29,18 @@ BUILT_IN: dict[
     "two-targets": (_TWO, two_targets),
     "two-returns": (
         _TWO,
-        lambda rows, cols, name, *given: returns(rows, cols, name, [(m, given[2] / 2) for m in given[:2]]),
+        lambda rows, cols, name, *given: returns(
+            rows, cols, name, [(m, given[2] / 2) for m in given[:2]]
+        ),
     ),
     "sun-and-shade": ((("SHADE", SHADE),), sun_and_shade),
     "tunnel": ((("SHADE", SHADE),), tunnel),
 }
 
-RETURNS, AT = "returns", "@"  # the scene of any number of surfaces per pixel, and the sign before a reflectivity
+RETURNS, AT = (
+    "returns",
+    "@",
+)  # the scene of any number of surfaces per pixel, and the sign before a reflectivity
 NAMES = (*BUILT_IN, RETURNS)
 
 USUAL_KLUX, DAYLIGHT_KLUX = 50.0, {"sun-and-shade": 100.0, "tunnel": 100.0}
@@ -97,14 +102,20 @@ def load_scene(
         text = source = str(source)
         if is_ray_scene(text) or _is_built_in(text):
             if scale != 1:
-                raise InputError(f"scale = {scale:g}: goes with depth files only, must be 1 for scene {text!r}")
+                raise InputError(
+                    f"scale = {scale:g}: goes with depth files only, must be 1 for scene {text!r}"
+                )
             if unit is not None:
-                raise InputError(f"unit = {unit!r}: goes with depth files only, not with scene {text!r}")
+                raise InputError(
+                    f"unit = {unit!r}: goes with depth files only, not with scene {text!r}"
+                )
             return _named_scene(text, rows, cols, range_m)
         if "," in text and not Path(text).exists():
             source, _, beside = text.rpartition(",")
             if colour is not None:
-                raise InputError(f"scene {text!r}: names a colour picture, and another one is given: {colour}")
+                raise InputError(
+                    f"scene {text!r}: names a colour picture, and another one is given: {colour}"
+                )
             colour = beside
         if not Path(source).exists():
             raise InputError(f"{source}: no such file (built-in scenes: {', '.join(NAMES)})")
@@ -113,7 +124,14 @@ def load_scene(
             f"scene = {source!r}: must be a Scene, a name or file of one, or an array of distances in metres"
         )
     return depth_scene(
-        source, rows, cols, colour=colour, reflectivity=reflectivity, scale=scale, unit=unit, range_m=range_m
+        source,
+        rows,
+        cols,
+        colour=colour,
+        reflectivity=reflectivity,
+        scale=scale,
+        unit=unit,
+        range_m=range_m,
     )
 
 
@@ -132,7 +150,9 @@ def _is_built_in(source: str) -> bool:
     return source.partition(":")[0] in NAMES and not Path(source).exists()
 
 
-def _numbers(name: str, text: str, defaults: tuple[tuple[str, float], ...], range_m: float) -> list[float]:
+def _numbers(
+    name: str, text: str, defaults: tuple[tuple[str, float], ...], range_m: float
+) -> list[float]:
     """Return the comma-separated numbers after a built-in scene's name, and defaults for the rest."""
     given = text.split(",") if text else []
     if len(given) > len(defaults):

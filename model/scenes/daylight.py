@@ -24,7 +24,10 @@ YARD = (
     Plane(4, 7.4, 0.12, 15 / 32, 30 / 32, 22 / 32, 30 / 32),  # back of a dark car, in the sun
     Plane(5, 5.6, 0.45, 4 / 32, 11 / 32, 24 / 32, 29 / 32),  # a sign, in the sun
 )
-SHADOW_TOP, SHADOW_BOTTOM = 18 / 32, 14 / 32  # where the shadow's edge meets the upper and lower border of the picture
+SHADOW_TOP, SHADOW_BOTTOM = (
+    18 / 32,
+    14 / 32,
+)  # where the shadow's edge meets the upper and lower border of the picture
 
 TUNNEL_HALF_M = 2.0  # from the axis to each wall of a square tunnel
 EXIT_M = 11.0  # where the tunnel ends
@@ -44,7 +47,9 @@ def sun_and_shade(rows: int, cols: int, name: str, shade: float) -> Scene:
 def tunnel(rows: int, cols: int, name: str, shade: float) -> Scene:
     """Return the exit of a square tunnel: dark receding walls, a dark truck, and a sunlit wall behind the exit."""
     optics = Optics()
-    up = (1 - 2 * (np.arange(rows)[:, None] + 0.5) / rows) * math.tan(math.radians(optics.fov_v_deg / 2))
+    up = (1 - 2 * (np.arange(rows)[:, None] + 0.5) / rows) * math.tan(
+        math.radians(optics.fov_v_deg / 2)
+    )
     right = (2 * (np.arange(cols) + 0.5) / cols - 1) * math.tan(math.radians(optics.fov_h_deg / 2))
     steepest = np.maximum(np.abs(up), np.abs(right))
     wall_m = TUNNEL_HALF_M / np.maximum(steepest, TUNNEL_HALF_M / OUTSIDE_M)  # along the axis
@@ -56,7 +61,9 @@ def tunnel(rows: int, cols: int, name: str, shade: float) -> Scene:
         name=name,
         distance_m=np.where(before, truck.truth_m, distance_m),
         reflectivity=np.where(
-            before, truck.reflectivity[:, :, 0], np.where(outside, OUTSIDE_REFLECTIVITY, WALL_REFLECTIVITY)
+            before,
+            truck.reflectivity[:, :, 0],
+            np.where(outside, OUTSIDE_REFLECTIVITY, WALL_REFLECTIVITY),
         ),
         labels=np.where(before, truck.labels, np.where(outside, 2, 1)),
         sunlit=np.where(outside & ~before, 1.0, shade),

@@ -11,11 +11,21 @@ from ..shared.errors import InputError
 from ..shared.files import FilePath
 from ..shared.quantities import check_real, real_array
 from .depth_units import check_unit, fitting_unit, metres
-from .image_files import centre_crop, check_picture_array, covered_samples, open_picture, read_array, read_exr, read_pfm
+from .image_files import (
+    centre_crop,
+    check_picture_array,
+    covered_samples,
+    open_picture,
+    read_array,
+    read_exr,
+    read_pfm,
+)
 from .scene import REFLECTIVITY, Scene
 
 DARKEST, BRIGHTEST = 0.05, 0.8  # reflectivities of black and white in a colour picture
-WRONG_SHARE_MAX = 0.1  # share of a file's samples beyond the range or negative; with more, the unit is wrong
+WRONG_SHARE_MAX = (
+    0.1  # share of a file's samples beyond the range or negative; with more, the unit is wrong
+)
 VALID_SHARE_MIN = 0.1  # lowest share of the sensor's pixels that must have a depth
 NOWHERE_M = 65504.0  # the largest half float: what renderers write where there is nothing
 READERS = {".npy": read_array, ".pfm": read_pfm, ".exr": read_exr}
@@ -57,13 +67,19 @@ def depth_scene(
     sample_m = metres(path, samples, unit) * check_real("scale", scale, *SCALES)
     sample_m[~(np.abs(sample_m) < NOWHERE_M)] = np.nan
     seen_m = sample_m[sample_m > 0]
-    better = fitting_unit(samples, unit, float(np.median(seen_m)), range_m) if len(seen_m) and scale == 1 else ""
+    better = (
+        fitting_unit(samples, unit, float(np.median(seen_m)), range_m)
+        if len(seen_m) and scale == 1
+        else ""
+    )
     height, width = sample_m.shape
     top, left, crop_height, crop_width = centre_crop(height, width, rows, cols)
     sample_m = sample_m[top : top + crop_height, left : left + crop_width]
     notes = [f"{path}: distances times {scale:g}"] if scale != 1 else []
     if (crop_height, crop_width) != (height, width):
-        notes.append(f"{path}: cropped to the middle {crop_height} x {crop_width} of {height} x {width} samples")
+        notes.append(
+            f"{path}: cropped to the middle {crop_height} x {crop_width} of {height} x {width} samples"
+        )
     sample_m, masked = _usable(path, sample_m, range_m, better)
     notes += [*masked, *([f"{path}: {better}"] if better else [])]
     row, col = _nearest_surface(sample_m, rows, cols)
@@ -74,9 +90,13 @@ def depth_scene(
             f"{path}: {valid_share:.1%} of the sensor's pixels have a usable depth, must be at least {VALID_SHARE_MIN:.0%}"
         )
     if valid_share < 1:
-        notes.append(f"{path}: {np.isnan(distance_m).sum()} of {rows * cols} pixels without depth are masked")
+        notes.append(
+            f"{path}: {np.isnan(distance_m).sum()} of {rows * cols} pixels without depth are masked"
+        )
     if colour is None and not isinstance(reflectivity, np.ndarray):
-        notes.append(f"{path}: reflectivity {reflectivity:g} everywhere, because no colour picture is given")
+        notes.append(
+            f"{path}: reflectivity {reflectivity:g} everywhere, because no colour picture is given"
+        )
         surface = np.full((rows, cols), float(reflectivity))
     else:
         given = real_array("reflectivity", reflectivity, (height, width), 0, 1)
@@ -85,10 +105,14 @@ def depth_scene(
             (2 * (top + row) + 1) * albedo.shape[0] // (2 * height),
             (2 * (left + col) + 1) * albedo.shape[1] // (2 * width),
         ]
-    return Scene(name=Path(path).name, distance_m=distance_m, reflectivity=surface, notes=tuple(notes))
+    return Scene(
+        name=Path(path).name, distance_m=distance_m, reflectivity=surface, notes=tuple(notes)
+    )
 
 
-def _usable(depth: object, sample_m: np.ndarray, range_m: float, better: str) -> tuple[np.ndarray, list[str]]:
+def _usable(
+    depth: object, sample_m: np.ndarray, range_m: float, better: str
+) -> tuple[np.ndarray, list[str]]:
     """Return `sample_m` with NaN for unusable samples, and notes about them. better: what to say about the unit."""
     missing = np.isnan(sample_m) | (sample_m == 0)
     negative = sample_m < 0
@@ -96,7 +120,9 @@ def _usable(depth: object, sample_m: np.ndarray, range_m: float, better: str) ->
     near = (sample_m > 0) & (sample_m < NEAREST_M)
     notes = []
     if missing.all():
-        raise InputError(f"{depth}: every sample is 0 or NaN, must hold distances above 0 and below {range_m:.4g} m")
+        raise InputError(
+            f"{depth}: every sample is 0 or NaN, must hold distances above 0 and below {range_m:.4g} m"
+        )
     for what, bad in (
         ("negative", negative),
         (f"at or beyond the laser period's range of {range_m:.4g} m", far),
@@ -124,7 +150,9 @@ def _nearest_surface(sample_m: np.ndarray, rows: int, cols: int) -> tuple[np.nda
     height, width = sample_m.shape
     row, col, cell = covered_samples(height, width, rows, cols)
     far_first = np.argsort(-sample_m[row, col].ravel(), kind="stable")
-    far_first = np.roll(far_first, np.isnan(sample_m[row, col]).sum())  # NaN sorts last, must be written first
+    far_first = np.roll(
+        far_first, np.isnan(sample_m[row, col]).sum()
+    )  # NaN sorts last, must be written first
     chosen = np.empty(rows * cols, np.int64)
     chosen[cell.ravel()[far_first]] = far_first  # of several writes the last one wins: the nearest
     at_row, at_col = np.divmod(chosen, len(col))
@@ -165,5 +193,7 @@ def _read_reflectivity(path: FilePath) -> np.ndarray:
     """float64[height, width]: linear luminance (sRGB primaries) between `DARKEST` and `BRIGHTEST`."""
     with open_picture(path) as picture:
         srgb = np.asarray(picture.convert("RGB"), np.float64) / 255
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    linear = np.where(
+        srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4
+    )  # IEC 61966-2-1
     return DARKEST + (BRIGHTEST - DARKEST) * (linear @ [0.2126, 0.7152, 0.0722])

@@ -20,7 +20,10 @@ DATA_SETS = {  # name: (unit, what it is)
     "kitti": ("1/256", "KITTI: PNG in 1/256 m"),
     "nyu": ("mm", "NYU, ScanNet, Kinect: PNG in millimetres"),
     ROTATED: (ROTATED, "SUN RGB-D: PNG in 1/8000 m with rotated bits"),
-    "middlebury": (DISPARITY, "Middlebury: PFM of disparities, with the data set's calib.txt beside it"),
+    "middlebury": (
+        DISPARITY,
+        "Middlebury: PFM of disparities, with the data set's calib.txt beside it",
+    ),
 }
 _METRIC = ", ".join(PER_METRE)
 _DISPARITIES = f"{DISPARITY}:FOCAL_PX,BASELINE_M (optionally also ,OFFSET_PX)"
@@ -29,12 +32,20 @@ NEAR_M, FAR_M = (
     0.2,
     8.0,
 )  # usual medians: at least NEAR_M, and at most FAR_M in files of integers, as depth cameras write
-MULTIPLES = {5: "tum", 1 << ROTATED_BITS: ROTATED}  # divisor of all samples -> the data set that writes such samples
+MULTIPLES = {
+    5: "tum",
+    1 << ROTATED_BITS: ROTATED,
+}  # divisor of all samples -> the data set that writes such samples
 
 
 def check_unit(unit: str) -> str:
     """Return `unit` if it is one. Raises `InputError`."""
-    known = unit in PER_METRE or unit in DATA_SETS or unit == DISPARITY or unit.startswith(f"{DISPARITY}:")
+    known = (
+        unit in PER_METRE
+        or unit in DATA_SETS
+        or unit == DISPARITY
+        or unit.startswith(f"{DISPARITY}:")
+    )
     if not known and not re.fullmatch(r"1/[1-9]\d{0,6}", unit):
         raise InputError(f"unit = {unit!r}: must be one of {UNIT_FORMS}")
     return unit
@@ -45,7 +56,9 @@ def metres(path: FilePath, samples: np.ndarray, unit: str) -> np.ndarray:
     unit = DATA_SETS[check_unit(unit)][0] if unit in DATA_SETS else check_unit(unit)
     if unit == ROTATED:
         if samples.dtype != np.uint16:
-            raise InputError(f"{path}: holds {samples.dtype}, must hold 16-bit integers for the unit {ROTATED}")
+            raise InputError(
+                f"{path}: holds {samples.dtype}, must hold 16-bit integers for the unit {ROTATED}"
+            )
         samples = samples >> ROTATED_BITS | samples << (16 - ROTATED_BITS)
         unit = "mm"
     values = samples.astype(np.float64)
@@ -65,10 +78,16 @@ def _stereo(path: FilePath, unit: str) -> tuple[float, float, float]:
             focal_px, baseline_m, *offset_px = map(float, given.split(","))
             return focal_px, baseline_m, sum(offset_px)
         except ValueError:
-            raise InputError(f"unit = {unit!r}: must be {DISPARITY}:FOCAL_PX,BASELINE_M[,OFFSET_PX]") from None
+            raise InputError(
+                f"unit = {unit!r}: must be {DISPARITY}:FOCAL_PX,BASELINE_M[,OFFSET_PX]"
+            ) from None
     beside = Path(path).with_name("calib.txt")
     try:
-        lines = dict(line.split("=", 1) for line in beside.read_text(encoding="utf-8").splitlines() if "=" in line)
+        lines = dict(
+            line.split("=", 1)
+            for line in beside.read_text(encoding="utf-8").splitlines()
+            if "=" in line
+        )
         return (
             float(lines["cam0"].strip("[] ").split()[0]),
             float(lines["baseline"]) / 1000,
@@ -90,7 +109,11 @@ def fitting_unit(samples: np.ndarray, unit: str, median_m: float, range_m: float
     stored = median_m * PER_METRE[unit]
     seen = samples[samples > 0] if whole else samples[:0]
     found = int(np.gcd.reduce(seen)) if len(seen) else 0
-    if (likely := next((name for step, name in MULTIPLES.items() if found and found % step == 0), None)) is not None:
+    if (
+        likely := next(
+            (name for step, name in MULTIPLES.items() if found and found % step == 0), None
+        )
+    ) is not None:
         fits_m = float(np.median(metres("", seen, likely)))
         why = f"the median distance is {median_m:.3g} m, and the samples look like {DATA_SETS[likely][1]}"
         return f"{why}; with the unit {likely} it is {fits_m:.3g} m"

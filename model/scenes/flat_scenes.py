@@ -52,7 +52,11 @@ def planes_scene(planes: tuple[Plane, ...], rows: int, cols: int, name: str) -> 
     for plane in planes:
         inside = (plane.top <= y) & (y < plane.bottom) & (plane.left <= x) & (x < plane.right)
         seen = inside & ~(distance_m <= plane.distance_m)
-        distance_m[seen], reflectivity[seen], labels[seen] = plane.distance_m, plane.reflectivity, plane.label
+        distance_m[seen], reflectivity[seen], labels[seen] = (
+            plane.distance_m,
+            plane.reflectivity,
+            plane.label,
+        )
     return Scene(name=name, distance_m=distance_m, reflectivity=reflectivity, labels=labels)
 
 
@@ -61,7 +65,9 @@ def flat(rows: int, cols: int, name: str, distance_m: float, reflectivity: float
     return planes_scene((Plane(1, distance_m, reflectivity),), rows, cols, name)
 
 
-def two_targets(rows: int, cols: int, name: str, near_m: float, far_m: float, reflectivity: float) -> Scene:
+def two_targets(
+    rows: int, cols: int, name: str, near_m: float, far_m: float, reflectivity: float
+) -> Scene:
     """Return stripes of `STRIPE_PIXELS` columns, the near surface first."""
     far = np.broadcast_to(np.arange(cols) // STRIPE_PIXELS % 2, (rows, cols))
     distance_m = np.where(far, far_m, near_m)

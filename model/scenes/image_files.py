@@ -38,7 +38,9 @@ def read_pfm(path: FilePath) -> np.ndarray:
     cols, rows = int(head[1]), int(head[2])
     if len(content) - head.end() < 4 * rows * cols:
         raise InputError(f"{path}: ends before its {rows} x {cols} samples")
-    samples = np.frombuffer(content, "<f4" if float(head[3]) < 0 else ">f4", rows * cols, head.end())
+    samples = np.frombuffer(
+        content, "<f4" if float(head[3]) < 0 else ">f4", rows * cols, head.end()
+    )
     return samples.reshape(rows, cols)[::-1].astype(np.float32)
 
 
@@ -52,7 +54,9 @@ def read_exr(path: FilePath) -> np.ndarray:
     with reading(path, "EXR file"):
         open(path, "rb").close()  # the library does not tell a missing file
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: np.asarray(one.pixels, np.float32) for name, one in file.channels().items()}
+            channels = {
+                name: np.asarray(one.pixels, np.float32) for name, one in file.channels().items()
+            }
     names = sorted(channels)
     wanted = (
         *(name for name in names if name == "Z" or name.endswith(".Z")),
@@ -60,7 +64,9 @@ def read_exr(path: FilePath) -> np.ndarray:
         *(names if len(names) == 1 else [name for name in names if name in ("R", "Y")]),
     )
     if not wanted:
-        raise InputError(f"{path}: has the channels {', '.join(names)}, must have Z, or one channel alone")
+        raise InputError(
+            f"{path}: has the channels {', '.join(names)}, must have Z, or one channel alone"
+        )
     return channels[wanted[0]]
 
 
@@ -82,7 +88,9 @@ def centre_crop(height: int, width: int, rows: int, cols: int) -> tuple[int, int
     return (height - crop_height) // 2, (width - crop_width) // 2, crop_height, crop_width
 
 
-def covered_samples(height: int, width: int, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def covered_samples(
+    height: int, width: int, rows: int, cols: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return which samples of a picture of height x width each of rows x cols pixels covers, as (row, col, pixel).
 
     int64: row[n, 1] and col[m] of the samples, pixel[n, m]. If there are fewer samples than pixels, they are repeated.

@@ -43,7 +43,10 @@ LLVM_LIBRARIES = (
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 RECORDED_PERIODS = 2  # laser periods; light that arrives even later is left out
 LOST_SHARE_MAX = 1e-3  # share of the returning light up to which there is no note
-DOUBTFUL_NEAR_M, DOUBTFUL_FAR_SHARE = 0.3, 0.5  # limits of the median beyond which metres are in doubt
+DOUBTFUL_NEAR_M, DOUBTFUL_FAR_SHARE = (
+    0.3,
+    0.5,
+)  # limits of the median beyond which metres are in doubt
 
 
 def is_ray_scene(source: str) -> bool:
@@ -51,7 +54,9 @@ def is_ray_scene(source: str) -> bool:
     return source.startswith(PREFIX) or source.lower().endswith(".xml")
 
 
-def ray_scene(source: str, rows: int, cols: int, *, range_m: float, optics: Optics | None = None) -> Scene:
+def ray_scene(
+    source: str, rows: int, cols: int, *, range_m: float, optics: Optics | None = None
+) -> Scene:
     """Return the ray-traced scene `source`, rendered at rows x cols or taken from the cache. Raises `InputError`.
 
     source: `ray:NAME`, or a Mitsuba scene file (.xml, metres). range_m: range of the laser period. optics: the pixels
@@ -106,7 +111,9 @@ def _tracer() -> ModuleType:
         for package in PACKAGES:
             version(package)
     except PackageNotFoundError:
-        raise InputError(f"ray-traced scenes need {package}, which is not installed; run: {INSTALL}") from None
+        raise InputError(
+            f"ray-traced scenes need {package}, which is not installed; run: {INSTALL}"
+        ) from None
     if LLVM_VARIABLE not in os.environ:
         os.environ[LLVM_VARIABLE] = llvm_library()
     os.environ.setdefault("DRJIT_CACHE_DIR", str(build_root() / "raytrace" / "kernels"))
@@ -132,7 +139,10 @@ def _key(scene: "RayScene", rows: int, cols: int, view: dict[str, float]) -> str
     """Return a hash of everything that determines the rendering: scene files, view, versions, and our own code."""
     packages = [(name, version(name)) for name in PACKAGES]
     code = sources_digest("model.scenes")
-    return digest(repr((rows, cols, view, packages, code)), *(content for _, content in sorted(scene.files.items())))
+    return digest(
+        repr((rows, cols, view, packages, code)),
+        *(content for _, content in sorted(scene.files.items())),
+    )
 
 
 def _surfaces(name: str, transient: Transient, range_m: float) -> tuple[np.ndarray, list[str]]:
@@ -141,7 +151,9 @@ def _surfaces(name: str, transient: Transient, range_m: float) -> tuple[np.ndarr
     there = np.isfinite(surface_m)
     near, far = there & (surface_m < NEAREST_M), there & (surface_m >= range_m)
     if not there.any():
-        raise InputError(f"{name}: the camera sees no surface, must look at one (it looks along its +z, as in Mitsuba)")
+        raise InputError(
+            f"{name}: the camera sees no surface, must look at one (it looks along its +z, as in Mitsuba)"
+        )
     nearest_m, farthest_m = surface_m[there].min(), surface_m[there].max()
     span = f"{name}: surfaces from {nearest_m:.4g} to {farthest_m:.4g} m, the file's units taken for metres"
     if not (there & ~near & ~far).any():
@@ -173,7 +185,11 @@ def _surfaces(name: str, transient: Transient, range_m: float) -> tuple[np.ndarr
 def _about(name: str, scene: "RayScene", rows: int, cols: int, optics: Optics) -> list[str]:
     """Return notes on which parts of a user's file are used, and which are not."""
     first = "" if scene.cameras == 1 else f"the first of {scene.cameras} cameras, "
-    kind = "" if scene.kind in ("perspective", "thinlens") else f" (a {scene.kind}, taken for a perspective one)"
+    kind = (
+        ""
+        if scene.kind in ("perspective", "thinlens")
+        else f" (a {scene.kind}, taken for a perspective one)"
+    )
     notes = [
         f"{name}: {first}position and direction of the camera{kind} kept; field of view {optics.fov_h_deg:g} x {optics.fov_v_deg:g} "
         f"degrees, {rows} x {cols} pixels, sampler and integrator are the sensor's"

@@ -43,7 +43,12 @@ STRENGTH_MAX_PER_M2 = 1e5  # limit for a sample
 CONE_SLACK = 1 + 1e-4  # tolerance for rounding at the border of the laser's beam
 STRAIGHT = mi.BSDFFlags.Null | mi.BSDFFlags.DeltaTransmission
 BIN_M = BIN_S * SPEED_OF_LIGHT_M_S
-_NOT_OURS = {mi.ObjectType.Emitter, mi.ObjectType.Integrator, mi.ObjectType.Film, mi.ObjectType.Sampler}
+_NOT_OURS = {
+    mi.ObjectType.Emitter,
+    mi.ObjectType.Integrator,
+    mi.ObjectType.Film,
+    mi.ObjectType.Sampler,
+}
 
 
 class Retroreflective(mi.BSDF):
@@ -58,7 +63,9 @@ class Retroreflective(mi.BSDF):
         self.reflectance = props.get("reflectance", 0.2)
         divergence = props.get("divergence", 1.0)
         if not 0 <= self.reflectance <= 1 or not 0.01 <= divergence <= 45:
-            raise RuntimeError("retroreflective: reflectance must be from 0 to 1, divergence from 0.01 to 45 degrees")
+            raise RuntimeError(
+                "retroreflective: reflectance must be from 0 to 1, divergence from 0.01 to 45 degrees"
+            )
         self.concentration = 1 / math.radians(divergence) ** 2
         self.m_components = [mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide]
         self.m_flags = self.m_components[0]
@@ -75,7 +82,9 @@ class Retroreflective(mi.BSDF):
         return sampled, dr.select(active, mi.Spectrum(self.reflectance), 0)
 
     def eval_pdf(self, ctx, si, wo, active):
-        pdf = mi.warp.square_to_von_mises_fisher_pdf(mi.Frame3f(si.wi).to_local(wo), self.concentration)
+        pdf = mi.warp.square_to_von_mises_fisher_pdf(
+            mi.Frame3f(si.wi).to_local(wo), self.concentration
+        )
         pdf = dr.select(active & (si.wi.z > 0) & (wo.z > 0), pdf, 0)
         return mi.Spectrum(pdf * self.reflectance), pdf
 
@@ -138,12 +147,24 @@ def read_scene(path: FilePath) -> RayScene:
             if node.props.type(name) == mi.Properties.Type.ResolvedReference:
                 kind = kinds[node.props[name].index()]
                 if kind == mi.ObjectType.Medium and node.type == mi.ObjectType.Sensor:
-                    raise InputError(f"{path}: the camera is inside a medium, must be outside of its border")
+                    raise InputError(
+                        f"{path}: the camera is inside a medium, must be outside of its border"
+                    )
                 if kind in _NOT_OURS:
                     del node.props[name]
     position, axes = _pose(path, camera)
     emitters = kinds.count(mi.ObjectType.Emitter)
-    return RayScene(Path(path), state, config, position, axes, emitters, len(cameras), camera.plugin_name(), files)
+    return RayScene(
+        Path(path),
+        state,
+        config,
+        position,
+        axes,
+        emitters,
+        len(cameras),
+        camera.plugin_name(),
+        files,
+    )
 
 
 @contextmanager
@@ -162,7 +183,8 @@ def _files_beside(path: FilePath) -> Iterator[None]:
 def _one_line(path: FilePath, error: Exception) -> str:
     """Return Mitsuba's message about `path`, without the lines of its own source."""
     words = " ".join(
-        part.split("] ", 1)[-1] if part.startswith("[") else part.strip() for part in str(error).splitlines()
+        part.split("] ", 1)[-1] if part.startswith("[") else part.strip()
+        for part in str(error).splitlines()
     )
     return f"{path}: is not a scene that Mitsuba reads ({words})"
 
@@ -211,13 +233,21 @@ class _Lidar(TransientPRBVolpathIntegrator):
         """Return W/m2 at `p` on a surface that faces the laser; a plane that faces the camera is lit evenly in the view."""
         local = mi.Vector3f(*(dr.dot(row, p - self.position) for row in self.inverse))
         reach = CONE_SLACK * local.z
-        inside = (local.z > 0) & (dr.abs(local.x) <= self.tan_h * reach) & (dr.abs(local.y) <= self.tan_v * reach)
+        inside = (
+            (local.z > 0)
+            & (dr.abs(local.x) <= self.tan_h * reach)
+            & (dr.abs(local.y) <= self.tan_v * reach)
+        )
         square = dr.squared_norm(local)
         cosine = local.z * dr.rsqrt(square)
-        return dr.select(inside, dr.rcp(4 * self.tan_h * self.tan_v * cosine * cosine * cosine * square), 0)
+        return dr.select(
+            inside, dr.rcp(4 * self.tan_h * self.tan_v * cosine * cosine * cosine * square), 0
+        )
 
     @dr.syntax
-    def sample_emitter(self, mei, si, active_medium, active_surface, scene, sampler, medium, channel, active, **_):
+    def sample_emitter(
+        self, mei, si, active_medium, active_surface, scene, sampler, medium, channel, active, **_
+    ):
         """Return (irradiance, direction to the laser) for vertices in a medium and on surfaces."""
         vertex = dr.zeros(mi.Interaction3f)
         vertex[active_medium] = mei
@@ -296,7 +326,9 @@ def _opaque(values: np.ndarray) -> list[Any]:
     return [dr.opaque(mi.Float, value) for value in values.tolist()]
 
 
-def render(scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg: float, stop_s: float) -> Transient:
+def render(
+    scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg: float, stop_s: float
+) -> Transient:
     """Return the transients of rows x cols pixels in the field of view, for flights up to `stop_s`. Raises `InputError`."""
     try:
         with _files_beside(scene.path):
@@ -340,7 +372,10 @@ def render(scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg
 def _check_media(world: Any, path: FilePath) -> None:
     """Refuse heterogeneous media: mitransient 1.3.1 omits the way between null collisions, so times are too short."""
     media = [
-        medium for shape in world.shapes() for medium in (shape.interior_medium(), shape.exterior_medium()) if medium
+        medium
+        for shape in world.shapes()
+        for medium in (shape.interior_medium(), shape.exterior_medium())
+        if medium
     ]
     if any(not medium.is_homogeneous() for medium in media):
         raise InputError(
@@ -348,7 +383,9 @@ def _check_media(world: Any, path: FilePath) -> None:
         )
 
 
-def _rays(lidar: _Lidar, rows: int, cols: int, first: int, n: int, side: int, seed: int) -> tuple[Any, Any, Any]:
+def _rays(
+    lidar: _Lidar, rows: int, cols: int, first: int, n: int, side: int, seed: int
+) -> tuple[Any, Any, Any]:
     """Return (sampler, rays, pixel of each ray in the block): side x side rays for each pixel, one per cell of a grid."""
     lanes = n * side * side
     sampler = mi.load_dict({"type": "independent"})
@@ -361,7 +398,11 @@ def _rays(lidar: _Lidar, rows: int, cols: int, first: int, n: int, side: int, se
     left = (1 - 2 * (mi.Float(pixel % cols) + u) / cols) * lidar.tan_h
     up = (1 - 2 * (mi.Float(pixel // cols) + v) / rows) * lidar.tan_v
     to_left, to_up, forward = lidar.axes
-    return sampler, mi.Ray3f(lidar.position, dr.normalize(left * to_left + up * to_up + forward)), local
+    return (
+        sampler,
+        mi.Ray3f(lidar.position, dr.normalize(left * to_left + up * to_up + forward)),
+        local,
+    )
 
 
 def _histogram(

@@ -44,12 +44,20 @@ class Scene:
             distance_m = distance_m[:, :, None]
             reflectivity = reflectivity[:, :, None] if reflectivity.ndim == 2 else reflectivity
         if distance_m.ndim != 3:
-            raise InputError(f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets")
+            raise InputError(
+                f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets"
+            )
         shape = distance_m.shape
-        object.__setattr__(self, "distance_m", real_array("distance_m", distance_m, shape, NEAREST_M, nan=True))
-        object.__setattr__(self, "reflectivity", real_array("reflectivity", reflectivity, shape, 0, 1))
+        object.__setattr__(
+            self, "distance_m", real_array("distance_m", distance_m, shape, NEAREST_M, nan=True)
+        )
+        object.__setattr__(
+            self, "reflectivity", real_array("reflectivity", reflectivity, shape, 0, 1)
+        )
         object.__setattr__(self, "sunlit", real_array("sunlit", self.sunlit, shape[:2], 0, 1))
-        object.__setattr__(self, "labels", np.broadcast_to(np.asarray(self.labels, np.int64), shape[:2]))
+        object.__setattr__(
+            self, "labels", np.broadcast_to(np.asarray(self.labels, np.int64), shape[:2])
+        )
 
     @property
     def rows(self) -> int:

@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 from attrs import frozen
 
-from ..light.light import BACKGROUNDS, SIGNAL_MAX, Arrivals, Light, ambient_reflectivity, background_cps
+from ..light.light import (
+    BACKGROUNDS,
+    SIGNAL_MAX,
+    Arrivals,
+    Light,
+    ambient_reflectivity,
+    background_cps,
+)
 from ..light.link_budget import Laser, Optics, link_budget
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.files import FilePath, read_npz, write_npz
@@ -70,7 +77,12 @@ class Transient:
             if end > begin:
                 index, strength = self.index[begin:end], self.strength_per_m2[begin:end]
                 here = np.abs(index - index[strength.argmax()]) <= near
-                depth_m[pixel] = np.average(index[here] + 0.5, weights=strength[here]) * BIN_S * SPEED_OF_LIGHT_M_S / 2
+                depth_m[pixel] = (
+                    np.average(index[here] + 0.5, weights=strength[here])
+                    * BIN_S
+                    * SPEED_OF_LIGHT_M_S
+                    / 2
+                )
         return depth_m.reshape(self.surface_m.shape)
 
     def light(
@@ -89,7 +101,10 @@ class Transient:
         photons = self.strength_per_m2 * photons_per_strength(optics or Optics(), laser or Laser())
         rows, cols = self.surface_m.shape
         arrivals = Arrivals(
-            first=self.first, start_s=self.index * BIN_S, photons=np.minimum(photons, SIGNAL_MAX), width_s=BIN_S
+            first=self.first,
+            start_s=self.index * BIN_S,
+            photons=np.minimum(photons, SIGNAL_MAX),
+            width_s=BIN_S,
         )
         reflectivity = ambient_reflectivity(self.ambient.ravel(), background)
         noise_cps = background_cps(real_array("klux", klux, (rows, cols), 0).ravel(), reflectivity)
@@ -127,5 +142,7 @@ def dominant_surface_m(samples_m: np.ndarray) -> np.ndarray:
         known = row[np.isfinite(row)]
         pieces = np.split(known, np.flatnonzero(np.diff(known) > SURFACE_GAP_M) + 1)
         largest = max(pieces, key=len)
-        surface_m[pixel] = largest.mean() if len(largest) and len(largest) >= len(row) - len(known) else np.inf
+        surface_m[pixel] = (
+            largest.mean() if len(largest) and len(largest) >= len(row) - len(known) else np.inf
+        )
     return surface_m

@@ -43,14 +43,18 @@ class _Part(_Compiled):
     """A function that only compiled functions may call."""
 
     def __call__(self, *args: Any, **kws: Any) -> Any:
-        raise TypeError(f"{self.py_func.__name__} is a part of kernels, and cannot be called from Python")
+        raise TypeError(
+            f"{self.py_func.__name__} is a part of kernels, and cannot be called from Python"
+        )
 
 
 @overload
 def njit(function: _Kernel) -> _Kernel: ...
 @overload
 def njit(*, allocates: bool = True, **options: Any) -> Callable[[_Kernel], _Kernel]: ...
-def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, **options: Any) -> Callable[..., Any]:
+def njit(
+    function: Callable[..., Any] | None = None, *, allocates: bool = True, **options: Any
+) -> Callable[..., Any]:
     """Compile a kernel with Numba, keep its code on disk, and run it without the lock of the interpreter.
 
     Code that calls the function from C is not made. options: as of `numba.njit`.
@@ -77,9 +81,15 @@ def njit(function: Callable[..., Any] | None = None, *, allocates: bool = True, 
 @overload
 def part(function: _Kernel) -> _Kernel: ...
 @overload
-def part(*, allocates: bool = False, inlined: bool = True, **options: Any) -> Callable[[_Kernel], _Kernel]: ...
 def part(
-    function: Callable[..., Any] | None = None, *, allocates: bool = False, inlined: bool = True, **options: Any
+    *, allocates: bool = False, inlined: bool = True, **options: Any
+) -> Callable[[_Kernel], _Kernel]: ...
+def part(
+    function: Callable[..., Any] | None = None,
+    *,
+    allocates: bool = False,
+    inlined: bool = True,
+    **options: Any,
 ) -> Callable[..., Any]:
     """Compile a part of kernels: a function that only they and their other parts call.
 

@@ -19,7 +19,12 @@ class InputError(ValueError):
     """
 
     def __init__(
-        self, message: str, *, field: str | None = None, low: float | None = None, high: float | None = None
+        self,
+        message: str,
+        *,
+        field: str | None = None,
+        low: float | None = None,
+        high: float | None = None,
     ) -> None:
         super().__init__(message)
         self.field = field
@@ -66,4 +71,6 @@ def extra(name: str) -> Iterator[None]:
     except ModuleNotFoundError as missing:
         if str(missing.name).partition(".")[0] == "coincid":  # our own mistake
             raise
-        raise InputError(f"{missing.name} is not installed; run: pip install 'coincid[{name}]'") from None
+        raise InputError(
+            f"{missing.name} is not installed; run: pip install 'coincid[{name}]'"
+        ) from None

@@ -59,7 +59,8 @@ def write_csv(path: FilePath, rows: Iterable[Iterable[object]]) -> None:
     """Write rows as CSV, with floats to six digits."""
     with whole_file(path, "w") as file:
         csv.writer(file, lineterminator="\n").writerows(
-            [f"{value:.6g}" if isinstance(value, float) else str(value) for value in row] for row in rows
+            [f"{value:.6g}" if isinstance(value, float) else str(value) for value in row]
+            for row in rows
         )
 
 
@@ -69,7 +70,9 @@ def write_npz(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # no array is called allow_pickle
 
 
-def read_npz(path: FilePath, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+def read_npz(
+    path: FilePath, names: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> dict[str, np.ndarray]:
     """Return the arrays `names` of an NPZ file, and those of `optional` that it has.
 
     Raises `InputError` if the file is missing, damaged, not an NPZ, or lacks one of `names`.
@@ -78,12 +81,19 @@ def read_npz(path: FilePath, names: tuple[str, ...], optional: tuple[str, ...] =
     with reading(path, "NPZ file"):
         archive = np.load(path, allow_pickle=False)
         if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise InputError(f"{path}: is a single array, must be an NPZ file with the arrays {', '.join(names)}")
+            raise InputError(
+                f"{path}: is a single array, must be an NPZ file with the arrays {', '.join(names)}"
+            )
         with archive:
             missing = [name for name in names if name not in archive.files]
             if missing:
-                raise InputError(f"{path}: has no array {missing[0]!r}, must have {', '.join(names)}")
-            arrays = {name: archive[name] for name in (*names, *(name for name in optional if name in archive.files))}
+                raise InputError(
+                    f"{path}: has no array {missing[0]!r}, must have {', '.join(names)}"
+                )
+            arrays = {
+                name: archive[name]
+                for name in (*names, *(name for name in optional if name in archive.files))
+            }
         for name, array in arrays.items():
             if not isinstance(array, np.ndarray):  # a member without NumPy's header comes as bytes
                 raise InputError(f"{path}: {name} is no array")

@@ -42,7 +42,9 @@ def worker_processes(
 ) -> Iterator[ProcessPoolExecutor]:
     """A pool of new processes, each started with `initializer`. If the block ends with an exception, they are killed."""
     before = set(active_children())
-    with ProcessPoolExecutor(workers, get_context("spawn"), partial(_begin, initializer, *arguments)) as pool:
+    with ProcessPoolExecutor(
+        workers, get_context("spawn"), partial(_begin, initializer, *arguments)
+    ) as pool:
         try:
             yield pool
         except BaseException:

@@ -32,6 +32,11 @@ def check_part(field: str, part: OwnPart) -> None:
     for attribute in ("name", "version"):
         value = getattr(part, attribute, None)
         if not isinstance(value, str) or not value:
-            raise InputError(f"{field}: {type(part).__name__}.{attribute} = {value!r}, must be a text", field=field)
+            raise InputError(
+                f"{field}: {type(part).__name__}.{attribute} = {value!r}, must be a text",
+                field=field,
+            )
     if not re.fullmatch(NAME, part.name):
-        raise wrong_value(field, part.name, "a name of letters, digits and _.- that begins with a letter")
+        raise wrong_value(
+            field, part.name, "a name of letters, digits and _.- that begins with a letter"
+        )

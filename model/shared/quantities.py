@@ -17,7 +17,12 @@ _T = TypeVar("_T")
 def check_real(name: str, value: Any, low: float, high: float = inf) -> float:
     """Return `value` as a float if it is finite and within [`low`, `high`]. Raises `InputError`."""
     is_scalar: bool = np.isscalar(value)  # in the condition, it would narrow Any to unordered types
-    if isinstance(value, (bool, str)) or not is_scalar or not low <= value <= high or not isfinite(value):
+    if (
+        isinstance(value, (bool, str))
+        or not is_scalar
+        or not low <= value <= high
+        or not isfinite(value)
+    ):
         raise wrong_value(name, value, f"a number {_range(low, high)}", low=low, high=high)
     return float(value)
 
@@ -39,21 +44,32 @@ def check_switch(name: str, value: Any) -> bool:
 def real(default: float, low: float, high: float = inf) -> float:
     """Return an attrs field that holds a finite number within [`low`, `high`]."""
     checked: float = field(
-        default=default, validator=lambda _, attribute, value: check_real(attribute.name, value, low, high)
+        default=default,
+        validator=lambda _, attribute, value: check_real(attribute.name, value, low, high),
     )
     return checked
 
 
 def real_array(
-    name: str, value: ArrayLike, shape: tuple[int, ...], low: float, high: float = inf, *, nan: bool = False
+    name: str,
+    value: ArrayLike,
+    shape: tuple[int, ...],
+    low: float,
+    high: float = inf,
+    *,
+    nan: bool = False,
 ) -> np.ndarray:
     """Return `value` as a read-only float64 array of `shape` (by broadcasting) within [`low`, `high`], or NaN with `nan`."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: must hold numbers {_range(low, high)}", field=name, low=low, high=high) from None
+        raise InputError(
+            f"{name}: must hold numbers {_range(low, high)}", field=name, low=low, high=high
+        ) from None
     try:
-        array = np.array(np.broadcast_to(array, shape), order="C")  # a copy, so that the caller's array stays writable
+        array = np.array(
+            np.broadcast_to(array, shape), order="C"
+        )  # a copy, so that the caller's array stays writable
     except ValueError:
         message = f"{name}: has shape {array.shape}, must be {shape} or broadcast to it"
         raise InputError(message, field=name) from None

@@ -31,7 +31,9 @@ def package_files(*packages: str) -> list[Path]:
         spec = find_spec(package)
         assert spec is not None and spec.submodule_search_locations, package
         folder = Path(next(iter(spec.submodule_search_locations)))
-        files |= {path for path in folder.rglob("*") if path.is_file() and not IGNORED & set(path.parts)}
+        files |= {
+            path for path in folder.rglob("*") if path.is_file() and not IGNORED & set(path.parts)
+        }
     return sorted(files)
 
 
