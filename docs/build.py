@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build the documentation site into build/docs/; `make docs` runs this program.
 
-The pages lie in the same places as on a Git host, so a link leads to the same page in both. Copies of the pages, the API
-reference and the gallery go into build/docs-source/. Every warning is an error, such as a dead link, a missing heading or
-an example that fails.
+The pages lie in the same places as on a Git host, so a link leads to the same page in both.
+Copies of the pages, the API reference and the gallery go into build/docs-source/. Every warning
+is an error, such as a dead link, a missing heading or an example that fails.
 """
 
 import sys
@@ -62,7 +62,8 @@ def pages() -> dict[str, bytes]:
             files.append(path)
     files += [*(ROOT / "examples").glob("*.py"), ROOT / "examples" / "README.md"]
     made = {str(path.relative_to(ROOT)): path.read_bytes() for path in files}
-    # The gallery's programs lie in a folder of their own, whose header is not the README of the examples.
+    # The gallery's programs lie in a folder of their own, whose header is not the README of the
+    # examples.
     made |= {
         f"programs/{path.name}": path.read_bytes() for path in (ROOT / "examples").glob("*.py")
     }
@@ -102,7 +103,9 @@ def heading(text: str, line: str = "=") -> str:
 
 
 def lay_out(files: dict[str, bytes]) -> None:
-    """Update the sources to `files`. Unchanged files keep their time and are not built again; the gallery's files stay."""
+    """Update the sources to `files`. Unchanged files keep their time and are not built again;
+    the gallery's files stay.
+    """
     for name, content in files.items():
         path = SOURCE / name
         if not path.exists() or path.read_bytes() != content:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sphinx's configuration of the documentation site. `docs/build.py` lays out its sources and runs it."""
+"""Sphinx's configuration of the documentation site. `docs/build.py` lays out its sources and
+runs it.
+"""
 
 import json
 import re
@@ -57,11 +59,14 @@ html_extra_path = [str(ROOT / "build" / "docs-source" / "extra")]
 html_copy_source = html_show_sourcelink = False
 html_theme_options = {"navigation_with_keys": False}
 
-READERS = "## "  # begins a heading of the index; the links below it become a part of the table of contents
+# begins a heading of the index; the links below it become a part of the table of contents
+READERS = "## "
 
 
 def contents(text):
-    """Return hidden tables of contents for the index, one per heading, with the pages that are linked below the heading."""
+    """Return hidden tables of contents for the index, one per heading, with the pages that are
+    linked below the heading.
+    """
     tables = []
     for part in re.split(rf"^{READERS}", text, flags=re.MULTILINE)[1:]:
         caption, _, body = part.partition("\n")
@@ -83,7 +88,8 @@ def add_contents(app, name, source):
         source[0] += "\n" + contents(source[0])
 
 
-TEXTS = "texts.js"  # texts of all pages: the search takes excerpts from it where a browser may not read files
+# texts of all pages: the search takes excerpts from it where a browser may not read files
+TEXTS = "texts.js"
 READ_TEXTS = """
 if (location.protocol === "file:") {
   window.fetch = async (address) => {

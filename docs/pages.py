@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the tables and pictures of the pages again, lists those that are older than the sources, and checks a release.
+"""Makes the tables and pictures of the pages again, lists those that are older than the sources,
+and checks a release.
 
-`make pages` runs this program. `docs/pages.toml` lists the programs that write the pages; `tools/pages.py` explains the markers and
-the stamps. A program that is done has written its regions with their new stamps, so an interrupted run continues where it
-stopped if only what is stale is made. Each program runs in its own process, which records the files that it reads. If one of
-them is not in what the stamp covers, the run fails.
+`make pages` runs this program. `docs/pages.toml` lists the programs that write the pages;
+`tools/pages.py` explains the markers and the stamps. A program that is done has written its
+regions with their new stamps, so an interrupted run continues where it stopped if only what is
+stale is made. Each program runs in its own process, which records the files that it reads. If
+one of them is not in what the stamp covers, the run fails.
 """
 
 import argparse
@@ -36,7 +38,9 @@ def all_pages(root: Path = ROOT) -> Pages:
 
 
 def chosen(pages: Pages, names: Sequence[str]) -> list[Program]:
-    """Return the programs with these names, or of the pages with these names; all if there are none. Raises `InputError`."""
+    """Return the programs with these names, or of the pages with these names; all if there are
+    none. Raises `InputError`.
+    """
     if not names:
         return list(pages.programs.values())
     found = []
@@ -59,7 +63,9 @@ def chosen(pages: Pages, names: Sequence[str]) -> list[Program]:
 
 
 def list_stale(pages: Pages) -> list[str]:
-    """Return a line for each program with stale regions: its name, command, duration, and the regions by page."""
+    """Return a line for each program with stale regions: its name, command, duration, and the
+    regions by page.
+    """
     lines = []
     for name, regions in pages.stale().items():
         program = pages.programs[name]
@@ -100,7 +106,9 @@ def make(pages: Pages, program: Program) -> None:
 
 
 def undeclared(pages: Pages, program: Program, read: Iterable[str]) -> list[str]:
-    """Return the files that a program has read and does not depend on. read: paths below the root."""
+    """Return the files that a program has read and does not depend on. read: paths below the
+    root.
+    """
     closure = pages.closure(program)
     known = {
         str(pages.sources.modules[module].relative_to(pages.root))

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A cocotb bench of the sensor's Verilog without code of this project: it looks up register names and decodes words itself.
+"""A cocotb bench of the sensor's Verilog without code of this project: it looks up register
+names and decodes words itself.
 
-`plot_09_cocotb.py` starts it. COINCID_REGISTERS names the register map (`registers.json`), COINCID_SEEN the output file.
+`plot_09_cocotb.py` starts it. COINCID_REGISTERS names the register map (`registers.json`),
+COINCID_SEEN the output file.
 """
 
 import json
@@ -25,7 +27,9 @@ REGISTERS = json.loads(os.environ["COINCID_REGISTERS"])
 
 @cocotb.test()
 async def one_event(dut):
-    """Four photons within a window become one event with their count, their map, and the stamp of the first."""
+    """Four photons within a window become one event with their count, their map, and the stamp
+    of the first.
+    """
     Clock(dut.clk, 2, "ns").start()
     registers = AxiLiteMaster(AxiLiteBus.from_prefix(dut, "s_axi"), dut.clk, dut.rst)
     stream = AxiStreamSink(AxiStreamBus.from_prefix(dut, "m_axis"), dut.clk, dut.rst)
@@ -40,7 +44,8 @@ async def one_event(dut):
     await registers.write_dword(REGISTERS["threshold"], 3)
     await registers.write_dword(REGISTERS["control"], 1)  # start
 
-    # `laser` is sampled high at the clock edge that ends cycle 0: what is driven after that edge belongs to cycle 1.
+    # `laser` is sampled high at the clock edge that ends cycle 0: what is driven after that edge
+    # belongs to cycle 1.
     while not dut.laser.value:
         await RisingEdge(dut.clk)
     rows = []

@@ -3,8 +3,9 @@
 First frame
 ===========
 
-Simulate one frame of the scene `sun-and-shade` and estimate the distance of every pixel: with coincidence off, with one
-threshold for all subgroups, and with the controller on the chip. The example uses the golden model instead of the
+Simulate one frame of the scene `sun-and-shade` and estimate the distance of every pixel: with
+coincidence off, with one threshold for all subgroups, and with the controller on the chip. The
+example uses the golden model instead of the
 RTL: it gives the same words in the same clock cycles, and needs no RTL tool.
 """
 
@@ -13,8 +14,9 @@ import numpy as np
 
 import coincid
 
-# The default sensor has 32 x 32 pixels in subgroups of 8 x 8, and a frame has 100 laser pulses. The link carries 8 Gbit/s. The
-# controller takes some frames to find a threshold for every subgroup, so the last of six frames is shown.
+# The default sensor has 32 x 32 pixels in subgroups of 8 x 8, and a frame has 100 laser pulses.
+# The link carries 8 Gbit/s. The controller takes some frames to find a threshold for every
+# subgroup, so the last of six frames is shown.
 config = coincid.load_config().with_frame(link_gbps=8)
 settings = {
     "coincidence off": config.with_settings(coincidence=False),

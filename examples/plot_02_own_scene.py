@@ -3,8 +3,9 @@
 Your own RGB-D scene
 ====================
 
-A scene can be a depth picture (PNG of 16 bits, in millimetres). A colour picture of the same view is optional; its brightness
-becomes the reflectivity. This example draws both pictures. Use the names of your own files instead.
+A scene can be a depth picture (PNG of 16 bits, in millimetres). A colour picture of the same
+view is optional; its brightness becomes the reflectivity. This example draws both pictures. Use
+the names of your own files instead.
 """
 
 import tempfile

@@ -3,8 +3,9 @@
 From photons to the histogram of one pixel
 ==========================================
 
-Follow one pixel of a flat wall at 6 m in 20 klux of sunlight: its avalanches in every laser period, the fate of each
-avalanche in the sensor, and the histogram of the events that left the sensor.
+Follow one pixel of a flat wall at 6 m in 20 klux of sunlight: its avalanches in every laser
+period, the fate of each avalanche in the sensor, and the histogram of the events that left the
+sensor.
 """
 
 import matplotlib.pyplot as plt
@@ -29,8 +30,9 @@ fates = (
 fate = run.result["fate"][mine]
 
 # %%
-# The sensor reports a whole window: the time of its first photon and the map of the pixels that fired. An avalanche
-# therefore reaches the histogram only if enough neighbours fired in the same nanosecond.
+# The sensor reports a whole window: the time of its first photon and the map of the pixels that
+# fired. An avalanche therefore reaches the histogram only if enough neighbours fired in the same
+# nanosecond.
 
 events = np.asarray(run.histogram(pixel))
 print(

@@ -3,9 +3,10 @@
 Thresholds and windows against sunlight
 =======================================
 
-A threshold discards windows with too few photons. This example counts the events that leave the sensor and the wrong
-pixels, for all thresholds, three levels of sunlight and three windows. The distance of a pixel is the highest point of its
-histogram after a filter with the shape of the laser pulse.
+A threshold discards windows with too few photons. This example counts the events that leave the
+sensor and the wrong pixels, for all thresholds, three levels of sunlight and three windows. The
+distance of a pixel is the highest point of its histogram after a filter with the shape of the
+laser pulse.
 """
 
 import matplotlib.pyplot as plt

@@ -3,8 +3,9 @@
 Gating and progressive gating
 =============================
 
-Every pixel sees a bright pane at 3 m and a wall behind it at 9 m. A gate that opens after the light of the pane has passed hides
-the pane. A progressive gate opens later from pulse to pulse, and so scans the whole range.
+Every pixel sees a bright pane at 3 m and a wall behind it at 9 m. A gate that opens after the
+light of the pane has passed hides the pane. A progressive gate opens later from pulse to pulse,
+and so scans the whole range.
 """
 
 import matplotlib.pyplot as plt

@@ -3,9 +3,10 @@
 Several targets
 ===============
 
-In the scene `two-returns` every pixel sees two surfaces, like a pane and the wall behind it. With `returns=2` the
-estimator reports both. After a window the tree is blind until the next cycle. Surfaces that are closer than this time and the
-window (up to half a metre here) are reported as one.
+In the scene `two-returns` every pixel sees two surfaces, like a pane and the wall behind it.
+With `returns=2` the estimator reports both. After a window the tree is blind until the next
+cycle. Surfaces that are closer than this time and the window (up to half a metre here) are
+reported as one.
 """
 
 import matplotlib.pyplot as plt

@@ -3,8 +3,9 @@
 Sweeping a design space with Dask
 =================================
 
-`coincid sweep` runs a grid of settings in processes on this machine or on a cluster, and writes one Parquet table and one
-plot. In Python, the function `sweep` does the same. Finished points are kept, so a changed sweep runs only the new points.
+`coincid sweep` runs a grid of settings in processes on this machine or on a cluster, and writes
+one Parquet table and one plot. In Python, the function `sweep` does the same. Finished points
+are kept, so a changed sweep runs only the new points.
 """
 
 import tempfile

@@ -3,8 +3,8 @@
 Replaying a PTU recording
 =========================
 
-The sensor can be simulated with photons that an instrument has recorded. This example writes a PicoQuant PTU file with the
-photons of a simulated scene. Use the name of your own file instead.
+The sensor can be simulated with photons that an instrument has recorded. This example writes a
+PicoQuant PTU file with the photons of a simulated scene. Use the name of your own file instead.
 """
 
 import tempfile
@@ -27,8 +27,9 @@ path = Path(tempfile.mkdtemp()) / "recording.ptu"
 write_edges(path, photons, timing)
 
 # %%
-# Channel k of the file is pixel k. Photons that cannot be used are counted by the reason. Then the sensor is simulated with
-# the edges. The engine "golden" is the golden model; "sliced" would be the RTL.
+# Channel k of the file is pixel k. Photons that cannot be used are counted by the reason. Then
+# the sensor is simulated with the edges. The engine "golden" is the golden model; "sliced" would
+# be the RTL.
 
 edges, lost = recorded_edges(read_recording(path), config, timing)
 print(f"{path.stat().st_size} bytes, {len(edges)} photons, left out: {lost}")

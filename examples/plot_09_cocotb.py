@@ -3,8 +3,9 @@
 Driving the RTL from your own cocotb bench
 ==========================================
 
-Export the Verilog of a small sensor and drive it from your own cocotb bench, on Icarus Verilog. The bench is
-`bench_events.py` in the same folder. It uses the AXI drivers of cocotbext-axi and no code of this project.
+Export the Verilog of a small sensor and drive it from your own cocotb bench, on Icarus Verilog.
+The bench is `bench_events.py` in the same folder. It uses the AXI drivers of cocotbext-axi and
+no code of this project.
 """
 
 import json
@@ -61,7 +62,8 @@ tests, failures = get_results(results)
 assert (tests, failures) == (1, 0), (folder / "sim.log").read_text(encoding="utf-8")
 
 # %%
-# The record of the bench: photons arrive in cycles 5 and 6, and the event leaves the sensor after its window has closed.
+# The record of the bench: photons arrive in cycles 5 and 6, and the event leaves the sensor
+# after its window has closed.
 
 told = json.loads(seen.read_text(encoding="utf-8"))
 cycles, valid, photons = zip(*told["rows"], strict=True)

@@ -3,8 +3,8 @@
 From parameters to Verilog, area and timing
 ===========================================
 
-Change parameters of a small sensor, export its Verilog, and synthesize it: gates and flip-flops of every block, and the
-number of two-input gates on its longest path, which limits the clock.
+Change parameters of a small sensor, export its Verilog, and synthesize it: gates and flip-flops
+of every block, and the number of two-input gates on its longest path, which limits the clock.
 """
 
 import matplotlib.pyplot as plt
@@ -28,7 +28,8 @@ print(f"{name}: {len(verilog)} Verilog files, {sum(text.count(chr(10)) for text 
 netlists = {name: synthesize(config.sensor, GATES) for name, config in configs.items()}
 
 # %%
-# `synthesize` maps to two-input gates with Yosys. `coincid synth` writes the same table for standard cells and an ECP5 FPGA.
+# `synthesize` maps to two-input gates with Yosys. `coincid synth` writes the same table for
+# standard cells and an ECP5 FPGA.
 
 blocks = sorted(
     {name for netlist in netlists.values() for name, block in netlist.blocks.items() if block.total}

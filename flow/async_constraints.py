@@ -12,7 +12,9 @@ FS_PER_NS = 1_000_000
 
 
 def async_constraints(sensor: Sensor, circuit: Circuit, spads: str = "spad_*") -> str:
-    """Return the constraints of the front ends, which follow the system clock's. spads: pattern of the SPAD line ports."""
+    """Return the constraints of the front ends, which follow the system clock's. spads: pattern
+    of the SPAD line ports.
+    """
     cycle, lag = circuit.clock_fs / FS_PER_NS, lag_fs(sensor) / FS_PER_NS
     tick, half = cycle / sensor.phases, cycle / 2
     times = {"cycle": cycle, "lag": lag, "tick": tick, "half": half, "half_tick": tick / 2}

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exported C driver: its sources, and a header with the packets of the stream (from `model/contract/packet.py`)."""
+"""The exported C driver: its sources, and a header with the packets of the stream (from
+`model/contract/packet.py`).
+"""
 
 from pathlib import Path
 
@@ -24,7 +26,9 @@ _GROUPS = {  # places and widths in groups of events
 
 
 def c_driver() -> dict[str, str]:
-    """Return the files of the driver by name. It fits every sensor, and needs the header of the registers."""
+    """Return the files of the driver by name. It fits every sensor, and needs the header of the
+    registers.
+    """
     return {path.name: path.read_text(encoding="utf-8") for path in SOURCES} | {
         PACKETS_HEADER: _packets_header()
     }

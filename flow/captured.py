@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Captured streams with their decoded rows, with which a decoder can be tested without a simulator.
 
-The streams come from the golden model, with which the RTL agrees word by word. There is one frame for each format, and the
-settings vary.
+The streams come from the golden model, with which the RTL agrees word by word. There is one
+frame for each format, and the settings vary.
 """
 
 import io
@@ -20,7 +20,9 @@ MAP_DIGITS = 16  # hexadecimal digits of a beat of the map
 
 
 def captured_files(sensor: Sensor) -> dict[str, bytes]:
-    """Return the files by name: for each format the beats (text), the events (CSV), and the whole result (NPZ)."""
+    """Return the files by name: for each format the beats (text), the events (CSV), and the
+    whole result (NPZ).
+    """
     files: dict[str, bytes] = {}
     golden, formats = Golden(sensor), built_formats(sensor)
     for number, (name, job) in enumerate(

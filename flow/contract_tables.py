@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Generated tables of the pages: the header of the stream's packets (docs/contract.md), and settings (docs/files.md)."""
+"""Generated tables of the pages: the header of the stream's packets (docs/contract.md), and
+settings (docs/files.md).
+"""
 
 from ..model.contract.config import TABLES
 from ..model.contract.packet import FORMATS, FRAME_END, FRAME_START, GROUP_KIND, HEADER, RECORD

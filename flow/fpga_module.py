@@ -15,12 +15,15 @@ from ..tools.wheels import wheel_folder
 from .pnr import NEXTPNR, Board, place, write_placement_page
 
 WRAPPER = Path(__file__).with_name("ecp5.v")
-PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"  # of the device of `fpga_module`, in the wheel of nextpnr
+# of the device of `fpga_module`, in the wheel of nextpnr
+PADS = "share/trellis/database/ECP5/LFE5UM5G-85F/iodb.json"
 PACKAGE = "CABGA756"
 
 
 def fpga_module() -> Board:
-    """Return a module of the FPGA preset with registers, readout and deserialisers. Raises `ToolchainError` without nextpnr."""
+    """Return a module of the FPGA preset with registers, readout and deserialisers. Raises
+    `ToolchainError` without nextpnr.
+    """
     preset = load_config("fpga")
     sensor = evolve(preset.sensor, rows=8, cols=16)
     files = (
@@ -44,9 +47,11 @@ def fpga_module() -> Board:
 
 
 def _along_the_edge() -> str:
-    """Return constraints that place the ports of the wrapper along the edge of the chip in order, as on a board.
+    """Return constraints that place the ports of the wrapper along the edge of the chip in
+    order, as on a board.
 
-    Without them nextpnr would place the ports, and the logic behind them, at random. nextpnr chooses only the clock pin.
+    Without them nextpnr would place the ports, and the logic behind them, at random. nextpnr
+    chooses only the clock pin.
     """
     sites = json.loads((wheel_folder(NEXTPNR) / PADS).read_text(encoding="utf-8"))["packages"][
         PACKAGE

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gate-level simulation: the netlist after synthesis passes the same cocotb test and scoreboard as the RTL.
+"""Gate-level simulation: the netlist after synthesis passes the same cocotb test and scoreboard
+as the RTL.
 
-Flip-flops and latches start with random values and take a random value for an unknown input, as in silicon. So a netlist
-that agrees with the golden model does not rely on initial values. The simulation does not start with X, because optimised
-gates turn one unknown value into many.
+Flip-flops and latches start with random values and take a random value for an unknown input, as
+in silicon. So a netlist that agrees with the golden model does not rely on initial values. The
+simulation does not start with X, because optimised gates turn one unknown value into many.
 """
 
 import re
@@ -36,7 +37,9 @@ EDGES_A_CYCLE = 0.4  # mean number in each subgroup
 
 
 def netlist_build(sensor: Sensor, target: str, scopes: Sequence[str] = ()) -> toolchain.Build:
-    """Compile the netlist of a sensor, in gates or standard cells, with Icarus and the cells' models; `scopes` as in `toolchain.build`."""
+    """Compile the netlist of a sensor, in gates or standard cells, with Icarus and the cells'
+    models; `scopes` as in `toolchain.build`.
+    """
     synthesized = synthesize(sensor, target)
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:
         models = Path(folder) / f"{target}.v"
@@ -51,7 +54,9 @@ def netlist_build(sensor: Sensor, target: str, scopes: Sequence[str] = ()) -> to
 
 
 def cell_models(target: str = CELLS) -> str:
-    """Return the published models of the cells, with those of `FLOPS` in place of the published ones."""
+    """Return the published models of the cells, with those of `FLOPS` in place of the published
+    ones.
+    """
     if target == GATES:
         source = wheel_folder(YOSYS) / "share" / "simcells.v"
     else:
@@ -73,7 +78,9 @@ def cell_models(target: str = CELLS) -> str:
 
 
 def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
-    """Return random frames in every format. Coincidence, gating, controller, records and a stalled stream vary."""
+    """Return random frames in every format. Coincidence, gating, controller, records and a
+    stalled stream vary.
+    """
     rng, golden, jobs, formats = (
         np.random.default_rng(seed),
         Golden(sensor),
@@ -121,7 +128,9 @@ def _random_edges(config: Config, rng: np.random.Generator) -> Edges:
 
 
 def gate_level(sensor: Sensor, target: str, frames: int = FRAMES, seed: int = 1) -> tuple[int, int]:
-    """Play random frames through the netlist; return (words and commits checked, cycles). Raises `Mismatch`."""
+    """Play random frames through the netlist; return (words and commits checked, cycles). Raises
+    `Mismatch`.
+    """
     build, jobs = netlist_build(sensor, target), random_frames(sensor, frames, seed)
     return played(build, jobs, f"{target}-{sensor_key(sensor)}")
 
@@ -129,7 +138,9 @@ def gate_level(sensor: Sensor, target: str, frames: int = FRAMES, seed: int = 1)
 def played(
     build: toolchain.Build, jobs: list[FrameJob], name: str, lines: bool = False
 ) -> tuple[int, int]:
-    """Play frames in the folder `name`; return the same as `gate_level`. lines: as in `play_in`. Raises `Mismatch`."""
+    """Play frames in the folder `name`; return the same as `gate_level`. lines: as in `play_in`.
+    Raises `Mismatch`.
+    """
     records, _ = play_in(build, jobs, build_root() / "gls" / name, lines=lines)
     return sum(record.checked for record in records), sum(record.cycles for record in records)
 

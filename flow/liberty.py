@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Energies, capacitances and leakage of standard cells from a liberty file.
 
-An energy is in fJ for one transition at an input slew of `SLEW_NS`. It is the mean over rise and fall, and over the
-conditions in the file. For a clock pin, it is the energy while the data of the flip-flop do not change. For a data pin, it
-is the energy while the clock is low. For the clock pin of a clock gate, it is the energy of a closed gate; the energy of an
-open gate is at its output.
+An energy is in fJ for one transition at an input slew of `SLEW_NS`. It is the mean over rise and
+fall, and over the conditions in the file. For a clock pin, it is the energy while the data of
+the flip-flop do not change. For a data pin, it is the energy while the clock is low. For the
+clock pin of a clock gate, it is the energy of a closed gate; the energy of an open gate is at
+its output.
 """
 
 import re
@@ -37,7 +38,9 @@ class Group:
 
 @frozen
 class Energies:
-    """Energies of a transition in fJ for loads in fF. If the file gives no loads, there is one load."""
+    """Energies of a transition in fJ for loads in fF. If the file gives no loads, there is one
+    load.
+    """
 
     loads_ff: np.ndarray
     fj: np.ndarray

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lint of the emitted Verilog and its test benches: Verilator with all warnings except the waivers, and Icarus if installed."""
+"""Lint of the emitted Verilog and its test benches: Verilator with all warnings except the
+waivers, and Icarus if installed.
+"""
 
 import os
 import shutil
@@ -22,10 +24,11 @@ VERILATOR = ("--lint-only", "--timing", "--quiet-stats", f"-D{EXACT}")
 
 
 def lint(config: Config, view: View = POLYPHASE) -> dict[str, str]:
-    """Return tool -> its findings in the Verilog of a release, "" if there are none. Raises `ToolchainError`.
+    """Return tool -> its findings in the Verilog of a release, "" if there are none. Raises
+    `ToolchainError`.
 
-    Every top is read, and also the forms for standard cells. In a view with macros, the files are those for synthesis, and
-    there is no test bench.
+    Every top is read, and also the forms for standard cells. In a view with macros, the files
+    are those for synthesis, and there is no test bench.
     """
     files = release_files(config, view)
     benches = () if view.macros else (SMOKE, FPGA_TOP, FPGA_SMOKE)
@@ -39,7 +42,8 @@ def findings(
 ) -> dict[str, str]:
     """Return tool -> its findings in some tops, "" if there are none.
 
-    files: text by name. runs: of each top, its name and those of its files. Raises `ToolchainError`.
+    files: text by name. runs: of each top, its name and those of its files. Raises
+    `ToolchainError`.
     """
     options = [part for option in tool_options(view)["lint"] for part in option.split()]
     found = {"verilator": ""} | (

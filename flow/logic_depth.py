@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logic depth of a netlist of two-input gates: number of gates on the longest path between registers, by block.
+"""Logic depth of a netlist of two-input gates: number of gates on the longest path between
+registers, by block.
 
-This measure is our choice: every flip-flop is a plain one (enables and resets are gates in front of it), an inverter
-does not count, and ports count as registers. A gate of a standard-cell library is worth one to two levels.
+This measure is our choice: every flip-flop is a plain one (enables and resets are gates in front
+of it), an inverter does not count, and ports count as registers. A gate of a standard-cell
+library is worth one to two levels.
 """
 
 import re
@@ -16,10 +18,12 @@ FREE = ("$_NOT_", "$_BUF_")
 
 
 def depths(module: Mapping[str, Any]) -> dict[str, int]:
-    """Return the number of gates on the longest path into the registers of every block of a flattened module.
+    """Return the number of gates on the longest path into the registers of every block of a
+    flattened module.
 
-    module: from Yosys's JSON, gates of one bit. Blocks are named by their path, "" for the module's own registers and
-    outputs. Blocks that are not flattened have registers at their ports. Raises `ValueError` for a combinational loop.
+    module: from Yosys's JSON, gates of one bit. Blocks are named by their path, "" for the
+    module's own registers and outputs. Blocks that are not flattened have registers at their
+    ports. Raises `ValueError` for a combinational loop.
     """
     gates: dict[Bit, tuple[bool, list[Bit]]] = {}  # whether it costs a level, and its inputs
     ends: list[tuple[str, Bit]] = []  # block, and the data of a register or an output
@@ -69,6 +73,8 @@ def depths(module: Mapping[str, Any]) -> dict[str, int]:
 
 
 def _block(cell: str) -> str:
-    """Return the block of a flattened module's cell: `$flatten\\a.\\b.$auto$ff$1` came from `a.b`."""
+    """Return the block of a flattened module's cell: `$flatten\\a.\\b.$auto$ff$1` came from
+    `a.b`.
+    """
     path = re.match(r"\$flatten((?:\\[^.\\]+\.)+)", cell)
     return path[1].replace("\\", "")[:-1] if path else ""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Area and slack of single blocks in standard cells. Each block is synthesized alone and flattened.
 
-The cells are NanGate 45 nm at the typical corner (1.1 V, 25 degrees C). OpenSTA gives the slack between registers, without
-wires and with an ideal clock.
+The cells are NanGate 45 nm at the typical corner (1.1 V, 25 degrees C). OpenSTA gives the slack
+between registers, without wires and with an ideal clock.
 """
 
 import json
@@ -40,7 +40,9 @@ if {[llength $enables]} {report_checks -path_delay max -to $enables}
 
 @frozen
 class Mapped:
-    """A flattened block in standard cells. folder: contains the netlist. cells, macros: type -> number."""
+    """A flattened block in standard cells. folder: contains the netlist. cells, macros: type ->
+    number.
+    """
 
     name: str
     folder: Path
@@ -59,8 +61,8 @@ def map_block(
     """Return a block in standard cells. It is made once for each state of its Verilog.
 
     Memories consist of latches, and macros are black boxes.
-    changed: files that replace or supplement those of the block, name -> text. gated: as in `cells_script`. Raises
-    `ToolchainError`.
+    changed: files that replace or supplement those of the block, name -> text. gated: as in
+    `cells_script`. Raises `ToolchainError`.
     """
     files = bound(units_files([unit], cells=True), gated)
     files |= {
@@ -88,11 +90,12 @@ def map_block(
 
 
 def slacks_ns(folder: Path, block: str, clock_ns: float) -> dict[str, float]:
-    """Return the least slacks between registers of a block by the kind of end: `FLOPS`, `LATCHES`, `OPENING`, `ENABLES`.
+    """Return the least slacks between registers of a block by the kind of end: `FLOPS`,
+    `LATCHES`, `OPENING`, `ENABLES`.
 
-    OpenSTA reads the netlist in `folder`; wires are not included. A latch may take its data until it closes. The lines that
-    open latches must settle by mid-cycle, and the enables of clock gates by the end of the cycle. The clock is ideal, also
-    behind a clock gate.
+    OpenSTA reads the netlist in `folder`; wires are not included. A latch may take its data
+    until it closes. The lines that open latches must settle by mid-cycle, and the enables of
+    clock gates by the end of the cycle. The clock is ideal, also behind a clock gate.
     """
     timed = f"{block}.timed.v"
     (folder / timed).write_text(
@@ -110,7 +113,9 @@ def without_parameters(verilog: str) -> str:
 
 
 def timing_report(folder: Path, block: str, netlist: str, clock_ns: float, commands: str) -> str:
-    """Return the answer of OpenSTA to some commands about a netlist in `folder`, where also the cells are."""
+    """Return the answer of OpenSTA to some commands about a netlist in `folder`, where also the
+    cells are.
+    """
     script = f"""\
 read_liberty {LIBERTY}
 read_verilog {netlist}
@@ -125,7 +130,9 @@ create_clock -name clk -period {clock_ns:g} [get_ports clk]
 
 
 def least_slacks_ns(report: str) -> dict[str, float]:
-    """Return kind of end -> least slack from the report of `LONGEST_PATHS`, for all kinds that have a path."""
+    """Return kind of end -> least slack from the report of `LONGEST_PATHS`, for all kinds that
+    have a path.
+    """
     _, *parts = re.split(r"^(FLOPS|LATCHES|OPENING|ENABLES)$", report, flags=re.MULTILINE)
     slacks = {}
     for kind, part in zip(parts[::2], parts[1::2], strict=True):

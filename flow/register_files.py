@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The register map for people and for tools, from the one table in `model/contract/registers.py`.
 
-The formats are Markdown, HTML, a C header, JSON, SystemRDL, and IP-XACT, which PeakRDL makes from the SystemRDL. The HTML
-is our own: it has 9 kB and includes the legal ranges, for which SystemRDL has no place. That of PeakRDL is an application of
-7.8 MB.
+The formats are Markdown, HTML, a C header, JSON, SystemRDL, and IP-XACT, which PeakRDL makes
+from the SystemRDL. The HTML
+is our own: it has 9 kB and includes the legal ranges, for which SystemRDL has no place. That of
+PeakRDL is an application of 7.8 MB.
 """
 
 import html
@@ -51,7 +52,9 @@ def register_files(sensor: Sensor) -> dict[str, str]:
 
 
 def register_map(sensor: Sensor) -> dict[str, Any]:
-    """Return the map as plain data: addresses and offsets in bytes, ranges and reset values of this sensor."""
+    """Return the map as plain data: addresses and offsets in bytes, ranges and reset values of
+    this sensor.
+    """
     return {
         "data_bits": DATA_BITS,
         "address_bits": ADDRESS_BITS,

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exported folder: Verilog, file lists, constraints, a smoke test, the register map, a README and a manifest."""
+"""The exported folder: Verilog, file lists, constraints, a smoke test, the register map, a
+README and a manifest.
+"""
 
 import hashlib
 import json
@@ -27,7 +29,8 @@ from .smoke import FPGA_SMOKE, SMOKE, smoke_test
 from .waivers import CONTROL_FILE, OLDEST_VERILATOR, control_file
 
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
-# Parts of the README: the page, and a sentence about each top: with edge words, with SPAD lines, and for FPGAs.
+# Parts of the README: the page, and a sentence about each top: with edge words, with SPAD lines,
+# and for FPGAs.
 README_TEXT = Path(__file__).with_name("release_readme.md")
 SYNTHESIS_LIST = "coincid_synthesis.f"  # for a view with macros
 # Both for standard cells: a file list, and the folder of blocks that have another form.
@@ -41,7 +44,8 @@ TARGETS = ("lint", "sim", "verilate")  # of FuseSoC, for every top
 
 
 def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str]:
-    """Return file name -> text for the sensor of a configuration at its clock, without captured streams and manifest.
+    """Return file name -> text for the sensor of a configuration at its clock, without captured
+    streams and manifest.
 
     view: from `front_end_views.py`, or its name.
     """
@@ -131,12 +135,16 @@ def _constraints(sensor: Sensor, clock_mhz: float, top: str, view: View) -> str:
 
 
 def phase_clock(sensor: Sensor, j: int) -> str:
-    """Return the name of clock j > 0 of the deserialisers in constraints: a bit of a port, or a port of one bit."""
+    """Return the name of clock j > 0 of the deserialisers in constraints: a bit of a port, or a
+    port of one bit.
+    """
     return f"phase_clocks[{j - 1}]" if sensor.phases > 4 else "phase_clocks"
 
 
 def tool_options(view: View) -> dict[str, list[str]]:
-    """Return purpose -> options of a tool. Delays of cells need a time scale; lint reads the files for synthesis."""
+    """Return purpose -> options of a tool. Delays of cells need a time scale; lint reads the
+    files for synthesis.
+    """
     time = [f"--timescale {TIMESCALE}"] if view.macros else []
     return {
         "icarus": ["-g2012" if view.macros else "-g2005"],
@@ -146,7 +154,9 @@ def tool_options(view: View) -> dict[str, list[str]]:
 
 
 def _core(lists: dict[str, list[str]], view: View) -> str:
-    """Return the core file of FuseSoC: for every top the RTL, lint, and the smoke test on Icarus and Verilator."""
+    """Return the core file of FuseSoC: for every top the RTL, lint, and the smoke test on Icarus
+    and Verilator.
+    """
     options, boxes = tool_options(view), [path.name for path in view.macros]
     sets: dict[str, Any] = {"waivers": {"files": [CONTROL_FILE], "file_type": "vlt"}}
     targets: dict[str, Any] = {}
@@ -278,9 +288,11 @@ def _manifest(config: Config, files: dict[str, bytes], view: View) -> str:
 
 
 def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) -> list[Path]:
-    """Write the release of a configuration's sensor to `folder`, which appears complete and replaces an earlier release.
+    """Write the release of a configuration's sensor to `folder`, which appears complete and
+    replaces an earlier release.
 
-    Raises `InputError` if the folder cannot be written, or contains anything but an earlier release.
+    Raises `InputError` if the folder cannot be written, or contains anything but an earlier
+    release.
     """
     given, folder = folder, Path(folder).resolve()
     if folder.exists() and not (

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clock domains and asynchronous resets of the asynchronous view, from the netlist of a module, and its constraints.
+"""Clock domains and asynchronous resets of the asynchronous view, from the netlist of a module,
+and its constraints.
 
-Yosys makes the netlist, in which macros are black boxes. A latch in it is an error. OpenSTA reads the constraints and must
+Yosys makes the netlist, in which macros are black boxes. A latch in it is an error. OpenSTA
+reads the constraints and must
 not complain: it finds every object, and every flop has a clock.
 """
 
@@ -33,7 +35,9 @@ LATCH = re.compile(r"\$_?(dlatch|adlatch|sr)")
 
 @frozen
 class Domain:
-    """Flops with the same kind of clock. clock: its net, with `*` for numbers; reset: the net of an asynchronous reset, or ""."""
+    """Flops with the same kind of clock. clock: its net, with `*` for numbers; reset: the net of
+    an asynchronous reset, or "".
+    """
 
     clock: str
     falling: bool
@@ -42,7 +46,9 @@ class Domain:
 
 
 def netlist(sensor: Sensor, circuit: Circuit, folder: Path) -> tuple[str, dict[str, Any]]:
-    """Return the name and the flattened netlist of a module from Yosys, in generic cells and black boxes."""
+    """Return the name and the flattened netlist of a module from Yosys, in generic cells and
+    black boxes.
+    """
     module = SensorModule(sensor, min(2, sensor.subgroups), Asynchronous(circuit))
     files = units_files([module]) | {
         path.name: path.read_text(encoding="utf-8") for path in (*Asynchronous.cells, MACROS)
@@ -82,9 +88,11 @@ def mapped(folder: Path, top: str) -> None:
 def timing(
     folder: Path, top: str, sdc: str
 ) -> tuple[list[str], list[tuple[str, str, float, float]]]:
-    """Return the complaints of OpenSTA about the constraints `sdc` on the netlist of `mapped`, and the longest paths.
+    """Return the complaints of OpenSTA about the constraints `sdc` on the netlist of `mapped`,
+    and the longest paths.
 
-    A path is (from clock, to clock, ns required, ns taken), without wires. Macros and the gates of the OR tree are black boxes.
+    A path is (from clock, to clock, ns required, ns taken), without wires. Macros and the gates
+    of the OR tree are black boxes.
     """
     text = without_parameters((folder / MAPPED).read_text(encoding="utf-8"))
     text = re.sub(
@@ -120,7 +128,9 @@ def timing(
 
 
 def latches(module: dict[str, Any]) -> list[str]:
-    """Return the latches in a netlist. There must be none, because all intended ones are inside macros."""
+    """Return the latches in a netlist. There must be none, because all intended ones are inside
+    macros.
+    """
     return sorted(name for name, cell in module["cells"].items() if LATCH.match(cell["type"]))
 
 
@@ -195,9 +205,11 @@ def report(
 
 
 def write(sensor: Sensor, circuit: Circuit, folder: Path) -> tuple[str, Path, Path]:
-    """Write netlists, report and constraints of a sensor to `folder`; return the module's name, and the paths of the last two.
+    """Write netlists, report and constraints of a sensor to `folder`; return the module's name,
+    and the paths of the last two.
 
-    Raises `ValueError` if a netlist has a latch, or if the timing tool complains about the constraints.
+    Raises `ValueError` if a netlist has a latch, or if the timing tool complains about the
+    constraints.
     """
     top, module = netlist(sensor, circuit, folder)
     text, sdc = folder / "domains.md", folder / "coincid_async.sdc"

@@ -2,9 +2,10 @@
 """The smoke test of an exported sensor. It is plain Verilog, needs no Python, and prints PASS or
 FAIL.
 
-It programs registers over AXI4-Lite, plays the edges of a frame, and compares every word of the streams and all counters
-with those of the golden model. The bench is in `smoke_*.v` and `smoke_bench.vh`. This file makes the parts that depend on
-the sensor (ports, edges and expected words), which replace the `include` lines.
+It programs registers over AXI4-Lite, plays the edges of a frame, and compares every word of the
+streams and all counters with those of the golden model. The bench is in `smoke_*.v` and
+`smoke_bench.vh`. This file makes the parts that depend on the sensor (ports, edges and expected
+words), which replace the `include` lines.
 """
 
 import re
@@ -27,13 +28,15 @@ from ..tb.stimulus import line_toggles
 
 SMOKE, FPGA_SMOKE = "coincid_smoke", "coincid_fpga_smoke"
 PULSES = 4
-EDGES = 160  # spread over the frame by a multiplicative sequence; each pulse also has a burst of neighbours
+# spread over the frame by a multiplicative sequence; each pulse also has a burst of neighbours
+EDGES = 160
 SPREAD = 2_654_435_761  # Knuth's multiplier
 FOLDER = Path(__file__).parent
 BENCH = FOLDER / "smoke_bench.vh"
 # One bench per form of light at the ports.
 WORDS, LINES, LEVELS = (FOLDER / f"smoke_{light}.v" for light in ("words", "lines", "levels"))
-PATIENCE = 50  # the bench gives up after so many cycles per cycle of the frame, beat, and access to a register
+# the bench gives up after so many cycles per cycle of the frame, beat, and access to a register
+PATIENCE = 50
 STALL_CYCLES, STALL_EVERY = 300, 4  # in these cycles, `tready` is low every fourth cycle
 ADDRESSES = ("period", "status", "control")  # registers that the bench uses by name
 BITS = {"bad_value": "status", "done": "status", "start": "control"}
@@ -42,7 +45,9 @@ Accesses = dict[str, list[tuple[int, int, str]]]  # (address, value, comment) of
 
 
 def smoke_config(sensor: Sensor) -> Config:
-    """Return a short frame that uses all parts. Most settings keep their reset values, so there is less to program."""
+    """Return a short frame that uses all parts. Most settings keep their reset values, so there
+    is less to program.
+    """
     played = _played(sensor)
     first_gate = {"gating": True, "gate_start": 3, "gate_len": sensor.guard + 8}
     period = min(2 * sensor.guard + 24, sensor.period_max)
@@ -204,7 +209,9 @@ def _accesses(config: Config, trace: Trace) -> Accesses:
 
 
 def _registers(accesses: Accesses) -> str:
-    """Return addresses and bits, expected values of constants and counters, and the settings to write."""
+    """Return addresses and bits, expected values of constants and counters, and the settings to
+    write.
+    """
     by_name = registers.BY_NAME
     lines = [
         f"  localparam [19:0] {name.upper()} = 20'h{registers.address(name):05x};"
@@ -235,7 +242,9 @@ def _beats(trace: Trace) -> str:
 
 
 def _flips(sensor: Sensor, time: np.ndarray, subgroup: np.ndarray, line: np.ndarray) -> str:
-    """Return tables of the changes at the SPAD ports, in order: their time, the number of the port, and the line."""
+    """Return tables of the changes at the SPAD ports, in order: their time, the number of the
+    port, and the line.
+    """
     port = np.searchsorted(_played(sensor), subgroup)
     order = np.lexsort((line, port, time))
     return (
@@ -250,7 +259,9 @@ def _numbers(values: np.ndarray) -> Iterable[str]:
 
 
 def _table(name: str, kind: str, entries: Iterable[str], count: str = "") -> str:
-    """Return a table in Verilog. Entries end with a semicolon. count: name of a parameter for the number of entries."""
+    """Return a table in Verilog. Entries end with a semicolon. count: name of a parameter for
+    the number of entries.
+    """
     filled = [f"    {name}[{k}] = {entry}" for k, entry in enumerate(entries)]
     counted = [f"  localparam {count} = {len(filled)};"] * bool(count)
     return "\n".join(
@@ -266,13 +277,16 @@ def _table(name: str, kind: str, entries: Iterable[str], count: str = "") -> str
 
 
 def _word_flips(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (cycle, subgroup, bit of the word at its port) of all changes. A bit is high in the cycle of its edge."""
+    """Return (cycle, subgroup, bit of the word at its port) of all changes. A bit is high in the
+    cycle of its edge.
+    """
     cycle, subgroup, bit = port_bits(config, edges)
     return np.concatenate([cycle, cycle + 1]), np.tile(subgroup, 2), np.tile(bit, 2)
 
 
 def _level_flips(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (tick, subgroup, line) of all changes. A level rises with its edge and falls before the period ends.
+    """Return (tick, subgroup, line) of all changes. A level rises with its edge and falls before
+    the period ends.
 
     It rises earlier than the edge by the delay of the deserialiser.
     """

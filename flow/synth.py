@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Synthesis: cells, flip-flops, area, timing, logic depth and LUTs of every block and of the sensor.
+"""Synthesis: cells, flip-flops, area, timing, logic depth and LUTs of every block and of the
+sensor.
 
-Every kind of block is synthesized once, and its counts are multiplied by the number of its instances, so a run takes a
-minute. There are three targets: two-input gates give the logic depth; NanGate 45 nm standard cells at the typical corner
-give area and, with OpenSTA, slack without wires; ECP5 gives LUTs.
+Every kind of block is synthesized once, and its counts are multiplied by the number of its
+instances, so a run takes a minute. There are three targets: two-input gates give the logic
+depth; NanGate 45 nm standard cells at the typical corner give area and, with OpenSTA, slack
+without wires; ECP5 gives LUTs.
 """
 
 import json
@@ -33,8 +35,8 @@ from .logic_depth import depths
 from .mapped import FLOP, GATE, LATCH, map_block, slacks_ns
 from .yosys import LIBERTY, bound, cells_script, generic_script, library_files
 
-# Script of abc for speed, which balances cuts for depth before it selects gates. The default script is up to twice as deep
-# for a tenth less area.
+# Script of abc for speed, which balances cuts for depth before it selects gates. The default
+# script is up to twice as deep for a tenth less area.
 SPEED = "+strash;ifraig;scorr;dc2;strash;if,-g,-K,6;strash;dch,-f;map,-B,0.9"
 PREFIX = "coincid_"
 FLOPS = re.compile(r"\$_DFF|DFF|TRELLIS_FF")
@@ -45,10 +47,11 @@ PAGE, WHOLE = (Path(__file__).with_name(name) for name in ("cost_page.md", "cost
 
 @frozen
 class Block:
-    """A kind of block in a target: the number of its instances, and the contents of one instance without its sub-blocks.
+    """A kind of block in a target: the number of its instances, and the contents of one instance
+    without its sub-blocks.
 
-    cells: type -> number. area_um2: area in standard cells. levels: number of two-input gates on the longest path into its
-    registers (None: unknown).
+    cells: type -> number. area_um2: area in standard cells. levels: number of two-input gates on
+    the longest path into its registers (None: unknown).
     """
 
     name: str
@@ -73,7 +76,9 @@ class Block:
 
 @frozen
 class Netlist:
-    """A synthesized sensor. folder: contains netlist.v and netlist.json. units: blocks below the top. blocks: by name, top first."""
+    """A synthesized sensor. folder: contains netlist.v and netlist.json. units: blocks below the
+    top. blocks: by name, top first.
+    """
 
     target: str
     folder: Path
@@ -86,7 +91,8 @@ class Netlist:
 
 
 def synthesize(sensor: Sensor, target: str, top: str = TOP) -> Netlist:
-    """Return the synthesized sensor. It is made once for each state of its Verilog. Raises `ToolchainError`.
+    """Return the synthesized sensor. It is made once for each state of its Verilog. Raises
+    `ToolchainError`.
 
     In standard cells its memories consist of latches.
     """
@@ -117,7 +123,8 @@ def _script(target: str, names: list[str], top: str, units: list[str]) -> list[s
         "write_json netlist.json",
     ]
     if target == ECP5:
-        steps = f"synth_lattice -family ecp5 -noflatten -top {top} -run"  # its own abc9 cannot map blocks one by one
+        # its own abc9 cannot map blocks one by one
+        steps = f"synth_lattice -family ecp5 -noflatten -top {top} -run"
         mapping = [
             f"hierarchy -check -top {top}",
             f"{steps} begin:map_luts",
@@ -147,7 +154,9 @@ def _script(target: str, names: list[str], top: str, units: list[str]) -> list[s
 
 
 def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
-    """Return the blocks from the statistics, in the order of the hierarchy. A FIFO of the library counts as part of its block."""
+    """Return the blocks from the statistics, in the order of the hierarchy. A FIFO of the
+    library counts as part of its block.
+    """
     modules = {
         name.lstrip("\\"): module
         for name, module in json.loads((folder / "stat.json").read_text(encoding="utf-8"))[
@@ -187,7 +196,9 @@ def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
 
 
 def _levels(folder: Path, top: str, units: list[str]) -> dict[str, int]:
-    """Return kind of block -> logic depth. A unit below the top is measured as a whole; its ports count as registers."""
+    """Return kind of block -> logic depth. A unit below the top is measured as a whole; its
+    ports count as registers.
+    """
     hierarchy = json.loads((folder / "netlist.json").read_text(encoding="utf-8"))["modules"]
     worst = Counter({top: max(depths(hierarchy[top]).values(), default=0)})
     for unit in units:

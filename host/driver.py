@@ -54,10 +54,12 @@ class Word:
 
 
 def find(sensor: Sensor, key: Key) -> Word:
-    """Return the word that `key` names: a register's name and, if it has them, the subgroup and the index in its array.
+    """Return the word that `key` names: a register's name and, if it has them, the subgroup and
+    the index in its array.
 
-    Examples: `"period"`; `("auto_bounds", 2)`; `("threshold", 3)` of subgroup 3; `("mask", 3, 1)`, word 1 of subgroup
-    3's mask. A missing index is 0. Raises `InputError` with the wrong part and the legal range.
+    Examples: `"period"`; `("auto_bounds", 2)`; `("threshold", 3)` of subgroup 3;
+    `("mask", 3, 1)`, word 1 of subgroup 3's mask. A missing index is 0. Raises `InputError` with
+    the wrong part and the legal range.
     """
     name, *numbers = key if isinstance(key, tuple) else (key,)
     register = registers.BY_NAME.get(str(name))
@@ -85,7 +87,8 @@ def find(sensor: Sensor, key: Key) -> Word:
 class FrameAssembler:
     """Cuts a stream into frames by its headers, because transports do not carry `tlast`.
 
-    stream: its number in the sensor. frames: whole frames (uint64[n] each) that have not been taken yet.
+    stream: its number in the sensor. frames: whole frames (uint64[n] each) that have not been
+    taken yet.
     """
 
     def __init__(self, sensor: Sensor, stream: int = 0):
@@ -96,7 +99,9 @@ class FrameAssembler:
         self._at = 0  # place of the next header in them
 
     def add(self, beats: np.ndarray) -> None:
-        """Append beats (uint64[n]) to the stream. If they cannot be a frame, drop them and raise `StreamError`."""
+        """Append beats (uint64[n]) to the stream. If they cannot be a frame, drop them and raise
+        `StreamError`.
+        """
         self._beats = np.concatenate([self._beats, np.asarray(beats, np.uint64)])
         while self._at < len(self._beats):
             kind = kind_of(self._beats[self._at], self._at > 0 and is_grouped(self._beats[0]))
@@ -127,14 +132,16 @@ class Status:
 
 
 class Driver:
-    """A sensor as its software sees it. Raises `HostError` if no sensor with a known register map answers.
+    """A sensor as its software sees it. Raises `HostError` if no sensor with a known register
+    map answers.
 
-    transport: connection to the sensor. sensor: its parameters as built; None: they are read from it. fresh: the sensor
-    was just reset, so the values of its settings are known. programmed: byte address -> value of the settings whose
-    values are known, so that only changes are written.
+    transport: connection to the sensor. sensor: its parameters as built; None: they are read
+    from it. fresh: the sensor was just reset, so the values of its settings are known.
+    programmed: byte address -> value of the settings whose values are known, so that only
+    changes are written.
 
-        driver["threshold", 3] = 2  # of subgroup 3; checked against the table before anything is sent
-        driver["opened", 3]
+        driver["threshold", 3] = 2  # of subgroup 3; checked against the table before anything is
+        sent driver["opened", 3]
         driver.program(config)
         driver.start()
     """
@@ -161,7 +168,9 @@ class Driver:
         return find(self.sensor, key)
 
     def program(self, config: Config) -> int:
-        """Write the settings of `config` that differ from the known ones, and return the number of words written."""
+        """Write the settings of `config` that differ from the known ones, and return the number
+        of words written.
+        """
         if config.sensor != self.sensor:
             raise InputError(
                 f"sensor: the configuration is for {config.sensor}, the sensor is {self.sensor}"
@@ -169,7 +178,9 @@ class Driver:
         return self.write_settings(config.register_writes())
 
     def write_settings(self, writes: list[tuple[int, int]]) -> int:
-        """Write those of (address, value) that change something, and return the number of words written."""
+        """Write those of (address, value) that change something, and return the number of words
+        written.
+        """
         pending = changes(writes, self.programmed)
         for address, values in runs(pending):
             self._write(address, *values)
@@ -177,7 +188,9 @@ class Driver:
         return len(pending)
 
     def start(self) -> None:
-        """Begin a frame. Raises `RefusedError` with the reasons if the sensor's checks refuse it."""
+        """Begin a frame. Raises `RefusedError` with the reasons if the sensor's checks refuse
+        it.
+        """
         self._write(*registers.control("start"))
 
     def abort(self) -> None:
@@ -200,7 +213,8 @@ class Driver:
     def finish(
         self, seconds: float = WAIT_SECONDS, meanwhile: Callable[[], None] = lambda: None
     ) -> None:
-        """Wait until the frame has been delivered, and clear `done`. meanwhile: called between two polls.
+        """Wait until the frame has been delivered, and clear `done`. meanwhile: called between
+        two polls.
 
         Raises `HostError` after `seconds`.
         """
@@ -212,9 +226,11 @@ class Driver:
         self.clear("done")
 
     def receive(self, seconds: float = WAIT_SECONDS) -> list[np.ndarray]:
-        """Return the next whole frame: beats (uint64) per stream, for `model/contract/stream.py` to decode.
+        """Return the next whole frame: beats (uint64) per stream, for `model/contract/stream.py`
+        to decode.
 
-        Raises `HostError` after `seconds` without further beats, and `StreamError` if the beats are not a frame.
+        Raises `HostError` after `seconds` without further beats, and `StreamError` if the beats
+        are not a frame.
         """
         end, waiting = time.monotonic() + seconds, list(self._assemblers)
         while waiting := [assembler for assembler in waiting if not assembler.frames]:
@@ -234,7 +250,9 @@ class Driver:
         return self.transport.receive(stream)
 
     def _write(self, address: int, *values: int) -> None:
-        """Write words. A refusal is raised with the sticky bits that explain it, which are cleared."""
+        """Write words. A refusal is raised with the sticky bits that explain it, which are
+        cleared.
+        """
         try:
             write_block(self.transport, address, values)
         except RefusedError as error:
@@ -245,7 +263,9 @@ class Driver:
 
 
 def read_sensor(transport: Transport) -> Sensor:
-    """Return the parameters of the connected sensor. Raises `HostError` if it is not one that this driver knows."""
+    """Return the parameters of the connected sensor. Raises `HostError` if it is not one that
+    this driver knows.
+    """
 
     def constant(name: str) -> int:
         return transport.read(registers.address(name))

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory-mapped transport: the sensor's address range in a file that can be mapped, such as /dev/uio0 or /dev/mem."""
+"""Memory-mapped transport: the sensor's address range in a file that can be mapped, such as
+/dev/uio0 or /dev/mem.
+"""
 
 import ctypes
 import mmap
@@ -19,11 +21,13 @@ from .transport import RefusedError, errors_in
 class MemoryTransport:
     """Transport by plain loads and stores. A context manager.
 
-    path: of the file; base: byte offset of the sensor in it, a multiple of the page size; size: number of bytes to map.
+    path: of the file; base: byte offset of the sensor in it, a multiple of the page size; size:
+    number of bytes to map.
 
-    A processor's store does not wait for the answer of the bus. So the sensor's sticky status bits are read after each
-    write or run of writes, and they show a refusal. This transport has no stream, and `receive` returns nothing. A
-    design with a DMA engine overrides it; a design may also have a buffer that is read through registers.
+    A processor's store does not wait for the answer of the bus. So the sensor's sticky status
+    bits are read after each write or run of writes, and they show a refusal. This transport has
+    no stream, and `receive` returns nothing. A design with a DMA engine overrides it; a design
+    may also have a buffer that is read through registers.
     """
 
     def __init__(self, path: FilePath, base: int = 0, size: int = 1 << ADDRESS_BITS):

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interface of a connection to a sensor: reading and writing words, and the errors that may occur."""
+"""Interface of a connection to a sensor: reading and writing words, and the errors that may
+occur.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol
@@ -17,7 +19,9 @@ class HostError(RuntimeError):
 
 
 class RefusedError(HostError):
-    """The sensor refused an access (SLVERR). reasons: sticky bits of `status` that give the reason, if they were read."""
+    """The sensor refused an access (SLVERR). reasons: sticky bits of `status` that give the
+    reason, if they were read.
+    """
 
     def __init__(self, message: str, reasons: tuple[str, ...] = ()):
         super().__init__(f"{message}{f' ({chr(44).join(reasons)})' if reasons else ''}")
@@ -35,8 +39,9 @@ class DeviceResetError(HostError):
 class Transport(Protocol):
     """Words at byte addresses, and beats. A refused access raises `RefusedError`.
 
-    The refused word, and all words after it, stay unchanged. A transport that moves runs of words faster than single
-    ones also has the methods `read_block(address, words)` and `write_block(address, values)`.
+    The refused word, and all words after it, stay unchanged. A transport that moves runs of
+    words faster than single ones also has the methods `read_block(address, words)` and
+    `write_block(address, values)`.
     """
 
     def read(self, address: int) -> int:
@@ -46,7 +51,9 @@ class Transport(Protocol):
         """Write `value` to `address`."""
 
     def receive(self, stream: int) -> np.ndarray:
-        """Return the beats (uint64) of a stream since the last call, in order; there may be none. Does not wait."""
+        """Return the beats (uint64) of a stream since the last call, in order; there may be
+        none. Does not wait.
+        """
 
 
 def errors_in(status: int) -> tuple[str, ...]:
@@ -57,7 +64,9 @@ def errors_in(status: int) -> tuple[str, ...]:
 def changes(
     writes: Iterable[tuple[int, int]], programmed: Mapping[int, int]
 ) -> list[tuple[int, int]]:
-    """Return the (address, value) of `writes` that differ from the values known to be programmed, in order."""
+    """Return the (address, value) of `writes` that differ from the values known to be
+    programmed, in order.
+    """
     return [(address, value) for address, value in writes if programmed.get(address) != value]
 
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""C++ of a design's pass: one word per net, one statement per table, in functions that are short enough for the compiler.
+"""C++ of a design's pass: one word per net, one statement per table, in functions that are short
+enough for the compiler.
 
-All words of a slice are one array. A unit's code is written once, and called with the place of every instance's words and
-the place of those that the instances share.
+All words of a slice are one array. A unit's code is written once, and called with the place of
+every instance's words and the place of those that the instances share.
 """
 
 from collections import defaultdict
@@ -32,7 +33,9 @@ Value: TypeAlias = Callable[[int], str]  # expression for a net
 
 @frozen
 class DarkInput:
-    """A hint: an input port of a block is dark, which means nearly always 0, and so are most fields of `field_bits` bits."""
+    """A hint: an input port of a block is dark, which means nearly always 0, and so are most
+    fields of `field_bits` bits.
+    """
 
     block: str
     port: str
@@ -43,10 +46,10 @@ class DarkInput:
 class Layout:
     """Where things are among the words of a slice.
 
-    words, flags: how many there are. inputs, outputs: words of each port's bits. nets: words of those nets of the top that
-    last from pass to pass; instances: the same for each instance. memories: first word of each; bit b of row r is at first
-    + r * width + b. ones: words that are 1 at the beginning. flags_of: flags to be set with bit b
-    of a dark input.
+    words, flags: how many there are. inputs, outputs: words of each port's bits. nets: words of
+    those nets of the top that last from pass to pass; instances: the same for each instance.
+    memories: first word of each; bit b of row r is at first + r * width + b. ones: words that
+    are 1 at the beginning. flags_of: flags to be set with bit b of a dark input.
     """
 
     words: int = 0
@@ -67,7 +70,8 @@ class Layout:
 
 @define
 class _Unit:
-    """A unit's words. own, shared: net -> its place among the words of an instance, or among those that all instances share.
+    """A unit's words. own, shared: net -> its place among the words of an instance, or among
+    those that all instances share.
 
     moves: (word, net of the top) of inputs that are set before the call.
     """
@@ -85,7 +89,9 @@ class _Unit:
 
 
 class Emission:
-    """C++ (`source`, `header`) and `layout` of the block `top`; the other blocks are units that repeat in it."""
+    """C++ (`source`, `header`) and `layout` of the block `top`; the other blocks are units that
+    repeat in it.
+    """
 
     def __init__(
         self, blocks: Mapping[str, Block], top: str, dark_inputs: Sequence[DarkInput] = ()
@@ -151,7 +157,9 @@ class Emission:
         )
 
     def _place(self, homes: set[int], flags: Mapping[str, list[tuple[int, frozenset[int]]]]) -> int:
-        """Give a word to every net that lasts, and a flag to every dark field; return the first flag of the top."""
+        """Give a word to every net that lasts, and a flag to every dark field; return the first
+        flag of the top.
+        """
         layout = self.layout
         top = self.top
         place = layout.nets
@@ -202,7 +210,9 @@ class Emission:
     def _connect_inputs(
         self, unit: _Unit, outer: Mapping[int, int], words: Mapping[int, int], homes: set[int]
     ) -> None:
-        """Give nets of the top the words of the inputs that they drive, or else list their moves."""
+        """Give nets of the top the words of the inputs that they drive, or else list their
+        moves.
+        """
         place = self.layout.nets
         for inner, net in outer.items():
             if net == ONE:
@@ -221,7 +231,9 @@ class Emission:
                 place[net] = words[inner] if inner > ONE else place[inner]
 
     def _place_lasting(self) -> None:
-        """Give words to the rows that memories show, and to ports and flops of the top that have none yet."""
+        """Give words to the rows that memories show, and to ports and flops of the top that have
+        none yet.
+        """
         layout = self.layout
         top = self.top
         place = layout.nets
@@ -264,7 +276,9 @@ def _identifier(name: str) -> str:
 def _dark_fields(
     block: Block, dark_inputs: Sequence[DarkInput]
 ) -> list[tuple[int, frozenset[int]]]:
-    """Return number and nets of the fields of a block's dark inputs, and of all of them together."""
+    """Return number and nets of the fields of a block's dark inputs, and of all of them
+    together.
+    """
     fields = []
     for hint in dark_inputs:
         nets = block.inputs[hint.port] if hint.block == block.name else ()
@@ -323,7 +337,8 @@ class _Part:
 
 
 class _Writer:
-    """Functions of a unit's pass. `temporaries`: words that pass values from one function to the next.
+    """Functions of a unit's pass. `temporaries`: words that pass values from one function to the
+    next.
 
     places: expression of every net that lasts; first_temporary, first_flag: in their arrays.
     """
@@ -367,7 +382,9 @@ class _Writer:
         return [*lines, *(f"    {part.name}({self.ARGUMENTS});" for part in whole), "}", ""]
 
     def _split(self, ops: Sequence[Op]) -> list[_Part]:
-        """Return operations in parts of about `STATEMENTS`; long bodies of guards become parts of their own."""
+        """Return operations in parts of about `STATEMENTS`; long bodies of guards become parts
+        of their own.
+        """
         parts: list[_Part] = []
         current: list[Op] = []
         statements = 0
@@ -397,7 +414,9 @@ class _Writer:
                     yield from self._walk(self._bodies.get(op, [_Part(part.name, list(op.body))]))
 
     def _find_shared(self, parts: Sequence[_Part]) -> None:
-        """Find the values that several functions use, and give each a word from its first to its last use."""
+        """Find the values that several functions use, and give each a word from its first to its
+        last use.
+        """
         made: dict[int, tuple[int, str]] = {}
         last: dict[int, int] = {}
         shared: set[int] = set()
@@ -426,7 +445,9 @@ class _Writer:
             self._shared_words[value] = f"{self.TEMPORARIES}[{self._first_temporary + word}]"
 
     def _reader(self, op: Op, values: Mapping[int, str]) -> Value:
-        """Return a function that gives the expression of a net in an operation. values: net -> local variable."""
+        """Return a function that gives the expression of a net in an operation. values: net ->
+        local variable.
+        """
         names: Mapping[int, int] = getattr(op, "names", {})
 
         def value(net: int) -> str:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled slices: the C++ of a design, with a program around it, as a library that is built once."""
+"""Compiled slices: the C++ of a design, with a program around it, as a library that is built
+once.
+"""
 
 import os
 import subprocess
@@ -17,13 +19,16 @@ PLAIN = HERE / "plain.cpp"
 LIBRARY, OBJECT = "libslice.so", "slice.o"
 LANES = (64, 128, 256, 512)  # bits of a word
 COMPILER = ("-std=gnu++20", "-fPIC", "-Wno-psabi")
-OPTIMISE = "-O1"  # of a pass, which is straight code: a higher level takes longer to compile and gains nothing
+# of a pass, which is straight code: a higher level takes longer to compile and gains nothing
+OPTIMISE = "-O1"
 PROCESSOR = "-march=native"
 
 
 @cache
 def processor(flag: str = PROCESSOR) -> str:
-    """Return a key for the kind of processor: code for one kind may have instructions that another lacks."""
+    """Return a key for the kind of processor: code for one kind may have instructions that
+    another lacks.
+    """
     require_programs({"g++": "g++"})
     return digest(
         subprocess.run(["g++", flag, "-Q", "--help=target"], capture_output=True, check=True).stdout
@@ -41,7 +46,9 @@ def widest(flag: str = PROCESSOR) -> int:
 
 
 def compiled(design: Design, lanes: int, flag: str = PROCESSOR) -> Path:
-    """Return the object of a design's pass for words of so many bits, compiled once for this kind of processor."""
+    """Return the object of a design's pass for words of so many bits, compiled once for this
+    kind of processor.
+    """
     directory = design.folder.with_name(f"{design.folder.name}-{lanes}-{processor(flag)}")
 
     def make(_: Path, run: Compile) -> None:
@@ -63,7 +70,8 @@ def library(
 ) -> Path:
     """Return the library of a design with the C++ `program` that plays it, compiled once.
 
-    header: text of its "wiring.h". include: further folders of headers. objects: further objects and archives.
+    header: text of its "wiring.h". include: further folders of headers. objects: further objects
+    and archives.
     """
     slice_object = compiled(design, lanes, flag)
     contents = (

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Netlists of one clock: tables of up to three inputs, flip-flops, memories of rows, and instances of units.
+"""Netlists of one clock: tables of up to three inputs, flip-flops, memories of rows, and
+instances of units.
 
-`read_netlist` takes Yosys's JSON. A net is a number: 0 and 1 are the constants, Yosys counts its own from 2. There are two
+`read_netlist` takes Yosys's JSON. A net is a number: 0 and 1 are the constants, Yosys counts its
+own from 2. There are two
 states: bits that Yosys leaves undefined are 0.
 """
 
@@ -24,7 +26,9 @@ class NetlistError(ValueError):
 
 @frozen(eq=False)
 class Table:
-    """A function of up to three nets. bits: bit i is its value if the inputs, first one lowest, are the number i."""
+    """A function of up to three nets. bits: bit i is its value if the inputs, first one lowest,
+    are the number i.
+    """
 
     inputs: Nets
     outputs: Nets  # one

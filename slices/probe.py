@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values of all signals of a design, also of logic that a pass keeps nowhere, from samples of a slice's words.
+"""Values of all signals of a design, also of logic that a pass keeps nowhere, from samples of a
+slice's words.
 
-A sample is one bit of every word: a lane in one cycle. Samples come in words of 64, so the same functions show all lanes
-in one cycle, or one lane in many cycles.
+A sample is one bit of every word: a lane in one cycle. Samples come in words of 64, so the same
+functions show all lanes in one cycle, or one lane in many cycles.
 """
 
 from collections.abc import Iterable
@@ -21,7 +22,9 @@ Known: TypeAlias = dict[Net, np.ndarray]
 
 
 class Probe:
-    """Signals of a design by name: those of the top, and those of a unit's instance behind `instance.`."""
+    """Signals of a design by name: those of the top, and those of a unit's instance behind
+    `instance.`.
+    """
 
     def __init__(self, emission: Emission):
         self.layout = emission.layout
@@ -49,7 +52,9 @@ class Probe:
             }
 
     def words(self, name: str) -> list[int]:
-        """Return the words that hold a register or an input, lowest bit first. Raises `KeyError` if it is logic."""
+        """Return the words that hold a register or an input, lowest bit first. Raises `KeyError`
+        if it is logic.
+        """
         instance, nets = self.signals[name]
         places = self._places(instance)
         return [places[net] for net in nets]
@@ -60,7 +65,8 @@ class Probe:
     def values(self, samples: np.ndarray, names: Iterable[str]) -> dict[str, np.ndarray]:
         """Return the bits of signals in samples, by name.
 
-        samples: uint64[words, n], 64 samples in each column. A signal's bits are uint64[bits, n], lowest bit first.
+        samples: uint64[words, n], 64 samples in each column. A signal's bits are uint64[bits,
+        n], lowest bit first.
         """
         known: dict[Net, np.ndarray] = {}
         return {name: self._signal(samples, known, *self.signals[name]) for name in names}

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The order in which a pass evaluates a block and updates its registers in place.
 
-A pass is a clock edge: everything that it computes reads the registers as they were before. A register is written once
-its readers have been computed, so most need no second place; later readers get a copy (`Copy`). Flip-flops that
-share an enable, with the logic that only they need, are skipped if no lane enables them (`Guard`). Logic that is constant
-while some inputs are dark (0) is skipped if they are dark in all lanes (`DarkTables`).
+A pass is a clock edge: everything that it computes reads the registers as they were before. A
+register is written once its readers have been computed, so most need no second place; later
+readers get a copy (`Copy`). Flip-flops that share an enable, with the logic that only they need,
+are skipped if no lane enables them (`Guard`). Logic that is constant while some inputs are dark
+(0) is skipped if they are dark in all lanes (`DarkTables`).
 """
 
 from collections import defaultdict
@@ -38,9 +39,11 @@ GUARD_MIN = (
 
 @frozen(eq=False)
 class DarkTables:
-    """Tables that are constant while some inputs are dark (0). flag: its number, set if one of these inputs is 1 in any lane.
+    """Tables that are constant while some inputs are dark (0). flag: its number, set if one of
+    these inputs is 1 in any lane.
 
-    outputs: those of the tables that others read; dark_values: their values while all these inputs are dark.
+    outputs: those of the tables that others read; dark_values: their values while all these
+    inputs are dark.
     """
 
     flag: int
@@ -55,7 +58,9 @@ Node: TypeAlias = Table | Read | DarkTables
 
 @frozen(eq=False)
 class Copy:
-    """The present value of `net` gets a second name, because the register is written before its last reader comes."""
+    """The present value of `net` gets a second name, because the register is written before its
+    last reader comes.
+    """
 
     net: int
     name: int
@@ -63,7 +68,9 @@ class Copy:
 
 @frozen(eq=False)
 class Evaluate:
-    """Compute a node. names: of inputs that have a second name; enable, reset: of the guard around it."""
+    """Compute a node. names: of inputs that have a second name; enable, reset: of the guard
+    around it.
+    """
 
     node: Node
     names: Mapping[int, int]
@@ -98,7 +105,9 @@ class Call:
 
 @frozen(eq=False)
 class Guard:
-    """Do `body` if any lane has enable or reset. If all lanes have reset, flip-flops without enable take their reset values."""
+    """Do `body` if any lane has enable or reset. If all lanes have reset, flip-flops without
+    enable take their reset values.
+    """
 
     enable: int
     reset: int
@@ -112,7 +121,9 @@ Op: TypeAlias = Copy | Evaluate | Write | Put | Call | Guard
 
 @define(eq=False)
 class _Group:
-    """Registers that are updated together: flip-flops, a port of a memory, or all instances of a unit."""
+    """Registers that are updated together: flip-flops, a port of a memory, or all instances of a
+    unit.
+    """
 
     flops: Sequence[Flop] = ()
     put: tuple[Memory, Store] | None = None
@@ -130,7 +141,9 @@ class _Group:
 
 
 def in_order(nodes: Iterable[Node]) -> list[Node]:
-    """Return nodes so that each comes after those that it reads. Raises `NetlistError` if they form a loop."""
+    """Return nodes so that each comes after those that it reads. Raises `NetlistError` if they
+    form a loop.
+    """
     nodes = list(nodes)
     producer = {net: node for node in nodes for net in node.outputs}
     return _last_first(
@@ -139,7 +152,9 @@ def in_order(nodes: Iterable[Node]) -> list[Node]:
 
 
 def with_dark_tables(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) -> list[Node]:
-    """Return the tables of a block, gathered where they are dark together. flags: (number, inputs), smaller ones first."""
+    """Return the tables of a block, gathered where they are dark together. flags: (number,
+    inputs), smaller ones first.
+    """
     order = [node for node in in_order(block.tables) if isinstance(node, Table)]
     chosen: dict[Table, int] = {}
     dark_values: dict[int, int] = {}
@@ -213,10 +228,12 @@ def _constant(table: Table, known: Mapping[int, int]) -> int | None:
 
 
 class Schedule:
-    """Operations of one pass through a block, in `ops`. homes: nets whose place is an input of an instance.
+    """Operations of one pass through a block, in `ops`. homes: nets whose place is an input of
+    an instance.
 
-    units: the blocks of the instances; nodes: from `with_dark_tables`; second names are numbers below 0. outputs: whether the
-    pass also computes the outputs that are not registers, as they were before the edge.
+    units: the blocks of the instances; nodes: from `with_dark_tables`; second names are numbers
+    below 0. outputs: whether the pass also computes the outputs that are not registers, as they
+    were before the edge.
     """
 
     def __init__(
@@ -288,7 +305,9 @@ class Schedule:
         return [node for node in in_order(nodes) if node in live]
 
     def _own(self, live: Sequence[Node]) -> None:
-        """Find the nodes that only one guarded group reads, and split guarded groups that are too small."""
+        """Find the nodes that only one guarded group reads, and split guarded groups that are
+        too small.
+        """
         owner = self._owners(live)
         size: dict[_Group, int] = {group: len(group.flops) for group in self._groups}
         for group in owner.values():
@@ -344,7 +363,8 @@ class Schedule:
             for net in self._inputs(group):
                 reached[net] |= 1 << k
         _reach(live, reached)
-        # before[j][k]: registers of group k that group j reads, so that a copy of each is needed if j comes later.
+        # before[j][k]: registers of group k that group j reads, so that a copy of each is needed
+        # if j comes later.
         before = np.zeros((len(self._groups), len(self._groups)))
         for net, group in self._writer.items():
             before[list(_bits(reached[net])), number[group]] += 1
@@ -367,7 +387,9 @@ class Schedule:
                 self._readers[net] -= 1
 
     def _need(self, nets: Iterable[int], into: list[Op], inside: _Group | None = None) -> None:
-        """Compute some nets. inside: only nodes of this guarded group, whose other inputs are there."""
+        """Compute some nets. inside: only nodes of this guarded group, whose other inputs are
+        there.
+        """
         for root in nets:
             stack = [root]
             while stack:
@@ -507,7 +529,9 @@ class Schedule:
 
 
 def _reach(nodes: Sequence[Node], reached: dict[int, int]) -> None:
-    """Let nets reach what the nodes behind them reach. reached: net -> a bit for each group or flip-flop."""
+    """Let nets reach what the nodes behind them reach. reached: net -> a bit for each group or
+    flip-flop.
+    """
     for node in reversed(nodes):
         of = 0
         for net in node.outputs:
@@ -552,7 +576,9 @@ def _read_by(instances: Iterable[Instance], units: Mapping[str, Block]) -> list[
 
 
 def _of_units(block: Block, units: Mapping[str, Block]) -> tuple[dict[int, str], dict[int, str]]:
-    """Return the outputs of instances, net -> unit: those that their logic computes, and those that are registers."""
+    """Return the outputs of instances, net -> unit: those that their logic computes, and those
+    that are registers.
+    """
     computed: dict[int, str] = {}
     registered: dict[int, str] = {}
     for instance in block.instances:
@@ -567,9 +593,9 @@ def _of_units(block: Block, units: Mapping[str, Block]) -> tuple[dict[int, str],
 def _least_backward(weight: np.ndarray) -> list[int]:
     """Return an order of the nodes of a graph in which edges of little weight go backward.
 
-    weight[j, k]: of the edge from j to k. Heuristic: sinks to the end, sources to the front, else the node to the front
-    that gains most. Source: P. Eades, X. Lin, W. F. Smyth, "A fast and effective heuristic for the feedback arc set
-    problem", 1993.
+    weight[j, k]: of the edge from j to k. Heuristic: sinks to the end, sources to the front,
+    else the node to the front that gains most. Source: P. Eades, X. Lin, W. F. Smyth, "A fast
+    and effective heuristic for the feedback arc set problem", 1993.
     """
     weight = weight.copy()
     np.fill_diagonal(weight, 0)
@@ -592,7 +618,9 @@ def _least_backward(weight: np.ndarray) -> list[int]:
 def _last_first(
     roots: Iterable[T], below: Callable[[T], Iterable[T]], loops: bool = False
 ) -> list[T]:
-    """Return the roots and all below them, each after those below it. loops: permitted; then most are, else `NetlistError`."""
+    """Return the roots and all below them, each after those below it. loops: permitted; then
+    most are, else `NetlistError`.
+    """
     order: list[T] = []
     done: dict[T, bool] = {}
     for root in roots:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slices of any netlist, from Python: every lane is a copy of the design with inputs and registers of its own."""
+"""Slices of any netlist, from Python: every lane is a copy of the design with inputs and
+registers of its own.
+"""
 
 import ctypes
 from collections.abc import Sequence
@@ -13,7 +15,8 @@ from .synthesis import Design
 
 
 class Slices:
-    """Lanes of a design, from power-up. Registers have their initial values, inputs are 0. A context manager.
+    """Lanes of a design, from power-up. Registers have their initial values, inputs are 0. A
+    context manager.
 
     lanes: 64, 128, 256 or 512. flag: g++'s choice of a processor.
     """
@@ -73,7 +76,9 @@ class Slices:
         self._library.slice_step(self._slice, edges)
 
     def record(self, lane: int, edges: int = 1) -> np.ndarray:
-        """Run some clock edges, and return the lane's sample before each of them, uint64[edges, m], for `waves`."""
+        """Run some clock edges, and return the lane's sample before each of them, uint64[edges,
+        m], for `waves`.
+        """
         samples = np.zeros((edges, -(-self._layout.words // 64)), np.uint64)
         self._library.slice_record(self._slice, lane, edges, samples.ctypes.data)
         return samples

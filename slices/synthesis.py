@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """From Verilog to a netlist and its C++: Yosys maps, `emit` writes, and the result is kept.
 
-Yosys turns everything into tables of three inputs and flip-flops of one clock edge. Units keep their hierarchy, memories
-of some rows stay memories. Yosys may choose values that the Verilog leaves undefined; those that Yosys leaves undefined are 0.
+Yosys turns everything into tables of three inputs and flip-flops of one clock edge. Units keep
+their hierarchy, memories of some rows stay memories. Yosys may choose values that the Verilog
+leaves undefined; those that Yosys leaves undefined are 0.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,18 +19,19 @@ ROWS_MIN = 4  # memories with fewer rows become flip-flops
 FLOP_CELLS = " ".join(
     f"-cell {cell} 01" for cell in ("$_DFF_P_", "$_DFFE_PP_", "$_SDFF_PP?_", "$_SDFFE_PP?P_")
 )
-# Everything except flip-flops. With them, ABC would map the logic of each clock enable by itself: it takes three times as
-# long, and leaves a sixth more tables.
+# Everything except flip-flops. With them, ABC would map the logic of each clock enable by
+# itself: it takes three times as long, and leaves a sixth more tables.
 LOGIC = "* t:*DFF* %d"
 NETLIST, SOURCE, HEADER = "netlist.json", "slice.cpp", "slice.h"
 
 
 class Design:
-    """A design in slices: a `folder` with its netlist and C++, made once. Raises `ToolchainError`, `NetlistError`.
+    """A design in slices: a `folder` with its netlist and C++, made once. Raises
+    `ToolchainError`, `NetlistError`.
 
-    name: of the build. sources: Verilog, or Yosys's RTLIL (`.il`), by file name. units: modules that repeat in the top;
-    their code is written once. dark_inputs: inputs that are nearly always 0. before: commands of Yosys that come right after
-    reading.
+    name: of the build. sources: Verilog, or Yosys's RTLIL (`.il`), by file name. units: modules
+    that repeat in the top; their code is written once. dark_inputs: inputs that are nearly
+    always 0. before: commands of Yosys that come right after reading.
     """
 
     def __init__(

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Waveforms of lanes: from samples of their words, one per clock cycle, to a VCD file with all signals."""
+"""Waveforms of lanes: from samples of their words, one per clock cycle, to a VCD file with all
+signals.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +16,8 @@ BLOCK = 1024  # words that are transposed at once
 
 
 def by_word(rows: np.ndarray, words: int) -> np.ndarray:
-    """Return samples as `Probe` takes them, uint64[words, n]. rows: uint64[cycles, m], the bits of all words in a cycle.
+    """Return samples as `Probe` takes them, uint64[words, n]. rows: uint64[cycles, m], the bits
+    of all words in a cycle.
 
     The last column is filled with zeros.
     """
@@ -43,8 +46,10 @@ def write_vcd(
 ) -> None:
     """Write the waveform of some lanes.
 
-    lanes: scope -> uint64[cycles, m], as the library records them. names: of signals; None: all that the Verilog names.
-    first_cycle: number of the first sample. A signal's value in a cycle is the one before the edge that ends it.
+    lanes: scope -> uint64[cycles, m], as the library records them. names: of signals; None: all
+    that the Verilog names.
+    first_cycle: number of the first sample. A signal's value in a cycle is the one before the
+    edge that ends it.
     """
     chosen = sorted(names if names is not None else probe.signals)
     changes: list[tuple[int, int, int]] = []  # cycle, variable, value

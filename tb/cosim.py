@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cocotb test that plays frames through the sensor. It runs inside the simulator; `play.py` starts it.
+"""The cocotb test that plays frames through the sensor. It runs inside the simulator; `play.py`
+starts it.
 
-The test bench acts at falling edges: there it reads the outputs of the cycle and sets new inputs. The rising edge that
-ends the cycle takes these.
+The test bench acts at falling edges: there it reads the outputs of the cycle and sets new
+inputs. The rising edge that ends the cycle takes these.
 """
 
 import os
@@ -61,7 +62,9 @@ class SensorBench:
         self.programmed: dict[int, int] = {}  # byte address -> value
 
     async def reset(self) -> None:
-        """Start the clock and reset the sensor; afterwards the bench does not know the programmed settings."""
+        """Start the clock and reset the sensor; afterwards the bench does not know the
+        programmed settings.
+        """
         for line in (*self.spad, *self.tready):
             line.value = 0
         self.dut.rst.value = 1
@@ -99,7 +102,9 @@ class SensorBench:
         board: Scoreboard | None = None,
         progress: Callable[[int], None] = lambda cycle: None,
     ) -> Recorded:
-        """Play a frame and return its record. `board` raises at the first difference from the golden model."""
+        """Play a frame and return its record. `board` raises at the first difference from the
+        golden model.
+        """
         words = self.shine(config, edges)
         ready = config.tready(ready)
         stalled = {int(cycle) for cycle in np.flatnonzero(ready == 0)}
@@ -130,7 +135,9 @@ class SensorBench:
         return outputs.record(cycle)
 
     async def _start(self, falling: FallingEdge) -> Task[None]:
-        """Start a frame and wait for cycle 0 of its first period; return the task that writes the register."""
+        """Start a frame and wait for cycle 0 of its first period; return the task that writes
+        the register.
+        """
         started = cocotb.start_soon(self.write("control", registers.control("start")[1]))
         laser = self.dut.laser
         for line in self.tready:
@@ -184,7 +191,8 @@ class _Inputs:
 
 
 class _Outputs:
-    """The commits and beats of a frame. `board` raises at the first that differs from the golden model.
+    """The commits and beats of a frame. `board` raises at the first that differs from the golden
+    model.
 
     running: streams whose last beat has not been read.
     """
@@ -241,7 +249,9 @@ class _Outputs:
 
 
 class LineBench(SensorBench):
-    """Bench of the asynchronous view: every edge rises at its own picosecond, driven by the task `light`."""
+    """Bench of the asynchronous view: every edge rises at its own picosecond, driven by the task
+    `light`.
+    """
 
     step_fs = STEP_FS
 
@@ -270,7 +280,9 @@ class LineBench(SensorBench):
 
 @cocotb.test()
 async def play_job(dut: Any) -> None:
-    """Play the job named in the environment and leave its records beside it, or else the first difference, as text."""
+    """Play the job named in the environment and leave its records beside it, or else the first
+    difference, as text.
+    """
     path = Path(os.environ[JOB_VARIABLE])
     job, lines = load_job(path)
     bench = (LineBench if lines else SensorBench)(

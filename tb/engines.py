@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of the engines that play frames. This file imports no RTL tool, because the golden model needs none."""
+"""Names of the engines that play frames. This file imports no RTL tool, because the golden model
+needs none.
+"""
 
 SIMULATORS = (
     "verilator",

@@ -21,9 +21,11 @@ STORED_TO_COMMIT = 1  # the subgroup's `stored` strobe comes one cycle after the
 
 @frozen(eq=False)
 class FrameJob:
-    """A frame to play. expected: the golden model's prediction, checked on the fly; None: the frame is only recorded.
+    """A frame to play. expected: the golden model's prediction, checked on the fly; None: the
+    frame is only recorded.
 
-    ready: uint8[n], whether the receiver behind the streams' links takes a beat in cycle c; from cycle n on it always does.
+    ready: uint8[n], whether the receiver behind the streams' links takes a beat in cycle c; from
+    cycle n on it always does.
     """
 
     config: Config
@@ -34,7 +36,9 @@ class FrameJob:
 
 @define(eq=False)
 class Recorded:
-    """Record of a frame: the beats (uint64) of each stream and their cycles; stored events, sorted by subgroup and time."""
+    """Record of a frame: the beats (uint64) of each stream and their cycles; stored events,
+    sorted by subgroup and time.
+    """
 
     beats: list[np.ndarray]
     beat_cycle: list[np.ndarray]
@@ -59,5 +63,7 @@ def load_job(path: Path) -> tuple[list[FrameJob], bool]:
 
 
 def cycle_limit(config: Config, ready_cycles: int) -> int:
-    """Return the number of cycles after which any frame must have ended; a sensor that needs more hangs."""
+    """Return the number of cycles after which any frame must have ended; a sensor that needs
+    more hangs.
+    """
     return config.frame_cycles + ready_cycles + FINISH + 2 * beats_waiting_max(config.sensor) + 1000

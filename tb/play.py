@@ -28,7 +28,9 @@ def prepare(engine: str, sensor: Sensor, waves: bool = False, view: View = POLYP
 def build_sensor(
     sensor: Sensor, simulator: str, waves: bool = False, view: View = POLYPHASE
 ) -> toolchain.Build:
-    """Return the sensor in a view from `hdl/front_end_views.py`, compiled for a simulator, now or earlier."""
+    """Return the sensor in a view from `hdl/front_end_views.py`, compiled for a simulator, now
+    or earlier.
+    """
     delays = not view.by_words
     public = [f"{TOP}.stored_of_*"] + [f"{TOP}.timing"] * delays
     return toolchain.build(
@@ -52,10 +54,12 @@ def play(
     progress: Callable[[int], None] | None = None,
     view: View = POLYPHASE,
 ) -> tuple[list[Recorded], Path | None]:
-    """Play frames of one sensor through its RTL; return their records, and the waveform. `progress` gets cycles done.
+    """Play frames of one sensor through its RTL; return their records, and the waveform.
+    `progress` gets cycles done.
 
-    engine: from `engines.py`, without golden; view and waves: as `replay.chosen_view` allows. Raises `Mismatch` at the
-    first difference from a frame's expectation, `SimulationError` for any other failure, and `ToolchainError`.
+    engine: from `engines.py`, without golden; view and waves: as `replay.chosen_view` allows.
+    Raises `Mismatch` at the first difference from a frame's expectation, `SimulationError` for
+    any other failure, and `ToolchainError`.
     """
     if engine == "sliced":
         (records,) = play_side_by_side([frames], progress)
@@ -76,7 +80,9 @@ def play_in(
     lines: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[list[Recorded], toolchain.SimulationFiles]:
-    """Play frames in a compiled simulator by the cocotb test; `lines` as in `save_job`, the rest as in `play`."""
+    """Play frames in a compiled simulator by the cocotb test; `lines` as in `save_job`, the rest
+    as in `play`.
+    """
 
     def line(text: str) -> None:
         if progress and text.startswith(PROGRESS):

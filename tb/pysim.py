@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor in Amaranth's own simulator: the slowest way to run it, and the only one without any Verilog."""
+"""The sensor in Amaranth's own simulator: the slowest way to run it, and the only one without
+any Verilog.
+"""
 
 from collections.abc import Callable
 
@@ -16,7 +18,9 @@ from .stimulus import port_words
 
 
 async def write_register(ctx: SimulatorContext, dut: SensorTop, address: int, value: int) -> None:
-    """Write over the sensor's AXI4-Lite port, with `wstrb` and `bready` set; return in the cycle of the answer."""
+    """Write over the sensor's AXI4-Lite port, with `wstrb` and `bready` set; return in the cycle
+    of the answer.
+    """
     ctx.set(dut.s_axi.awaddr, address)
     ctx.set(dut.s_axi.wdata, value)
     channels = [(dut.s_axi.awvalid, dut.s_axi.awready), (dut.s_axi.wvalid, dut.s_axi.wready)]
@@ -34,10 +38,11 @@ async def write_register(ctx: SimulatorContext, dut: SensorTop, address: int, va
 def play(
     config: Config, edges: Edges, progress: Callable[[int], None] = lambda cycle: None
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Program the sensor, play a frame with `tready` high, and return per stream the beats (uint64) and cycles (int64).
+    """Program the sensor, play a frame with `tready` high, and return per stream the beats
+    (uint64) and cycles (int64).
 
-    progress: called at the beginning of each cycle of the frame with its number. Raises `SimulationError` if the frame
-    does not end.
+    progress: called at the beginning of each cycle of the frame with its number. Raises
+    `SimulationError` if the frame does not end.
     """
     sensor = config.sensor
     dut, words = SensorTop(sensor), port_words(config, edges)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs frames through an engine: the golden model, or the RTL in a simulator.
 
-The golden model needs no RTL tool: no part of the RTL is imported before an engine is requested that runs it.
+The golden model needs no RTL tool: no part of the RTL is imported before an engine is requested
+that runs it.
 """
 
 import tempfile
@@ -29,10 +30,12 @@ DEFAULT_VIEW = "polyphase"
 def chosen_view(
     engine: str, view: "str | View", clock_mhz: float, waves: bool = False
 ) -> "View | None":
-    """Return the view from `hdl/front_end_views.py` that `engine` runs, at a system clock; None for the golden model.
+    """Return the view from `hdl/front_end_views.py` that `engine` runs, at a system clock; None
+    for the golden model.
 
-    view: its name, or a view of a custom circuit. waves: a waveform of the whole sensor is wanted. Raises `InputError`,
-    also if the engine cannot do it, or if the tools of the RTL are missing.
+    view: its name, or a view of a custom circuit. waves: a waveform of the whole sensor is
+    wanted. Raises `InputError`, also if the engine cannot do it, or if the tools of the RTL are
+    missing.
     """
     check_choice("engine", engine, ENGINES)
     if waves and engine not in SIMULATORS:
@@ -68,7 +71,8 @@ def replay(
     edges : Edges
         The SPAD avalanches of all frames.
     ready : numpy.ndarray or None
-        uint8[n]: whether the receiver takes a beat in each of the first n cycles of a frame; None: always.
+        uint8[n]: whether the receiver takes a beat in each of the first n cycles of a frame;
+        None: always.
     progress : callable or None
         Called with the number of cycles done.
     view : str or View
@@ -113,7 +117,8 @@ def replay(
 def replay_together(
     jobs: Sequence[tuple[Config, Edges]], threads: int = 1
 ) -> list[dict[str, np.ndarray]]:
-    """Play configurations of one sensor through the sliced engine side by side; return the result of each as `replay` does.
+    """Play configurations of one sensor through the sliced engine side by side; return the
+    result of each as `replay` does.
 
     Raises `InputError` as `replay` does.
     """

@@ -19,7 +19,9 @@ from ..tools.build import build_once
 
 
 def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
-    """Return a readable name for a build: the size, then the view and the parameters that differ from the defaults."""
+    """Return a readable name for a build: the size, then the view and the parameters that differ
+    from the defaults.
+    """
     default = Sensor()
     parts = [f"{sensor.rows}x{sensor.cols}"]
     for name in SENSOR:
@@ -36,7 +38,9 @@ def sensor_key(sensor: Sensor, view: View = POLYPHASE) -> str:
 
 
 def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
-    """Return the sensor's Verilog files in a view, emitted once for its parameters and the state of the sources."""
+    """Return the sensor's Verilog files in a view, emitted once for its parameters and the state
+    of the sources.
+    """
     sensor.rule.check_circuit()
     folder = emitted(
         sensor_key(sensor, view),
@@ -47,10 +51,11 @@ def rtl(sensor: Sensor, view: View = POLYPHASE) -> list[Path]:
 
 
 def rtl_in_two(sensor: Sensor) -> tuple[list[Path], list[Path]]:
-    """Return the files of the core (`hdl/sensor.py`), and those of slice and module (`hdl/subgroup_pair.py`).
+    """Return the files of the core (`hdl/sensor.py`), and those of slice and module
+    (`hdl/subgroup_pair.py`).
 
-    `sliced.cpp` wires slices to the core; `slice_proof.py` proves that the module is two slices. Arrays of any size have
-    the same slices.
+    `sliced.cpp` wires slices to the core; `slice_proof.py` proves that the module is two slices.
+    Arrays of any size have the same slices.
     """
 
     sensor.rule.check_circuit()
@@ -70,7 +75,8 @@ def of_one_subgroup(sensor: Sensor) -> Sensor:
 
 
 def emitted(name: str, parameters: str, files: Callable[[], dict[str, str]], *rooms: str) -> Path:
-    """Return the folder with the `files`, called `name` and keyed by the parameters and the state of the sources.
+    """Return the folder with the `files`, called `name` and keyed by the parameters and the
+    state of the sources.
 
     rooms: those that the files are made from, besides the RTL's and the contract.
     """

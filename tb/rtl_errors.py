@@ -9,7 +9,8 @@ class Mismatch(AssertionError):
 
 
 class SimulationError(RuntimeError):
-    """A cocotb test failed, none ran, or the simulator ended abnormally. The message ends with the end of the log.
+    """A cocotb test failed, none ran, or the simulator ended abnormally. The message ends with
+    the end of the log.
 
     `log` is the simulator's log, `wave` the waveform; None if there is none.
     """

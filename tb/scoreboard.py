@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scoreboard: compares the RTL with the golden model's prediction, and reports the first difference in a designer's terms."""
+"""Scoreboard: compares the RTL with the golden model's prediction, and reports the first
+difference in a designer's terms.
+"""
 
 import numpy as np
 
@@ -23,7 +25,9 @@ from .rtl_errors import Mismatch
 
 
 def locate(beats: np.ndarray, index: int, sensor: Sensor) -> tuple[int, int]:
-    """Return (first beat of the packet with beat `index` of a frame, its kind); counters belong to the frame end."""
+    """Return (first beat of the packet with beat `index` of a frame, its kind); counters belong
+    to the frame end.
+    """
     lengths, at = layout(sensor).lengths(sensor.subgroups), 0
     while True:
         kind = int(header_field(beats[at], "kind"))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proof that the array's module is two slices. The sliced engine needs it before it plays anything.
 
-The sensor is an array of modules (two subgroups and the TDC that they share); the engine plays an array of slices. Yosys
-proves by induction that both give their subgroups the same inputs, and the same ports, in every cycle. The subgroups are
-the same block on both sides, so they are boxes whose outputs can be anything.
+The sensor is an array of modules (two subgroups and the TDC that they share); the engine plays
+an array of slices. Yosys proves by induction that both give their subgroups the same inputs, and
+the same ports, in every cycle. The subgroups are the same block on both sides, so they are boxes
+whose outputs can be anything.
 """
 
 from pathlib import Path
@@ -23,7 +24,9 @@ BOX, TWO = "box.v", "two.v"
 
 
 def prove_module(sensor: Sensor, files: list[Path]) -> None:
-    """Raise `SimulationError` unless the module in these files is two slices; asked once for the same files."""
+    """Raise `SimulationError` unless the module in these files is two slices; asked once for the
+    same files.
+    """
     module, piece, subgroup = SensorModule(sensor), Slice(sensor), Subgroup(sensor)
     needed = {
         unit.unit_name

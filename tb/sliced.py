@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sliced engine: plays whole frames of the RTL without Python in the loop; every subgroup is a lane of a SIMD word.
+"""Sliced engine: plays whole frames of the RTL without Python in the loop; every subgroup is a
+lane of a SIMD word.
 
-A subgroup with its line of the TDC (`hdl/subgroup_pair.py`, `Slice`) becomes a netlist in slices (room `slices`), the core is
-Verilated, and `sliced.cpp` wires them. So one pass plays all subgroups, and several sensors if there are lanes for them.
-Registers are programmed over the real AXI4-Lite port; beats come back with the cycles of their transfer.
+A subgroup with its line of the TDC (`hdl/subgroup_pair.py`, `Slice`) becomes a netlist in slices
+(room `slices`), the core is Verilated, and `sliced.cpp` wires them. So one pass plays all
+subgroups, and several sensors if there are lanes for them. Registers are programmed over the
+real AXI4-Lite port; beats come back with the cycles of their transfer.
 """
 
 import ctypes
@@ -48,12 +50,15 @@ SOURCE = Path(__file__).with_name("sliced.cpp")
 STREAM_NETS = "stored", "record_stored", "valid", "beat", "beat_controlled", "grant", "send"
 CHUNK_CYCLES = 20_000  # between two checks of progress and Ctrl-C
 RESET_CYCLES = 4
-CORE_OPTIMISE = "-O1"  # the core is a sixth of the time of a frame; with -O2 it takes half as long again to compile
+# the core is a sixth of the time of a frame; with -O2 it takes half as long again to compile
+CORE_OPTIMISE = "-O1"
 FINE, REFUSED, HANGS = range(3)
 
 
 def design(sensor: Sensor) -> Design:
-    """Return the netlist in slices of a subgroup with its line of the TDC. It does not depend on the size of the array."""
+    """Return the netlist in slices of a subgroup with its line of the TDC. It does not depend on
+    the size of the array.
+    """
     _, files = rtl_in_two(sensor)
     return Design(
         sensor_key(of_one_subgroup(sensor)),
@@ -94,7 +99,9 @@ def wiring_header(sensor: Sensor) -> str:
 
 
 def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
-    """Compile the engine for some sensors at once, unless it is there already, and load it. A process looks for it once."""
+    """Compile the engine for some sensors at once, unless it is there already, and load it. A
+    process looks for it once.
+    """
     return _library(sensor, lanes(sensor, sensors), build_root())
 
 
@@ -148,7 +155,8 @@ def _library(sensor: Sensor, width: int, root: Path) -> ctypes.CDLL:
 def lanes(sensor: Sensor, sensors: int) -> int:
     """Return the width of the word that plays some sensors fastest on this processor.
 
-    Short words need less memory, but words of 64 bits have no instruction for an arbitrary function of three words.
+    Short words need less memory, but words of 64 bits have no instruction for an arbitrary
+    function of three words.
     """
     each = sensor.subgroups
     chunks = -(-sensors // (64 // each)) if each < 64 else -(-each // 64) * sensors
@@ -187,8 +195,10 @@ class Engine:
 class SlicedSensor:
     """A sensor that comes from a reset. A context manager.
 
-    It is a transport of the host driver, which programs it. A frame needs light, so `frame` starts it.
-    engine, number: an engine with several sensors, and the number of this one; None: an engine of its own.
+    It is a transport of the host driver, which programs it. A frame needs light, so `frame`
+    starts it.
+    engine, number: an engine with several sensors, and the number of this one; None: an engine
+    of its own.
     """
 
     def __init__(self, sensor: Sensor, engine: Engine | None = None, number: int = 0):
@@ -230,7 +240,9 @@ class SlicedSensor:
         ready: np.ndarray | None = None,
         progress: Callable[[int], None] = lambda cycle: None,
     ) -> Recorded:
-        """Program the settings, play a frame, and return its record, as `cosim.SensorBench.play` does."""
+        """Program the settings, play a frame, and return its record, as `cosim.SensorBench.play`
+        does.
+        """
         self.begin(config, edges, ready)
         return self.end(progress)
 
@@ -261,7 +273,9 @@ class SlicedSensor:
         return record
 
     def post(self, programmed: dict[int, int], job: FrameJob) -> None:
-        """Queue a frame behind everything else. programmed: the settings that the sensor will have by then, which are updated."""
+        """Queue a frame behind everything else. programmed: the settings that the sensor will
+        have by then, which are updated.
+        """
         for address, value in changes(job.config.register_writes(), programmed):
             self._call("write", address, value)
             programmed[address] = value
@@ -289,7 +303,9 @@ class SlicedSensor:
         self.check(what)
 
     def check(self, what: str) -> None:
-        """Raise `RefusedError` or `SimulationError` if anything that the sensor had to do has failed."""
+        """Raise `RefusedError` or `SimulationError` if anything that the sensor had to do has
+        failed.
+        """
         outcome = self._call("outcome")
         if outcome == HANGS:
             raise SimulationError(
@@ -328,7 +344,9 @@ class SlicedSensor:
         return array_at(pointer.value, (n, columns))
 
     def peek(self, subgroup: int, name: str) -> int:
-        """Return the present value of a signal of a subgroup, by its path below `hdl/subgroup_pair.py`'s `Slice`."""
+        """Return the present value of a signal of a subgroup, by its path below
+        `hdl/subgroup_pair.py`'s `Slice`.
+        """
         probe = _probe(self.sensor)
         words, lane = self._engine.words(self._number, subgroup, probe.layout.words)
         part = np.ascontiguousarray(words[:, lane // 64, None])
@@ -356,7 +374,9 @@ class SlicedSensor:
             self._call("tap", subgroup)
 
     def waves(self, path: Path, names: Sequence[str] | None = None, cycle_ps: int = 2000) -> None:
-        """Write what was watched as a VCD file. names: paths of signals; None: all. cycle_ps: length of a clock cycle."""
+        """Write what was watched as a VCD file. names: paths of signals; None: all. cycle_ps:
+        length of a clock cycle.
+        """
         lanes = {}
         for k, subgroup in enumerate(self._recorded):
             columns = -(-_probe(self.sensor).layout.words // 64)
@@ -374,7 +394,8 @@ def play_side_by_side(
     progress: Callable[[int], None] | None = None,
     threads: int | None = None,
 ) -> list[list[Recorded]]:
-    """Play chains of frames, each chain on a sensor of its own that comes from a reset; return their records.
+    """Play chains of frames, each chain on a sensor of its own that comes from a reset; return
+    their records.
 
     progress: called with the cycles done, summed over the sensors. threads: None: one per core.
     """

@@ -14,7 +14,9 @@ FS_PER_PS = 1000
 
 
 def port_words(config: Config, edges: Edges) -> dict[int, list[tuple[int, int]]]:
-    """Return cycle of the frame -> [(subgroup, word)] for subgroups with an edge in it; `port_bits` numbers the bits."""
+    """Return cycle of the frame -> [(subgroup, word)] for subgroups with an edge in it;
+    `port_bits` numbers the bits.
+    """
     cycle, subgroup, bit = port_bits(config, edges)
     order = np.lexsort((subgroup, cycle))
     words: dict[int, dict[int, int]] = {}
@@ -48,10 +50,12 @@ def off_centre(config: Config, edges: Edges, seed: int) -> Edges:
 
 
 def line_toggles(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the changes of the SPAD lines: (time in fs from the frame's start, subgroup, line), int64[n], by time.
+    """Return the changes of the SPAD lines: (time in fs from the frame's start, subgroup, line),
+    int64[n], by time.
 
-    A line rises at its edge and stays high for a quarter of a tick, or until half the time to its next edge if that is
-    less. An offset at the border of a tick counts as one femtosecond inside, in agreement with the integer tick.
+    A line rises at its edge and stays high for a quarter of a tick, or until half the time to
+    its next edge if that is less. An offset at the border of a tick counts as one femtosecond
+    inside, in agreement with the integer tick.
     """
     sensor = config.sensor
     cycle_fs = clock_fs(config.clock_mhz)
@@ -85,7 +89,9 @@ def line_toggles(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, 
 
 
 def line_levels(config: Config, edges: Edges) -> tuple[list[int], list[int], list[int]]:
-    """Return the levels: (time in fs from the frame's start, subgroup, word on its lines from then on), by time."""
+    """Return the levels: (time in fs from the frame's start, subgroup, word on its lines from
+    then on), by time.
+    """
     levels = [0] * config.sensor.subgroups
     at: list[tuple[int, int, int]] = []
     for t, s, line in zip(

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stress test of the asynchronous front end: arbitrary edges, random at every scale, and flops that fall to either side.
+"""Stress test of the asynchronous front end: arbitrary edges, random at every scale, and flops
+that fall to either side.
 
-The front end and its TDC run alone under Icarus. Every SPAD line is a random process of its own: bursts of femtoseconds,
-gaps of cycles, edges exactly at the borders of cycles and ticks. Mask, gate and window change between periods, and there
-are random resets. A word is wrong if its map is empty, its winner is not in the map, or its count is not that of the
-map. The front end is locked up if it shows no word for too long, or does not respond to a single edge at rest. The bench
-is `async_stress.v`.
+The front end and its TDC run alone under Icarus. Every SPAD line is a random process of its own:
+bursts of femtoseconds, gaps of cycles, edges exactly at the borders of cycles and ticks. Mask,
+gate and window change between periods, and there are random resets. A word is wrong if its map
+is empty, its winner is not in the map, or its count is not that of the map. The front end is
+locked up if it shows no word for too long, or does not respond to a single edge at rest. The
+bench is `async_stress.v`.
 
 `python -m coincid.tb.stress EDGES [SEED]` prints the counts.
 """
@@ -40,7 +42,8 @@ SHOWN = "window"  # port whose fields a bench reads
 def stress(
     edges: int, seed: int = 1, *, sensor: Sensor | None = None, circuit: Circuit | None = None
 ) -> dict[str, int]:
-    """Run `edges` random edges; return the numbers of edges, windows, records, wrong words and lock-ups.
+    """Run `edges` random edges; return the numbers of edges, windows, records, wrong words and
+    lock-ups.
 
     Raises `ToolchainError` if Icarus is missing or fails.
     """
@@ -58,11 +61,12 @@ def run_bench(
     arguments: Sequence[str] = (),
     aperture: bool = False,
 ) -> list[str]:
-    """Return the lines that a bench prints under Icarus: a Verilog file whose module has the file's name.
+    """Return the lines that a bench prints under Icarus: a Verilog file whose module has the
+    file's name.
 
-    files: name -> text of the files that it instantiates (.v) and includes (.vh). parameters: of the module. arguments:
-    of the simulator. aperture: flops may fall to either side if their data has just changed. Raises
-    `ToolchainError`.
+    files: name -> text of the files that it instantiates (.v) and includes (.vh). parameters: of
+    the module. arguments: of the simulator. aperture: flops may fall to either side if their
+    data has just changed. Raises `ToolchainError`.
     """
     top, files = bench.stem, {**files, bench.name: bench.read_text(encoding="utf-8")}
     options = [
@@ -109,10 +113,11 @@ class Front:
         return units_files([self.front, self.tdc]) | cells | {INCLUDE: self.include()}
 
     def include(self) -> str:
-        """Return the part of a bench that depends on the sensor: clock, front end and TDC, sizes, and named signals.
+        """Return the part of a bench that depends on the sensor: clock, front end and TDC,
+        sizes, and named signals.
 
-        The bench drives `rst`, `start_tdc`, `DRIVEN` and the fields of `FIELDS`; it reads the other ports and the fields
-        of `SHOWN`.
+        The bench drives `rst`, `start_tdc`, `DRIVEN` and the fields of `FIELDS`; it reads the
+        other ports and the fields of `SHOWN`.
         """
         sensor = self.sensor
         sizes = {

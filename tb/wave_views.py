@@ -9,7 +9,8 @@ from pywellen import Waveform
 from ..model.contract.parameters import TOP
 from ..model.shared.files import whole_file
 
-# Signals worth seeing in each block, in the order of a photon's path; names are those of the Verilog.
+# Signals worth seeing in each block, in the order of a photon's path; names are those of the
+# Verilog.
 Block: TypeAlias = tuple[str, str, str]  # title, scope below the top, signals
 BLOCKS: tuple[Block, ...] = (
     ("sensor", "", "clk rst laser spad_gate m_axis_tvalid m_axis_tready m_axis_tlast m_axis_tdata"),
@@ -42,7 +43,8 @@ Group: TypeAlias = tuple[str, list[tuple[str, int]]]  # title; path and width in
 
 
 def views(fst: Path, blocks: tuple[Block, ...] = BLOCKS) -> list[Path]:
-    """Write views of `fst` beside it, for GTKWave (.gtkw) and Surfer (.sucl), and return their paths.
+    """Write views of `fst` beside it, for GTKWave (.gtkw) and Surfer (.sucl), and return their
+    paths.
 
     Signals that are not in the waveform (because the sensor lacks the block) are left out.
     """

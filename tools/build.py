@@ -20,7 +20,8 @@ from .system import MissingPackagesError, system_packages
 LOG_TAIL_LINES = 40
 NO_SPACE = os.strerror(errno.ENOSPC)
 FULL_BELOW_BYTES = 1 << 20  # less than any compiler's output
-# Settings of the calling make or shell must not change a build, because its key does not include them.
+# Settings of the calling make or shell must not change a build, because its key does not include
+# them.
 COMPILER_VARIABLES = {
     "MAKEFLAGS",
     "MFLAGS",
@@ -36,15 +37,17 @@ Compile: TypeAlias = Callable[[Sequence[str]], None]
 
 
 class ToolchainError(InputError):
-    """A tool or resource is missing, or a design does not compile; the message tells in one line what to do."""
+    """A tool or resource is missing, or a design does not compile; the message tells in one line
+    what to do.
+    """
 
 
 def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
     """Return `directory`; `make(scratch)` makes it unless it exists.
 
-    `make` fills a new folder beside it, which is then renamed: a failed or interrupted build leaves nothing that could
-    be taken for a finished one. Processes that need the same folder wait for the first. Raises `ToolchainError` if the
-    file system refuses.
+    `make` fills a new folder beside it, which is then renamed: a failed or interrupted build
+    leaves nothing that could be taken for a finished one. Processes that need the same folder
+    wait for the first. Raises `ToolchainError` if the file system refuses.
     """
     if directory.is_dir():
         return directory
@@ -71,7 +74,8 @@ def build_once(directory: Path, make: Callable[[Path], None]) -> Path:
 
 
 def compile_once(directory: Path, make: Callable[[Path, Compile], None]) -> Path:
-    """As `build_once`, for `make(scratch, run)`, which compiles: `run(command)` runs a compiler as `compile_in` does.
+    """As `build_once`, for `make(scratch, run)`, which compiles: `run(command)` runs a compiler
+    as `compile_in` does.
 
     The log of the last build stays beside the directory.
     """
@@ -98,7 +102,9 @@ def execute(
     environment: Mapping[str, str],
     echo: bool | Callable[[str], None] = False,
 ) -> int:
-    """Run `command`, append its output to `log` (and to `echo`), and return its exit code. Exceptions end it."""
+    """Run `command`, append its output to `log` (and to `echo`), and return its exit code.
+    Exceptions end it.
+    """
     show = sys.stdout.write if echo is True else echo
     with log.open("a", buffering=1, encoding="utf-8") as output:
         with program(
@@ -120,7 +126,9 @@ def execute(
 
 
 def compile_in(cwd: Path, log: Path, command: Sequence[str]) -> None:
-    """Run a compiler in `cwd`, and append its output to `log`. Raises `ToolchainError` with the end of the log."""
+    """Run a compiler in `cwd`, and append its output to `log`. Raises `ToolchainError` with the
+    end of the log.
+    """
     environment = {
         name: value for name, value in os.environ.items() if name not in COMPILER_VARIABLES
     }
@@ -150,7 +158,9 @@ def install(*packages: str) -> None:
 
 
 def require_programs(packages: Mapping[str, str]) -> None:
-    """Ensure that the programs in the keys exist; the values are the Debian packages that contain them."""
+    """Ensure that the programs in the keys exist; the values are the Debian packages that
+    contain them.
+    """
     if missing := [package for program, package in packages.items() if not shutil.which(program)]:
         install(*missing)
     if lost := [program for program in packages if not shutil.which(program)]:

@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a program of the project depends on: source files, data files and packages, read from the sources alone.
+"""What a program of the project depends on: source files, data files and packages, read from the
+sources alone.
 
-A program depends on its own module, on every module that is imported from there (also inside functions), on the data files
-that these modules name, and on the versions of the packages that they import. Nothing is imported to find this out, so it
-takes a fraction of a second, and no machine and no installed package changes the answer.
+A program depends on its own module, on every module that is imported from there (also inside
+functions), on the data files that these modules name, and on the versions of the packages that
+they import. Nothing is imported to find this out, so it takes a fraction of a second, and no
+machine and no installed package changes the answer.
 
-A module names a data file of its room by a string that is the file's name, the name of the folder in which it lies, or the
-suffix with which it differs from the module's own name. It names a module or a package by a string, too, if the string is
-`coincid.ROOM.NAME`, the file name of a module beside it, or the package's name in a lock file.
+A module names a data file of its room by a string that is the file's name, the name of the
+folder in which it lies, or the suffix with which it differs from the module's own name. It names
+a module or a package by a string, too, if the string is `coincid.ROOM.NAME`, the file name of a
+module beside it, or the package's name in a lock file.
 
-The modules are those of the package `coincid`, and the programs that only make pages, `docs.studies.NAME`.
+The modules are those of the package `coincid`, and the programs that only make pages,
+`docs.studies.NAME`.
 """
 
 import ast
@@ -33,7 +37,8 @@ PACKAGE = Path("src") / PROJECT  # its rooms are links to folders of the checkou
 PAGES = "docs"  # the package of the programs that only make pages, which no installation has
 STUDIES = Path(PAGES) / "studies"
 LOCKS = "requirements*.lock"
-DISTRIBUTIONS = {  # packages by the name that is imported, if it differs from the name in the lock file
+# packages by the name that is imported, if it differs from the name in the lock file
+DISTRIBUTIONS = {
     "PIL": "pillow",
     "cocotb_tools": "cocotb",
     "coriolis": "coriolis-eda",
@@ -50,7 +55,9 @@ NAME_MAX = 60  # characters of a name; longer strings name nothing
 
 @frozen
 class Facts:
-    """What one module says. imports: modules. packages: imported names. texts: strings, and patterns with *. digest: of its code."""
+    """What one module says. imports: modules. packages: imported names. texts: strings, and
+    patterns with *. digest: of its code.
+    """
 
     imports: frozenset[str]
     packages: frozenset[str]
@@ -60,7 +67,9 @@ class Facts:
 
 @frozen
 class Closure:
-    """Everything that a program depends on. modules, packages: by name. data: files. All are sorted."""
+    """Everything that a program depends on. modules, packages: by name. data: files. All are
+    sorted.
+    """
 
     modules: tuple[str, ...]
     data: tuple[Path, ...]
@@ -68,7 +77,9 @@ class Closure:
 
 
 class Sources:
-    """The sources of a checkout. root: the folder of pyproject.toml. cache: a file in which `keep` leaves what was read."""
+    """The sources of a checkout. root: the folder of pyproject.toml. cache: a file in which
+    `keep` leaves what was read.
+    """
 
     def __init__(self, root: Path, cache: Path | None = None) -> None:
         self.root = root
@@ -142,7 +153,9 @@ class Sources:
         return self._facts[module]
 
     def closure(self, *programs: str, without: Iterable[str] = ()) -> Closure:
-        """Return what modules depend on. without: modules or packages of modules that are left out. Raises `InputError`."""
+        """Return what modules depend on. without: modules or packages of modules that are left
+        out. Raises `InputError`.
+        """
         left_out = tuple(without)
         found: set[str] = set()
         pending = list(programs)
@@ -247,7 +260,9 @@ class Sources:
         return found
 
     def _distributions(self, module: str) -> set[str]:
-        """Return the locked packages that a module imports or names. Raises `InputError` for one that no lock file has."""
+        """Return the locked packages that a module imports or names. Raises `InputError` for one
+        that no lock file has.
+        """
         facts = self.facts(module)
         found = {_plain(text) for text in facts.texts} & self.versions.keys()
         for name in facts.packages - sys.stdlib_module_names:
@@ -281,7 +296,9 @@ def inside(module: str, package: str) -> bool:
 
 
 def _imported(tree: ast.AST, package: str) -> Iterator[tuple[str, str]]:
-    """Yield (module, name) of all imports, except those for types alone. name: "" for a whole module."""
+    """Yield (module, name) of all imports, except those for types alone. name: "" for a whole
+    module.
+    """
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.ImportFrom):
             base = resolve_name("." * node.level + (node.module or ""), package)
@@ -316,7 +333,9 @@ def _texts(tree: ast.AST) -> Iterator[str]:
 
 
 def _code(text: str, tree: ast.AST) -> str:
-    """Return the code of a module without its docstrings, whole lines of comments and empty lines."""
+    """Return the code of a module without its docstrings, whole lines of comments and empty
+    lines.
+    """
     lines = text.splitlines()
     stays = [True] * len(lines)
     inside_text = set()

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled libraries of our own, as Python uses them: functions with their types, and arrays that they keep."""
+"""Compiled libraries of our own, as Python uses them: functions with their types, and arrays
+that they keep.
+"""
 
 import ctypes
 from collections.abc import Mapping, Sequence
@@ -27,7 +29,9 @@ def load(path: Path, prefix: str, functions: Functions) -> ctypes.CDLL:
 def array_at(
     address: int | None, shape: Sequence[int], kind: npt.DTypeLike = np.uint64
 ) -> np.ndarray:
-    """Return the array of a library's memory at an address, which need not be one if the array is empty."""
+    """Return the array of a library's memory at an address, which need not be one if the array
+    is empty.
+    """
     if address is None or not prod(shape):
         return np.zeros(shape, kind)
     memory = (ctypes.c_char * (prod(shape) * np.dtype(kind).itemsize)).from_address(address)

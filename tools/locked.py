@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Installs the packages of lock files into this Python's environment: with uv if it is there, otherwise with pip.
+"""Installs the packages of lock files into this Python's environment: with uv if it is there,
+otherwise with pip.
 
-uv looks where pip's settings (PIP_FIND_LINKS, PIP_NO_INDEX, PIP_INDEX_URL, pip.conf) tell pip to look. This file uses only
-the standard library, because the set-up runs it as a script before anything is installed:
-`python tools/locked.py LOCK...` with the Python of the environment, and the paths of uv and pip in COINCID_UV, COINCID_PIP.
+uv looks where pip's settings (PIP_FIND_LINKS, PIP_NO_INDEX, PIP_INDEX_URL, pip.conf) tell pip to
+look. This file uses only the standard library, because the set-up runs it as a script before
+anything is installed: `python tools/locked.py LOCK...` with the Python of the environment, and
+the paths of uv and pip in COINCID_UV, COINCID_PIP.
 """
 
 import ast
@@ -29,7 +31,9 @@ NAMED_MAX = 3  # packages that a message names
 
 
 def install(locks: Sequence[str]) -> None:
-    """Install the packages of lock files, without what they ask for. Raises `SystemExit` with what to do if that fails."""
+    """Install the packages of lock files, without what they ask for. Raises `SystemExit` with
+    what to do if that fails.
+    """
     files = [part for lock in locks for part in ("-r", lock)]
     pip = shlex.split(os.environ["COINCID_PIP"])
     uv = os.environ.get("COINCID_UV")
@@ -47,7 +51,9 @@ def uv_command(uv: str, options: Sequence[str]) -> list[str]:
 
 
 def uv_options(settings: str) -> list[str]:
-    """Return uv's options for the output of `pip config list`. Folders that do not exist are left out, as pip does."""
+    """Return uv's options for the output of `pip config list`. Folders that do not exist are
+    left out, as pip does.
+    """
     options = []
     for name, text in re.findall(r"^[^.\n]+\.([\w-]+)=(.*)$", settings, re.MULTILINE):
         value = str(ast.literal_eval(text))

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What programs write into the pages: regions between markers that name the command and carry a stamp.
+"""What programs write into the pages: regions between markers that name the command and carry a
+stamp.
 
     <!-- begin surfaces: python -m docs.studies.surfaces; stamp 0123456789ab -->
     what the command makes
     <!-- end surfaces -->
 
-`docs/pages.toml` lists the programs. A stamp is a digest of everything that the result depends on (`dependencies.py`), or
-`unknown`. A region is stale if its stamp is not the digest of today's sources. Programs write their regions with `put`.
+`docs/pages.toml` lists the programs. A stamp is a digest of everything that the result depends
+on (`dependencies.py`), or `unknown`. A region is stale if its stamp is not the digest of today's
+sources. Programs write their regions with `put`.
 """
 
 import os
@@ -52,9 +54,10 @@ class Region:
 class Program:
     """A program that makes regions.
 
-    run: MODULE:FUNCTION, without arguments. writes: names of regions by page. pictures: files that its regions show. data:
-    files besides those that its modules name. without: modules that it imports inside functions which it does not call;
-    `make pages` checks this. needs: what `scripts/setup` must install. cheap: takes some seconds, so tests run it.
+    run: MODULE:FUNCTION, without arguments. writes: names of regions by page. pictures: files
+    that its regions show. data: files besides those that its modules name. without: modules that
+    it imports inside functions which it does not call; `make pages` checks this. needs: what
+    `scripts/setup` must install. cheap: takes some seconds, so tests run it.
     """
 
     name: str
@@ -76,7 +79,9 @@ class Program:
 
 @frozen(eq=False)
 class Pages:
-    """The pages of a checkout and their programs. root: the folder of pyproject.toml. cache: as of `Sources`."""
+    """The pages of a checkout and their programs. root: the folder of pyproject.toml. cache: as
+    of `Sources`.
+    """
 
     root: Path
     cache: Path | None = None
@@ -144,7 +149,9 @@ class Pages:
 
 
 def regions(page: str, text: str) -> Iterator[Region]:
-    """Yield the regions in the text of a page. Raises `InputError` for a marker without its partner."""
+    """Yield the regions in the text of a page. Raises `InputError` for a marker without its
+    partner.
+    """
     begun = 0
     for begin in _BEGIN.finditer(text):
         name = begin["name"]
@@ -160,7 +167,9 @@ def regions(page: str, text: str) -> Iterator[Region]:
 def with_region(
     page: str, text: str, name: str, content: str | None, command: str, stamp: str
 ) -> str:
-    """Return the text of a page with another content of a region (None: the same), command and stamp. Raises `InputError`."""
+    """Return the text of a page with another content of a region (None: the same), command and
+    stamp. Raises `InputError`.
+    """
     begin = re.search(rf"^<!-- begin {re.escape(name)}: .+ -->$", text, re.MULTILINE)
     end = text.find(f"\n{_end(name)}\n", begin.end()) if begin else -1
     if begin is None or end < 0:
@@ -176,8 +185,9 @@ def _end(name: str) -> str:
 def put(page: str, name: str, content: str | None = None) -> None:
     """Write a region of a page, with the stamp of today's sources; the page appears whole.
 
-    page: such as "docs/depth.md". content: Markdown; None: only the picture of this region was made again. Raises
-    `InputError` without a checkout, and for a region that the page or the table lacks.
+    page: such as "docs/depth.md". content: Markdown; None: only the picture of this region was
+    made again. Raises `InputError` without a checkout, and for a region that the page or the
+    table lacks.
     """
     pages = _pages()
     program = pages.writer(page, name)
@@ -190,7 +200,9 @@ def put(page: str, name: str, content: str | None = None) -> None:
 
 
 def put_page(page: str, name: str, text: str, out: Path | None = None) -> None:
-    """Write a text whose first line is the title of the page: below the title of `page`, or with it to the file `out`."""
+    """Write a text whose first line is the title of the page: below the title of `page`, or with
+    it to the file `out`.
+    """
     if out is None:
         put(page, name, text.partition("\n")[2])
         return
@@ -205,7 +217,9 @@ def counted(done: int, total: int) -> None:
 
 
 def picture(name: str) -> Path:
-    """Return the path of a picture, such as "docs/images/depth.png". Raises `InputError` without a checkout."""
+    """Return the path of a picture, such as "docs/images/depth.png". Raises `InputError` without
+    a checkout.
+    """
     return folder() / name
 
 

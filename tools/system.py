@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""System packages (Debian): installed if that is allowed; otherwise an error names the command that installs them.
+"""System packages (Debian): installed if that is allowed; otherwise an error names the command
+that installs them.
 
-This file uses only the standard library, because the set-up runs it as a script before anything is installed:
-`python3 tools/system.py PACKAGE...`.
+This file uses only the standard library, because the set-up runs it as a script before anything
+is installed: `python3 tools/system.py PACKAGE...`.
 """
 
 import fcntl
@@ -13,14 +14,16 @@ from shutil import which
 
 
 class MissingPackagesError(OSError):
-    """Packages are missing and cannot be installed from here; the message contains the command that installs them."""
+    """Packages are missing and cannot be installed from here; the message contains the command
+    that installs them.
+    """
 
 
 def system_packages(*names: str) -> None:
     """Install the Debian packages `names`: as root, or by a `sudo` that asks for no password.
 
-    Raises `MissingPackagesError` if neither is possible, if there is no apt-get, or if apt-get fails. Its message is one
-    line with the command to run.
+    Raises `MissingPackagesError` if neither is possible, if there is no apt-get, or if apt-get
+    fails. Its message is one line with the command to run.
     """
     root = os.geteuid() == 0
     sudo = "sudo " if which("sudo") and not root else ""

@@ -20,7 +20,9 @@ EXTRAS, OTHER = {YOSYS: "rtl"}, "flow"  # extras of pyproject.toml that install 
 
 
 def run_yosys(folder: Path, *lines: str) -> None:
-    """Run the lines of a Yosys script in `folder`. Raises `ToolchainError` with the end of the log if Yosys fails or is missing."""
+    """Run the lines of a Yosys script in `folder`. Raises `ToolchainError` with the end of the
+    log if Yosys fails or is missing.
+    """
     wheel_folder(YOSYS)
     (folder / YOSYS_SCRIPT).write_text("\n".join([*lines, ""]), encoding="utf-8")
     command = [*yosys_command(), "-q", "-l", YOSYS_LOG, YOSYS_SCRIPT]
@@ -43,10 +45,12 @@ def yosys_once(
     state: Sequence[str] = (),
     then: Callable[[Path], object] = lambda folder: None,
 ) -> Path:
-    """Return a folder with `files` (name -> text) and all that a Yosys script writes beside them. Raises `ToolchainError`.
+    """Return a folder with `files` (name -> text) and all that a Yosys script writes beside
+    them. Raises `ToolchainError`.
 
-    It is made once for every state of files and script, beside `folder` and with its name and a digest. then: called with
-    the folder before the folder counts as made. state: texts that change whenever `then` does something else.
+    It is made once for every state of files and script, beside `folder` and with its name and a
+    digest. then: called with the folder before the folder counts as made. state: texts that
+    change whenever `then` does something else.
     """
 
     def make(scratch: Path) -> None:
@@ -80,7 +84,9 @@ def run_wheel(package: str, function: str, arguments: Sequence[str], folder: Pat
 
 
 def run_program(command: Sequence[str], folder: Path, name: str) -> str:
-    """Run a command in `folder` and return its output. Raises `ToolchainError` with the end of the output if it fails."""
+    """Run a command in `folder` and return its output. Raises `ToolchainError` with the end of
+    the output if it fails.
+    """
     log = {
         "stdout": subprocess.PIPE,
         "stderr": subprocess.STDOUT,

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Yosys as a program. The PyPI wheel is a library, which prints, and ends its process at the first error.
+"""Yosys as a program. The PyPI wheel is a library, which prints, and ends its process at the
+first error.
 
-`python -P tools/yosys_program.py [-q] [-l LOG] SCRIPT` takes those options of Yosys that SymbiYosys uses, too. The output
-goes to the log if one is named, and is dropped with -q; errors go to standard error. It imports nothing of the project,
-so a start takes 0.05 s of CPU.
+`python -P tools/yosys_program.py [-q] [-l LOG] SCRIPT` takes those options of Yosys that
+SymbiYosys uses, too. The output goes to the log if one is named, and is dropped with -q; errors
+go to standard error. It imports nothing of the project, so a start takes 0.05 s of CPU.
 """
 
 import argparse
@@ -24,7 +25,9 @@ def main() -> None:
 
 
 def _send_output_to(path: str) -> None:
-    """Send the standard output of this process to a file, also that of libraries that are not Python."""
+    """Send the standard output of this process to a file, also that of libraries that are not
+    Python.
+    """
     with open(path, "wb") as file:
         os.dup2(file.fileno(), 1)
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records which files of the project a program reads, in this process and in all that it starts.
 
-`docs/pages.py` puts this folder into the search path of the program. Python then imports this file in each process before
-anything else. The file names go into $COINCID_READ, one per line, as soon as a file is opened.
+`docs/pages.py` puts this folder into the search path of the program. Python then imports this
+file in each process before anything else. The file names go into $COINCID_READ, one per line, as
+soon as a file is opened.
 """
 
 import os

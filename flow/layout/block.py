@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Placement and routing of a block in Coriolis, with a clock tree; cells move to legal sites, and their places are recorded.
+"""Placement and routing of a block in Coriolis, with a clock tree; cells move to legal sites,
+and their places are recorded.
 
-Import this module after `technology.set_up`, because Coriolis's modules create a database if there is none.
+Import this module after `technology.set_up`, because Coriolis's modules create a database if
+there is none.
 """
 
 import json
@@ -20,7 +22,9 @@ from .technology import ROW_UM, SITE_UM, TOP_METAL
 PLACED = "placed.json"
 RING_ROWS, RING_SITES = 2, 16  # the ring around the cells that stays free
 SITE = u(SITE_UM)
-SPREAD = 0.15  # largest share of free area in one place; with 0 the placer widens the cells until they fill the block
+# largest share of free area in one place; with 0 the placer widens the cells until they fill the
+# block
+SPREAD = 0.15
 
 
 def um(length: int) -> float:
@@ -34,7 +38,8 @@ def build(cell, job) -> bool:
 
 
 def configuration(cell, job) -> BlockConf:
-    """Return Coriolis's settings for a block: its size, its clock tree, and the tracks reserved for the detailed router.
+    """Return Coriolis's settings for a block: its size, its clock tree, and the tracks reserved
+    for the detailed router.
 
     Ports have no pins at the border; they stay at the pins of cells.
     """
@@ -64,7 +69,9 @@ def configuration(cell, job) -> BlockConf:
 
 
 def core_size_um(cell, margin: float) -> tuple[float, float]:
-    """Return width and height of a block: nearly square, an even number of rows, `margin` of free area, and the ring."""
+    """Return width and height of a block: nearly square, an even number of rows, `margin` of
+    free area, and the ring.
+    """
     length = sum(
         um(instance.getMasterCell().getAbutmentBox().getWidth()) for instance in cell.getInstances()
     )
@@ -79,7 +86,9 @@ def to_site(self, x: int, superior: bool = False) -> int:
 
 
 class SnappedBlock(Block):
-    """A block that Coriolis places and routes. Before routing, the cells move to sites, and their places are recorded."""
+    """A block that Coriolis places and routes. Before routing, the cells move to sites, and
+    their places are recorded.
+    """
 
     def place(self):
         super().place()
@@ -91,7 +100,9 @@ class SnappedBlock(Block):
 
 
 def snap(cell) -> None:
-    """Move each cell to the nearest free site of its row that leaves room for the cells on its right."""
+    """Move each cell to the nearest free site of its row that leaves room for the cells on its
+    right.
+    """
     rows: dict[int, list[Any]] = {}
     for instance in cell.getInstances():
         box = instance.getAbutmentBox()
@@ -119,7 +130,9 @@ def snap(cell) -> None:
 
 
 def record(cell) -> None:
-    """Write `PLACED`: the size of the block, the place, orientation and nets of every cell, and the direction of every port."""
+    """Write `PLACED`: the size of the block, the place, orientation and nets of every cell, and
+    the direction of every port.
+    """
     box = cell.getAbutmentBox()
     cells = []
     for instance in cell.getInstances():

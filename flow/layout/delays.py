@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation of the sensor with a routed block and its delays, with the same checks as for the RTL.
 
-The rest of the sensor is RTL without delays. Inside the block the clock arrives late, because it passes the clock tree. So
-the inputs of the block change `INPUT_NS` after the edge of the clock, as the outputs of flip-flops do.
+The rest of the sensor is RTL without delays. Inside the block the clock arrives late, because it
+passes the clock tree. So the inputs of the block change `INPUT_NS` after the edge of the clock,
+as the outputs of flip-flops do.
 """
 
 import re
@@ -69,10 +70,11 @@ def scaled(sdf: str, factor: float) -> str:
 def play_with_delays(
     sensor: Sensor, unit: Unit, layout: Path, factor: float, view: View
 ) -> tuple[int, int]:
-    """Play random frames through a sensor with a routed block, whose delays are multiplied by `factor`.
+    """Play random frames through a sensor with a routed block, whose delays are multiplied by
+    `factor`.
 
-    layout: the folder of the block's netlist and delays. Returns the number of checked words and commits, and the cycles.
-    Raises `Mismatch` at the first difference.
+    layout: the folder of the block's netlist and delays. Returns the number of checked words and
+    commits, and the cycles. Raises `Mismatch` at the first difference.
     """
     name, folder = unit.unit_name, layout / f"delays-{factor:g}"
     folder.mkdir(exist_ok=True)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of `make layout`: routed minigroups with their size, rules, timing, and simulation with wires."""
+"""The page of `make layout`: routed minigroups with their size, rules, timing, and simulation
+with wires.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +31,8 @@ Column = list[tuple[str, str]]  # name and value of every row
 def write_layout_page(out: Path | None = None, tell: Callable[[str], None] = print) -> None:
     """Lay out both minigroups of the preset `silicon`.
 
-    Write docs/layout.md and its pictures, or the page to the file `out` and pictures to the folder `images` beside it.
+    Write docs/layout.md and its pictures, or the page to the file `out` and pictures to the
+    folder `images` beside it.
     """
     config = load_config("silicon")
     clock_mhz = config.clock_mhz
@@ -63,7 +66,9 @@ def write_layout_page(out: Path | None = None, tell: Callable[[str], None] = pri
 
 
 def played_with_delays(unit: Unit, view: View, folder: Path, tell: Callable[[str], None]) -> Column:
-    """Simulate a layout with its delays, then with delays `TOO_SLOW` times as long, which must fail. Raises `Mismatch`."""
+    """Simulate a layout with its delays, then with delays `TOO_SLOW` times as long, which must
+    fail. Raises `Mismatch`.
+    """
     tell(f"{unit.unit_name}: simulating the sensor with the routed minigroups and their delays")
     checked, cycles = play_with_delays(SMALL, unit, folder, 1.0, view)
     try:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The layout of a block in KLayout: cells and wires together; checks of connections and rules; and a picture."""
+"""The layout of a block in KLayout: cells and wires together; checks of connections and rules;
+and a picture.
+"""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -68,7 +70,9 @@ def draw(
     widths_um: Mapping[str, float],
     top: str,
 ) -> db.Layout:
-    """Return the layout of a block: cells with the strips of their pins, fillers, routed wires, and a text at each port."""
+    """Return the layout of a block: cells with the strips of their pins, fillers, routed wires,
+    and a text at each port.
+    """
     layout = db.Layout()
     layout.dbu = DBU_UM
     cells = _library(layout, cells_gds, strips)
@@ -142,7 +146,9 @@ def _fillers(
 
 
 def _wires(layout: db.Layout, whole: db.Cell, routed: Path) -> None:
-    """Copy the wires from the routed GDS, and widen metal4 to its full width at vias from metal3."""
+    """Copy the wires from the routed GDS, and widen metal4 to its full width at vias from
+    metal3.
+    """
     source = db.Layout()
     source.read(str(routed))
     top = source.cell(whole.name) or source.cell(f"{whole.name}_r") or source.top_cell()
@@ -172,7 +178,9 @@ def pin_places(placed: Placed, strips: Strips) -> Iterator[tuple[str, str, str, 
 
 
 class Wires:
-    """The connected parts of a block's metal2 to metal6 and their vias, when this object is made."""
+    """The connected parts of a block's metal2 to metal6 and their vias, when this object is
+    made.
+    """
 
     def __init__(self, layout: db.Layout, top: str):
         whole = layout.cell(top)
@@ -220,9 +228,11 @@ class Wires:
 def connect(
     layout: db.Layout, top: str, placed: Placed, strips: Strips
 ) -> tuple[int, list[str], list[list[str]], list[str]]:
-    """Repair vias that are too close and gaps that are too narrow, and compare the wires with the netlist.
+    """Repair vias that are too close and gaps that are too narrow, and compare the wires with
+    the netlist.
 
-    Returns the number of nets; the nets in several parts; the nets that share a part; and the nets of pins without metal.
+    Returns the number of nets; the nets in several parts; the nets that share a part; and the
+    nets of pins without metal.
     """
     for _ in range(REPAIRS):
         gone = _thin_cuts(layout, top, Wires(layout, top))
@@ -258,7 +268,9 @@ def _close_gaps(layout: db.Layout, top: str, wires: Wires) -> int:
 
 
 def _thin_cuts(layout: db.Layout, top: str, wires: Wires) -> int:
-    """Replace one of two vias of a net that are too close by metal to the other; return the number of replaced vias."""
+    """Replace one of two vias of a net that are too close by metal to the other; return the
+    number of replaced vias.
+    """
     gone = 0
     for i in ROUTED[:-1]:
         shapes = layout.cell(top).shapes(layout.layer(metal(i) + 1, 0))
@@ -284,7 +296,9 @@ def _thin_cuts(layout: db.Layout, top: str, wires: Wires) -> int:
 
 
 def check_rules(layout: db.Layout, top: str) -> list[tuple[str, int]]:
-    """Return (rule, violations) for widths and distances of metal1 to metal6 and of their vias, and for metal around vias."""
+    """Return (rule, violations) for widths and distances of metal1 to metal6 and of their vias,
+    and for metal around vias.
+    """
     whole = layout.cell(top)
 
     def region(layer: int) -> db.Region:

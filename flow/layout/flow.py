@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Layout of a minigroup: from Verilog to a routed GDS, which is checked and timed with its wires.
 
-The standard cells are NanGate's for 45 nm. Coriolis places and routes, KLayout checks, and OpenSTA computes the timing.
-Coriolis runs in a separate process with a time limit. If it leaves nets open, the flow tries the next of `ATTEMPTS`, and
-fails after the last one.
+The standard cells are NanGate's for 45 nm. Coriolis places and routes, KLayout checks, and
+OpenSTA computes the timing. Coriolis runs in a separate process with a time limit. If it leaves
+nets open, the flow tries the next of `ATTEMPTS`, and fails after the last one.
 """
 
 import json
@@ -51,8 +51,9 @@ BEHIND = ("document", "delays")  # files on which a routed block does not depend
 class Attempt:
     """How much room the router gets.
 
-    margin: share of free area. um2_per_pin: least area of a cell for each of its pins. tracks_reserved: horizontal and
-    vertical tracks that the global router leaves to the detailed router, and their least number in any place.
+    margin: share of free area. um2_per_pin: least area of a cell for each of its pins.
+    tracks_reserved: horizontal and vertical tracks that the global router leaves to the detailed
+    router, and their least number in any place.
     """
 
     margin: float
@@ -71,7 +72,8 @@ ATTEMPTS = (
 def lay_out(
     unit: Unit, clock_mhz: float, tell: Callable[[str], None], view: View = POLYPHASE
 ) -> tuple[Path, dict[str, Any]]:
-    """Return the layout of a flattened block without its macros: the folder of its files, and the facts of `finish`.
+    """Return the layout of a flattened block without its macros: the folder of its files, and
+    the facts of `finish`.
 
     A layout is made once for each version of the Verilog. The nets of the block have one bit and
     plain names, and cells drive constants. Raises `InputError` if the tools are missing, and
@@ -176,9 +178,11 @@ def failed(what: str, folder: Path) -> ToolchainError:
 
 
 def finish(top: str, cells: Path, clock_mhz: float, folder: Path) -> dict[str, Any]:
-    """Draw, check and time the routed block of `folder`; return its facts. Raises `ToolchainError` on an open or a short.
+    """Draw, check and time the routed block of `folder`; return its facts. Raises
+    `ToolchainError` on an open or a short.
 
-    Slacks are of paths between registers. sinks: number of inputs that the wires reach. rules: (rule, violations).
+    Slacks are of paths between registers. sinks: number of inputs that the wires reach. rules:
+    (rule, violations).
     """
     placed: Placed = json.loads((folder / PLACED).read_text(encoding="utf-8"))
     stored, widths_um = (
@@ -224,7 +228,8 @@ def finish(top: str, cells: Path, clock_mhz: float, folder: Path) -> dict[str, A
 
 
 def time_wires(top: str, clock_mhz: float, folder: Path) -> tuple[float, float]:
-    """Write the delays as SDF; return the slack of the longest and of the shortest path between registers, in ns.
+    """Write the delays as SDF; return the slack of the longest and of the shortest path between
+    registers, in ns.
 
     Paths include wires and the clock tree.
     """
@@ -243,7 +248,8 @@ write_sdf {SDF}
     if not slacks or not holds:
         raise ToolchainError(f"sta: no timing of {top}: {report[-500:]}")
     sdf = (folder / SDF).read_text(encoding="utf-8")
-    # Icarus ignores a triplet with an empty middle. There is one corner, so all three values are the same.
+    # Icarus ignores a triplet with an empty middle. There is one corner, so all three values are
+    # the same.
     (folder / SDF).write_text(
         re.sub(r"\(([-\d.]+)::([-\d.]+)\)", r"(\1:\2:\2)", sdf), encoding="utf-8"
     )

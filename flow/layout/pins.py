@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Access to the pins of the standard cells: a via on the metal1 of the pin, and a vertical strip of metal2 on a track above it.
+"""Access to the pins of the standard cells: a via on the metal1 of the pin, and a vertical strip
+of metal2 on a track above it.
 
-The router cannot connect to the metal1 shapes of the library. So every pin gets a strip of metal2, which is as long as the
-cell allows, and wires begin at metal3. Lengths are in units of the layout database.
+The router cannot connect to the metal1 shapes of the library. So every pin gets a strip of
+metal2, which is as long as the cell allows, and wires begin at metal3. Lengths are in units of
+the layout database.
 """
 
 import itertools
@@ -23,13 +25,15 @@ END_GAP = 70  # half the distance between two strips on one track
 SUPPLIES = ("VDD", "VSS")
 COMBINATIONS_MAX = 200_000
 CHOICES = 6  # tracks tried for a pin
-# Costs: two pins on one track, too close to each other; the same, far enough apart; a via that its metal does not enclose.
+# Costs: two pins on one track, too close to each other; the same, far enough apart; a via that
+# its metal does not enclose.
 SHARED, NEAR, SHORT = (1000.0, 10.0, 1.0)
 
 
 @frozen
 class Strip:
-    """The metal2 of a pin from `low` to `high` on the track at `x`, and the height of its via, in um from the corner of the cell.
+    """The metal2 of a pin from `low` to `high` on the track at `x`, and the height of its via,
+    in um from the corner of the cell.
 
     fits: the pin's own metal1 encloses the via.
     """
@@ -43,7 +47,9 @@ class Strip:
 
 @frozen
 class Place:
-    """A place for the via of a pin: the track, the height, and whether the metal of the pin encloses the via."""
+    """A place for the via of a pin: the track, the height, and whether the metal of the pin
+    encloses the via.
+    """
 
     x: int
     y: int

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Program that places and routes a block with Coriolis: `python -m coincid.flow.layout.place_route JOB.json`.
+"""Program that places and routes a block with Coriolis:
+`python -m coincid.flow.layout.place_route JOB.json`.
 
-`flow.py` starts it in a separate folder with a time limit. The job names the BLIF file, the LEF files, the strips of the
-pins, and settings. The program writes TOP.gds, TOP_export.def, and placed.json with the placed cells and their nets. The exit
-code is 0 if every net is routed, and `NOT_ROUTED` otherwise.
+`flow.py` starts it in a separate folder with a time limit. The job names the BLIF file, the LEF
+files, the strips of the pins, and settings. The program writes TOP.gds, TOP_export.def, and
+placed.json with the placed cells and their nets. The exit code is 0 if every net is routed, and
+`NOT_ROUTED` otherwise.
 """
 
 import json

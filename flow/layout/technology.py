@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The 45 nm process and its standard cells in Coriolis: layers, routing tracks, and the cells of a LEF file.
+"""The 45 nm process and its standard cells in Coriolis: layers, routing tracks, and the cells of
+a LEF file.
 
-This runs only inside Coriolis's own process (`place_route.py`). Widths and distances are those of the cells' LEF file.
+This runs only inside Coriolis's own process (`place_route.py`). Widths and distances are those
+of the cells' LEF file.
 """
 
 import json
@@ -32,16 +34,20 @@ FIRST_X_UM, FIRST_Y_UM = 0.095, 0.07  # first tracks
 METALS = range(1, 11)
 WIDTH_UM = {1: 0.07, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14, 7: 0.4, 8: 0.4, 9: 0.8, 10: 0.8}
 CUT_SPACE_UM = {1: 0.08, 2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16, 6: 0.16, 7: 0.44, 8: 0.44, 9: 0.88}
-# The pitch keeps the pads of vias to the wider metal apart. Where pads would touch, only every second track exists.
+# The pitch keeps the pads of vias to the wider metal apart. Where pads would touch, only every
+# second track exists.
 PITCH_UM = {2: 0.19, 3: 0.14, 4: 0.30, 5: 0.30, 6: 0.30, 7: 0.84, 8: 0.84}
 PAD_UM = {3: 0.14}  # wires of metal3 end in pads as wide as metal4's
 TOP_METAL = "metal6"
 SETTINGS = Path(__file__).with_name("coriolis.toml")
-GDS_METAL1 = 11  # in the GDS of the cells, metal k is on layer 9 + 2k, and the via above it on the next layer
+# in the GDS of the cells, metal k is on layer 9 + 2k, and the via above it on the next layer
+GDS_METAL1 = 11
 
 
 def set_up(lef: list[Path], strips: Path, um2_per_pin: float) -> Library:
-    """Create the technology, tracks and cells. strips: JSON of `pins.strips`; um2_per_pin: least area of a cell per pin."""
+    """Create the technology, tracks and cells. strips: JSON of `pins.strips`; um2_per_pin: least
+    area of a cell per pin.
+    """
     _technology()
     _gauges()
     _settings()
@@ -104,7 +110,9 @@ def _technology() -> None:
 
 
 def _via(tech, metals, i) -> None:
-    """Create the via above metal i. Up to metal3 its pads reach 0.035 um beyond the cut along the direction of the metal."""
+    """Create the via above metal i. Up to metal3 its pads reach 0.035 um beyond the cut along
+    the direction of the metal.
+    """
     via = createVia(tech, f"VIA{i}{i + 1}", f"metal{i}", f"via{i}", f"metal{i + 1}", u(WIDTH_UM[i]))
     for j in (i, i + 1):
         along = 0.035 if i <= 3 and j <= 3 else 0.0
@@ -118,7 +126,9 @@ def _via(tech, metals, i) -> None:
 
 
 def _gauges() -> None:
-    """Create the tracks. Odd metals are horizontal. Only pins of cells use metal2; metal7 and above stay empty."""
+    """Create the tracks. Odd metals are horizontal. Only pins of cells use metal2; metal7 and
+    above stay empty.
+    """
     framework, tech = AllianceFramework.get(), DataBase.getDB().getTechnology()
     gauge = RoutingGauge.create("nangate45")
     gauge.setSymbolic(False)
@@ -193,7 +203,9 @@ def _replace_pin(net, metal2, x: float, low: float, high: float) -> None:
 
 
 def _widen(cell, um2_per_pin: float) -> None:
-    """Widen a cell to the right so that each pin has enough room. Filler cells later fill the added room."""
+    """Widen a cell to the right so that each pin has enough room. Filler cells later fill the
+    added room.
+    """
     pins = sum(1 for net in cell.getNets() if net.isExternal() and not net.isSupply())
     box, site = cell.getAbutmentBox(), u(SITE_UM)
     if not pins:

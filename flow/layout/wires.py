@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wires of a block as resistances and capacitances, and its netlist as Verilog.
 
-The values are not extracted from shapes. The capacitance of a net is computed from its length on each metal, with the LEF
-file's values for area and edge. The resistance to a pin is that of the direct way. Coupling is not included.
+The values are not extracted from shapes. The capacitance of a net is computed from its length on
+each metal, with the LEF file's values for area and edge. The resistance to a pin is that of the
+direct way. Coupling is not included.
 """
 
 import re
@@ -25,7 +26,9 @@ Lengths = dict[str, dict[int, float]]  # net -> metal -> um
 
 
 def metals(lef: Path) -> dict[int, tuple[float, float]]:
-    """Return routing layer -> (capacitance in fF per um, ohm per um) of a wire of least width, from a LEF file."""
+    """Return routing layer -> (capacitance in fF per um, ohm per um) of a wire of least width,
+    from a LEF file.
+    """
     found = {}
     for number, body in re.findall(
         r"^LAYER metal(\d+)\n(.*?)^END metal\d+",
@@ -40,7 +43,9 @@ def metals(lef: Path) -> dict[int, tuple[float, float]]:
 
 
 def lengths_um(routed: Path) -> Lengths:
-    """Return net -> metal -> length from a routed DEF file. The nets of the clock are special nets there."""
+    """Return net -> metal -> length from a routed DEF file. The nets of the clock are special
+    nets there.
+    """
     text = routed.read_text(encoding="utf-8")
     units = re.search(r"^UNITS DISTANCE MICRONS (\d+)", text, re.MULTILINE)
     nets = re.findall(r"^((?:SPECIAL)?NETS) (.*?)^END \1", text, re.MULTILINE | re.DOTALL)
@@ -72,7 +77,9 @@ def is_output(kind: str, pin: str) -> bool:
 
 @frozen
 class Wired:
-    """All wires of a block: their SPEF, their length, net -> capacitance in fF, and the number of inputs at their ends."""
+    """All wires of a block: their SPEF, their length, net -> capacitance in fF, and the number
+    of inputs at their ends.
+    """
 
     spef: str
     length_um: float
@@ -143,7 +150,8 @@ def _net(
 def clock_tree_mw(
     placed: Placed, wires: Wired, cells: Mapping[str, Cell], supply_v: float, clock_mhz: float
 ) -> float:
-    """Return the power of the buffers and wires of the clock tree, without the pins of flip-flops and latches.
+    """Return the power of the buffers and wires of the clock tree, without the pins of
+    flip-flops and latches.
 
     Every net of the tree changes twice per cycle. cells: from `liberty.read_cells`.
     """

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rule of coincidence: which windows become events, and what a threshold means for random light.
+"""The rule of coincidence: which windows become events, and what a threshold means for random
+light.
 
-The paper (III-A) compares the number of pixels in a window with a threshold; that is `AT_LEAST`. A sensor may be built with
-another rule, `Sensor.rule`. The golden model and the RTL ask the rule about each window. Whatever reasons about light (the
-controller's bounds, the analytic model, the estimator of planes) reads `rises`, and nothing else of the rule.
+The paper (III-A) compares the number of pixels in a window with a threshold; that is `AT_LEAST`.
+A sensor may be built with another rule, `Sensor.rule`. The golden model and the RTL ask the rule
+about each window. Whatever reasons about light (the controller's bounds, the analytic model, the
+estimator of planes) reads `rises`, and nothing else of the rule.
 """
 
 from collections.abc import Callable
@@ -23,9 +25,10 @@ _Share = TypeVar("_Share", float, np.ndarray)
 class Rule:
     """A rule of coincidence, and the base class of a user's own; see docs/extend.md.
 
-    At a threshold of 1, every window becomes an event, by any rule: with coincidence off, the threshold is 1. So a rule is
-    only asked about thresholds from 2 on. A map that meets it must meet it with one more pixel, too, and with a lower
-    threshold. Rules are equal if class, name and version are.
+    At a threshold of 1, every window becomes an event, by any rule: with coincidence off, the
+    threshold is 1. So a rule is only asked about thresholds from 2 on. A map that meets it must
+    meet it with one more pixel, too, and with a lower threshold. Rules are equal if class, name
+    and version are.
 
     Attributes
     ----------
@@ -37,7 +40,9 @@ class Rule:
     version: str = ""
 
     def meets(self, maps: np.ndarray, threshold: int) -> np.ndarray:
-        """bool[n]: which windows become events. maps: bool[n, rows, cols], the pixels of a subgroup that are in each."""
+        """bool[n]: which windows become events. maps: bool[n, rows, cols], the pixels of a
+        subgroup that are in each.
+        """
         raise NotImplementedError
 
     def least(self, threshold: int) -> int:
@@ -45,10 +50,11 @@ class Rule:
         return threshold
 
     def circuit(self, hits: Any, count: Any, threshold: Any, shape: tuple[int, int]) -> Any:
-        """Return the Amaranth value that tells whether the DPCU commits a window: as `meets`, in less than a cycle.
+        """Return the Amaranth value that tells whether the DPCU commits a window: as `meets`, in
+        less than a cycle.
 
-        hits: bit row * cols + col is a pixel of the subgroup; count: their number; threshold: a signal; shape: rows and
-        columns.
+        hits: bit row * cols + col is a pixel of the subgroup; count: their number; threshold: a
+        signal; shape: rows and columns.
         """
         self.check_circuit()
 
@@ -119,10 +125,11 @@ class Rise(NamedTuple):
 
 @cache
 def rises(rule: Rule, shape: tuple[int, int], threshold: int) -> tuple[Rise, ...]:
-    """Return what a threshold means for light that hits the pixels of a subgroup at random; the shares sum to 1.
+    """Return what a threshold means for light that hits the pixels of a subgroup at random; the
+    shares sum to 1.
 
-    shape: rows and columns of a subgroup. By the paper's rule, the share rises once, from 0 to 1 at the threshold. For a
-    rule of a user's own, `SAMPLES` random windows of every size are judged.
+    shape: rows and columns of a subgroup. By the paper's rule, the share rises once, from 0 to 1
+    at the threshold. For a rule of a user's own, `SAMPLES` random windows of every size are judged.
     """
     if threshold <= 1:
         return (Rise(1, 1.0),)
@@ -147,7 +154,9 @@ def rises(rule: Rule, shape: tuple[int, int], threshold: int) -> tuple[Rise, ...
 
 
 def event_share(rising: tuple[Rise, ...], at_least: Callable[[int], _Share]) -> _Share:
-    """Return the share of the windows that become events. at_least: share of those with at least so many pixels."""
+    """Return the share of the windows that become events. at_least: share of those with at least
+    so many pixels.
+    """
     first, *others = rising or (Rise(1, 0.0),)
     total = first.share * at_least(first.pixels)
     for rise in others:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Configuration files: the sensor as built, the frame, and the settings of every subgroup.
 
-Keys, ranges and defaults come from the tables of `parameters.py` and `settings.py`. Combinations that make no sense are
-refused, as the sensor refuses them at a start.
+Keys, ranges and defaults come from the tables of `parameters.py` and `settings.py`. Combinations
+that make no sense are refused, as the sensor refuses them at a start.
 """
 
 import json
@@ -39,9 +39,9 @@ PER_FRAME = tuple(name for name, setting in FRAME.items() if setting.derived)
 class Config(SubgroupSettings):
     """A checked configuration: the sensor as built, the frame, and the settings of every subgroup.
 
-    `load_config` and `parse_config` make it; `with_sensor`, `with_frame` and `with_settings` make changed copies. given:
-    the keys that were written, such as `subgroup.threshold`; all others have their defaults. Raises `InputError` if
-    settings make no sense together.
+    `load_config` and `parse_config` make it; `with_sensor`, `with_frame` and `with_settings`
+    make changed copies. given: the keys that were written, such as `subgroup.threshold`; all
+    others have their defaults. Raises `InputError` if settings make no sense together.
     """
 
     sensor: Sensor
@@ -128,7 +128,9 @@ class Config(SubgroupSettings):
 
     @property
     def auto_bounds(self) -> np.ndarray:
-        """int64[6]: the controller's bounds, ascending; by default, those for noise in the longest window."""
+        """int64[6]: the controller's bounds, ascending; by default, those for noise in the
+        longest window.
+        """
         bounds = self.frame.auto_bounds or noise_bounds(
             self.sensor,
             window_ticks=int(self.window.max()),
@@ -182,7 +184,9 @@ class Config(SubgroupSettings):
         return self.auto & self.coincidence
 
     def start_cycles(self) -> np.ndarray:
-        """int64[pulses + 1]: cycle at which each period of a frame begins, starting at 0; the last element ends the frame."""
+        """int64[pulses + 1]: cycle at which each period of a frame begins, starting at 0; the
+        last element ends the frame.
+        """
         starts = start_cycles(
             self.pulses, self.period, self.frame.dither_bits, self.frame.dither_seed
         )
@@ -191,7 +195,9 @@ class Config(SubgroupSettings):
 
     @property
     def frame_cycles(self) -> int:
-        """Cycles in a frame, from the first cycle of the first period to the last cycle of the last one."""
+        """Cycles in a frame, from the first cycle of the first period to the last cycle of the
+        last one.
+        """
         return int(self.start_cycles()[-1])
 
     @property
@@ -201,8 +207,8 @@ class Config(SubgroupSettings):
     def tready(self, receiver: np.ndarray | None = None) -> np.ndarray:
         """uint8[n]: `tready` of every stream in each cycle of a frame; 1 from cycle n on.
 
-        It follows from the link and the receiver behind it. receiver: uint8[m], the cycles in which the receiver takes a
-        beat; from cycle m on, or if it is None, it always takes one.
+        It follows from the link and the receiver behind it. receiver: uint8[m], the cycles in
+        which the receiver takes a beat; from cycle m on, or if it is None, it always takes one.
         """
         receiver = np.zeros(0, np.uint8) if receiver is None else np.asarray(receiver, np.uint8)
         share = self.link_share
@@ -230,8 +236,9 @@ class Config(SubgroupSettings):
     def with_sensor(self, **parameters: Any) -> "Config":
         """Return a copy with another sensor: keys and values of [sensor].
 
-        Settings that were written stay, the others get the new sensor's defaults. Raises `InputError` with the key and its
-        range, or if subgroups have settings of their own and their number changes.
+        Settings that were written stay, the others get the new sensor's defaults. Raises
+        `InputError` with the key and its range, or if subgroups have settings of their own and
+        their number changes.
         """
         document = self.written()
         document["sensor"] |= _known("sensor", parameters, SENSOR)
@@ -246,7 +253,9 @@ class Config(SubgroupSettings):
         return changed.with_rule(self.sensor.rule)
 
     def with_rule(self, rule: Rule) -> "Config":
-        """Return a copy whose sensor has another rule of coincidence (docs/extend.md). Raises `InputError`."""
+        """Return a copy whose sensor has another rule of coincidence (docs/extend.md). Raises
+        `InputError`.
+        """
         return evolve(self, sensor=evolve(self.sensor, rule=rule))
 
     def _differs(self, name: str) -> bool:
@@ -255,7 +264,9 @@ class Config(SubgroupSettings):
         return SUBGROUP[name].key in self.given and bool(np.any(values != values[0]))
 
     def written(self) -> dict[str, dict[str, Any]]:
-        """Return the tables of a configuration file with the keys that were written; lists where subgroups differ."""
+        """Return the tables of a configuration file with the keys that were written; lists where
+        subgroups differ.
+        """
         document: dict[str, dict[str, Any]] = {table: {} for table in TABLES}
         for name, setting in SETTINGS.items():
             if setting.key not in self.given:
@@ -270,8 +281,8 @@ class Config(SubgroupSettings):
     def with_settings(self, **settings: Any) -> "Config":
         """Return a copy with other settings of the subgroups: keys and values of [subgroup].
 
-        A list or an array gives one value per subgroup; masks may also be rows of booleans. Raises `InputError` with the
-        key and its range.
+        A list or an array gives one value per subgroup; masks may also be rows of booleans.
+        Raises `InputError` with the key and its range.
         """
         columns: dict[str, Any] = {}
         for name, value in _known("subgroup", settings, SUBGROUP).items():
@@ -295,7 +306,9 @@ class Config(SubgroupSettings):
         return evolve(self, **columns, given=self.given | _keys("subgroup", settings))
 
     def with_pulses(self, pulses: int) -> "Config":
-        """Return a copy with another number of pulses per frame; settings in events per frame change in proportion."""
+        """Return a copy with another number of pulses per frame; settings in events per frame
+        change in proportion.
+        """
         scaled: dict[str, Any] = {}
         for name in PER_FRAME:
             events = getattr(self.frame, name)
@@ -352,7 +365,8 @@ def load_config(path: FilePath | None = None, changes: Mapping[str, Any] | None 
     path : str, Path or None
         A TOML file, the name of a preset (`PRESETS`), or None for the defaults.
     changes : dict or None
-        Values by key of `SETTINGS`, such as {"window_max": 8}, which replace those of the file's tables.
+        Values by key of `SETTINGS`, such as {"window_max": 8}, which replace those of the file's
+        tables.
 
     Returns
     -------
@@ -361,7 +375,8 @@ def load_config(path: FilePath | None = None, changes: Mapping[str, Any] | None 
     Raises
     ------
     InputError
-        If the file cannot be read, or a setting is unknown or out of range; the message names the key and its range.
+        If the file cannot be read, or a setting is unknown or out of range; the message names
+        the key and its range.
     """
     document: dict[str, Any] = {}
     try:
@@ -377,7 +392,9 @@ def load_config(path: FilePath | None = None, changes: Mapping[str, Any] | None 
 
 
 def _blaming(keys: Collection[str], make: Callable[[], Config]) -> Config:
-    """Return what `make` returns. An error in another field begins with the keys of the change that led to it."""
+    """Return what `make` returns. An error in another field begins with the keys of the change
+    that led to it.
+    """
     try:
         return make()
     except InputError as error:
@@ -417,7 +434,9 @@ def read_toml(path: FilePath) -> dict[str, Any]:
 
 
 def toml_text(document: Mapping[str, Mapping[str, object]]) -> str:
-    """Return tables of numbers, texts, switches and lists of them as a TOML document, without the empty tables."""
+    """Return tables of numbers, texts, switches and lists of them as a TOML document, without
+    the empty tables.
+    """
     tables = [
         "".join(
             [f"[{name}]\n", *(f"{key} = {json.dumps(value)}\n" for key, value in values.items())]
@@ -429,9 +448,11 @@ def toml_text(document: Mapping[str, Mapping[str, object]]) -> str:
 
 
 def parse_config(document: dict[str, Any]) -> Config:
-    """Check a configuration that is given as nested dictionaries, like a parsed TOML file. Raises `InputError`.
+    """Check a configuration that is given as nested dictionaries, like a parsed TOML file.
+    Raises `InputError`.
 
-    document: the tables `sensor`, `frame`, `subgroup` and `override`; every table and every key may be missing.
+    document: the tables `sensor`, `frame`, `subgroup` and `override`; every table and every key
+    may be missing.
     """
     tables = {"sensor": dict, "frame": dict, "subgroup": dict, "override": list}
     for name, value in document.items():
@@ -512,7 +533,9 @@ def sensor_table(sensor: Sensor) -> dict[str, Any]:
 
 
 def own_rule(sensor: Sensor) -> dict[str, str]:
-    """Return name and version of a rule of coincidence of a user's own, for reports; nothing for the paper's rule."""
+    """Return name and version of a rule of coincidence of a user's own, for reports; nothing for
+    the paper's rule.
+    """
     return {} if sensor.rule == AT_LEAST else {"rule": f"{sensor.rule.name} {sensor.rule.version}"}
 
 

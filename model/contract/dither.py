@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dither of the laser period: after each period, the next trigger waits for a pseudo-random number of cycles.
+"""Dither of the laser period: after each period, the next trigger waits for a pseudo-random
+number of cycles.
 
-Light that repeats with the period of our laser, above all the light of another LiDAR, then arrives at a different time
-of flight in every period. The paper has no such register; all of this is our own choice.
+Light that repeats with the period of our laser, above all the light of another LiDAR, then
+arrives at a different time of flight in every period. The paper has no such register; all of
+this is our own choice.
 """
 
 from functools import cache
@@ -31,7 +33,9 @@ def start_cycles(pulses: int, period_cycles: int, bits: int = 0, seed: int = 1) 
 
 @cache
 def _after(steps: int) -> np.ndarray:
-    """int64[2^16]: for each state of the LFSR, the state `steps` steps later, by repeated squaring of a single step."""
+    """int64[2^16]: for each state of the LFSR, the state `steps` steps later, by repeated
+    squaring of a single step.
+    """
     state = np.arange(1 << LFSR_BITS)
     jump, result = state >> 1 ^ np.where(state & 1, LFSR_TAPS, 0), state
     while steps:

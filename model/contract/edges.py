@@ -25,9 +25,10 @@ class Fate(enum.IntEnum):
 class Edges:
     """SPAD edges, one per element, in any order.
 
-    pulse: int64[n], laser pulse, counted through the frames (frame = pulse // pulses). pixel: int64[n], row * cols +
-    col. tick: int64[n], TDC ticks since the laser trigger of that pulse. offset_ps: float64[n], position of the edge in
-    its tick, from the tick's start; None: in the middle. It only matters to the asynchronous view.
+    pulse: int64[n], laser pulse, counted through the frames (frame = pulse // pulses). pixel:
+    int64[n], row * cols + col. tick: int64[n], TDC ticks since the laser trigger of that pulse.
+    offset_ps: float64[n], position of the edge in its tick, from the tick's start; None: in the
+    middle. It only matters to the asynchronous view.
     """
 
     pulse: np.ndarray
@@ -49,7 +50,9 @@ class Edges:
         return Edges(self.pulse[chosen], self.pixel[chosen], self.tick[chosen], offset)
 
     def frame(self, number: int, pulses: int) -> tuple["Edges", np.ndarray]:
-        """Return the edges of one frame, with pulses counted from the frame's start, and their indices here."""
+        """Return the edges of one frame, with pulses counted from the frame's start, and their
+        indices here.
+        """
         index = np.flatnonzero(self.pulse // pulses == number)
         own = self.take(index)
         return evolve(own, pulse=own.pulse - number * pulses), index
@@ -61,9 +64,9 @@ NAMES = ("pulse", "pixel", "tick")
 def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -> Edges:
     """Read and check an edge file.
 
-    Limits: pixel below `pixels`, tick below `period_ticks`, pulse below `pulses` (of all frames). An array `offset_ps`
-    may give the position of each edge in its tick. Raises `InputError` with the array, its first bad element and the
-    legal range.
+    Limits: pixel below `pixels`, tick below `period_ticks`, pulse below `pulses` (of all
+    frames). An array `offset_ps` may give the position of each edge in its tick. Raises
+    `InputError` with the array, its first bad element and the legal range.
     """
     arrays = read_npz(path, NAMES, optional=("offset_ps",))
     return checked_edges(
@@ -74,7 +77,9 @@ def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -
 def checked_edges(
     arrays: dict[str, np.ndarray], *, pixels: int, pulses: int, period_ticks: int, source: str = ""
 ) -> Edges:
-    """Return `Edges` made from integer arrays of equal length and inside their ranges. Raises `InputError`."""
+    """Return `Edges` made from integer arrays of equal length and inside their ranges. Raises
+    `InputError`.
+    """
     for name in NAMES:
         array = arrays[name]
         if array.ndim != 1:

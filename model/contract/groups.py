@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Groups: the compact form of events. The events of one laser pulse leave together, packed to the bit.
+"""Groups: the compact form of events. The events of one laser pulse leave together, packed to
+the bit.
 
-`docs/contract.md` has the rule, `docs/compact.md` the reasons. Here are the widths that golden model, RTL, decoders and
-documents share.
+`docs/contract.md` has the rule, `docs/compact.md` the reasons. Here are the widths that golden
+model, RTL, decoders and documents share.
 """
 
 from functools import cache
@@ -39,7 +40,8 @@ AGE_MAX = (1 << AGE_BITS) - 1
 MAP_PART_BITS = 64  # a map is packed in parts of this size
 FIRST_PIXELS = 3  # pixels that are packed with the fields of their event; then come two at a time
 PER_PART = 2
-LARGE_PIXELS = 6  # of an event in the controller's capacity; with fewer, the streams of near scenes are overfull
+# of an event in the controller's capacity; with fewer, the streams of near scenes are overfull
+LARGE_PIXELS = 6
 
 
 @frozen
@@ -54,7 +56,9 @@ class Groups:
 
     @property
     def listed_max(self) -> int:
-        """Most pixels that an event lists, including the winner: a longer list would take more bits or cycles than a map."""
+        """Most pixels that an event lists, including the winner: a longer list would take more
+        bits or cycles than a map.
+        """
         parts = -(-self.sensor.pixels // MAP_PART_BITS)
         return min(
             MAPPED - 1,
@@ -64,18 +68,24 @@ class Groups:
 
     @property
     def fixed_bits(self) -> int:
-        """Bits of an event's fields whose width depends on nothing else: listed, overrun, subgroup, same."""
+        """Bits of an event's fields whose width depends on nothing else: listed, overrun,
+        subgroup, same.
+        """
         return LISTED_BITS + 1 + self.subgroup_bits + 1
 
     @property
     def part_bits(self) -> int:
-        """Most bits that are packed in one step: an event up to `FIRST_PIXELS` pixels, a part of a map, or a group's head."""
+        """Most bits that are packed in one step: an event up to `FIRST_PIXELS` pixels, a part of
+        a map, or a group's head.
+        """
         sensor = self.sensor
         first = self.fixed_bits + AGE_BITS + sensor.stamp_bits + FIRST_PIXELS * sensor.winner_bits
         return max(first, min(MAP_PART_BITS, sensor.pixels), HEAD_BITS)
 
     def listed_bits(self, packet: Packet, period_ticks: int, pixels: int) -> int:
-        """Bits of an event that lists so many pixels, in as many minigroups, and has the pulse of the event before it."""
+        """Bits of an event that lists so many pixels, in as many minigroups, and has the pulse
+        of the event before it.
+        """
         sensor = self.sensor
         pixel_bits = sensor.winner_bits + (sensor.offset_bits if packet.has("offsets") else 0)
         return self.fixed_bits + bits_for(period_ticks - 1) + pixels * pixel_bits

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The link behind each stream: the part of the stream's bandwidth that the pins of the chip carry.
 
-`tready` models the pins. The paper leaves the readout open. Our own choice is a link that may be slower than 64 bits per
-cycle and takes beats at even distances.
+`tready` models the pins. The paper leaves the readout open. Our own choice is a link that may be
+slower than 64 bits per cycle and takes beats at even distances.
 """
 
 from fractions import Fraction
@@ -23,7 +23,9 @@ _DENOMINATOR_MAX = (
 
 
 def link_share(link_gbps: float, clock_mhz: float) -> Fraction:
-    """Return the share of the cycles in which the link takes a beat, at most 1. link_gbps: 0 is as fast as the stream."""
+    """Return the share of the cycles in which the link takes a beat, at most 1. link_gbps: 0 is
+    as fast as the stream.
+    """
     share = Fraction(str(link_gbps)) / stream_gbps(clock_mhz) if link_gbps else Fraction(1)
     return min(share, Fraction(1)).limit_denominator(_DENOMINATOR_MAX)
 
@@ -42,7 +44,9 @@ def stream_gbps(clock_mhz: float) -> Fraction:
 
 
 def beats_waiting_max(sensor: Sensor) -> int:
-    """Return the most beats that a sensor may still have to send when the last period of a frame ends."""
+    """Return the most beats that a sensor may still have to send when the last period of a frame
+    ends.
+    """
     parts = layout(sensor)
     return sensor.subgroups * ((sensor.fifo_depth + 2) * parts.longest + parts.counter_beats)
 
@@ -50,8 +54,8 @@ def beats_waiting_max(sensor: Sensor) -> int:
 def takes_beats(share: Fraction, cycles: int) -> np.ndarray:
     """uint8[cycles]: whether a link takes a beat in a cycle.
 
-    The link is ready at even distances, with or without a beat: in cycle c if floor((c + 1) * share) is above
-    floor(c * share).
+    The link is ready at even distances, with or without a beat: in cycle c if floor((c + 1) *
+    share) is above floor(c * share).
     """
     taken = np.arange(cycles + 1, dtype=np.int64) * share.numerator // share.denominator
     return np.diff(taken).astype(np.uint8)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Default upper limits of the threshold controller. This is our own choice.
 
-No threshold is higher than is necessary to make commits from noise alone rare. Evenly spread noise opens windows and
-fills them by the Poisson law. If a window opens in any phase of a cycle with equal probability, it occupies the tree for
-`window_ticks + (phases - 1) / 2` ticks and the re-arm gap on average. It holds as many further photons as arrive during
-its length.
+No threshold is higher than is necessary to make commits from noise alone rare. Evenly spread
+noise opens windows and fills them by the Poisson law. If a window opens in any phase of a cycle
+with equal probability, it occupies the tree for `window_ticks + (phases - 1) / 2` ticks and the
+re-arm gap on average. It holds as many further photons as arrive during its length.
 """
 
 from functools import cache
@@ -30,8 +30,8 @@ def noise_bounds(
 ) -> tuple[int, ...]:
     """Return `auto_bounds`. Bound k, from 1, is a number of opened windows per frame.
 
-    If noise alone opens so many windows, it commits `NOISE_COMMITS_PER_PULSE` at threshold k. With more windows, threshold
-    k + 1 may be needed.
+    If noise alone opens so many windows, it commits `NOISE_COMMITS_PER_PULSE` at threshold k.
+    With more windows, threshold k + 1 may be needed.
     """
     phases = sensor.phases
     laws = [

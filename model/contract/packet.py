@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The packets of the stream: one table of their fields, from which golden model, RTL, decoders, C header and documents are made.
+"""The packets of the stream: one table of their fields, from which golden model, RTL, decoders,
+C header and documents are made.
 
-The kind of a packet stands in the highest bits of its first beat. Its fields fill the other bits, lowest first, in the
-order of the table.
+The kind of a packet stands in the highest bits of its first beat. Its fields fill the other
+bits, lowest first, in the order of the table.
 """
 
 from functools import cache
@@ -23,7 +24,9 @@ GROUP_KIND = 5  # of every beat of a group of events, which `groups.py` describe
 
 @frozen
 class Field:
-    """A field of a packet: `items` numbers of `width` bits each. aligned: it begins with a new beat."""
+    """A field of a packet: `items` numbers of `width` bits each. aligned: it begins with a new
+    beat.
+    """
 
     name: str
     width: Limit
@@ -38,7 +41,8 @@ class Field:
 
 @frozen(eq=False)
 class Packet:
-    """A packet: its kind, its name, and its fields. doc: what an event format holds besides the header.
+    """A packet: its kind, its name, and its fields. doc: what an event format holds besides the
+    header.
 
     grouped: subgroups send it, but it leaves the stream in groups (`groups.py`).
     """
@@ -56,7 +60,8 @@ class Packet:
 
 @frozen
 class Part:
-    """Bits of a field that stand in one beat: `width` bits of its value, from bit `shift` on, at bit `lsb` of `beat`.
+    """Bits of a field that stand in one beat: `width` bits of its value, from bit `shift` on, at
+    bit `lsb` of `beat`.
 
     A part never crosses a multiple of 64 bits in the value.
     """
@@ -165,7 +170,8 @@ class Layout:
         return max(self.longest_word, self.counter_beats)
 
     def lengths(self, subgroups: int) -> np.ndarray:
-        """int64[kinds]: beats of the packets of a stream with `subgroups` subgroups; 0: there is no such kind.
+        """int64[kinds]: beats of the packets of a stream with `subgroups` subgroups; 0: there is
+        no such kind.
 
         The beats of a group count as packets of one beat, because each of them has the kind.
         """

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that are fixed when the sensor is built: sizes, phases, and everything that follows from them."""
+"""Parameters that are fixed when the sensor is built: sizes, phases, and everything that follows
+from them.
+"""
 
 from typing import Any
 
@@ -37,12 +39,16 @@ def bits_for(highest: int) -> int:
 
 
 def guard_cycles(window_ticks: int, phases: int, rearm_cycles: int) -> int:
-    """Return how long before a period's end no window of this length may open, so that the tree is armed at the end."""
+    """Return how long before a period's end no window of this length may open, so that the tree
+    is armed at the end.
+    """
     return max(SHORTEST_GUARD_CYCLES, -(-window_ticks // phases) + 1 + rearm_cycles)
 
 
 def _integer(default: int, low: int, high: Limit, offset: int, doc: str, unit: str = "") -> Any:
-    """Return a field that holds an integer; the default is `default`, but not more than the fields before it allow."""
+    """Return a field that holds an integer; the default is `default`, but not more than the
+    fields before it allow.
+    """
 
     def default_of(sensor: "Sensor") -> int:
         try:
@@ -88,11 +94,12 @@ def _field(kind: Kind, made: Any, **columns: Any) -> Any:
 
 @frozen(kw_only=True)
 class Sensor:
-    """Parameters of the sensor as built: the keys of [sensor]; `SENSOR` has their meanings, units and limits.
+    """Parameters of the sensor as built: the keys of [sensor]; `SENSOR` has their meanings,
+    units and limits.
 
-    rule: which windows become events; only a program can bring another one (docs/extend.md). Raises `InputError` with the
-    parameter and its range. Parameters that do not fit together are reported under the name of one that differs from its
-    default, because that one was chosen.
+    rule: which windows become events; only a program can bring another one (docs/extend.md).
+    Raises `InputError` with the parameter and its range. Parameters that do not fit together are
+    reported under the name of one that differs from its default, because that one was chosen.
     """
 
     rows: int = _integer(32, 1, 4096, 0x08, "SPAD rows of the sensor.", "pixels")
@@ -180,7 +187,8 @@ class Sensor:
             )
 
     def _refused(self, names: tuple[str, ...], own: dict[str, str], why: str) -> InputError:
-        """Return the error for parameters that do not fit together. At least one of them is not the default.
+        """Return the error for parameters that do not fit together. At least one of them is not
+        the default.
 
         own: what to say if the error names this parameter, instead of `why`.
         """
@@ -231,7 +239,9 @@ class Sensor:
 
     @property
     def guard(self) -> int:
-        """Cycles G at the end of a period in which no window opens, so that each period is self-contained."""
+        """Cycles G at the end of a period in which no window opens, so that each period is
+        self-contained.
+        """
         return guard_cycles(self.window_max, self.phases, self.rearm)
 
     @property
@@ -285,7 +295,9 @@ class Sensor:
 
     @property
     def step_bits(self) -> int:
-        """Bits of a coarse offset that give the step in its cycle; the bits above them count cycles."""
+        """Bits of a coarse offset that give the step in its cycle; the bits above them count
+        cycles.
+        """
         return bits_for(self.offset_phases - 1)
 
     @property

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pixel numbering: the index rules of the contract as tables, and the SPAD ports of the polyphase view.
+"""Pixel numbering: the index rules of the contract as tables, and the SPAD ports of the
+polyphase view.
 
-Pixels are numbered row by row, both in the array and in a subgroup. The same holds for the subgroups in the array and
-the minigroups in a subgroup.
+Pixels are numbered row by row, both in the array and in a subgroup. The same holds for the
+subgroups in the array and the minigroups in a subgroup.
 """
 
 from functools import cache
@@ -17,7 +18,9 @@ from .parameters import Sensor
 
 
 class Pixels(NamedTuple):
-    """Tables by pixel, int64: subgroup and number in it for the array's pixels; minigroup and bit for a subgroup's."""
+    """Tables by pixel, int64: subgroup and number in it for the array's pixels; minigroup and
+    bit for a subgroup's.
+    """
 
     subgroup: np.ndarray
     inside: np.ndarray
@@ -26,7 +29,9 @@ class Pixels(NamedTuple):
 
 
 def pixel_number(sensor: Sensor, pixel: Any) -> int:
-    """Return the number of a pixel that is given as (row, column) or by its number. Raises `InputError`."""
+    """Return the number of a pixel that is given as (row, column) or by its number. Raises
+    `InputError`.
+    """
     if isinstance(pixel, tuple | list) and len(pixel) == 2:
         row, col = (
             check_integer(*one)
@@ -43,7 +48,9 @@ def pixel_number(sensor: Sensor, pixel: Any) -> int:
 
 
 def subgroup_image(values: np.ndarray, sensor: Sensor) -> np.ndarray:
-    """Return one value per subgroup, arranged as in the array: [subgroups down, subgroups across]."""
+    """Return one value per subgroup, arranged as in the array: [subgroups down, subgroups
+    across].
+    """
     return values.reshape(sensor.rows // sensor.subgroup[0], sensor.cols // sensor.subgroup[1])
 
 
@@ -62,7 +69,8 @@ def pixel_table(sensor: Sensor) -> Pixels:
 
 
 def port_bits(config: Config, edges: Edges) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a frame's edges as (cycle of the frame, subgroup whose port it is, bit in its word), int64[n] each.
+    """Return a frame's edges as (cycle of the frame, subgroup whose port it is, bit in its
+    word), int64[n] each.
 
     Bit i * phases + k is phase k of pixel i.
     """

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The register map for RTL, documentation, C header and test benches; registers of settings come from the settings' tables.
+"""The register map for RTL, documentation, C header and test benches; registers of settings come
+from the settings' tables.
 
-Addresses are bytes. The global block is at 0, the block of subgroup s at `SUBGROUP_BASE + SUBGROUP_STRIDE * s`. Ranges
-and reset values that depend on the sensor's parameters are functions of `Sensor`. Settings take effect at the start of a
-frame; counters are valid while the sensor is not busy.
+Addresses are bytes. The global block is at 0, the block of subgroup s at
+`SUBGROUP_BASE + SUBGROUP_STRIDE * s`. Ranges and reset values that depend on the sensor's
+parameters are functions of `Sensor`. Settings take effect at the start of a frame; counters are
+valid while the sensor is not busy.
 """
 
 import enum
@@ -60,7 +62,9 @@ class Bits:
 
 @frozen
 class Register:
-    """A register, or an array of `count` registers at consecutive words; none if it is not built. `low`, `high`: range that a write accepts."""
+    """A register, or an array of `count` registers at consecutive words; none if it is not
+    built. `low`, `high`: range that a write accepts.
+    """
 
     name: str
     offset: int
@@ -211,7 +215,9 @@ def words(table: tuple[Register, ...], sensor: Sensor) -> Iterator[tuple[int, Re
 
 
 def address(name: str, subgroup: int = 0, index: int = 0) -> int:
-    """Return the byte address of a register word; `subgroup` only counts for the registers of a subgroup."""
+    """Return the byte address of a register word; `subgroup` only counts for the registers of a
+    subgroup.
+    """
     register = BY_NAME[name]
     base = SUBGROUP_BASE + SUBGROUP_STRIDE * subgroup if register in SUBGROUP else 0
     return base + register.offset + 4 * index

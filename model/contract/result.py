@@ -33,10 +33,12 @@ class ResultBuilder:
         commit_subgroup: np.ndarray | None = None,
         commit_cycle: np.ndarray | None = None,
     ) -> None:
-        """Add a frame: its beats per stream, and subgroups and commit cycles of its stored events (by time in a subgroup).
+        """Add a frame: its beats per stream, and subgroups and commit cycles of its stored
+        events (by time in a subgroup).
 
-        Without the latter, the commit cycles are `COMMIT_UNKNOWN`, because they cannot be seen outside the chip. Raises
-        `StreamError` if the beats are not a whole frame, and `ValueError` if more or fewer events left than were stored.
+        Without the latter, the commit cycles are `COMMIT_UNKNOWN`, because they cannot be seen
+        outside the chip. Raises `StreamError` if the beats are not a whole frame, and
+        `ValueError` if more or fewer events left than were stored.
         """
         sensor = self.config.sensor
         base = len(self._counters) * self.config.pulses
@@ -70,7 +72,9 @@ class ResultBuilder:
         self._counters.append(counters)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the result file, with rows frame by frame, and stream by stream within a frame."""
+        """Return the arrays of the result file, with rows frame by frame, and stream by stream
+        within a frame.
+        """
         *fields, commit, hits, offsets = (
             np.concatenate(column) for column in zip(*self._events, strict=True)
         )
@@ -97,10 +101,11 @@ class ResultBuilder:
 
 
 def events_table(arrays: dict[str, np.ndarray]) -> Any:
-    """Return one row per event, as a pandas DataFrame if pandas is installed, otherwise as a structured array.
+    """Return one row per event, as a pandas DataFrame if pandas is installed, otherwise as a
+    structured array.
 
-    The columns are those of `EVENT_COLUMNS`. Row i belongs to row i of the arrays `hits` and `mg_offset`, which hold
-    several values per event.
+    The columns are those of `EVENT_COLUMNS`. Row i belongs to row i of the arrays `hits` and
+    `mg_offset`, which hold several values per event.
     """
     columns = {name: arrays[name] for name in EVENT_COLUMNS}
     try:
@@ -128,7 +133,9 @@ def read_result(path: FilePath) -> dict[str, np.ndarray]:
 
 
 def differences(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> list[str]:
-    """Return the differences of two results, one line per array; `fate`, which only the golden model has, is left out."""
+    """Return the differences of two results, one line per array; `fate`, which only the golden
+    model has, is left out.
+    """
     lines = []
     for name in sorted((first.keys() | second.keys()) - {"fate"}):
         a, b = first.get(name), second.get(name)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The settings of a sensor that is built: keys of [frame] and [subgroup], each described in one place.
+"""The settings of a sensor that is built: keys of [frame] and [subgroup], each described in one
+place.
 
-A setting's register, legal range and reset value, its place in the file, its field on the way to the subgroups, its control
-in the explorer, its axis in plots and its row in the documents follow from here.
+A setting's register, legal range and reset value, its place in the file, its field on the way to
+the subgroups, its control in the explorer, its axis in plots and its row in the documents follow
+from here.
 """
 
 from typing import Any
@@ -60,13 +62,17 @@ def _of_controller(kind: Kind, doc: str, **columns: Any) -> Any:
 
 
 def _counted(unit: str, **columns: Any) -> dict[str, Any]:
-    """Return the columns of a setting that counts something per frame, and has a default that depends on the others."""
+    """Return the columns of a setting that counts something per frame, and has a default that
+    depends on the others.
+    """
     return {"derived": True, "unit": unit, "high": EVENTS_MAX} | columns
 
 
 @frozen(kw_only=True)
 class FrameSettings:
-    """The settings of a frame: a value of every key of [frame]. Numbers below: default, lowest and highest legal value."""
+    """The settings of a frame: a value of every key of [frame]. Numbers below: default, lowest
+    and highest legal value.
+    """
 
     frames: int = _integer(1, 1, FRAMES_MAX, "Number of frames.")
     clock_mhz: float = _setting(
@@ -161,7 +167,8 @@ class FrameSettings:
 
 @frozen(eq=False, kw_only=True)
 class SubgroupSettings:
-    """Keys of [subgroup], each with a value for every subgroup: bool or int64[subgroups]; mask: bool[subgroups, pixels].
+    """Keys of [subgroup], each with a value for every subgroup: bool or int64[subgroups]; mask:
+    bool[subgroups, pixels].
 
     Switches come first, because they are bits of one register.
     """

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decoder of the stream: from the beats of a frame to events, minigroup records and counters, by `packet.py`'s tables.
+"""Decoder of the stream: from the beats of a frame to events, minigroup records and counters, by
+`packet.py`'s tables.
 
 Groups of events are decoded by `ungroup.py`.
 """
@@ -71,7 +72,8 @@ class ReceivedFrame:
 def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> ReceivedFrame:
     """Decode the beats (uint64[n]) of one frame of a stream that carries `subgroups` subgroups.
 
-    Raises `StreamError` if the beats are not exactly a frame start, packets, and a frame end with its counters. Damaged
+    Raises `StreamError` if the beats are not exactly a frame start, packets, and a frame end
+    with its counters. Damaged
     groups of events do not count as an error: the frame tells of them.
     """
     kinds, starts = packet_starts(beats, sensor, subgroups)
@@ -118,7 +120,9 @@ def is_grouped(frame_start: np.uint64) -> bool:
 
 
 def kind_of(beat: np.uint64, grouped: bool) -> int:
-    """Return the kind of a beat where a packet begins; in a frame with groups, a damaged one counts as part of a group."""
+    """Return the kind of a beat where a packet begins; in a frame with groups, a damaged one
+    counts as part of a group.
+    """
     kind = int(header_field(beat, "kind"))
     damaged = grouped and (kind not in UNUSED or beat & np.uint64(UNUSED[kind]))
     return GROUP_KIND if damaged else kind
@@ -150,7 +154,9 @@ def _events(
 
 
 def _records(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
-    """Return subgroup and pulse, and the entries, of the minigroup records that begin at the beats `at`."""
+    """Return subgroup and pulse, and the entries, of the minigroup records that begin at the
+    beats `at`.
+    """
     values = packet_fields(beats, at, sensor, RECORD)
     records = np.concatenate([values["subgroup"], values["pulse"]], axis=1).astype(np.int64)
     raw = _split(values["entries"], np.uint16 if sensor.record_bits == 16 else np.uint32)
@@ -163,7 +169,9 @@ def _records(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> tuple[np.ndar
 def packet_fields(
     beats: np.ndarray, at: np.ndarray, sensor: Sensor, packet: Packet
 ) -> dict[str, np.ndarray]:
-    """Return the fields of the packets that begin at the beats `at`, as uint64[packets, words], lowest bits first."""
+    """Return the fields of the packets that begin at the beats `at`, as uint64[packets, words],
+    lowest bits first.
+    """
     words = {field.name: -(-field.bits(sensor) // BEAT_BITS) for field in packet.fields}
     values = {name: np.zeros((len(at), n), np.uint64) for name, n in words.items()}
     for beat, parts in groupby(parts_of(sensor, packet), lambda part: part.beat):
@@ -178,9 +186,11 @@ def packet_fields(
 def packet_starts(
     beats: np.ndarray, sensor: Sensor, subgroups: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return kind and first beat of each packet between a frame's start and end, int64[n] each. Raises `StreamError`.
+    """Return kind and first beat of each packet between a frame's start and end, int64[n] each.
+    Raises `StreamError`.
 
-    In a frame with groups, a beat that can neither be of a group nor begin a record is damaged, and counts as a packet.
+    In a frame with groups, a beat that can neither be of a group nor begin a record is damaged,
+    and counts as a packet.
     """
     lengths = layout(sensor).lengths(subgroups)
     end = len(beats) - lengths[FRAME_END.code]
@@ -202,7 +212,9 @@ def _split(beats: np.ndarray, dtype: type[np.unsignedinteger]) -> np.ndarray:
 def _packets(
     beats: np.ndarray, lengths: np.ndarray, end: int, grouped: bool
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return kinds and first beats of the packets from the frame start to `end`, and the first beat that is no header (or -1)."""
+    """Return kinds and first beats of the packets from the frame start to `end`, and the first
+    beat that is no header (or -1).
+    """
     kinds, starts = np.empty(max(end, 0), np.int64), np.empty(max(end, 0), np.int64)
     n, at = 0, 1
     while at < end:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings as data: everything that files, registers, commands, explorer and documents say about a key is in its `Setting`.
+"""Settings as data: everything that files, registers, commands, explorer and documents say about
+a key is in its `Setting`.
 
 The attributes of `Sensor`, `FrameSettings` and `SubgroupSettings` carry it as metadata.
 """
@@ -35,12 +36,14 @@ class Kind(enum.StrEnum):
 class Setting:
     """A key of the configuration file.
 
-    default: value of a key that is not written; it is never above the highest legal value. follows: key of [frame] whose
-    value is the default. derived: the default is None, and the value then follows from the finished configuration; it counts
-    something per frame. low, high: legal range. count: number of integers, and of words of the register. offset: place of the
-    register, or of the first one, in its block. bit: place of a switch in the register `mode`. reset: value of the register
-    after a reset; None: the default. needs: the parameter that says whether the sensor has this part; if it is 0, a switch
-    must be off, and any other setting must be left out and has no register.
+    default: value of a key that is not written; it is never above the highest legal value.
+    follows: key of [frame] whose value is the default. derived: the default is None, and the
+    value then follows from the finished configuration; it counts something per frame. low, high:
+    legal range. count: number of integers, and of words of the register. offset: place of the
+    register, or of the first one, in its block. bit: place of a switch in the register `mode`.
+    reset: value of the register after a reset; None: the default. needs: the parameter that says
+    whether the sensor has this part; if it is 0, a switch must be off, and any other setting
+    must be left out and has no register.
     """
 
     name: str
@@ -82,7 +85,9 @@ class Setting:
         return number(self.count, sensor) if self.kind is Kind.SWITCH or self.built(sensor) else 0
 
     def default_of(self, sensor: Any, frame: Any = None) -> Any:
-        """Return the value of a key that is not written. frame: `FrameSettings`, for a key that follows one of them."""
+        """Return the value of a key that is not written. frame: `FrameSettings`, for a key that
+        follows one of them.
+        """
         if self.kind is Kind.MASK:
             return f"{(1 << sensor.pixels) - 1:x}"
         default = getattr(frame, self.follows) if self.follows else self.default
@@ -93,7 +98,9 @@ class Setting:
         )
 
     def reset_of(self, sensor: Any, frame: Any) -> int:
-        """Return the value of a word of its register after a reset. frame: `FrameSettings`, those of the reset."""
+        """Return the value of a word of its register after a reset. frame: `FrameSettings`,
+        those of the reset.
+        """
         if self.reset is not None:
             return int(number(self.reset, sensor))
         default = self.default_of(sensor, frame)
@@ -111,7 +118,9 @@ class Setting:
             return text
 
     def checked(self, where: str, value: Any, sensor: Any) -> Any:
-        """Return the checked value of the key; the mask becomes bool[pixels]. Raises `InputError` that names `where`."""
+        """Return the checked value of the key; the mask becomes bool[pixels]. Raises
+        `InputError` that names `where`.
+        """
         value = _plain(value)
         if value is None and self.derived:
             return None
@@ -146,7 +155,9 @@ def number(limit: Limit, sensor: Any) -> Any:
 
 
 def settings_of_class(of: type, table: str) -> dict[str, Setting]:
-    """Return the settings that the attributes of a class describe, by name. table: of the configuration file."""
+    """Return the settings that the attributes of a class describe, by name. table: of the
+    configuration file.
+    """
     return {
         a.name: Setting(name=a.name, table=table, **a.metadata) for a in fields(of) if a.metadata
     }

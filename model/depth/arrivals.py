@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arrival times of events: their stamps, corrected for the lead of the first photon.
 
-The stamp of an event is the time of its earliest photon, and its count is the number of pixels that fired in the window.
-The earliest of N photons of a Gaussian pulse comes before the pulse's centre: by 2 sigma for N = 35, which is more than
-the tolerance of the paper (230 ps). The paper does not mention this lead, so the correction is our own choice: each
-event is moved later by the expected lead of the earliest of its photons.
+The stamp of an event is the time of its earliest photon, and its count is the number of pixels
+that fired in the window. The earliest of N photons of a Gaussian pulse comes before the pulse's
+centre: by 2 sigma for N = 35, which is more than the tolerance of the paper (230 ps). The paper
+does not mention this lead, so the correction is our own choice: each event is moved later by the
+expected lead of the earliest of its photons.
 
-There are two limits. First, the window should be longer than the pulse. If it is shorter, or coincidence is off, the
-count is too low, and the stamps stay early (the estimator of planes models this). Second, an event should come from one
-flat surface. If a subgroup sees surfaces closer to each other than the window, the event is placed at the first of them.
+There are two limits. First, the window should be longer than the pulse. If it is shorter, or
+coincidence is off, the count is too low, and the stamps stay early (the estimator of planes
+models this). Second, an event should come from one flat surface. If a subgroup sees surfaces
+closer to each other than the window, the event is placed at the first of them.
 """
 
 import numpy as np
@@ -30,21 +32,27 @@ def pulse_sigma_ticks(config: Config, system_fwhm_s: float = SYSTEM_FWHM_S) -> f
 
 
 def lead_sigmas(photons: Numbers) -> np.ndarray:
-    """Return the mean lead of the earliest of `photons` (>= 1) normal arrival times over their mean, in sigmas (float64)."""
+    """Return the mean lead of the earliest of `photons` (>= 1) normal arrival times over their
+    mean, in sigmas (float64).
+    """
     return -special.ndtri((1 - _BLOM) / (np.asarray(photons, np.float64) + 1 - 2 * _BLOM))
 
 
 def photons_of(count: Numbers, pixels: Numbers) -> np.ndarray:
-    """Return the mean number of photons that fire `count` of `pixels` pixels (float64); it is finite if all fired."""
+    """Return the mean number of photons that fire `count` of `pixels` pixels (float64); it is
+    finite if all fired.
+    """
     return -pixels * portable.log1p(-np.minimum(count, pixels) / (pixels + 1))
 
 
 def arrival_ticks(
     subgroup: np.ndarray, stamp: np.ndarray, count: np.ndarray, config: Config, sigma_ticks: float
 ) -> np.ndarray:
-    """Return the expected centre of each event's pulse in ticks since the laser trigger, float64[n].
+    """Return the expected centre of each event's pulse in ticks since the laser trigger,
+    float64[n].
 
-    subgroup, stamp, count: int64[n], per event. sigma_ticks: sigma of laser pulse and jitter combined.
+    subgroup, stamp, count: int64[n], per event. sigma_ticks: sigma of laser pulse and jitter
+    combined.
     """
     pixels = np.maximum(config.mask.sum(axis=1), 1)[subgroup]
     return stamp + 0.5 + sigma_ticks * lead_sigmas(np.maximum(photons_of(count, pixels), 1))

@@ -18,14 +18,16 @@ class Depth:
     depth_m : numpy.ndarray
         float64[rows, cols, returns], in metres, the most likely return first; NaN = none.
     confidence : numpy.ndarray
-        float64[rows, cols, returns], from 0 to 1. For the first return, the probability that it is right by the paper's criterion;
-        for the others, that they are not accidental background.
+        float64[rows, cols, returns], from 0 to 1. For the first return, the probability that it
+        is right by the paper's criterion; for the others, that they are not accidental background.
     reason : numpy.ndarray
-        uint8[rows, cols], `belief.Reason`: whether the first return is to be believed (0), and if not, why.
+        uint8[rows, cols], `belief.Reason`: whether the first return is to be believed (0), and
+        if not, why.
     error_m : numpy.ndarray or None
         float64[rows, cols, returns], standard error in metres; only with `planes`.
     slope_m : numpy.ndarray or None
-        float64[rows, cols, 2], increase of the distance from row to row and from column to column, in metres; only with `planes`.
+        float64[rows, cols, 2], increase of the distance from row to row and from column to
+        column, in metres; only with `planes`.
     """
 
     depth_m: np.ndarray
@@ -38,8 +40,8 @@ class Depth:
     def of(cls, depth_m: ArrayLike, confidence: ArrayLike = 1.0) -> "Depth":
         """Return the depth of an estimator that gives no reasons; they follow from its confidence.
 
-        depth_m: float64[rows, cols] or [rows, cols, returns], NaN = none; confidence: broadcast to it, 0 where there is
-        no depth.
+        depth_m: float64[rows, cols] or [rows, cols, returns], NaN = none; confidence: broadcast
+        to it, 0 where there is no depth.
         """
         distance_m = np.array(depth_m, np.float64)
         if distance_m.ndim == 2:
@@ -54,6 +56,8 @@ class Depth:
         return cls(distance_m, sure, reason)
 
     def save(self, path: FilePath) -> None:
-        """Write the arrays that there are as NPZ, whole or not at all; `sentences` are those of the reasons."""
+        """Write the arrays that there are as NPZ, whole or not at all; `sentences` are those of
+        the reasons.
+        """
         arrays = {name: part for name, part in asdict(self).items() if part is not None}
         write_npz(path, arrays | {"sentences": np.array([SENTENCES[reason] for reason in Reason])})

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimation of depth from a sensor's events.
 
-Ref: paper IV (a histogram per pixel, and its peak), Fig. 7 (tolerance of a right pixel). The other methods are our own
-choice.
+Ref: paper IV (a histogram per pixel, and its peak), Fig. 7 (tolerance of a right pixel). The
+other methods are our own choice.
 """
 
 from collections.abc import Callable
@@ -64,10 +64,12 @@ def estimate_depth(
     config : Config
         The configuration of the run.
     method : str or Estimator
-        `planes` (default), `maximum` (the paper's highest bin), `matched` or `background`; see docs/depth.md. Or an
-        estimator of your own, or the name under which it is registered; see docs/extend.md.
+        `planes` (default), `maximum` (the paper's highest bin), `matched` or `background`; see
+        docs/depth.md. Or an estimator of your own, or the name under which it is registered; see
+        docs/extend.md.
     source : str
-        Origin of a pixel's histogram: `map`, `minigroup` or `subgroup`. `planes` always uses all parts of an event.
+        Origin of a pixel's histogram: `map`, `minigroup` or `subgroup`. `planes` always uses all
+        parts of an event.
     frame : int or None
         Use the events of this frame only; None uses all of them.
     returns : int
@@ -111,14 +113,17 @@ def estimate_depth(
 
 
 def _read(estimator: Estimator, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the arrays that an estimator of a user's own reads. Raises `InputError` if the result lacks one."""
+    """Return the arrays that an estimator of a user's own reads. Raises `InputError` if the
+    result lacks one.
+    """
     for name in estimator.reads:
         check_choice(f"{estimator.name}.reads", name, tuple(arrays))
     return {name: arrays[name] for name in estimator.reads}
 
 
 def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
-    """Return what an estimator of a user's own found, with NaN for the returns that it did not find.
+    """Return what an estimator of a user's own found, with NaN for the returns that it did not
+    find.
 
     Raises `InputError` if it is no depth of the sensor's pixels.
     """
@@ -147,10 +152,11 @@ def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
 
 
 class Found(NamedTuple):
-    """What an estimator finds, in ticks: [rows, cols, returns], error and slope as in `Depth`; and the events it looked at.
+    """What an estimator finds, in ticks: [rows, cols, returns], error and slope as in `Depth`;
+    and the events it looked at.
 
-    sure: as `confidence` of `Depth`, but as the estimator itself sees the first return. everywhere: all events of a
-    subgroup count for each of its pixels.
+    sure: as `confidence` of `Depth`, but as the estimator itself sees the first return.
+    everywhere: all events of a subgroup count for each of its pixels.
     """
 
     ticks: np.ndarray
@@ -213,7 +219,9 @@ def find_returns(
 def _live(
     arrays: dict[str, np.ndarray], events: Events, config: Config, source: str, frame: int | None
 ) -> tuple[Callable[[int], np.ndarray], np.ndarray | None]:
-    """Return the shares of the periods in which a subgroup's histograms could grow (`pixel_peaks`), and the groups of them."""
+    """Return the shares of the periods in which a subgroup's histograms could grow
+    (`pixel_peaks`), and the groups of them.
+    """
     sensor = config.sensor
     if source != "minigroup" or not config.frame.minigroup_records:
         return live_share(arrays, events, config, frame).__getitem__, None

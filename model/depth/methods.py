@@ -66,7 +66,9 @@ class Estimator(OwnPart, Protocol):
     def reads(self) -> tuple[str, ...]: ...
 
     def estimate(self, reading: Reading) -> Depth:
-        """Return the depth; the third axis of its arrays may be shorter than `reading.returns`. See `Depth.of`."""
+        """Return the depth; the third axis of its arrays may be shorter than `reading.returns`.
+        See `Depth.of`.
+        """
         ...
 
 
@@ -75,7 +77,8 @@ _registered: dict[str, Estimator] = {}
 
 
 def register_estimator(estimator: Estimator) -> None:
-    """Give a name to an estimator of a user's own, also for sweeps; it replaces an earlier one of this name.
+    """Give a name to an estimator of a user's own, also for sweeps; it replaces an earlier one
+    of this name.
 
     Parameters
     ----------
@@ -110,7 +113,8 @@ def method_names() -> tuple[str, ...]:
 
 
 def chosen_method(method: Method) -> Method:
-    """Return the name of a built-in estimator, or the estimator of a user's own that is given or named.
+    """Return the name of a built-in estimator, or the estimator of a user's own that is given or
+    named.
 
     Raises `InputError` with the legal names.
     """
@@ -121,7 +125,8 @@ def chosen_method(method: Method) -> Method:
 
 
 def taken_along(estimators: tuple[Method, ...]) -> tuple[Method, ...]:
-    """Return estimators of a setup with those of a user's own in the place of their names. Raises `InputError`.
+    """Return estimators of a setup with those of a user's own in the place of their names.
+    Raises `InputError`.
 
     Other names stay as they are: `estimate_depth` checks them.
     """
@@ -139,7 +144,9 @@ def _taken_along(estimator: Method) -> Method:
 
 
 def check_no_source(name: str, source: str) -> None:
-    """Raise `InputError` if a source is given to an estimator of a user's own, which names the arrays that it reads."""
+    """Raise `InputError` if a source is given to an estimator of a user's own, which names the
+    arrays that it reads.
+    """
     if source != DEFAULT_SOURCE:
         raise wrong_value(
             "source", source, f"left out, because the estimator {name} names what it reads"

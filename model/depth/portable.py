@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Logarithms and exponentials of arrays that are the same on every processor.
 
-NumPy has several versions of each, one for each kind of vector unit, and their last bits differ. Those of SciPy have one
-version, which for `log` and `exp` is the C library's.
+NumPy has several versions of each, one for each kind of vector unit, and their last bits differ.
+Those of SciPy have one version, which for `log` and `exp` is the C library's.
 """
 
 from typing import Any
@@ -34,5 +34,7 @@ def expm1(values: ArrayLike) -> Any:
 
 
 def geometric_steps(first: float, last: float, number: int) -> np.ndarray:
-    """float64[number]: values from the first to the last, each the same factor above the one before."""
+    """float64[number]: values from the first to the last, each the same factor above the one
+    before.
+    """
     return np.array([first * (last / first) ** (k / (number - 1)) for k in range(number)])

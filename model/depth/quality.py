@@ -17,8 +17,8 @@ def wrong_pixels(
 ) -> np.ndarray:
     """bool[rows, cols]: the depth is missing, or |depth - truth| is above `tolerance_m`.
 
-    depth_m, truth_m: float64[rows, cols]; a pixel without truth (NaN) is not wrong. tolerance_m: default is
-    `SUCCESS_TOLERANCE_S`, one way.
+    depth_m, truth_m: float64[rows, cols]; a pixel without truth (NaN) is not wrong. tolerance_m:
+    default is `SUCCESS_TOLERANCE_S`, one way.
     """
     return ~np.isnan(truth_m) & ~(np.abs(depth_m - truth_m) <= tolerance_m)
 
@@ -33,16 +33,20 @@ def wrong_share(
 
 
 def off_surfaces(depth_m: np.ndarray, surfaces_m: np.ndarray) -> np.ndarray:
-    """bool[...]: the depth is missing, or beyond the paper's tolerance of every surface that the pixel sees.
+    """bool[...]: the depth is missing, or beyond the paper's tolerance of every surface that the
+    pixel sees.
 
-    depth_m: float64[...]. surfaces_m: float64[..., surfaces], NaN = none; a pixel without any is not off.
+    depth_m: float64[...]. surfaces_m: float64[..., surfaces], NaN = none; a pixel without any is
+    not off.
     """
     near = np.abs(depth_m[..., None] - surfaces_m) <= TOLERANCE_M
     return ~np.isnan(surfaces_m).all(axis=-1) & ~near.any(axis=-1)
 
 
 def range_error(depth_m: np.ndarray, truth_m: np.ndarray) -> tuple[float, float]:
-    """Return (bias, RMS) in metres of depth - truth (float64, any shape), over the pixels with both; NaN if none."""
+    """Return (bias, RMS) in metres of depth - truth (float64, any shape), over the pixels with
+    both; NaN if none.
+    """
     error_m = (depth_m - truth_m)[~np.isnan(depth_m - truth_m)]
     if not len(error_m):
         return np.nan, np.nan

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logarithm, exponential and maximum of float32 for kernels: unlike those of `math`, they compile to vector code.
+"""Logarithm, exponential and maximum of float32 for kernels: unlike those of `math`, they
+compile to vector code.
 
 The first two work on the bits of the number: its exponent, and a polynomial of its fraction.
 """

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threshold controller of the golden model ("fill the stream"): it shares the capacity of a stream among its subgroups.
+"""Threshold controller of the golden model ("fill the stream"): it shares the capacity of a
+stream among its subgroups.
 
-A threshold can only discard events, so it is raised only if a stream cannot carry them all. The inputs are the counters
-of the previous frame. They are taken before the FIFOs, so stalls do not change them. The rule is our choice; the paper
-has thresholds that differ by subgroup and does not say how they are found.
+A threshold can only discard events, so it is raised only if a stream cannot carry them all. The
+inputs are the counters of the previous frame. They are taken before the FIFOs, so stalls do not
+change them. The rule is our choice; the paper has thresholds that differ by subgroup and does
+not say how they are found.
 """
 
 import numpy as np
@@ -17,8 +19,8 @@ from .shape import COUNTER
 class Controller:
     """Controller from reset on.
 
-    budget: int64[streams], events up to which a subgroup of a stream lowers its threshold; limit: int64[streams], events
-    beyond which it raises it. Both are None before the first frame.
+    budget: int64[streams], events up to which a subgroup of a stream lowers its threshold;
+    limit: int64[streams], events beyond which it raises it. Both are None before the first frame.
     """
 
     def __init__(self, sensor: Sensor):
@@ -31,7 +33,9 @@ class Controller:
         self._stream = np.array([sensor.stream_of(s) for s in range(sensor.subgroups)])
 
     def begin(self, config: Config) -> np.ndarray:
-        """int64[subgroups]: thresholds of the frame that begins. A newly controlled subgroup starts at its programmed one."""
+        """int64[subgroups]: thresholds of the frame that begins. A newly controlled subgroup
+        starts at its programmed one.
+        """
         if self.budget is None:
             self.budget = self.limit = config.shares
         stays = config.controlled & self._controlled
@@ -42,7 +46,9 @@ class Controller:
         )
 
     def _next(self, config: Config) -> np.ndarray:
-        """int64[subgroups]: thresholds one step from the previous frame's, by its counters, the budget and the limit after it."""
+        """int64[subgroups]: thresholds one step from the previous frame's, by its counters, the
+        budget and the limit after it.
+        """
         assert self.budget is not None and self.limit is not None
         column = self._counters.T
         threshold, opened = column[COUNTER.threshold_used], column[COUNTER.opened]
@@ -56,7 +62,9 @@ class Controller:
         return np.maximum(floor, np.minimum(threshold + rises - falls, ceiling))
 
     def end(self, config: Config, counters: np.ndarray) -> np.ndarray:
-        """Take the counters of a frame, int64[subgroups, counters], and return the budgets after it."""
+        """Take the counters of a frame, int64[subgroups, counters], and return the budgets after
+        it.
+        """
         assert self.budget is not None and self.limit is not None
         self._controlled, self._counters = config.controlled, counters.copy()
         after = [
@@ -69,8 +77,8 @@ class Controller:
     def _after(self, config: Config, stream: int, budget: int, limit: int) -> tuple[int, int]:
         """Return a stream's next budget and limit.
 
-        The budget is the highest of some candidates with which the stream can carry what would then be sent. The limit falls
-        only if too much was sent.
+        The budget is the highest of some candidates with which the stream can carry what would
+        then be sent. The limit falls only if too much was sent.
         """
         capacity, share = config.capacity, int(config.shares[stream])
         span = self.sensor.stream_subgroups(stream)

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Golden model: predicts every beat, commit cycle, drop, counter and edge fate of the sensor, exact to the cycle.
+"""Golden model: predicts every beat, commit cycle, drop, counter and edge fate of the sensor,
+exact to the cycle.
 
-It works event by event, in two steps per frame. `front_end` goes through each subgroup's edges in the order of time and
-produces the windows that met their threshold, the minigroup records, and the fates. `readout` plays one stream's FIFOs,
-round robin and output buffer on them and produces the beats. Latencies are those of `latency.py`; everything else is
-section III-A of the paper as docs/contract.md defines it.
+It works event by event, in two steps per frame. `front_end` goes through each subgroup's edges
+in the order of time and produces the windows that met their threshold, the minigroup records,
+and the fates. `readout` plays one stream's FIFOs, round robin and output buffer on them and
+produces the beats. Latencies are those of `latency.py`; everything else is section III-A of the
+paper as docs/contract.md defines it.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,10 +35,12 @@ from .shape import COUNTER, Shape, shape_of
 class Trace:
     """One frame as the ports show it.
 
-    beats: per stream, uint64[n]; beat_cycle: per stream, int64[n], the cycle in which each beat is transferred (the last
-    one has `tlast`). commit_subgroup, commit_cycle: int64[k], stored events, ordered by subgroup and then by time;
-    freed_cycle: int64[k], the cycle from which on their places in the FIFOs are free again. fate: uint8 per edge. counters:
-    int64[subgroups, 11]. budget: int64[streams], of the threshold controller after the frame.
+    beats: per stream, uint64[n]; beat_cycle: per stream, int64[n], the cycle in which each beat
+    is transferred (the last one has `tlast`). commit_subgroup, commit_cycle: int64[k], stored
+    events, ordered by subgroup and then by time;
+    freed_cycle: int64[k], the cycle from which on their places in the FIFOs are free again.
+    fate: uint8 per edge. counters: int64[subgroups, 11]. budget: int64[streams], of the
+    threshold controller after the frame.
     """
 
     beats: list[np.ndarray]
@@ -50,7 +54,9 @@ class Trace:
 
 
 class Golden:
-    """Sensor from reset on. It plays frames in turn and keeps the state of the threshold controller between them."""
+    """Sensor from reset on. It plays frames in turn and keeps the state of the threshold
+    controller between them.
+    """
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
@@ -67,8 +73,9 @@ class Golden:
     ) -> Trace:
         """Run one frame; the pulses of `edges` count from the frame's start.
 
-        ready: uint8[n] or None; the receiver behind the streams' links (`contract/link.py`) takes a beat in cycle c if
-        ready[c] is 1, and always from cycle n on. pulses: fewer than the configuration has means an aborted frame.
+        ready: uint8[n] or None; the receiver behind the streams' links (`contract/link.py`)
+        takes a beat in cycle c if ready[c] is 1, and always from cycle n on. pulses: fewer than
+        the configuration has means an aborted frame.
         """
         threshold = self.controller.begin(config)
         played = self._play(self.frames, _plan(config, threshold, ready, pulses), edges)
@@ -80,8 +87,8 @@ class Golden:
     ) -> list[Trace]:
         """Run one frame after the other, those that do not depend on each other side by side.
 
-        A frame depends on the one before if the controller sets a threshold. workers: threads; None: one per core. Their
-        number does not change the result.
+        A frame depends on the one before if the controller sets a threshold. workers: threads;
+        None: one per core. Their number does not change the result.
         """
         if config.controlled.any():
             return [self.frame(config, of_frame) for of_frame in edges]
@@ -145,7 +152,8 @@ class Golden:
 class _Plan(NamedTuple):
     """What the frames of a configuration share, as the kernels need it.
 
-    threshold: as programmed or controlled, with coincidence or without. end: of the last period, in cycles.
+    threshold: as programmed or controlled, with coincidence or without. end: of the last period,
+    in cycles.
     """
 
     shape: Shape
@@ -195,7 +203,8 @@ def golden_result(
     ready: np.ndarray | None = None,
     progress: Callable[[int], None] = lambda frames: None,
 ) -> dict[str, np.ndarray]:
-    """Play all frames of `config` through the golden model and return the arrays of the result file, with `fate`.
+    """Play all frames of `config` through the golden model and return the arrays of the result
+    file, with `fate`.
 
     `progress` is called after each frame.
     """

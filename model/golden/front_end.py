@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Front end of the golden model: from each subgroup's edges, in the order of time, to events, minigroup records and fates.
+"""Front end of the golden model: from each subgroup's edges, in the order of time, to events,
+minigroup records and fates.
 
-The edges of a subgroup pass several stages, each of which is one loop. `_accept` sorts out duplicate, masked and gated
-ones. The tree forms windows from the times of the accepted edges (`_open_windows`), and windows with enough pixels
-become events (`_commit`). The minigroups are independent of windows and make their own collections (`_collect_records`).
+The edges of a subgroup pass several stages, each of which is one loop. `_accept` sorts out
+duplicate, masked and gated ones. The tree forms windows from the times of the accepted edges
+(`_open_windows`), and windows with enough pixels become events (`_commit`). The minigroups are
+independent of windows and make their own collections (`_collect_records`).
 """
 
 from typing import NamedTuple
@@ -52,7 +54,9 @@ class Settings(NamedTuple):
 
     threshold: np.ndarray  # 1 if coincidence is off
     window: np.ndarray  # ticks, 1 if coincidence is off
-    close: np.ndarray  # [subgroups, phases]: cycles from a window's first edge, by its phase, to the window's last tick
+    # [subgroups, phases]: cycles from a window's first edge, by its phase, to the window's last
+    # tick
+    close: np.ndarray
     mask: np.ndarray  # bool[subgroups, pixels]
     gating: np.ndarray  # bool
     gate_start: np.ndarray  # cycles
@@ -131,10 +135,11 @@ class _Own(NamedTuple):
 def time_order(
     edges: Edges, pixel: Pixels, shape: Shape
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the sort keys (pulse, tick, pixel), the edges' order by subgroup and time, and its bounds.
+    """Return the sort keys (pulse, tick, pixel), the edges' order by subgroup and time, and its
+    bounds.
 
-    A stable counting sort by subgroup preserves the order of time, which edges mostly have already. Subgroups for which
-    this is not so are sorted.
+    A stable counting sort by subgroup preserves the order of time, which edges mostly have
+    already. Subgroups for which this is not so are sorted.
     """
     key = np.empty(len(edges), np.int64)
     order = np.empty(len(edges), np.int64)
@@ -154,7 +159,9 @@ def time_order(
 
 @njit(allocates=False)
 def _count(pixel, table, bounds):
-    """Set `bounds` to where the edges of each subgroup begin and end, if they stand by subgroup. bounds: all 0."""
+    """Set `bounds` to where the edges of each subgroup begin and end, if they stand by subgroup.
+    bounds: all 0.
+    """
     for e in range(len(pixel)):
         bounds[table.subgroup[pixel[e]] + 1] += 1
     for s in range(1, len(bounds)):
@@ -163,7 +170,8 @@ def _count(pixel, table, bounds):
 
 @njit(allocates=False)
 def _sort(pulse, pixel, tick, table, following, last, key, order):
-    """Write keys and order of the edges, by subgroup; return whether the edges of each subgroup ascend in time.
+    """Write keys and order of the edges, by subgroup; return whether the edges of each subgroup
+    ascend in time.
 
     following: int64[subgroups], row of the next edge; last: the same, key of the last one.
     """
@@ -182,7 +190,9 @@ def _sort(pulse, pixel, tick, table, following, last, key, order):
 def front_end(
     key: np.ndarray, bounds: np.ndarray, rules: Rules, counters: np.ndarray
 ) -> tuple[np.ndarray, Events, Records]:
-    """Return fates in the order of time, events and minigroup records of all subgroups; add to `counters`."""
+    """Return fates in the order of time, events and minigroup records of all subgroups; add to
+    `counters`.
+    """
     shape = rules.shape
     made = _Made(
         fate=np.empty(len(key), np.uint8),
@@ -251,7 +261,9 @@ def _cycle(key, shape):
 
 @part
 def _accept(own, rules, work):
-    """Set the fates of edges that go no further; write the indices of the others to `work.accepted`, return their number."""
+    """Set the fates of edges that go no further; write the indices of the others to
+    `work.accepted`, return their number.
+    """
     shape = rules.shape
     settings = rules.settings
     seen_at = work.seen_at
@@ -287,7 +299,9 @@ def _in_gate(s, key, shape, settings, timeline):
 
 @part
 def _open_windows(own, accepted, rules, windows, counters):
-    """The tree: set the fates of `accepted` edges by their times, write the windows to `windows`, return their number."""
+    """The tree: set the fates of `accepted` edges by their times, write the windows to
+    `windows`, return their number.
+    """
     shape = rules.shape
     window = rules.settings.window[own.s]
     close = rules.settings.close[own.s]

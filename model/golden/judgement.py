@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events by a rule of coincidence of a user's own, from all windows that have enough pixels for it."""
+"""Events by a rule of coincidence of a user's own, from all windows that have enough pixels for
+it.
+"""
 
 import numpy as np
 
@@ -10,7 +12,9 @@ from .shape import COUNTER
 
 
 def thresholds_of_candidates(rule: Rule, threshold: np.ndarray) -> np.ndarray:
-    """int64[subgroups]: pixels of the smallest window that may become an event, at the threshold or one below it."""
+    """int64[subgroups]: pixels of the smallest window that may become an event, at the threshold
+    or one below it.
+    """
     least = [rule.least(int(value) - 1) if value > 2 else 1 for value in threshold]
     return np.array(least, np.int64)
 
@@ -18,7 +22,8 @@ def thresholds_of_candidates(rule: Rule, threshold: np.ndarray) -> np.ndarray:
 def judged(
     candidates: Events, sensor: Sensor, threshold: np.ndarray, counters: np.ndarray
 ) -> Events:
-    """Return the candidates that the sensor's rule makes events, and correct the counters of windows.
+    """Return the candidates that the sensor's rule makes events, and correct the counters of
+    windows.
 
     threshold: int64[subgroups], in force; counters: int64[subgroups, counters].
     """
@@ -44,6 +49,8 @@ def judged(
 
 
 def _maps(hits: np.ndarray, sensor: Sensor) -> np.ndarray:
-    """bool[n, rows, cols]: the pixels of a subgroup that are in each window. hits: uint64[n, words]."""
+    """bool[n, rows, cols]: the pixels of a subgroup that are in each window. hits: uint64[n,
+    words].
+    """
     bits = np.unpackbits(hits.view(np.uint8), axis=1, bitorder="little", count=sensor.pixels)
     return bits.astype(bool).reshape(-1, *sensor.subgroup)

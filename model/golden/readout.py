@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Readout of the golden model: from one stream's FIFOs, through round robin and output buffer, to beats and their cycles.
+"""Readout of the golden model: from one stream's FIFOs, through round robin and output buffer,
+to beats and their cycles.
 
-It proceeds from grant to grant. Everything that has been committed by then enters its FIFO or is dropped
-(`_admit_events`, `_admit_records`). The next requesting subgroup is chosen (`_arbitrate`). Its packet is formed
-(`_form_packet`) and leaves as the receiver takes it (`_transfer`). In a format with groups, the packer (`packer.py`) is this
-receiver.
+It proceeds from grant to grant. Everything that has been committed by then enters its FIFO or is
+dropped (`_admit_events`, `_admit_records`). The next requesting subgroup is chosen
+(`_arbitrate`). Its packet is formed (`_form_packet`) and leaves as the receiver takes it
+(`_transfer`). In a format with groups, the packer (`packer.py`) is this receiver.
 """
 
 from typing import NamedTuple
@@ -77,8 +78,8 @@ def readout(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the beats of a stream, and the cycles of their transfer.
 
-    The fill levels of the FIFOs decide which events and records are stored: this sets `events.row.stored` and adds to
-    `counters`.
+    The fill levels of the FIFOs decide which events and records are stored: this sets
+    `events.row.stored` and adds to `counters`.
     """
     queues = _queues(stream, events.bounds, records.bounds)
     most = _beats(queues, shape)
@@ -130,7 +131,9 @@ def _beats(queues: np.ndarray, shape: Shape) -> int:
 
 @njit(allocates=False)
 def _play(stream, shape, room, packers, events, records, counters):
-    """Proceed from grant to grant; write the beats to `room`, and return the number of those before the packer."""
+    """Proceed from grant to grant; write the beats to `room`, and return the number of those
+    before the packer.
+    """
     packer = packers[0]
     queues = room.queues
     beats = room.beats
@@ -178,7 +181,9 @@ def _play(stream, shape, room, packers, events, records, counters):
 
 @part
 def _grant(chosen, t, done, stream, shape, room, packer, events, records):
-    """Form and send the packet of the subgroup that is granted in cycle `t`; return the new `done`, and its length."""
+    """Form and send the packet of the subgroup that is granted in cycle `t`; return the new
+    `done`, and its length.
+    """
     beats = room.beats
     sent_at = room.sent_at
     values = room.values
@@ -205,7 +210,8 @@ def _grant(chosen, t, done, stream, shape, room, packer, events, records):
 
 @part
 def _when_room(length, t, done, sent_at, shape):
-    """Return the first cycle from `t` on in which the output buffer has room for `length` more beats after `done`.
+    """Return the first cycle from `t` on in which the output buffer has room for `length` more
+    beats after `done`.
 
     What the packer takes leaves its place a cycle later.
     """
@@ -215,7 +221,8 @@ def _when_room(length, t, done, sent_at, shape):
 
 @part
 def _arbitrate(t, pointer, queues, wake, events, records, fifo_depth):
-    """Return the first subgroup, from `pointer` on and round, that requests in cycle `t`, or else the next possible cycle.
+    """Return the first subgroup, from `pointer` on and round, that requests in cycle `t`, or
+    else the next possible cycle.
 
     wake: int64[subgroups], the first cycle in which a subgroup may request.
     """
@@ -242,7 +249,9 @@ def _arbitrate(t, pointer, queues, wake, events, records, fifo_depth):
 
 @part
 def _admit_events(queue, t, events, fifo_depth):
-    """Move events that may be granted by cycle `t` into the FIFO, or drop them if it was full at their commit."""
+    """Move events that may be granted by cycle `t` into the FIFO, or drop them if it was full at
+    their commit.
+    """
     while (
         queue.next_event < queue.end_event
         and events[queue.next_event].cycle + latency.STORE_TO_GRANT <= t
@@ -268,7 +277,9 @@ def _admit_events(queue, t, events, fifo_depth):
 
 @part
 def _admit_records(queue, t, records):
-    """Move records that may be granted by cycle `t` to the only place, or drop them if it was taken."""
+    """Move records that may be granted by cycle `t` to the only place, or drop them if it was
+    taken.
+    """
     while (
         queue.next_record < queue.end_record
         and records[queue.next_record].cycle + latency.STORE_TO_GRANT <= t
@@ -283,7 +294,9 @@ def _admit_records(queue, t, records):
 
 @part
 def _form_packet(beats, values, queue, t, shape, events, records):
-    """Write the packet that is granted in cycle `t` to `beats`, a record before events; free its place; return its length."""
+    """Write the packet that is granted in cycle `t` to `beats`, a record before events; free its
+    place; return its length.
+    """
     if queue.waiting != _NONE:
         length = shape.record_beats
         values[NUMBER.pulse] = records.row[queue.waiting].pulse
@@ -342,7 +355,9 @@ def _count(counters, queue, most):
 
 @part
 def _send(packer, room, done, length, t, shape):
-    """Let the `length` beats after `done`, which are of no event, leave behind the open group; return the new `done`."""
+    """Let the `length` beats after `done`, which are of no event, leave behind the open group;
+    return the new `done`.
+    """
     sent_at = room.sent_at
     before = sent_at[done - 1]
     if shape.grouped:
@@ -368,7 +383,9 @@ def _pass(packer, room, done, end, shape):
 
 @part
 def _take(sent_at, done, length, t, taken):
-    """Write to `sent_at` when the packer takes an event's beats, the first one from cycle `taken` on; return the new `done`."""
+    """Write to `sent_at` when the packer takes an event's beats, the first one from cycle
+    `taken` on; return the new `done`.
+    """
     sent_at[done] = max(
         t + latency.GRANT_TO_BEAT + latency.BEAT_TO_PORT, sent_at[done - 1] + 1, taken
     )
@@ -379,7 +396,9 @@ def _take(sent_at, done, length, t, taken):
 
 @part
 def _transfer(room, done, length, t):
-    """Write down when the `length` beats after `done`, granted in cycle `t`, leave; return the new `done`."""
+    """Write down when the `length` beats after `done`, granted in cycle `t`, leave; return the
+    new `done`.
+    """
     sent_at, next_ready = room.sent_at, room.next_ready
     for k in range(done, done + length):
         earliest = t + latency.GRANT_TO_BEAT + k - done + latency.BEAT_TO_PORT
@@ -390,6 +409,8 @@ def _transfer(room, done, length, t):
 
 
 def ready_times(ready: np.ndarray) -> np.ndarray:
-    """Return, for each cycle, the first cycle from there on in which `tready` is high (always high after the end)."""
+    """Return, for each cycle, the first cycle from there on in which `tready` is high (always
+    high after the end).
+    """
     following = np.where(ready != 0, np.arange(len(ready)), len(ready))
     return np.minimum.accumulate(following[::-1])[::-1].astype(np.int64)

@@ -30,7 +30,9 @@ _OF_SENSOR = (  # fields that are attributes of `Sensor`
 
 
 class Shape(NamedTuple):
-    """A configuration as the kernels need it, in plain numbers. Times are in cycles, sizes in beats."""
+    """A configuration as the kernels need it, in plain numbers. Times are in cycles, sizes in
+    beats.
+    """
 
     subgroups: int
     pixels: int  # of a subgroup
@@ -77,7 +79,8 @@ def row_type(*columns: str) -> np.dtype:
 COUNTER: Any = namedtuple("COUNTER", COUNTER_NAMES)(*range(len(COUNTER_NAMES)))
 
 
-# A packet's values before it is formed, in words of 64 bits: the numbers of the header, then map and offsets, or entries.
+# A packet's values before it is formed, in words of 64 bits: the numbers of the header, then map
+# and offsets, or entries.
 NUMBERS = tuple(field.name for field in FRAME_START.fields)
 NUMBER: Any = namedtuple("NUMBER", NUMBERS)(*range(len(NUMBERS)))
 ARRAY = len(NUMBERS)  # where the map or the entries begin
@@ -91,7 +94,9 @@ _PART = row_type(
 
 
 def _part_rows(sensor: Sensor, packet: Packet) -> np.ndarray:
-    """Return where the fields of a packet stand, as rows: `width` bits of a word, from bit `shift` on, go to a beat."""
+    """Return where the fields of a packet stand, as rows: `width` bits of a word, from bit
+    `shift` on, go to a beat.
+    """
     first = NUMBER._asdict() | {
         "map": ARRAY,
         "offsets": ARRAY + _words(sensor.pixels),

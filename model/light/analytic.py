@@ -3,16 +3,17 @@
 
 Each equation has two forms, which take the same arguments. "literal" is the equation as printed.
 "corrected" is our own derivation for the behaviour of the sensor. Each docstring says where the two
-differ. Numbers and arrays broadcast. In the corrected form, "photons" are equivalent Poisson means: a pixel that detects
-at most once, with probability p, has -log(1 - p) photons.
+differ. Numbers and arrays broadcast. In the corrected form, "photons" are equivalent Poisson
+means: a pixel that detects at most once, with probability p, has -log(1 - p) photons.
 
-`histogram` combines them: it is the expected histogram of every pixel of a subgroup around the time of flight, for
-scheme 1 (no coincidence) and scheme 2. Its corrected form holds for any activity of a subgroup under two conditions:
+`histogram` combines them: it is the expected histogram of every pixel of a subgroup around the
+time of flight, for scheme 1 (no coincidence) and scheme 2. Its corrected form holds for any
+activity of a subgroup under two conditions:
 
-* The window is shorter than the dead time (then it is exact that a pixel counts once per window), and the dead time is
-  shorter than the period.
-* noise_cps * dead_time_s stays below `VALID_DEAD_FRACTION`, because pixels that have just fired are assumed to be ready
-  at the next window.
+* The window is shorter than the dead time (then it is exact that a pixel counts once per
+  window), and the dead time is shorter than the period.
+* noise_cps * dead_time_s stays below `VALID_DEAD_FRACTION`, because pixels that have just fired
+  are assumed to be ready at the next window.
 """
 
 from collections import namedtuple
@@ -37,14 +38,17 @@ from .timing import Timing
 VALID_DEAD_FRACTION = 0.05
 SCHEMES = (1, 2)  # 1: winner takes all, no coincidence; 2: coincidence
 THRESHOLDS = range(1, 8)  # as in the paper's Fig. 7
-# Of (18) as printed: with ps, the bins sum to 14.6 times the signal (sigma 212 ps), with s to 1.5e-5.
+# Of (18) as printed: with ps, the bins sum to 14.6 times the signal (sigma 212 ps), with s to
+# 1.5e-5.
 PRINTED_TIME_UNIT_S = 1e-12
 
 _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
 
 class MeanPhotons(NamedTuple):
-    """Mean number of photons in the interval of interest per pixel, in the pixel's minigroup and in its subgroup (floats or arrays)."""
+    """Mean number of photons in the interval of interest per pixel, in the pixel's minigroup and
+    in its subgroup (floats or arrays).
+    """
 
     pixel: Numbers
     minigroup: Numbers
@@ -61,11 +65,12 @@ class Sizes(NamedTuple):
 def effective_cps(
     noise_cps: Numbers, signal_cps: Numbers, dead_time_s: float, laser_hz: float, form: str
 ) -> tuple[Numbers, Numbers]:
-    """(noise, signal) of a pixel after a non-paralyzable dead time, in counts per second. Text before (3).
+    """(noise, signal) of a pixel after a non-paralyzable dead time, in counts per second. Text
+    before (3).
 
-    Literal: each by itself, n / (1 + n t_d). Corrected: noise and signal share one SPAD. It is alive at the pulse with
-    probability 1 / (1 + n_b t_d) and then fires once, with probability 1 - exp(-signal per pulse). The dead time after
-    that is lost to the noise.
+    Literal: each by itself, n / (1 + n t_d). Corrected: noise and signal share one SPAD. It is
+    alive at the pulse with probability 1 / (1 + n_b t_d) and then fires once, with probability 1
+    - exp(-signal per pulse). The dead time after that is lost to the noise.
     """
     noise_cps, signal_cps = np.asarray(noise_cps, float), np.asarray(signal_cps, float)
     live = 1 / (1 + noise_cps * dead_time_s)
@@ -101,14 +106,18 @@ def signal_photons(
     pixels: int,
     form: str,
 ) -> Numbers:
-    """(4): signal photons of a pixel in a laser period. Literal: with dead time as in (3). Corrected: without."""
+    """(4): signal photons of a pixel in a laser period. Literal: with dead time as in (3).
+    Corrected: without.
+    """
     if _literal(form):
         return effective_signal_cps * np.maximum(1 / laser_hz - threshold * dead_time_s / pixels, 0)
     return _equivalent_mean(effective_signal_cps / laser_hz)
 
 
 def pixel_probability(photons_pixel: Numbers, form: str) -> Numbers:
-    """(9): probability that a pixel detects. Literal: exactly one photon. Corrected: at least one."""
+    """(9): probability that a pixel detects. Literal: exactly one photon. Corrected: at least
+    one.
+    """
     photons_pixel = np.asarray(photons_pixel, float)
     return photons_pixel * np.exp(-photons_pixel) if _literal(form) else -np.expm1(-photons_pixel)
 
@@ -118,7 +127,8 @@ def minigroup_probability(
 ) -> Numbers:
     """(10): probability of threshold - 1 photons in a pixel's minigroup.
 
-    Literal: from all its pixels, Poisson. Corrected: from the other pixels, which must be distinct, binomial.
+    Literal: from all its pixels, Poisson. Corrected: from the other pixels, which must be
+    distinct, binomial.
     """
     if _literal(form):
         return stats.poisson.pmf(threshold - 1, photons_minigroup)
@@ -130,7 +140,9 @@ def minigroup_probability(
 def rest_probability(
     photons_rest: Numbers, threshold: Numbers, pixels_rest: int, form: str
 ) -> Numbers:
-    """(12): probability of threshold - 1 photons outside the minigroup. Literal: Poisson. Corrected: binomial."""
+    """(12): probability of threshold - 1 photons outside the minigroup. Literal: Poisson.
+    Corrected: binomial.
+    """
     if _literal(form):
         return stats.poisson.pmf(threshold - 1, photons_rest)
     return stats.binom.pmf(threshold - 1, pixels_rest, _share(photons_rest, pixels_rest))
@@ -139,9 +151,11 @@ def rest_probability(
 def others_probability(
     photons: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str
 ) -> Numbers:
-    """(13): probability that the other pixels of the subgroup contribute the missing threshold - 1 detections.
+    """(13): probability that the other pixels of the subgroup contribute the missing threshold -
+    1 detections.
 
-    Literal: union of (10) and (12), assumed independent. Corrected: at least threshold - 1 of the others, in any split.
+    Literal: union of (10) and (12), assumed independent. Corrected: at least threshold - 1 of
+    the others, in any split.
     """
     if _literal(form):
         rest = photons.subgroup - photons.minigroup  # (11)
@@ -156,7 +170,9 @@ def others_probability(
 def coincidence_probability(
     photons: MeanPhotons, threshold: Numbers, sizes: Sizes, form: str
 ) -> Numbers:
-    """(8), (14): probability that a pixel detects and the threshold is met, of noise or of signal alone."""
+    """(8), (14): probability that a pixel detects and the threshold is met, of noise or of
+    signal alone.
+    """
     return pixel_probability(photons.pixel, form) * others_probability(
         photons, threshold, sizes, form
     )
@@ -167,8 +183,8 @@ def signal_probability(
 ) -> Numbers:
     """(15): probability that a pixel detects a signal photon in an event, in the presence of noise.
 
-    Literal: no noise in the pixel, no noise event, a signal event. Corrected: the other pixels count whether they detect
-    signal or noise.
+    Literal: no noise in the pixel, no noise event, a signal event. Corrected: the other pixels
+    count whether they detect signal or noise.
     """
     if _literal(form):
         quiet = (1 - pixel_probability(noise.pixel, form)) * (
@@ -215,7 +231,9 @@ def signal_counts(
     sizes: Sizes,
     form: str,
 ) -> Numbers:
-    """(16b): signal counts of a pixel in a frame: (15) times `pulses`. Corrected: times `armed`, P(the tree is armed)."""
+    """(16b): signal counts of a pixel in a frame: (15) times `pulses`. Corrected: times `armed`,
+    P(the tree is armed).
+    """
     counts = signal_probability(noise, signal, threshold, sizes, form) * pulses
     return counts if _literal(form) else counts * armed
 
@@ -223,7 +241,9 @@ def signal_counts(
 def noise_per_bin(
     noise_counts: Numbers, laser_hz: float, jitter_s: float, lsb_s: float, form: str
 ) -> Numbers:
-    """(17): noise counts in a bin of the histogram. Literal: in a time `jitter_s`. Corrected: in one LSB, as in (18)."""
+    """(17): noise counts in a bin of the histogram. Literal: in a time `jitter_s`. Corrected: in
+    one LSB, as in (18).
+    """
     return noise_counts * laser_hz * (jitter_s if _literal(form) else lsb_s)
 
 
@@ -237,7 +257,8 @@ def signal_per_bin(
 ) -> Numbers:
     """(18): signal counts in the bin centred at `time_s`; `jitter_s` is the sigma.
 
-    Literal: the root is over 2 pi jitter (see `PRINTED_TIME_UNIT_S`). Corrected: integral of the Gaussian over the bin.
+    Literal: the root is over 2 pi jitter (see `PRINTED_TIME_UNIT_S`). Corrected: integral of the
+    Gaussian over the bin.
     """
     z = (np.asarray(time_s) - flight_s) / jitter_s
     if _literal(form):
@@ -279,14 +300,17 @@ def histogram(
     spad: Spad | None = None,
     system_fwhm_s: float = 500e-12,
 ) -> np.ndarray:
-    """Expected histogram of each pixel of a subgroup in a frame, float64[pixels, ticks]: stamps of the pixel's events.
+    """Expected histogram of each pixel of a subgroup in a frame, float64[pixels, ticks]: stamps
+    of the pixel's events.
 
-    distance_m (NaN: no target), signal_per_pulse, noise_cps: detected, before dead time; float64[pixels] or numbers.
-    Scheme 1 uses neither threshold nor window. Literal: (3) to (18), signal and noise on the grid of ticks; in scheme 1,
-    where the paper estimates "a single photon", (9) for signal in a period and noise in a period (our reading).
-    Corrected: photons in each tick, the states of the tree from armed to armed again, and the count of distinct pixels
-    in the window, so that stamps are those of first photons. It is exact except for the terms named in the module's
-    docstring, and for pixels of unequal light, whose count is assumed to be binomial with their mean.
+    distance_m (NaN: no target), signal_per_pulse, noise_cps: detected, before dead time;
+    float64[pixels] or numbers. Scheme 1 uses neither threshold nor window. Literal: (3) to (18),
+    signal and noise on the grid of ticks; in scheme 1, where the paper estimates "a single
+    photon", (9) for signal in a period and noise in a period (our reading).
+    Corrected: photons in each tick, the states of the tree from armed to armed again, and the
+    count of distinct pixels in the window, so that stamps are those of first photons. It is
+    exact except for the terms named in the module's docstring, and for pixels of unequal light,
+    whose count is assumed to be binomial with their mean.
     """
     sensor, timing, spad = sensor or Sensor(), timing or Timing(), spad or Spad()
     check_choice("scheme", scheme, SCHEMES)
@@ -325,7 +349,8 @@ def histogram(
 
 
 def success_probability(expected: np.ndarray, flight_s: float, timing: Timing) -> float:
-    """Probability that the largest bin of a pixel's histogram lies within `SUCCESS_TOLERANCE_S` of the target.
+    """Probability that the largest bin of a pixel's histogram lies within `SUCCESS_TOLERANCE_S`
+    of the target.
 
     expected: float64[ticks], mean counts, assumed to be independent and Poisson. The target is at
     the maximum of the mean within a nanosecond of the time of flight. So the lead of the first
@@ -351,7 +376,9 @@ def success_by_threshold(
     timing: Timing | None = None,
     **setting: Any,
 ) -> np.ndarray:
-    """`success_probability` of a pixel in an evenly lit subgroup, for each of `THRESHOLDS`: float64[7]. See `histogram`."""
+    """`success_probability` of a pixel in an evenly lit subgroup, for each of `THRESHOLDS`:
+    float64[7]. See `histogram`.
+    """
     timing = timing or Timing()
     flight_s = 2 * distance_m / SPEED_OF_LIGHT_M_S
 
@@ -392,11 +419,14 @@ def _equivalent_mean(probability: Numbers) -> Numbers:
 
 
 def _share(photons: Numbers, pixels: int) -> Numbers:
-    """Probability that one of `pixels` equal pixels detects; `photons` is the mean of all together."""
+    """Probability that one of `pixels` equal pixels detects; `photons` is the mean of all
+    together.
+    """
     return -np.expm1(-np.asarray(photons, float) / pixels)
 
 
-# Arguments of `histogram`, checked. flight_s, signal (photons per pulse), noise_cps: float64[pixels].
+# Arguments of `histogram`, checked. flight_s, signal (photons per pulse), noise_cps:
+# float64[pixels].
 _Case = namedtuple(
     "_Case",
     "flight_s signal noise_cps threshold window_ticks pulses scheme sensor timing spad sigma_s",
@@ -448,7 +478,8 @@ def _grouped(photons: Numbers, sensor: Sensor) -> MeanPhotons:
 def _corrected_histogram(of: _Case) -> np.ndarray:
     """Corrected form of `histogram`, with ticks as independent trials.
 
-    `fired` is the mean number of avalanches of each pixel until the start of each tick, at most one per window.
+    `fired` is the mean number of avalanches of each pixel until the start of each tick, at most
+    one per window.
     """
     ticks = of.timing.period_ticks
     border_s = np.arange(ticks + of.window_ticks + 1) * of.timing.tick_s
@@ -462,8 +493,8 @@ def _corrected_histogram(of: _Case) -> np.ndarray:
     )
     nobody = np.prod(1 - (after - start), axis=0)  # at this tick
     in_window, in_rest = end - start, end - after
-    # A pixel is in the map of an event that this tick opens if it fires in the window, less the cases in which no pixel
-    # fires in the window's first tick.
+    # A pixel is in the map of an event that this tick opens if it fires in the window, less the
+    # cases in which no pixel fires in the window's first tick.
     law = rises(of.sensor.rule, of.sensor.subgroup, of.threshold)
     met = event_share(law, lambda pixels: _met_by_others(pixels, in_window))
     met_in_rest = event_share(law, lambda pixels: _met_by_others(pixels, in_rest))
@@ -478,7 +509,9 @@ def _corrected_histogram(of: _Case) -> np.ndarray:
 
 
 def _met_by_others(pixels: int, share: np.ndarray) -> np.ndarray:
-    """float64[ticks]: probability that of `pixels` pixels, all except one given pixel fire. share: float64[pixels, ticks]."""
+    """float64[ticks]: probability that of `pixels` pixels, all except one given pixel fire.
+    share: float64[pixels, ticks].
+    """
     met: np.ndarray = stats.binom.sf(pixels - 2, len(share) - 1, share.mean(axis=0))
     return met
 
@@ -487,7 +520,9 @@ def _met_by_others(pixels: int, share: np.ndarray) -> np.ndarray:
 def _armed(
     nobody: np.ndarray, window_ticks: int, phases: int, rearm_cycles: int, open_ticks: int
 ) -> np.ndarray:
-    """Probability that the tree is armed at each tick: at the period's start, and some cycles after each opening."""
+    """Probability that the tree is armed at each tick: at the period's start, and some cycles
+    after each opening.
+    """
     armed, again, now = np.zeros(nobody.size), np.zeros(nobody.size), 1.0
     for t in range(open_ticks):
         now += again[t]
@@ -501,7 +536,9 @@ def _armed(
 
 
 def _maximum_law(k: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """P(the largest of independent Poisson counts <= k); means are rounded to three digits, so that few differ."""
+    """P(the largest of independent Poisson counts <= k); means are rounded to three digits, so
+    that few differ.
+    """
     digits = 10.0 ** (np.floor(np.log10(np.maximum(means, 1e-12))) - 2)
     means, times = np.unique(np.round(means / digits) * digits, return_counts=True)
     return np.exp(

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Code density test: measures the widths of a TDC's taps with edges of uniform light, as on real silicon.
+"""Code density test: measures the widths of a TDC's taps with edges of uniform light, as on real
+silicon.
 
-Under light that is uniform in time, each code collects counts in proportion to the width of its bin.
+Under light that is uniform in time, each code collects counts in proportion to the width of its
+bin.
 """
 
 import numpy as np
@@ -14,8 +16,9 @@ from ..shared.errors import InputError, check_integer
 class CodeDensity:
     """Result per phase, float64[phases], in LSB (clock cycle / phases).
 
-    dnl_lsb: width of each phase minus the mean width. inl_lsb: running sum of that, the error of each phase's upper
-    border. sigma_lsb: standard error of each width. edges: number of edges counted.
+    dnl_lsb: width of each phase minus the mean width. inl_lsb: running sum of that, the error of
+    each phase's upper border. sigma_lsb: standard error of each width. edges: number of edges
+    counted.
     """
 
     dnl_lsb: np.ndarray

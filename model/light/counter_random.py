@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Counter-based random numbers: each is a hash of (key, purpose, counter), so the order of drawing does not matter.
+"""Counter-based random numbers: each is a hash of (key, purpose, counter), so the order of
+drawing does not matter.
 
-The hash is the output function of SplitMix64 (Steele, Lea, Flood 2014, with Stafford's constants); keys are chained
-hashes.
+The hash is the output function of SplitMix64 (Steele, Lea, Flood 2014, with Stafford's
+constants); keys are chained hashes.
 """
 
 import math
@@ -28,7 +29,9 @@ def _mix(z: np.uint64) -> np.uint64:
 
 @part
 def key_of(key: np.uint64, index: Counter) -> np.uint64:
-    """Return the key of item `index` under `key` (uint64). Numbers of purpose 0 that are drawn with `key` would repeat it."""
+    """Return the key of item `index` under `key` (uint64). Numbers of purpose 0 that are drawn
+    with `key` would repeat it.
+    """
     return _mix(key + (np.uint64(index) + np.uint64(1)) * GOLDEN)
 
 
@@ -56,7 +59,9 @@ def exponential(key: np.uint64, purpose: int, counter: Counter) -> float:
 
 
 def _ziggurat() -> tuple[np.ndarray, np.ndarray]:
-    """Layer borders x and densities exp(-x^2/2) of the ziggurat for the normal law; its layers have equal area."""
+    """Layer borders x and densities exp(-x^2/2) of the ziggurat for the normal law; its layers
+    have equal area.
+    """
 
     def density(x: float) -> float:
         return math.exp(-x * x / 2)
@@ -74,7 +79,9 @@ _X, _DENSITY = _ziggurat()
 
 @part
 def normal(key: np.uint64, purpose: int, counter: Counter) -> float:
-    """A normal number of variance 1 (ziggurat: 98.8 % of the numbers cost one hash and one product)."""
+    """A normal number of variance 1 (ziggurat: 98.8 % of the numbers cost one hash and one
+    product).
+    """
     bits = _bits(key, purpose, counter)
     layer = np.int64(bits & np.uint64(_LAYERS - 1))
     z = (2.0 * open_unit(bits) - 1.0) * _X[layer]

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs of the photon model: light per pixel and its presets.
 
-Ref: paper II (SPAD, laser), IV (pulse of 500 to 520 ps FWHM). Effects that the paper leaves out are off by default.
+Ref: paper II (SPAD, laser), IV (pulse of 500 to 520 ps FWHM). Effects that the paper leaves out
+are off by default.
 """
 
 import math
@@ -23,17 +24,19 @@ SIGNAL_REFERENCE = (
 REFERENCE_DISTANCE_M = 4.0
 REFERENCE_REFLECTIVITY = 0.4
 NEAREST_M = 0.05  # nearest surface of a scene: the signal grows without bound towards 0
-MUCH_SIGNAL = 2.0  # photons per pixel and pulse: a pixel fires in nearly every pulse, and more light only adds pile-up
+# photons per pixel and pulse: a pixel fires in nearly every pulse, and more light only adds pile-up
+MUCH_SIGNAL = 2.0
 SIGNAL_MAX = 1e4  # photons per pixel and pulse
 RATE_MAX_CPS = 1e12
 BACKGROUNDS = ("reflected", "even")  # by equation (2); the same for every surface
 
 
 def background_cps(klux: Numbers, reflectivity: ArrayLike = REFERENCE_REFLECTIVITY) -> Numbers:
-    """Detected background of a pixel in counts per second under `klux` of ambient light (float64, shapes broadcast).
+    """Detected background of a pixel in counts per second under `klux` of ambient light
+    (float64, shapes broadcast).
 
-    Equation (2) of the paper: proportional to the light and to the reflectivity of the surface, independent of its
-    distance. The level is our preset. Raises `InputError`.
+    Equation (2) of the paper: proportional to the light and to the reflectivity of the surface,
+    independent of its distance. The level is our preset. Raises `InputError`.
     """
     checked_klux = real_array("klux", klux, np.shape(klux), 0)
     rate_cps = (
@@ -43,9 +46,11 @@ def background_cps(klux: Numbers, reflectivity: ArrayLike = REFERENCE_REFLECTIVI
 
 
 def ambient_reflectivity(reflectivity: np.ndarray, background: str) -> np.ndarray:
-    """float64[pixels]: the reflectivity to which the background of each pixel is proportional. Raises `InputError`.
+    """float64[pixels]: the reflectivity to which the background of each pixel is proportional.
+    Raises `InputError`.
 
-    reflectivity: float64[pixels], of the pixel's surface; NaN = unknown, for which `REFERENCE_REFLECTIVITY` is used.
+    reflectivity: float64[pixels], of the pixel's surface; NaN = unknown, for which
+    `REFERENCE_REFLECTIVITY` is used.
     background: one of `BACKGROUNDS`; with `even`, every pixel has the reference reflectivity.
     """
     even = check_choice("background", background, BACKGROUNDS) == "even"
@@ -53,7 +58,8 @@ def ambient_reflectivity(reflectivity: np.ndarray, background: str) -> np.ndarra
 
 
 def signal_per_pulse(distance_m: ArrayLike, reflectivity: ArrayLike) -> np.ndarray:
-    """Detected signal photons per pulse and pixel (float64, shapes broadcast); 0 where the distance is NaN.
+    """Detected signal photons per pulse and pixel (float64, shapes broadcast); 0 where the
+    distance is NaN.
 
     Equation (1) of the paper: proportional to reflectivity / distance^2.
     """
@@ -69,8 +75,9 @@ def signal_per_pulse(distance_m: ArrayLike, reflectivity: ArrayLike) -> np.ndarr
 class Interferer:
     """Another LiDAR whose pulses reach the sensor.
 
-    photons_per_pulse: detected photons of each of its pulses, a number or float64[pixels]. period_s: its own laser
-    period. phase_s: from our first trigger to the arrival of its first pulse; it has sent pulses before that, too.
+    photons_per_pulse: detected photons of each of its pulses, a number or float64[pixels].
+    period_s: its own laser period. phase_s: from our first trigger to the arrival of its first
+    pulse; it has sent pulses before that, too.
     delay_s: added for each pixel, a number or float64[pixels]. fwhm_s: width of its pulse.
     """
 
@@ -85,9 +92,10 @@ class Interferer:
 class Arrivals:
     """Signal of any shape in time, in bins. Pixel p has the bins first[p] to first[p + 1].
 
-    The laser pulse's own shape is added to this. first: int64[pixels + 1]. start_s: float64[n], beginning of each bin
-    since the laser trigger, ascending in a pixel (beyond the laser period: light of an earlier pulse). photons:
-    float64[n], mean detected photons per pulse. width_s: width of a bin, which is filled evenly.
+    The laser pulse's own shape is added to this. first: int64[pixels + 1]. start_s: float64[n],
+    beginning of each bin since the laser trigger, ascending in a pixel (beyond the laser period:
+    light of an earlier pulse). photons: float64[n], mean detected photons per pulse. width_s:
+    width of a bin, which is filled evenly.
     """
 
     first: np.ndarray
@@ -120,15 +128,18 @@ class Arrivals:
 
 @frozen(kw_only=True, eq=False)
 class Light:
-    """Light that each of rows x cols pixels detects: with the PDE, without the dead time. Arrays broadcast.
+    """Light that each of rows x cols pixels detects: with the PDE, without the dead time. Arrays
+    broadcast.
 
-    distance_m: float64[pixels, targets], NaN = no target; a one-dimensional array has one target per pixel.
-    signal_per_pulse: float64[pixels, targets], mean detected photons per laser pulse. background_cps: float64[pixels],
-    detected counts per second. system_fwhm_s: float64[pixels, targets], FWHM of the signal at the TDC's input: laser
-    pulse and SPAD jitter, added as squares, so the laser pulse is sqrt(system_fwhm_s^2 - jitter_fwhm_s^2).
-    range_ambiguity: light from beyond the laser period falls into a later period, as if the laser had been running
-    before; False: it is lost. arrivals: additional signal of any shape in time; its laser pulse has the width of the
-    pixel's first target. interferer: another LiDAR.
+    distance_m: float64[pixels, targets], NaN = no target; a one-dimensional array has one target
+    per pixel.
+    signal_per_pulse: float64[pixels, targets], mean detected photons per laser pulse.
+    background_cps: float64[pixels], detected counts per second. system_fwhm_s: float64[pixels,
+    targets], FWHM of the signal at the TDC's input: laser pulse and SPAD jitter, added as
+    squares, so the laser pulse is sqrt(system_fwhm_s^2 - jitter_fwhm_s^2).
+    range_ambiguity: light from beyond the laser period falls into a later period, as if the
+    laser had been running before; False: it is lost. arrivals: additional signal of any shape in
+    time; its laser pulse has the width of the pixel's first target. interferer: another LiDAR.
     """
 
     rows: int
@@ -170,7 +181,9 @@ class Light:
 
     @property
     def total_signal(self) -> np.ndarray:
-        """float64[pixels]: detected signal photons per pulse, of targets and `arrivals` together."""
+        """float64[pixels]: detected signal photons per pulse, of targets and `arrivals`
+        together.
+        """
         total = self.signal_per_pulse.sum(axis=1)
         if self.arrivals is None:
             return total
@@ -178,7 +191,9 @@ class Light:
         return total + np.diff(until[self.arrivals.first])
 
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user: whether the signal is far above the level for which the sensor is made."""
+        """Notes for the user: whether the signal is far above the level for which the sensor is
+        made.
+        """
         lit = self.total_signal[self.total_signal > 0]
         if not len(lit) or np.median(lit) <= MUCH_SIGNAL:
             return ()
@@ -201,8 +216,9 @@ class Light:
     ) -> "Light":
         """Return the light of the presets. Raises `InputError`.
 
-        distance_m: float64[rows, cols] or [rows, cols, targets], NaN = no target; reflectivity: broadcast to it. klux:
-        ambient light, a number or float64[rows, cols]. background: one of `BACKGROUNDS`. others: fields of `Light`.
+        distance_m: float64[rows, cols] or [rows, cols, targets], NaN = no target; reflectivity:
+        broadcast to it. klux: ambient light, a number or float64[rows, cols]. background: one of
+        `BACKGROUNDS`. others: fields of `Light`.
         """
         distance_m = np.asarray(distance_m, dtype=np.float64)
         if distance_m.ndim not in (2, 3):

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Link budget: detected signal and background of a flash LiDAR pixel, and their ratio.
 
-Ref: paper II, equations (1) and (2), Fig. 2. Equation (2) is missing in print; we take it as (1) with the sunlight on
-the target's area in place of the laser's power. Forms: "literal" scatters evenly into the half-space, 1/(2 pi d^2), as
-printed; "corrected" assumes the Lambertian target of the text, 1/(pi d^2) on the axis. The factor of 2 between them
-cancels in the ratio of signal to background, unless dead time limits the background (reading F).
+Ref: paper II, equations (1) and (2), Fig. 2. Equation (2) is missing in print; we take it as (1)
+with the sunlight on the target's area in place of the laser's power. Forms: "literal" scatters
+evenly into the half-space, 1/(2 pi d^2), as printed; "corrected" assumes the Lambertian target
+of the text, 1/(pi d^2) on the axis. The factor of 2 between them cancels in the ratio of signal
+to background, unless dead time limits the background (reading F).
 """
 
 import math
@@ -63,10 +64,11 @@ def _line(unit: str, source: str) -> Any:
 
 @frozen(kw_only=True, eq=False)
 class LinkBudget:
-    """A link budget. Values that depend on the distance are floats or, for an array of distances, float64 of its shape.
+    """A link budget. Values that depend on the distance are floats or, for an array of
+    distances, float64 of its shape.
 
-    Rates: detected events per pixel and second before dead time (background_live_cps: after it). sbr_db: 10 log10 of
-    the ratio that `sbr_reading` names. Units and sources are in `rows`.
+    Rates: detected events per pixel and second before dead time (background_live_cps: after it).
+    sbr_db: 10 log10 of the ratio that `sbr_reading` names. Units and sources are in `rows`.
     """
 
     distance_m: Numbers = _line("m", "given")
@@ -124,10 +126,11 @@ def link_budget(
     sbr_reading: str = "E",
     sbr_window_s: float | None = None,
 ) -> LinkBudget:
-    """Return the budget at `distance_m` (a number or an array), for a target of `reflectivity` under `klux` of sunlight.
+    """Return the budget at `distance_m` (a number or an array), for a target of `reflectivity`
+    under `klux` of sunlight.
 
-    sbr_window_s: window of readings E (default: the SPAD's jitter FWHM) and F (default: `COINCIDENCE_WINDOW_S`).
-    Raises `InputError` for values out of range and unknown names.
+    sbr_window_s: window of readings E (default: the SPAD's jitter FWHM) and F (default:
+    `COINCIDENCE_WINDOW_S`). Raises `InputError` for values out of range and unknown names.
     """
     optics, laser, spad = optics or Optics(), laser or Laser(), spad or Spad()
     check_choice("form", form, FORMS)

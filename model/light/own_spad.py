@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Edges by a SPAD model of a user's own: photons as for any SPAD, then `OwnSpad.edges_of`, then the TDC.
+"""Edges by a SPAD model of a user's own: photons as for any SPAD, then `OwnSpad.edges_of`, then
+the TDC.
 
-The photons are the edges of a SPAD without dead time and jitter at a TDC whose ticks are `FINENESS` times shorter, so they
-are the same ones that the built-in SPAD gets, rounded to that tick. The model gets all photons of a run at once.
+The photons are the edges of a SPAD without dead time and jitter at a TDC whose ticks are
+`FINENESS` times shorter, so they are the same ones that the built-in SPAD gets, rounded to that
+tick. The model gets all photons of a run at once.
 """
 
 from collections.abc import Callable, Iterator
@@ -25,7 +27,8 @@ Generate = Callable[[Light, Spad, Timing], Edges]
 def own_chunk(
     light: Light, spad: OwnSpad, timing: Timing, pulses: range, seed: int, generate: Generate
 ) -> Iterator[Edges]:
-    """Generate the edges of some pulses in one chunk, sorted by (pulse, tick, pixel). Raises `InputError`.
+    """Generate the edges of some pulses in one chunk, sorted by (pulse, tick, pixel). Raises
+    `InputError`.
 
     generate: makes the edges of those pulses for a SPAD of the built-in model.
     """

@@ -1,22 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Photons to edges: a Monte Carlo simulation of the SPAD array in continuous time, then TDC ticks.
 
-Ref: paper II and IV (SPAD, laser pulse). The effects that the paper leaves out, and their order, are our choice.
+Ref: paper II and IV (SPAD, laser pulse). The effects that the paper leaves out, and their order,
+are our choice.
 
 The effects apply in this order, per pixel and laser pulse:
 
-1. photons that would fire the SPAD: background and dark counts (uniform), signal (a Gaussian pulse around the time of
-   flight, or around a time drawn from bins, modulo the laser period), another LiDAR's pulses, carriers trapped by earlier
-   avalanches (afterpulses), photons from avalanches of neighbours (crosstalk);
+1. photons that would fire the SPAD: background and dark counts (uniform), signal (a Gaussian
+   pulse around the time of flight, or around a time drawn from bins, modulo the laser period),
+   another LiDAR's pulses, carriers trapped by earlier avalanches (afterpulses), photons from
+   avalanches of neighbours (crosstalk);
 2. SPAD gate: outside it, nothing happens;
 3. dead time, which carries on from pulse to pulse: it decides which photons become avalanches;
 4. jitter of the avalanche's edge, modulo the laser period;
 5. the TDC's taps: from time to tick.
 
-Every random number is a hash of (seed, pixel, pulse, purpose, counter), so neither chunks nor workers change the edges.
-Crosstalk couples the pixels. A first pass finds the avalanches without it and draws the photons that they send to their
-four neighbours. A second pass repeats the walk through all pixels with the same photons and with these. An avalanche
-caused by crosstalk sends no crosstalk of its own (its probability is squared, and neglected).
+Every random number is a hash of (seed, pixel, pulse, purpose, counter), so neither chunks nor
+workers change the edges. Crosstalk couples the pixels. A first pass finds the avalanches without
+it and draws the photons that they send to their four neighbours. A second pass repeats the walk
+through all pixels with the same photons and with these. An avalanche caused by crosstalk sends
+no crosstalk of its own (its probability is squared, and neglected).
 """
 
 import math
@@ -57,10 +60,11 @@ DITHERED_PULSES_MAX = 1 << 24  # pulses whose starts are kept
 
 
 def generate_edges(light: Light, spad: Spad, timing: Timing, **options: Any) -> Edges:
-    """Generate all edges of a number of laser pulses, sorted by (pulse, tick, pixel). Raises `InputError`.
+    """Generate all edges of a number of laser pulses, sorted by (pulse, tick, pixel). Raises
+    `InputError`.
 
-    options: `pulses` and `seed`, both required; `pulse_start`, `gate`, `workers`: as in `edge_chunks`, which makes the
-    same edges in chunks.
+    options: `pulses` and `seed`, both required; `pulse_start`, `gate`, `workers`: as in
+    `edge_chunks`, which makes the same edges in chunks.
     """
     chunks = list(edge_chunks(light, spad, timing, **options))
     return Edges(
@@ -83,15 +87,17 @@ def edge_chunks(
     workers: int = 1,
     chunk_pulses: int | None = None,
 ) -> Iterator[Edges]:
-    """Generate the edges of laser pulses in chunks of whole pulses, each sorted by (pulse, tick, pixel).
+    """Generate the edges of laser pulses in chunks of whole pulses, each sorted by (pulse, tick,
+    pixel).
 
-    All SPADs are ready at `pulse_start`; dead time and trapped carriers continue from chunk to chunk. The memory needed
-    depends only on the chunk. Raises `InputError` if a value is out of range.
+    All SPADs are ready at `pulse_start`; dead time and trapped carriers continue from chunk to
+    chunk. The memory needed depends only on the chunk. Raises `InputError` if a value is out of
+    range.
 
-    pulses: number of laser pulses; pulse_start: number of the first one. seed: of the photons. gate: times at which the
-    SPADs are on; None = always. workers: threads that share the pixels. chunk_pulses: pulses per chunk; None: about
-    `CHUNK_EDGES` edges. Neither workers nor chunks change the edges. A SPAD model of a user's own (`OwnSpad`) makes one
-    chunk of all pulses.
+    pulses: number of laser pulses; pulse_start: number of the first one. seed: of the photons.
+    gate: times at which the SPADs are on; None = always. workers: threads that share the pixels.
+    chunk_pulses: pulses per chunk; None: about `CHUNK_EDGES` edges. Neither workers nor chunks
+    change the edges. A SPAD model of a user's own (`OwnSpad`) makes one chunk of all pulses.
     """
     check_integer("pulses", pulses, 1, PULSES_MAX)
     check_integer("pulse_start", pulse_start, 0, PULSES_MAX)
@@ -228,7 +234,9 @@ def _in_ticks(
 
 
 def _photons_per_pulse(physics: Physics, arrays: Arrays) -> np.ndarray:
-    """Upper estimate of the photons of each pixel in a period, which sets the size of buffers only."""
+    """Upper estimate of the photons of each pixel in a period, which sets the size of buffers
+    only.
+    """
     filled = np.diff(arrays.bin_first) > 0
     binned = np.zeros(len(filled))
     binned[filled] = arrays.bin_photons[arrays.bin_first[1:][filled] - 1]
@@ -259,10 +267,11 @@ def _bins(
 
 
 class _Walker:
-    """A block of pixels and their state from chunk to chunk, for the sending pass of crosstalk and for the last pass.
+    """A block of pixels and their state from chunk to chunk, for the sending pass of crosstalk
+    and for the last pass.
 
-    block: first pixel, and the one after the last. brightest: photons per pulse of the brightest pixel; edges_per_pulse:
-    of each pixel. Both are upper estimates, for the sizes of buffers.
+    block: first pixel, and the one after the last. brightest: photons per pulse of the brightest
+    pixel; edges_per_pulse: of each pixel. Both are upper estimates, for the sizes of buffers.
     """
 
     def __init__(
@@ -290,7 +299,8 @@ class _Walker:
         self.state = {True: fresh, False: fresh}  # by pass: is it the sending one?
 
     def walk(self, span: tuple[int, int], received: Received, sending: bool) -> Received:
-        """Return packed edges or, with `sending`, the crosstalk's targets and times: int64[n] and float64[n].
+        """Return packed edges or, with `sending`, the crosstalk's targets and times: int64[n]
+        and float64[n].
 
         span: first pulse, and number of pulses.
         """

@@ -17,16 +17,20 @@ from ..shared.quantities import Numbers, check_real, real
 
 @frozen(kw_only=True, eq=False)
 class Spad:
-    """The detector. The defaults come from section II of the paper; effects that the paper leaves out are off.
+    """The detector. The defaults come from section II of the paper; effects that the paper
+    leaves out are off.
 
-    pdp, fill_factor: photon detection probability and active share of the area, for the link budget only, because the
-    rates of `Light` are detected ones. dead_time_s: from an avalanche until the SPAD is ready again. paralyzable: a
-    photon within the dead time extends it. jitter_fwhm_s: Gaussian jitter of an edge. jitter_tail_fraction,
-    jitter_tail_s: share of the edges that are late by an additional, exponential time, and the mean of that time.
-    dark_cps: dark count rate, a number or float64[pixels] (see `dark_count_map`). afterpulse_probability, afterpulse_s:
-    probability that an avalanche traps a carrier, and the mean time to its release; a carrier that is released while the
-    SPAD is dead is lost. crosstalk_probability: that an avalanche sends a photon, without delay, to one given neighbour
-    of four.
+    pdp, fill_factor: photon detection probability and active share of the area, for the link
+    budget only, because the rates of `Light` are detected ones. dead_time_s: from an avalanche
+    until the SPAD is ready again. paralyzable: a photon within the dead time extends it.
+    jitter_fwhm_s: Gaussian jitter of an edge. jitter_tail_fraction,
+    jitter_tail_s: share of the edges that are late by an additional, exponential time, and the
+    mean of that time.
+    dark_cps: dark count rate, a number or float64[pixels] (see `dark_count_map`).
+    afterpulse_probability, afterpulse_s: probability that an avalanche traps a carrier, and the
+    mean time to its release; a carrier that is released while the SPAD is dead is lost.
+    crosstalk_probability: that an avalanche sends a photon, without delay, to one given
+    neighbour of four.
     """
 
     pdp: float = real(0.05, 0, 1)
@@ -43,7 +47,9 @@ class Spad:
 
 
 class SpadTimes(NamedTuple):
-    """Times at which SPADs detect photons, or at which their edges come; sorted by pixel, then time."""
+    """Times at which SPADs detect photons, or at which their edges come; sorted by pixel, then
+    time.
+    """
 
     pixel: np.ndarray  # int64[n]
     time_s: np.ndarray  # float64[n], since the first laser pulse
@@ -51,11 +57,12 @@ class SpadTimes(NamedTuple):
 
 @frozen(kw_only=True, eq=False)
 class OwnSpad(Spad):
-    """Base class of a SPAD model of a user's own, which replaces dead time, jitter, afterpulsing and crosstalk.
+    """Base class of a SPAD model of a user's own, which replaces dead time, jitter, afterpulsing
+    and crosstalk.
 
-    Of the fields of `Spad`, the light reads `pdp`, `fill_factor`, `dark_cps` and `jitter_fwhm_s` (the part of the light's
-    width that is not the laser's, so the model must add it); the others are only for `edges_of`. docs/extend.md has an
-    example.
+    Of the fields of `Spad`, the light reads `pdp`, `fill_factor`, `dark_cps` and `jitter_fwhm_s`
+    (the part of the light's width that is not the laser's, so the model must add it); the others
+    are only for `edges_of`. docs/extend.md has an example.
 
     Attributes
     ----------
@@ -67,11 +74,12 @@ class OwnSpad(Spad):
     version: ClassVar[str]
 
     def edges_of(self, photons: SpadTimes, *, pixels: tuple[int, int], seed: int) -> SpadTimes:
-        """Return the edges that the photons of a run cause, in any order; those outside of the run are left out.
+        """Return the edges that the photons of a run cause, in any order; those outside of the
+        run are left out.
 
-        photons: all that the SPADs would detect without dead time: signal, background, dark counts and other LiDARs,
-        inside the SPAD gate if there is one. pixels: rows and columns; pixel row * columns + column. seed: of the run;
-        random numbers must depend on nothing else.
+        photons: all that the SPADs would detect without dead time: signal, background, dark
+        counts and other LiDARs, inside the SPAD gate if there is one. pixels: rows and columns;
+        pixel row * columns + column. seed: of the run; random numbers must depend on nothing else.
         """
         raise NotImplementedError
 
@@ -80,9 +88,10 @@ class OwnSpad(Spad):
 class SpadGate:
     """Gate that switches SPADs off outside the cycles [start, start + len) of a period.
 
-    While off, they have no avalanches and no dead time. start_cycles, len_cycles, step_cycles: per pixel, int64[pixels]
-    or a number. Progressive gating: in pulse k of a frame of frame_pulses, the start is later by step_cycles * ((k //
-    every_pulses) mod steps); every_pulses = 0: never.
+    While off, they have no avalanches and no dead time. start_cycles, len_cycles, step_cycles:
+    per pixel, int64[pixels] or a number. Progressive gating: in pulse k of a frame of
+    frame_pulses, the start is later by step_cycles * ((k // every_pulses) mod steps);
+    every_pulses = 0: never.
     """
 
     start_cycles: int | np.ndarray
@@ -98,7 +107,9 @@ class SpadGate:
 
     @classmethod
     def from_config(cls, config: Config) -> "SpadGate":
-        """Return the gates of a configuration as SPAD gates, which are always open if a subgroup's gating is off."""
+        """Return the gates of a configuration as SPAD gates, which are always open if a
+        subgroup's gating is off.
+        """
         subgroup, frame = pixel_table(config.sensor).subgroup, config.frame
         start, length, step = (
             np.where(config.gating, on, off)[subgroup]
@@ -121,7 +132,9 @@ class SpadGate:
 def dark_count_map(
     pixels: int, *, median_cps: float, hot_fraction: float, hot_cps: float, seed: int
 ) -> np.ndarray:
-    """Dark count rates, float64[pixels]: `median_cps`, and `hot_cps` in a random share `hot_fraction` of the pixels."""
+    """Dark count rates, float64[pixels]: `median_cps`, and `hot_cps` in a random share
+    `hot_fraction` of the pixels.
+    """
     check_integer("pixels", pixels, 1, 1 << 24)
     hot = round(pixels * check_real("hot_fraction", hot_fraction, 0, 1))
     dark_cps = np.full(pixels, check_real("median_cps", median_cps, 0))

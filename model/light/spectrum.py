@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sunlight in the receiver's band: a solar spectrum scaled to an illuminance, through a bandpass filter.
+"""Sunlight in the receiver's band: a solar spectrum scaled to an illuminance, through a bandpass
+filter.
 
-Ref: paper II ("solar spectral irradiance", 50 klux, 15 nm FWHM around 905 nm; Planck's law in the caption of Fig. 2).
-Spectra: ASTM G173-03 as shipped with pvlib, and a black body. Photopic curve: the fit of Wyman, Sloan and Shirley (2013)
-to CIE 1931, accurate to 1 %.
+Ref: paper II ("solar spectral irradiance", 50 klux, 15 nm FWHM around 905 nm; Planck's law in
+the caption of Fig. 2).
+Spectra: ASTM G173-03 as shipped with pvlib, and a black body. Photopic curve: the fit of Wyman,
+Sloan and Shirley (2013) to CIE 1931, accurate to 1 %.
 """
 
 from functools import cache

@@ -16,9 +16,10 @@ from ..shared.quantities import real, real_array
 class Timing:
     """Clock and TDC.
 
-    clock_hz: system clock. phases: ticks per clock cycle. period_cycles: laser period. tap_width_lsb: float64[phases],
-    widths of the TDC's phases, which sum to `phases`; None = all 1. dither_bits, dither_seed: settings of the wait
-    between two periods (docs/contract.md). frame_pulses: number of pulses after which the sequence of waits starts
+    clock_hz: system clock. phases: ticks per clock cycle. period_cycles: laser period.
+    tap_width_lsb: float64[phases], widths of the TDC's phases, which sum to `phases`; None = all
+    1. dither_bits, dither_seed: settings of the wait between two periods (docs/contract.md).
+       frame_pulses: number of pulses after which the sequence of waits starts
     again; 0: all pulses are one frame.
     """
 
@@ -70,11 +71,15 @@ class Timing:
 
     @property
     def range_m(self) -> float:
-        """Largest distance from which light returns within the laser period: the unambiguous range of a stamp."""
+        """Largest distance from which light returns within the laser period: the unambiguous
+        range of a stamp.
+        """
         return SPEED_OF_LIGHT_M_S * self.period_s / 2
 
     def start_cycles(self, pulses: int) -> np.ndarray:
-        """int64[pulses + 1]: start of each pulse's period, in cycles from the first one. Frames follow without a gap."""
+        """int64[pulses + 1]: start of each pulse's period, in cycles from the first one. Frames
+        follow without a gap.
+        """
         frame = start_cycles(
             self.frame_pulses or pulses, self.period_cycles, self.dither_bits, self.dither_seed
         )

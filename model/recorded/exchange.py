@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Exchange of photons and edges with other instruments and programs: PTU, CSV, NPZ and HDF5.
 
-Tables have named columns (CSV: a header line; NPZ, HDF5: one array each); other columns are ignored. Names of times end
+Tables have named columns (CSV: a header line; NPZ, HDF5: one array each); other columns are
+ignored. Names of times end
 with their unit: `time_ps`, `time_ns`, `time_us`, `time_s`. A table holds one of
 
 * `pulse, pixel, tick`: edges, as this project writes them;
@@ -36,7 +37,8 @@ EXPECTED = "pulse, pixel, tick; or sync, channel, time_ps; or channel, time_ps (
 def read_recording(path: FilePath, sync_channel: int | None = None) -> Recording:
     """Return the photons of a file. Raises `InputError` with the file's name and its fault.
 
-    sync_channel: channel of the laser's trigger among absolute times (T2: by default the sync input).
+    sync_channel: channel of the laser's trigger among absolute times (T2: by default the sync
+    input).
     """
     suffix = check_suffix(path)
     if suffix == ".ptu":
@@ -69,7 +71,9 @@ def read_recording(path: FilePath, sync_channel: int | None = None) -> Recording
 
 
 def write_edges(path: FilePath, edges: Edges, timing: Timing) -> None:
-    """Write edges to a file, whole or not at all; the same edges give the same bytes. The suffix selects the format."""
+    """Write edges to a file, whole or not at all; the same edges give the same bytes. The suffix
+    selects the format.
+    """
     suffix = check_suffix(path)
     if suffix == ".npz":
         edges.save(path)
@@ -99,7 +103,9 @@ def check_suffix(path: FilePath) -> str:
 
 
 def parse_channels(text: str) -> dict[int, int]:
-    """Return the pixel by channel, from `CHANNEL:PIXEL,...` or from a CSV file with the columns channel and pixel."""
+    """Return the pixel by channel, from `CHANNEL:PIXEL,...` or from a CSV file with the columns
+    channel and pixel.
+    """
     if text.lower().endswith(".csv"):
         names, read = _csv(text)
         if not {"channel", "pixel"} <= set(names):
@@ -131,7 +137,9 @@ def parse_channels(text: str) -> dict[int, int]:
 def _of_syncs(
     path: FilePath, names: tuple[str, ...], columns: Columns, kind: str, sync_channel: int | None
 ) -> Recording:
-    """Return the photons of a table with syncs, or of edges, whose times are ticks. names: of the columns, in messages."""
+    """Return the photons of a table with syncs, or of edges, whose times are ticks. names: of
+    the columns, in messages.
+    """
     if sync_channel is not None:
         raise InputError(
             f"sync-channel = {sync_channel}: {path} is a {kind}, which has no triggers among its events"
@@ -166,7 +174,9 @@ def _not_negative(path: FilePath, name: str, values: np.ndarray) -> None:
 
 
 def _csv(path: FilePath) -> tuple[list[str], Read]:
-    """Return the column names of a CSV file, and a function that reads columns as float64. Lines with # are comments."""
+    """Return the column names of a CSV file, and a function that reads columns as float64. Lines
+    with # are comments.
+    """
     with reading(path, "CSV file"), open(path, encoding="utf-8-sig") as file:
         lines = 1
         while (head := file.readline()).lstrip().startswith("#") or head.isspace():
@@ -203,7 +213,9 @@ def _npz(path: FilePath) -> tuple[list[str], Read]:
 
 
 def _hdf5(path: FilePath) -> tuple[list[str], Read]:
-    """Return the names of the datasets at the file's root, and a function that reads some of them."""
+    """Return the names of the datasets at the file's root, and a function that reads some of
+    them.
+    """
     with reading(path, "HDF5 file"), h5py.File(path, "r") as archive:
         names = [name for name, item in archive.items() if isinstance(item, h5py.Dataset)]
 
@@ -216,7 +228,9 @@ def _hdf5(path: FilePath) -> tuple[list[str], Read]:
 
 
 def _columns(path: FilePath, arrays: dict[str, np.ndarray]) -> Columns:
-    """Return the arrays as numeric columns of equal length; `_integers` refuses integers beyond float64."""
+    """Return the arrays as numeric columns of equal length; `_integers` refuses integers beyond
+    float64.
+    """
     for name, array in arrays.items():
         if np.ndim(array) != 1 or array.dtype.kind not in "iuf":
             raise InputError(

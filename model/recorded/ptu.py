@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """PicoQuant PTU files: T3 and T2 recordings and scanned images to photons per sync; edges to T3.
 
-Ref: PicoQuant's unified file format. `ptufile` reads the header and resolves the overflows. Two things that its decoder
-leaves out are done here: finding the syncs among the records of T2, and the position of a photon in a scan.
+Ref: PicoQuant's unified file format. `ptufile` reads the header and resolves the overflows. Two
+things that its decoder
+leaves out are done here: finding the syncs among the records of T2, and the position of a photon
+in a scan.
 
-Inputs are numbered from 0 in both modes; the sync input has no number. A T3 time is a bin of the device, and the middle
-of the bin is used; a T2 time is the difference of two clock readings.
+Inputs are numbered from 0 in both modes; the sync input has no number. A T3 time is a bin of the
+device, and the middle of the bin is used; a T2 time is the difference of two clock readings.
 """
 
 import logging
@@ -39,9 +41,10 @@ INTEGER, REAL, EMPTY = 0x10000008, 0x20000008, 0xFFFF0008  # types of tags
 def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
     """Return the photons of a PTU file. Raises `InputError`.
 
-    sync_channel: in T2, the input that carries the laser's trigger (None: the sync input). In an image recorded point by
-    point, the photons' channels are positions, row by row. Syncs then count from the beginning of each position's dwell,
-    and continue through the further frames of the image.
+    sync_channel: in T2, the input that carries the laser's trigger (None: the sync input). In an
+    image recorded point by point, the photons' channels are positions, row by row. Syncs then
+    count from the beginning of each position's dwell, and continue through the further frames of
+    the image.
     """
     logging.getLogger("ptufile").setLevel(logging.CRITICAL)  # the errors below report the fault
     with reading(path, "PTU file"), ptufile.PtuFile(path) as file:
@@ -140,7 +143,9 @@ class _Scan:
         )
 
     def place(self, recording: Recording, time: np.ndarray, marker: np.ndarray) -> Recording:
-        """Return `recording` with positions as channels, and syncs that count in a position's dwell, then through frames."""
+        """Return `recording` with positions as channels, and syncs that count in a position's
+        dwell, then through frames.
+        """
         begins, ends, changes = (
             time[(marker & mask) > 0] for mask in (self.start, self.stop, self.frame)
         )
@@ -180,7 +185,8 @@ class _Scan:
 
 
 def write_ptu(path: FilePath, edges: Edges, timing: Timing) -> None:
-    """Write edges as a T3 recording (MultiHarp's records), whole or not at all: sync = pulse, input = pixel, bin = tick.
+    """Write edges as a T3 recording (MultiHarp's records), whole or not at all: sync = pulse,
+    input = pixel, bin = tick.
 
     Raises `InputError` for pixels or ticks that the records cannot hold.
     """

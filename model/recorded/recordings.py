@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded photons from a time tagger, and their conversion to edges: sync to pulse, channel to pixel, time to tick."""
+"""Recorded photons from a time tagger, and their conversion to edges: sync to pulse, channel to
+pixel, time to tick.
+"""
 
 import numpy as np
 from attrs import frozen
@@ -21,10 +23,11 @@ SYNC_MAX = 1 << 53  # tables are read as float64, which is exact for integers up
 class Recording:
     """Photons of a time tagger, in any order.
 
-    sync: int64[n], number of the last laser trigger before each photon, `NO_SYNC` if there is none. channel: int64[n],
-    input of the tagger; with `grid` (rows, cols), the position in an image, row * cols + col. time_ps: float64[n] since
-    the trigger. period_ps: between triggers, None = unknown. kind: description of the recording. outside: meaning of
-    `NO_SYNC`. in_ticks: the times already are ticks.
+    sync: int64[n], number of the last laser trigger before each photon, `NO_SYNC` if there is
+    none. channel: int64[n], input of the tagger; with `grid` (rows, cols), the position in an
+    image, row * cols + col. time_ps: float64[n] since the trigger. period_ps: between triggers,
+    None = unknown. kind: description of the recording. outside: meaning of `NO_SYNC`. in_ticks:
+    the times already are ticks.
     """
 
     sync: np.ndarray
@@ -40,7 +43,8 @@ class Recording:
 def since_sync(
     time: np.ndarray, channel: np.ndarray, sync_time: np.ndarray, unit_ps: float, kind: str
 ) -> Recording:
-    """Return a recording of absolute times: each photon belongs to the last trigger at or before it.
+    """Return a recording of absolute times: each photon belongs to the last trigger at or before
+    it.
 
     time, sync_time: in `unit_ps`, any order; integers (or whole float64) keep the difference exact.
     """
@@ -65,12 +69,15 @@ def recorded_edges(
     first_sync: int = 0,
     delay_ps: float = 0.0,
 ) -> tuple[Edges, dict[str, int]]:
-    """Return the edges of a recording, sorted by (pulse, tick, pixel), and the number of photons lost, by reason.
+    """Return the edges of a recording, sorted by (pulse, tick, pixel), and the number of photons
+    lost, by reason.
 
-    Edges are the photons within the frames, pixels and laser period of `config`; a lost photon counts for the first
-    reason that applies. channels: pixel of each channel; None = the channel's own number (an image: its rows and
-    columns). first_sync: the sync that becomes pulse 0. delay_ps: delay of light and cables between trigger and sensor,
-    subtracted from every time. Raises `InputError` if no photon is left, and for options that do not fit the recording.
+    Edges are the photons within the frames, pixels and laser period of `config`; a lost photon
+    counts for the first reason that applies. channels: pixel of each channel; None = the
+    channel's own number (an image: its rows and columns). first_sync: the sync that becomes
+    pulse 0. delay_ps: delay of light and cables between trigger and sensor, subtracted from
+    every time. Raises `InputError` if no photon is left, and for options that do not fit the
+    recording.
     """
     check_integer("first-sync", first_sync, 0, SYNC_MAX)
     check_real("delay-ps", delay_ps, -np.inf)

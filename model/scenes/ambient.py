@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ambient light that differs across the picture: from the user's text to klux for every pixel.
 
-Ref: paper II, equation (2): the background is proportional to the light. The forms, and the rules of the resampling, are
-our choice.
+Ref: paper II, equation (2): the background is proportional to the light. The forms, and the
+rules of the resampling, are our choice.
 """
 
 from pathlib import Path
@@ -24,9 +24,10 @@ WHITE = {"L": 255, "I;16": 65535, "I;16B": 65535, "I": 65535}  # value of white,
 def ambient_klux(source: Ambient, rows: int, cols: int) -> Numbers:
     """Return klux of ambient light: a number, or float64[rows, cols]. Raises `InputError`.
 
-    source: a number or an array that broadcasts to rows x cols; or a text of `AMBIENT_FORMS`. With LOW|HIGH, the columns
-    from the middle on have HIGH. A file is cropped around its centre to the sensor's aspect ratio, and a pixel takes the
-    mean of the samples that it covers. The samples of a picture are linear, with 0 = dark.
+    source: a number or an array that broadcasts to rows x cols; or a text of `AMBIENT_FORMS`.
+    With LOW|HIGH, the columns from the middle on have HIGH. A file is cropped around its centre
+    to the sensor's aspect ratio, and a pixel takes the mean of the samples that it covers. The
+    samples of a picture are linear, with 0 = dark.
     """
     if not isinstance(source, str):
         return (
@@ -43,7 +44,9 @@ def ambient_klux(source: Ambient, rows: int, cols: int) -> Numbers:
 
 
 def told_klux(source: Ambient) -> float | str:
-    """Return a description of the light for reports: the number, the text of another form, or an array's range."""
+    """Return a description of the light for reports: the number, the text of another form, or an
+    array's range.
+    """
     if isinstance(source, str):
         number = _number(source)
         return source if number is None else number

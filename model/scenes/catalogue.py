@@ -47,7 +47,9 @@ USUAL_KLUX, DAYLIGHT_KLUX = 50.0, {"sun-and-shade": 100.0, "tunnel": 100.0}
 
 
 def usual_klux(source: str) -> float:
-    """Return the ambient light of a scene if none is given: full sun in scenes about sun and shade."""
+    """Return the ambient light of a scene if none is given: full sun in scenes about sun and
+    shade.
+    """
     return DAYLIGHT_KLUX.get(str(source).partition(":")[0], USUAL_KLUX)
 
 
@@ -68,11 +70,13 @@ def load_scene(
     ----------
     source : str or numpy.ndarray
         An array of distances in metres (see `depth_scene`);
-        a built-in scene with parameters after a colon (`five-objects`, `letter-f`, `flat:DISTANCE,REFLECTIVITY`, `two-targets:NEAR,FAR`
-        in stripes, `two-returns:NEAR,FAR` in every pixel, `returns:METRES,METRES,...` in every pixel, each METRES or
-        METRES@REFLECTIVITY, `sun-and-shade:SHADE`, `tunnel:SHADE`; distances are in metres, and SHADE is the share of the light that
-        reaches the shade); a depth file, `DEPTH` or `DEPTH,COLOUR` (see `depth_scene`); or a scene for the
-        ray tracer, `ray:NAME` or a Mitsuba file that ends with .xml.
+        a built-in scene with parameters after a colon (`five-objects`, `letter-f`,
+        `flat:DISTANCE,REFLECTIVITY`, `two-targets:NEAR,FAR` in stripes, `two-returns:NEAR,FAR`
+        in every pixel, `returns:METRES,METRES,...` in every pixel, each METRES or
+        METRES@REFLECTIVITY, `sun-and-shade:SHADE`, `tunnel:SHADE`; distances are in metres, and
+        SHADE is the share of the light that reaches the shade); a depth file, `DEPTH` or
+        `DEPTH,COLOUR` (see `depth_scene`); or a scene for the ray tracer, `ray:NAME` or a
+        Mitsuba file that ends with .xml.
     rows, cols : int
         Size of the sensor in pixels.
     colour : str, Path or None
@@ -82,8 +86,9 @@ def load_scene(
     scale : float
         Factor for the distances of a depth file.
     unit : str or None
-        Unit of a depth file: m, cm, mm, 1/N (of a metre), disparity:FOCAL_PX,BASELINE_M[,OFFSET_PX], or a data set: tum, kitti, nyu,
-        sun-rgbd, middlebury. None: floats are metres, integers of a file millimetres.
+        Unit of a depth file: m, cm, mm, 1/N (of a metre),
+        disparity:FOCAL_PX,BASELINE_M[,OFFSET_PX], or a data set: tum, kitti, nyu, sun-rgbd,
+        middlebury. None: floats are metres, integers of a file millimetres.
     range_m : float
         Range of the laser period in metres; surfaces beyond it are left out.
 
@@ -153,7 +158,9 @@ def _is_built_in(source: str) -> bool:
 def _numbers(
     name: str, text: str, defaults: tuple[tuple[str, float], ...], range_m: float
 ) -> list[float]:
-    """Return the comma-separated numbers after a built-in scene's name, and defaults for the rest."""
+    """Return the comma-separated numbers after a built-in scene's name, and defaults for the
+    rest.
+    """
     given = text.split(",") if text else []
     if len(given) > len(defaults):
         form = ",".join(what for what, _ in defaults)
@@ -166,7 +173,9 @@ def _numbers(
 
 
 def _targets(text: str, range_m: float) -> list[tuple[float, float]]:
-    """Return (distance in metres, reflectivity) of each surface in `text`; those without one share the default evenly."""
+    """Return (distance in metres, reflectivity) of each surface in `text`; those without one
+    share the default evenly.
+    """
     parts = [one.partition(AT) for one in text.split(",")]
     shared = str(REFLECTIVITY / len(parts))
     return [

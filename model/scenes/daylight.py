@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes in which the sun lights one part and not the other. Geometry and reflectivities are our choice.
+"""Scenes in which the sun lights one part and not the other. Geometry and reflectivities are our
+choice.
 
-Ref: paper I and III-A: thresholds are "adapted" where the background differs, which takes a picture in which it does.
+Ref: paper I and III-A: thresholds are "adapted" where the background differs, which takes a
+picture in which it does.
 """
 
 import math
@@ -15,7 +17,8 @@ from .scene import Scene
 
 SHADE = 0.01  # share of the sun's light that reaches the shade: 1 klux beside 100
 
-# A facade in the sun; on its left a dark gateway in the shade of a roof, whose shadow's edge slants through the picture.
+# A facade in the sun; on its left a dark gateway in the shade of a roof, whose shadow's edge
+# slants through the picture.
 YARD = (
     Plane(1, 9.0, 0.50, left=14 / 32),  # facade
     Plane(2, 12.5, 0.10, right=14 / 32),  # back wall of the gateway
@@ -37,7 +40,9 @@ TRUCK = Plane(3, 8.2, 0.08, 15 / 32, 26 / 32, 9 / 32, 18 / 32)  # dark, in front
 
 
 def sun_and_shade(rows: int, cols: int, name: str, shade: float) -> Scene:
-    """Return the yard: in the sun to the right of the shadow's edge, with `shade` of that light to the left."""
+    """Return the yard: in the sun to the right of the shadow's edge, with `shade` of that light
+    to the left.
+    """
     yard = planes_scene(YARD, rows, cols, name)
     y, x = (np.arange(rows)[:, None] + 0.5) / rows, (np.arange(cols) + 0.5) / cols
     in_the_sun = x >= SHADOW_TOP + (SHADOW_BOTTOM - SHADOW_TOP) * y
@@ -45,7 +50,9 @@ def sun_and_shade(rows: int, cols: int, name: str, shade: float) -> Scene:
 
 
 def tunnel(rows: int, cols: int, name: str, shade: float) -> Scene:
-    """Return the exit of a square tunnel: dark receding walls, a dark truck, and a sunlit wall behind the exit."""
+    """Return the exit of a square tunnel: dark receding walls, a dark truck, and a sunlit wall
+    behind the exit.
+    """
     optics = Optics()
     up = (1 - 2 * (np.arange(rows)[:, None] + 0.5) / rows) * math.tan(
         math.radians(optics.fov_v_deg / 2)

@@ -47,14 +47,15 @@ def depth_scene(
 ) -> Scene:
     """Return a scene from a depth file, or from an array of distances. Raises `InputError`.
 
-    The file is a picture of 16 bits or floats (PNG, TIFF), NPY, PFM or OpenEXR; without `unit` (see `depth_units`), floats
-    are metres and integers of a file millimetres, and numbers of an array are metres. The picture is cropped around its
-    centre to the sensor's aspect ratio. A pixel of the sensor takes the nearest of the samples that it covers, with the
-    reflectivity at that very sample: nothing is averaged across an edge. Samples that are 0, infinite, NaN or negative, or
-    at or beyond `range_m`, are left out, and noted.
+    The file is a picture of 16 bits or floats (PNG, TIFF), NPY, PFM or OpenEXR; without `unit`
+    (see `depth_units`), floats are metres and integers of a file millimetres, and numbers of an
+    array are metres. The picture is cropped around its centre to the sensor's aspect ratio. A
+    pixel of the sensor takes the nearest of the samples that it covers, with the
+    reflectivity at that very sample: nothing is averaged across an edge. Samples that are 0,
+    infinite, NaN or negative, or at or beyond `range_m`, are left out, and noted.
 
-    scale: factor for all distances, applied first. colour: a picture of the same view; its luminance (linear light) maps
-    to `DARKEST` to `BRIGHTEST`.
+    scale: factor for all distances, applied first. colour: a picture of the same view; its
+    luminance (linear light) maps to `DARKEST` to `BRIGHTEST`.
     """
     if not np.ndim(reflectivity):
         reflectivity = check_real("reflectivity", reflectivity, 0, 1)
@@ -113,7 +114,9 @@ def depth_scene(
 def _usable(
     depth: object, sample_m: np.ndarray, range_m: float, better: str
 ) -> tuple[np.ndarray, list[str]]:
-    """Return `sample_m` with NaN for unusable samples, and notes about them. better: what to say about the unit."""
+    """Return `sample_m` with NaN for unusable samples, and notes about them. better: what to say
+    about the unit.
+    """
     missing = np.isnan(sample_m) | (sample_m == 0)
     negative = sample_m < 0
     far = sample_m >= range_m
@@ -143,7 +146,8 @@ def _usable(
 
 
 def _nearest_surface(sample_m: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (row, col) of the nearest sample that each pixel of the sensor covers; int64[rows, cols] each.
+    """Return (row, col) of the nearest sample that each pixel of the sensor covers; int64[rows,
+    cols] each.
 
     A picture with fewer samples than the sensor has pixels is repeated. NaN counts as the farthest.
     """
@@ -179,7 +183,9 @@ def _is_picture(path: FilePath) -> bool:
 
 
 def _read_grey(path: FilePath) -> np.ndarray:
-    """Return the samples of a picture; colour and 8 bits are refused, because they cannot be depth in millimetres."""
+    """Return the samples of a picture; colour and 8 bits are refused, because they cannot be
+    depth in millimetres.
+    """
     with open_picture(path) as picture:
         if picture.mode != "F" and not picture.mode.startswith("I"):
             raise InputError(
@@ -190,7 +196,9 @@ def _read_grey(path: FilePath) -> np.ndarray:
 
 
 def _read_reflectivity(path: FilePath) -> np.ndarray:
-    """float64[height, width]: linear luminance (sRGB primaries) between `DARKEST` and `BRIGHTEST`."""
+    """float64[height, width]: linear luminance (sRGB primaries) between `DARKEST` and
+    `BRIGHTEST`.
+    """
     with open_picture(path) as picture:
         srgb = np.asarray(picture.convert("RGB"), np.float64) / 255
     linear = np.where(

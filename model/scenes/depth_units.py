@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units of depth files: from samples to metres, and which unit would fit if the one that is assumed does not.
+"""Units of depth files: from samples to metres, and which unit would fit if the one that is
+assumed does not.
 
-A unit is `m`, `cm`, `mm`, `1/N` (of a metre), `disparity:FOCAL_PX,BASELINE_M[,OFFSET_PX]`, or the name of a data set.
+A unit is `m`, `cm`, `mm`, `1/N` (of a metre), `disparity:FOCAL_PX,BASELINE_M[,OFFSET_PX]`, or
+the name of a data set.
 """
 
 import re
@@ -52,7 +54,9 @@ def check_unit(unit: str) -> str:
 
 
 def metres(path: FilePath, samples: np.ndarray, unit: str) -> np.ndarray:
-    """float64: samples in metres; NaN = no depth. path: of the file, for messages and calib.txt. Raises `InputError`."""
+    """float64: samples in metres; NaN = no depth. path: of the file, for messages and calib.txt.
+    Raises `InputError`.
+    """
     unit = DATA_SETS[check_unit(unit)][0] if unit in DATA_SETS else check_unit(unit)
     if unit == ROTATED:
         if samples.dtype != np.uint16:
@@ -99,7 +103,8 @@ def _stereo(path: FilePath, unit: str) -> tuple[float, float, float]:
 
 
 def fitting_unit(samples: np.ndarray, unit: str, median_m: float, range_m: float) -> str:
-    """Return a sentence with the unit that would fit better, if the median distance is unusual; else nothing.
+    """Return a sentence with the unit that would fit better, if the median distance is unusual;
+    else nothing.
 
     samples: of the file; unit: the one that was assumed or given.
     """

@@ -16,7 +16,9 @@ STRIPE_PIXELS = 4  # of the scene `two-targets`: both surfaces in every subgroup
 
 @frozen
 class Plane:
-    """A rectangle that faces the sensor; borders are shares of the picture, rows from the top, columns from the left."""
+    """A rectangle that faces the sensor; borders are shares of the picture, rows from the top,
+    columns from the left.
+    """
 
     label: int
     distance_m: float
@@ -27,8 +29,9 @@ class Plane:
     right: float = 1.0
 
 
-# After the paper's Fig. 4: numbers and kinds of the objects, nearest and farthest distance are from the paper, the rest is
-# ours. Borders are multiples of 1/32 and differ from those of subgroups of 8 x 8, so that surfaces share subgroups.
+# After the paper's Fig. 4: numbers and kinds of the objects, nearest and farthest distance are
+# from the paper, the rest is ours. Borders are multiples of 1/32 and differ from those of
+# subgroups of 8 x 8, so that surfaces share subgroups.
 FIVE_OBJECTS = (
     Plane(1, 9.7, 0.60),  # white wall
     Plane(2, 7.2, 0.08, 9 / 32, 21 / 32, 2 / 32, 13 / 32),  # dark object
@@ -75,7 +78,8 @@ def two_targets(
 
 
 def returns(rows: int, cols: int, name: str, targets: Sequence[tuple[float, float]]) -> Scene:
-    """Return surfaces that every pixel sees behind each other, as through meshes: (distance in metres, reflectivity) of each.
+    """Return surfaces that every pixel sees behind each other, as through meshes: (distance in
+    metres, reflectivity) of each.
 
     Every surface sends back the light of its reflectivity; none takes light from those behind it.
     """

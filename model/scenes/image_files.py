@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures and arrays as inputs of scenes: checked reading, and cropping to the sensor's aspect ratio."""
+"""Pictures and arrays as inputs of scenes: checked reading, and cropping to the sensor's aspect
+ratio.
+"""
 
 import re
 from pathlib import Path
@@ -47,7 +49,8 @@ def read_pfm(path: FilePath) -> np.ndarray:
 def read_exr(path: FilePath) -> np.ndarray:
     """float32[rows, cols]: the depth channel of an OpenEXR file. Raises `InputError`.
 
-    That is `Z`, or a channel that ends with `.Z`, or that has `depth` in its name; else the only channel, or `R`.
+    That is `Z`, or a channel that ends with `.Z`, or that has `depth` in its name; else the only
+    channel, or `R`.
     """
     import OpenEXR
 
@@ -71,7 +74,9 @@ def read_exr(path: FilePath) -> np.ndarray:
 
 
 def check_picture_array(path: FilePath, samples: np.ndarray) -> np.ndarray:
-    """Return `samples` as a numeric [rows, cols]; a third dimension of length 1 is dropped. Raises `InputError`."""
+    """Return `samples` as a numeric [rows, cols]; a third dimension of length 1 is dropped.
+    Raises `InputError`.
+    """
     if samples.ndim == 3 and samples.shape[2] == 1:
         samples = samples[:, :, 0]
     if samples.ndim != 2 or not samples.size or samples.dtype.kind not in "iuf":
@@ -82,7 +87,9 @@ def check_picture_array(path: FilePath, samples: np.ndarray) -> np.ndarray:
 
 
 def centre_crop(height: int, width: int, rows: int, cols: int) -> tuple[int, int, int, int]:
-    """Return (top, left, height, width) of the largest centred part with the aspect ratio of rows x cols."""
+    """Return (top, left, height, width) of the largest centred part with the aspect ratio of
+    rows x cols.
+    """
     crop_height = max(1, min(height, round(width * rows / cols)))
     crop_width = max(1, min(width, round(height * cols / rows)))
     return (height - crop_height) // 2, (width - crop_width) // 2, crop_height, crop_width
@@ -91,9 +98,11 @@ def centre_crop(height: int, width: int, rows: int, cols: int) -> tuple[int, int
 def covered_samples(
     height: int, width: int, rows: int, cols: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return which samples of a picture of height x width each of rows x cols pixels covers, as (row, col, pixel).
+    """Return which samples of a picture of height x width each of rows x cols pixels covers, as
+    (row, col, pixel).
 
-    int64: row[n, 1] and col[m] of the samples, pixel[n, m]. If there are fewer samples than pixels, they are repeated.
+    int64: row[n, 1] and col[m] of the samples, pixel[n, m]. If there are fewer samples than
+    pixels, they are repeated.
     """
     n, m = max(height, rows), max(width, cols)
     pixel = np.arange(n)[:, None] * rows // n * cols + np.arange(m) * cols // m

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ray-traced scenes by name or file: rendered now or taken from the cache, with notes for the user.
 
-Ref: paper V, "a simulator based on Monte Carlo ray tracing models"; everything else is our choice. Mitsuba and
-mitransient are an optional extra; nothing here imports them before a scene is requested.
+Ref: paper V, "a simulator based on Monte Carlo ray tracing models"; everything else is our
+choice. Mitsuba and mitransient are an optional extra; nothing here imports them before a scene
+is requested.
 """
 
 import ctypes
@@ -31,7 +32,8 @@ BUILT_IN = ("five-objects", "glass", "corner", "retroreflector", "fog")
 SCENES = Path(__file__).with_name("ray_scenes")  # folder of the built-in scenes
 PACKAGES = ("mitsuba", "mitransient", "drjit")
 INSTALL = "make raytrace (without a checkout: pip install 'coincid[raytrace]')"
-# Names that the loader knows. Older versions are missing because they crash: they do not know the code that Dr.Jit emits.
+# Names that the loader knows. Older versions are missing because they crash: they do not know
+# the code that Dr.Jit emits.
 LLVM_LIBRARIES = (
     "libLLVM.so.19.1",
     "libLLVM.so.20.1",
@@ -57,11 +59,12 @@ def is_ray_scene(source: str) -> bool:
 def ray_scene(
     source: str, rows: int, cols: int, *, range_m: float, optics: Optics | None = None
 ) -> Scene:
-    """Return the ray-traced scene `source`, rendered at rows x cols or taken from the cache. Raises `InputError`.
+    """Return the ray-traced scene `source`, rendered at rows x cols or taken from the cache.
+    Raises `InputError`.
 
-    source: `ray:NAME`, or a Mitsuba scene file (.xml, metres). range_m: range of the laser period. optics: the pixels
-    share its field of view. Pixels without a usable surface (none, too near, at or beyond the range) are masked and
-    noted; their light stays.
+    source: `ray:NAME`, or a Mitsuba scene file (.xml, metres). range_m: range of the laser
+    period. optics: the pixels share its field of view. Pixels without a usable surface (none,
+    too near, at or beyond the range) are masked and noted; their light stays.
     """
     optics = optics or Optics()
     path = _path(source)
@@ -106,7 +109,9 @@ def _path(source: str) -> Path:
 
 
 def _tracer() -> ModuleType:
-    """Return the module that needs the extra. Raises `InputError` if the extra or its LLVM is missing."""
+    """Return the module that needs the extra. Raises `InputError` if the extra or its LLVM is
+    missing.
+    """
     try:
         for package in PACKAGES:
             version(package)
@@ -136,7 +141,9 @@ def llvm_library() -> str:
 
 
 def _key(scene: "RayScene", rows: int, cols: int, view: dict[str, float]) -> str:
-    """Return a hash of everything that determines the rendering: scene files, view, versions, and our own code."""
+    """Return a hash of everything that determines the rendering: scene files, view, versions,
+    and our own code.
+    """
     packages = [(name, version(name)) for name in PACKAGES]
     code = sources_digest("model.scenes")
     return digest(

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ray tracing: from a Mitsuba scene to transients (`transient.py`), with mitransient's volumetric path tracer.
+"""Ray tracing: from a Mitsuba scene to transients (`transient.py`), with mitransient's
+volumetric path tracer.
 
-Laser and camera are our own. Both are at one point, which sees and lights rows x cols pixels of equal size on a plane
-that faces it. Each light path ends at a surface or in a medium that the laser lights. The way there and back is added
-up, and so is the light. The sums are integers, which do not depend on the order, so the number of threads does not
-change a bit of the result.
+Laser and camera are our own. Both are at one point, which sees and lights rows x cols pixels of
+equal size on a plane that faces it. Each light path ends at a surface or in a medium that the
+laser lights. The way there and back is added up, and so is the light. The sums are integers,
+which do not depend on the order, so the number of threads does not change a bit of the result.
 
-Importing this module loads Mitsuba (`ray_scene.py` finds its LLVM first), in the variant `VARIANT`: one wavelength, and
-colours count by their luminance.
+Importing this module loads Mitsuba (`ray_scene.py` finds its LLVM first), in the variant
+`VARIANT`: one wavelength, and colours count by their luminance.
 """
 
 import math
@@ -52,10 +53,12 @@ _NOT_OURS = {
 
 
 class Retroreflective(mi.BSDF):
-    """BSDF `retroreflective`: sends `reflectance` (0.2) of the light back to its origin, within `divergence` (sigma, 1 degree).
+    """BSDF `retroreflective`: sends `reflectance` (0.2) of the light back to its origin, within
+    `divergence` (sigma, 1 degree).
 
-    The lobe is a von Mises-Fisher law around the direction of incidence. The defaults give 104 cd/lx/m2 if source and
-    eye are at one place, like a road sign of the simplest sheeting; a white wall gives 0.3.
+    The lobe is a von Mises-Fisher law around the direction of incidence. The defaults give 104
+    cd/lx/m2 if source and eye are at one place, like a road sign of the simplest sheeting; a
+    white wall gives 0.3.
     """
 
     def __init__(self, props):
@@ -105,9 +108,9 @@ mi.register_bsdf("retroreflective", Retroreflective)
 class RayScene:
     """A parsed scene file (`path`) without its emitters, film, sampler and integrator.
 
-    position, axes: of the camera; columns of `axes` (float64[3, 3]): its left, up and forward. emitters: number of
-    emitters left out. cameras: number in the file; the first one is used. kind: its plugin. files: everything that the
-    scene is made of, by name.
+    position, axes: of the camera; columns of `axes` (float64[3, 3]): its left, up and forward.
+    emitters: number of emitters left out. cameras: number in the file; the first one is used.
+    kind: its plugin. files: everything that the scene is made of, by name.
     """
 
     path: Path
@@ -190,7 +193,9 @@ def _one_line(path: FilePath, error: Exception) -> str:
 
 
 def _pose(path: FilePath, camera: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return position and axes; scale and shear of the transform are dropped, but a mirror image is kept."""
+    """Return position and axes; scale and shear of the transform are dropped, but a mirror image
+    is kept.
+    """
     if "to_world" not in camera.keys():
         return np.zeros(3), np.eye(3)
     matrix = np.array(camera["to_world"].matrix, np.float64)
@@ -213,9 +218,11 @@ def _contents(state: Any) -> dict[str, bytes]:
 
 
 class _Lidar(TransientPRBVolpathIntegrator):
-    """Path tracer whose only light is the laser, at the camera. Connections to the laser pass panes and media.
+    """Path tracer whose only light is the laser, at the camera. Connections to the laser pass
+    panes and media.
 
-    They go straight through surfaces that transmit without scattering, which is right for panes but not for lenses.
+    They go straight through surfaces that transmit without scattering, which is right for panes
+    but not for lenses.
     Units: radiance for a laser of 1 W.
     """
 
@@ -223,14 +230,16 @@ class _Lidar(TransientPRBVolpathIntegrator):
         super().__init__(mi.Properties())
         self.max_depth, self.rr_depth, self.hide_emitters = VERTICES_MAX, ROULETTE_FROM, False
         self.tan_h, self.tan_v = tan_h, tan_v
-        # Variables and not literals: in a product with the literal 0, Dr.Jit 1.5.0 gives that literal the size of the
-        # other factor, wherever else it is used.
+        # Variables and not literals: in a product with the literal 0, Dr.Jit 1.5.0 gives that
+        # literal the size of the other factor, wherever else it is used.
         self.position = mi.Point3f(*_opaque(scene.position))
         self.axes = [mi.Vector3f(*_opaque(axis)) for axis in scene.axes.T]
         self.inverse = [mi.Vector3f(*_opaque(row)) for row in np.linalg.inv(scene.axes)]
 
     def irradiance(self, p):
-        """Return W/m2 at `p` on a surface that faces the laser; a plane that faces the camera is lit evenly in the view."""
+        """Return W/m2 at `p` on a surface that faces the laser; a plane that faces the camera is
+        lit evenly in the view.
+        """
         local = mi.Vector3f(*(dr.dot(row, p - self.position) for row in self.inverse))
         reach = CONE_SLACK * local.z
         inside = (
@@ -293,8 +302,9 @@ class _Lidar(TransientPRBVolpathIntegrator):
     def surfaces(self, scene, sampler, ray):
         """Return (distance, ambient) of each ray.
 
-        distance: to the first surface that scatters, infinite into the sky. ambient: brightness of the ray under light
-        that is the same everywhere, where media scatter all light that they take.
+        distance: to the first surface that scatters, infinite into the sky. ambient: brightness
+        of the ray under light that is the same everywhere, where media scatter all light that
+        they take.
         """
         active, through, medium = mi.Bool(True), mi.Float(1), dr.zeros(mi.MediumPtr)
         distance, clear, eta, crossings = mi.Float(0), mi.Float(1), mi.Float(1), mi.UInt32(0)
@@ -329,7 +339,9 @@ def _opaque(values: np.ndarray) -> list[Any]:
 def render(
     scene: RayScene, rows: int, cols: int, *, fov_h_deg: float, fov_v_deg: float, stop_s: float
 ) -> Transient:
-    """Return the transients of rows x cols pixels in the field of view, for flights up to `stop_s`. Raises `InputError`."""
+    """Return the transients of rows x cols pixels in the field of view, for flights up to
+    `stop_s`. Raises `InputError`.
+    """
     try:
         with _files_beside(scene.path):
             world = mi.parser.instantiate(scene.config, scene.state)
@@ -370,7 +382,9 @@ def render(
 
 
 def _check_media(world: Any, path: FilePath) -> None:
-    """Refuse heterogeneous media: mitransient 1.3.1 omits the way between null collisions, so times are too short."""
+    """Refuse heterogeneous media: mitransient 1.3.1 omits the way between null collisions, so
+    times are too short.
+    """
     media = [
         medium
         for shape in world.shapes()
@@ -386,7 +400,9 @@ def _check_media(world: Any, path: FilePath) -> None:
 def _rays(
     lidar: _Lidar, rows: int, cols: int, first: int, n: int, side: int, seed: int
 ) -> tuple[Any, Any, Any]:
-    """Return (sampler, rays, pixel of each ray in the block): side x side rays for each pixel, one per cell of a grid."""
+    """Return (sampler, rays, pixel of each ray in the block): side x side rays for each pixel,
+    one per cell of a grid.
+    """
     lanes = n * side * side
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, lanes)

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene: distance and reflectivity of the surfaces that every pixel sees, and the light that comes from them."""
+"""A scene: distance and reflectivity of the surfaces that every pixel sees, and the light that
+comes from them.
+"""
 
 from typing import Any
 
@@ -20,13 +22,16 @@ REFLECTIVITY = 0.4  # default: the reflectivity of the paper's flat target
 class Scene:
     """Scene that rows x cols pixels look at.
 
-    name: for titles and reports. distance_m: float64[rows, cols, targets], NaN = no target; a two-dimensional array has
-    one target. A pixel without a target is invalid. reflectivity: float64[rows, cols, targets], 0 to 1. labels:
-    int64[rows, cols], number of the object, or `NO_OBJECT`. sunlit: float64[rows, cols], share of the ambient light that
-    reaches the surface, 0 to 1. notes: sentences that the user should read: what was cropped, masked or assumed.
+    name: for titles and reports. distance_m: float64[rows, cols, targets], NaN = no target; a
+    two-dimensional array has one target. A pixel without a target is invalid. reflectivity:
+    float64[rows, cols, targets], 0 to 1. labels: int64[rows, cols], number of the object, or
+    `NO_OBJECT`. sunlit: float64[rows, cols], share of the ambient light that reaches the
+    surface, 0 to 1. notes: sentences that the user should read: what was cropped, masked or
+    assumed.
     transient: light of a ray-traced scene, in which distance and reflectivity are only the truth.
 
-    Raises `InputError` if a distance is below `NEAREST_M`, or a reflectivity or share is outside 0 to 1.
+    Raises `InputError` if a distance is below `NEAREST_M`, or a reflectivity or share is outside
+    0 to 1.
     """
 
     name: str
@@ -81,7 +86,8 @@ class Scene:
     def surfaces_m(self) -> np.ndarray:
         """float64[rows, cols, surfaces]: distances at which a pixel sees a surface, NaN = none.
 
-        These are the targets. A ray-traced pixel has two: the surface that fills most of it, and its strongest return.
+        These are the targets. A ray-traced pixel has two: the surface that fills most of it, and
+        its strongest return.
         """
         if self.transient is None:
             return self.distance_m

@@ -2,8 +2,9 @@
 """Transients: how the light that returns to each pixel of a rendered scene is spread over the time
 of flight.
 
-The unit is that of equation (1): a Lambertian surface of reflectivity r that fills the pixel at distance d sends back r /
-(pi d^2). So a transient is independent of laser, lens and detector, and the link budget turns it into photons.
+The unit is that of equation (1): a Lambertian surface of reflectivity r that fills the pixel at
+distance d sends back r / (pi d^2). So a transient is independent of laser, lens and detector,
+and the link budget turns it into photons.
 """
 
 import math
@@ -28,7 +29,8 @@ from ..shared.files import FilePath, read_npz, write_npz
 from ..shared.quantities import Numbers, real_array
 
 BIN_S = 15.625e-12  # a quarter of the preset's tick
-# Surfaces farther apart are distinct: the way of light, there and back, in a coincidence window of 1 ns.
+# Surfaces farther apart are distinct: the way of light, there and back, in a coincidence window
+# of 1 ns.
 SURFACE_GAP_M = 0.15
 _ARRAYS = ("first", "index", "strength_per_m2", "ambient", "surface_m", "lost_per_m2")
 
@@ -38,10 +40,11 @@ class Transient:
     """Transients of rows x cols pixels. Only bins with light are stored: those of pixel p are
     first[p] to first[p + 1].
 
-    first: int64[pixels + 1]. index: int64[n], ascending in a pixel; bin i holds flights of [i, i + 1) x `BIN_S`, there
-    and back. strength_per_m2: float64[n], returned light in the bin, in units of r / (pi d^2). ambient: float64[rows,
-    cols], reflectivity of the pixel under even light (1 = open sky). surface_m: float64[rows, cols], distance of the
-    surface that fills most of the pixel, from the geometry alone; infinite if there is none. lost_per_m2: of flights
+    first: int64[pixels + 1]. index: int64[n], ascending in a pixel; bin i holds flights of [i, i
+    + 1) x `BIN_S`, there and back. strength_per_m2: float64[n], returned light in the bin, in
+    units of r / (pi d^2). ambient: float64[rows, cols], reflectivity of the pixel under even
+    light (1 = open sky). surface_m: float64[rows, cols], distance of the surface that fills most
+    of the pixel, from the geometry alone; infinite if there is none. lost_per_m2: of flights
     beyond the last bin, all pixels.
     """
 
@@ -94,9 +97,11 @@ class Transient:
         laser: Laser | None = None,
         **others: Any,
     ) -> Light:
-        """Return the detected light: signal by the link budget, background by the preset, with `ambient` as reflectivity.
+        """Return the detected light: signal by the link budget, background by the preset, with
+        `ambient` as reflectivity.
 
-        klux: ambient light, a number or float64[rows, cols]; background: one of `BACKGROUNDS`; others: fields of `Light`.
+        klux: ambient light, a number or float64[rows, cols]; background: one of `BACKGROUNDS`;
+        others: fields of `Light`.
         """
         photons = self.strength_per_m2 * photons_per_strength(optics or Optics(), laser or Laser())
         rows, cols = self.surface_m.shape
@@ -118,23 +123,28 @@ def photons_per_strength(optics: Optics, laser: Laser) -> float:
 
     The link budget at 1 m with r = 1 gives them, because such a surface returns 1 / pi.
 
-    As everywhere in the project, a pixel has the light of one of `optics.pixels` pixels, whatever the size of the array.
+    As everywhere in the project, a pixel has the light of one of `optics.pixels` pixels,
+    whatever the size of the array.
     """
     budget = link_budget(1.0, 1.0, 0.0, optics=optics, laser=laser, form="corrected")
     return float(budget.signal_per_pulse) * math.pi
 
 
 def sparse(table: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (bins of each pixel, index, value) of the nonzero entries of table[pixels, bins]; int64, int64, its type."""
+    """Return (bins of each pixel, index, value) of the nonzero entries of table[pixels, bins];
+    int64, int64, its type.
+    """
     pixel, index = np.nonzero(table)
     return np.bincount(pixel, minlength=len(table)), index, table[pixel, index]
 
 
 def dominant_surface_m(samples_m: np.ndarray) -> np.ndarray:
-    """float64[pixels] of float[pixels, samples]: mean distance of the surface that most samples of a pixel see.
+    """float64[pixels] of float[pixels, samples]: mean distance of the surface that most samples
+    of a pixel see.
 
-    Samples more than `SURFACE_GAP_M` apart, without others between them, belong to different surfaces; among equals the
-    nearest one is taken. Infinite samples (the sky) are a surface of their own.
+    Samples more than `SURFACE_GAP_M` apart, without others between them, belong to different
+    surfaces; among equals the nearest one is taken. Infinite samples (the sky) are a surface of
+    their own.
     """
     ordered = np.sort(samples_m.astype(np.float64), axis=1)
     surface_m = np.empty(len(ordered))

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numba for this project's kernels: compiled code is kept on disk until one of its possible sources changes.
+"""Numba for this project's kernels: compiled code is kept on disk until one of its possible
+sources changes.
 
-Numba only checks the file of the compiled function itself, but a kernel includes functions and constants from other
-files. The kernel's package, the contract and this room hold everything that it may use, so the folder of its compiled
-code is named by their digest.
+Numba only checks the file of the compiled function itself, but a kernel includes functions and
+constants from other files. The kernel's package, the contract and this room hold everything that
+it may use, so the folder of its compiled code is named by their digest.
 
-Kernels consist of `part`s, which are compiled into them and never called from Python. So what takes time for each
-compiled function is left out: a wrapper for calls from Python, a file on disk, and one version for each constant that
-is passed.
+Kernels consist of `part`s, which are compiled into them and never called from Python. So what
+takes time for each
+compiled function is left out: a wrapper for calls from Python, a file on disk, and one version
+for each constant that is passed.
 """
 
 from collections.abc import Callable
@@ -30,7 +32,9 @@ _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 
 
 class _Compiled(CPUDispatcher):
-    """A function that Numba compiles once for all numbers of a type; Numba's own is compiled for each constant."""
+    """A function that Numba compiles once for all numbers of a type; Numba's own is compiled for
+    each constant.
+    """
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """Return how a call with these types is compiled."""
@@ -55,11 +59,13 @@ def njit(*, allocates: bool = True, **options: Any) -> Callable[[_Kernel], _Kern
 def njit(
     function: Callable[..., Any] | None = None, *, allocates: bool = True, **options: Any
 ) -> Callable[..., Any]:
-    """Compile a kernel with Numba, keep its code on disk, and run it without the lock of the interpreter.
+    """Compile a kernel with Numba, keep its code on disk, and run it without the lock of the
+    interpreter.
 
     Code that calls the function from C is not made. options: as of `numba.njit`.
 
-    allocates=False: the kernel and its parts make no arrays, and do not count references to their arguments.
+    allocates=False: the kernel and its parts make no arrays, and do not count references to
+    their arguments.
     """
     if function is None:
         return partial(njit, allocates=allocates, **options)
@@ -93,9 +99,10 @@ def part(
 ) -> Callable[..., Any]:
     """Compile a part of kernels: a function that only they and their other parts call.
 
-    allocates=True: the part makes arrays. If not, it counts no references to its arguments: if parts with many array
-    arguments are called for every photon, that counting costs more than they do. inlined=False: it is called instead of
-    being compiled into each place that calls it, as befits what is rare or long. options: as of `numba.njit`.
+    allocates=True: the part makes arrays. If not, it counts no references to its arguments: if
+    parts with many array arguments are called for every photon, that counting costs more than
+    they do. inlined=False: it is called instead of being compiled into each place that calls it,
+    as befits what is rare or long. options: as of `numba.njit`.
     """
     if function is None:
         return partial(part, allocates=allocates, inlined=inlined, **options)
@@ -116,7 +123,9 @@ def _dispatcher(
 
 
 def is_compiled(module: str) -> bool:
-    """Return whether some process has kept compiled code of the present sources of a module's package."""
+    """Return whether some process has kept compiled code of the present sources of a module's
+    package.
+    """
     folder = _folder(_package(module))
     return folder is None or any(folder.rglob("*.nbi"))
 
@@ -128,7 +137,9 @@ def _package(module: str) -> str:
 
 @cache
 def _folder(package: str) -> Path | None:
-    """Return the folder for a package's compiled code, or None if it cannot be written: then every process compiles anew."""
+    """Return the folder for a package's compiled code, or None if it cannot be written: then
+    every process compiles anew.
+    """
     try:
         return build_root() / "numba" / packages_digest(*sorted({package, *_SHARED_BY_ALL}))
     except InputError:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Physical constants (exact SI values), conversions that follow from definitions, and the paper's criterion of success."""
+"""Physical constants (exact SI values), conversions that follow from definitions, and the
+paper's criterion of success.
+"""
 
 import math
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one exception that a user is meant to read, and checks that raise it: of integers, and of optional packages."""
+"""The one exception that a user is meant to read, and checks that raise it: of integers, and of
+optional packages.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,12 +10,14 @@ SEED_MAX = (1 << 63) - 1  # highest seed of random numbers: it fits a column of 
 
 
 class InputError(ValueError):
-    """Invalid input. The message names the field and its legal range; commands print it and exit with code 2.
+    """Invalid input. The message names the field and its legal range; commands print it and exit
+    with code 2.
 
     Attributes
     ----------
     field : str or None
-        What is wrong, as the message names it at its beginning, such as "frame.period"; None if it is not a single field.
+        What is wrong, as the message names it at its beginning, such as "frame.period"; None if
+        it is not a single field.
     low, high : float or None
         The legal range, if the field has one.
     """
@@ -32,7 +36,9 @@ class InputError(ValueError):
         self.high = high
 
     def within(self, where: object) -> "InputError":
-        """Return the same error with the file or the point in which it was found in front of its message."""
+        """Return the same error with the file or the point in which it was found in front of its
+        message.
+        """
         return InputError(f"{where}: {self}", field=self.field, low=self.low, high=self.high)
 
     def renamed(self, name: str) -> str:
@@ -46,18 +52,24 @@ class InputError(ValueError):
 def wrong_value(
     name: str, value: object, legal: str, *, low: float | None = None, high: float | None = None
 ) -> InputError:
-    """Return the error for the field `name` with an illegal `value`. legal: what it must be, as "an integer from 1 to 8"."""
+    """Return the error for the field `name` with an illegal `value`. legal: what it must be, as
+    "an integer from 1 to 8".
+    """
     return InputError(f"{name} = {value!r}: must be {legal}", field=name, low=low, high=high)
 
 
 def out_of_range(name: str, value: object, low: int, high: int, why: str = "") -> InputError:
-    """Return the error for `name` = `value` outside [`low`, `high`]; `why` gives the reason for the range."""
+    """Return the error for `name` = `value` outside [`low`, `high`]; `why` gives the reason for
+    the range.
+    """
     reason = f" ({why})" if why else ""
     return wrong_value(name, value, f"an integer from {low} to {high}{reason}", low=low, high=high)
 
 
 def check_integer(name: str, value: object, low: int, high: int, why: str = "") -> int:
-    """Return `value` if it is an integer (a bool is not) from `low` to `high`. Raises `InputError`."""
+    """Return `value` if it is an integer (a bool is not) from `low` to `high`. Raises
+    `InputError`.
+    """
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise out_of_range(name, value, low, high, why)
     return value
@@ -65,7 +77,9 @@ def check_integer(name: str, value: object, low: int, high: int, why: str = "") 
 
 @contextmanager
 def extra(name: str) -> Iterator[None]:
-    """Context for importing the packages of the extra `name` of pyproject.toml. Raises `InputError` if one is missing."""
+    """Context for importing the packages of the extra `name` of pyproject.toml. Raises
+    `InputError` if one is missing.
+    """
     try:
         yield
     except ModuleNotFoundError as missing:

@@ -18,7 +18,8 @@ FilePath: TypeAlias = str | os.PathLike[str]
 
 @contextmanager
 def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
-    """Open a file beside `path`, and rename it to `path` if the block ends well; after an exception nothing is left.
+    """Open a file beside `path`, and rename it to `path` if the block ends well; after an
+    exception nothing is left.
 
     Raises `InputError` if the folder cannot be written to.
     """
@@ -44,7 +45,9 @@ def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
 
 @contextmanager
 def reading(path: FilePath, what: str) -> Iterator[None]:
-    """Make an `InputError` of whatever a missing or damaged file causes in the libraries that read it."""
+    """Make an `InputError` of whatever a missing or damaged file causes in the libraries that
+    read it.
+    """
     try:
         yield
     except InputError:
@@ -65,7 +68,9 @@ def write_csv(path: FilePath, rows: Iterable[Iterable[object]]) -> None:
 
 
 def write_npz(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
-    """Write `arrays` as a compressed NPZ whose bytes depend only on the arrays (`np.savez` writes no time stamp)."""
+    """Write `arrays` as a compressed NPZ whose bytes depend only on the arrays (`np.savez`
+    writes no time stamp).
+    """
     with whole_file(path) as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # no array is called allow_pickle
 

@@ -17,8 +17,8 @@ def checkout() -> Path | None:
 def build_root() -> Path:
     """Return the folder of everything generated. Raises `InputError` if it cannot be written.
 
-    It is `$COINCID_BUILD` if that is set; otherwise `build` beside pyproject.toml in a checkout, or `coincid` in the
-    user's cache folder if the project was installed without one.
+    It is `$COINCID_BUILD` if that is set; otherwise `build` beside pyproject.toml in a checkout,
+    or `coincid` in the user's cache folder if the project was installed without one.
     """
     if (chosen := os.environ.get("COINCID_BUILD")) is not None:
         root = Path(chosen).absolute()

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ctrl-C and SIGTERM as exceptions, however a program was started, and threads and processes that end with their parent."""
+"""Ctrl-C and SIGTERM as exceptions, however a program was started, and threads and processes
+that end with their parent.
+"""
 
 import os
 import signal
@@ -23,9 +25,11 @@ class Terminated(KeyboardInterrupt):
 
 
 def interruptible() -> None:
-    """Make SIGINT and SIGTERM raise in this process, even if its parent ignored them, as `nohup` and background shells do.
+    """Make SIGINT and SIGTERM raise in this process, even if its parent ignored them, as `nohup`
+    and background shells do.
 
-    Programs that it starts get the default handling. A second SIGTERM changes nothing: the cleaning up goes on.
+    Programs that it starts get the default handling. A second SIGTERM changes nothing: the
+    cleaning up goes on.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminate)
@@ -40,7 +44,9 @@ def _terminate(number: int, frame: object) -> None:
 def worker_processes(
     workers: int, initializer: Callable[..., None] | None = None, *arguments: object
 ) -> Iterator[ProcessPoolExecutor]:
-    """A pool of new processes, each started with `initializer`. If the block ends with an exception, they are killed."""
+    """A pool of new processes, each started with `initializer`. If the block ends with an
+    exception, they are killed.
+    """
     before = set(active_children())
     with ProcessPoolExecutor(
         workers, get_context("spawn"), partial(_begin, initializer, *arguments)
@@ -56,7 +62,9 @@ def worker_processes(
 
 @contextmanager
 def in_background(function: Callable[[], _Result]) -> Iterator[Future[_Result]]:
-    """Call `function` in a thread. If the block ends with an exception, `PROGRAMS` are killed until the thread has ended."""
+    """Call `function` in a thread. If the block ends with an exception, `PROGRAMS` are killed
+    until the thread has ended.
+    """
     with ThreadPoolExecutor(1) as pool:
         called = pool.submit(function)
         try:
@@ -70,7 +78,9 @@ def in_background(function: Callable[[], _Result]) -> Iterator[Future[_Result]]:
 
 @contextmanager
 def program(command: Sequence[str], **options: Any) -> Iterator[Popen[Any]]:
-    """A program, with the options of `Popen`. If the block ends with an exception, it is killed with all that it started."""
+    """A program, with the options of `Popen`. If the block ends with an exception, it is killed
+    with all that it started.
+    """
     running = Popen(command, start_new_session=True, **options)
     PROGRAMS.add(running)
     try:

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The line that names the licence, in every source file, including those that the project writes."""
+"""The line that names the licence, in every source file, including those that the project
+writes.
+"""
 
 SPDX = "SPDX-License-Identifier: Apache-2.0"

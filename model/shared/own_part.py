@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of a user's own, such as an estimator or a rule of coincidence: how messages and kept results know them."""
+"""Parts of a user's own, such as an estimator or a rule of coincidence: how messages and kept
+results know them.
+"""
 
 import re
 from typing import Protocol, runtime_checkable

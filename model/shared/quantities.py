@@ -59,7 +59,9 @@ def real_array(
     *,
     nan: bool = False,
 ) -> np.ndarray:
-    """Return `value` as a read-only float64 array of `shape` (by broadcasting) within [`low`, `high`], or NaN with `nan`."""
+    """Return `value` as a read-only float64 array of `shape` (by broadcasting) within [`low`,
+    `high`], or NaN with `nan`.
+    """
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -86,7 +88,9 @@ def real_array(
 
 
 def given(value: ArrayLike) -> np.ndarray:
-    """Converter of an attrs field that `__attrs_post_init__` turns into an array: keeps `value`, tells type checkers."""
+    """Converter of an attrs field that `__attrs_post_init__` turns into an array: keeps `value`,
+    tells type checkers.
+    """
     return value  # type: ignore[return-value]
 
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The project's own sources: the folders of its rooms, and digests that change with them.
 
-Results that are expensive to compute (compiled designs, emitted Verilog, points of a sweep) are kept on disk with such a
-digest in their names. Files are found by walking the rooms, so a moved or new file cannot be missed.
+Results that are expensive to compute (compiled designs, emitted Verilog, points of a sweep) are
+kept on disk with such a digest in their names. Files are found by walking the rooms, so a moved
+or new file cannot be missed.
 """
 
 import hashlib
@@ -25,7 +26,9 @@ def digest(*parts: str | bytes) -> str:
 
 
 def package_files(*packages: str) -> list[Path]:
-    """Return all files of packages ("coincid.hdl", "coincid.model.contract") and of the packages in them; sorted."""
+    """Return all files of packages ("coincid.hdl", "coincid.model.contract") and of the packages
+    in them; sorted.
+    """
     files = set()
     for package in packages:
         spec = find_spec(package)
@@ -48,7 +51,9 @@ def _packages(rooms: Iterable[str]) -> list[str]:
 
 @cache
 def packages_digest(*packages: str) -> str:
-    """Return the digest of all files of some packages, as they were when this process first asked."""
+    """Return the digest of all files of some packages, as they were when this process first
+    asked.
+    """
     parts: list[str | bytes] = []
     for path in package_files(*packages):
         parts += [path.name, path.read_bytes()]

@@ -11,7 +11,8 @@ _Result = TypeVar("_Result")
 
 
 class Threads:
-    """A number of threads (None: one per core), the caller's included: each takes the next item as soon as it is free.
+    """A number of threads (None: one per core), the caller's included: each takes the next item
+    as soon as it is free.
 
     A pool would pass every item on and back, which takes as long as some items do.
     """
