@@ -112,7 +112,7 @@ def random_frames(sensor: Sensor, frames: int, seed: int = 1) -> list[FrameJob]:
                     "window": int(rng.integers(1, sensor.window_max + 1)),
                 },
             }
-        )
+        ).with_rule(sensor.rule)
         edges = _random_edges(config, rng)
         ready = (
             (rng.random(period * PULSES) < 0.6).astype(np.uint8) if n % 2 else np.zeros(0, np.uint8)
