@@ -37,14 +37,7 @@ COMPUTING = ("pixels", "windows")  # files of the contract with which the golden
 UNUSED = ("pixel_number", "subgroup_image")  # functions in them that it does not use
 EXCUSE = re.compile(r"# equivalent(?: \((?P<part>[^()]+)\))?: (?P<reason>\S.*)")
 
-COMPARE = {
-    ast.Lt: ast.LtE,
-    ast.LtE: ast.Lt,
-    ast.Gt: ast.GtE,
-    ast.GtE: ast.Gt,
-    ast.Eq: ast.NotEq,
-    ast.NotEq: ast.Eq,
-}
+COMPARE = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
 ARITHMETIC = {
     ast.Add: ast.Sub,
     ast.Sub: ast.Add,
@@ -219,17 +212,13 @@ def passes(module: str, source: Path, jobs: Path, only_frames: bool = False) -> 
         command.append("frames")
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONWARNINGS": "ignore"}
     try:
-        done = subprocess.run(
-            command, env=environment, timeout=SECONDS_MAX, capture_output=True, check=False
-        )
+        done = subprocess.run(command, env=environment, timeout=SECONDS_MAX, capture_output=True, check=False)
     except subprocess.TimeoutExpired:
         return False
     return done.returncode == 0
 
 
-def judge_golden(
-    mutants: list[GoldenMutant], folder: Path, jobs: Path, tell: Callable[[Fate], None]
-) -> list[Fate]:
+def judge_golden(mutants: list[GoldenMutant], folder: Path, jobs: Path, tell: Callable[[Fate], None]) -> list[Fate]:
     """Return the fates of mutants; `tell` gets each as it comes.
 
     folder: for their sources; jobs: frames with their records. Raises `SystemExit` if the golden

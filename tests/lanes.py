@@ -61,13 +61,7 @@ class Upset(NamedTuple):
 
 # As structures of `lanes.cpp`.
 ACCESS = np.dtype(
-    [
-        ("address", np.uint32),
-        ("value", np.uint32),
-        ("strobe", np.uint32),
-        ("skew", np.int32),
-        ("hold", np.int32),
-    ]
+    [("address", np.uint32), ("value", np.uint32), ("strobe", np.uint32), ("skew", np.int32), ("hold", np.int32)]
 )
 UPSET = np.dtype([("word", np.int32), ("cycle", np.int64), ("source", np.int32)], align=True)
 BEAT = np.dtype([("data", np.uint64), ("cycle", np.int64)])
@@ -169,9 +163,7 @@ class Lanes:
         rows = self._rows()
         return rows[np.argsort(rows["trial"], kind="stable")]
 
-    def together(
-        self, faults: Sequence[int], watched: Sequence[int] = ()
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def together(self, faults: Sequence[int], watched: Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
         """Let one host play all lanes from power-up.
 
         Return its rows, and int32[lanes]: at which frame each lane begins to differ from lane 0. A
@@ -183,9 +175,7 @@ class Lanes:
             chunks[lane // 64] |= np.uint64(1 << lane % 64)
         differs = np.zeros(self._width, np.int32)
         words = np.array(watched, np.int32)
-        self._library.lanes_together(
-            self._lanes, len(words), words.ctypes.data, differs.ctypes.data
-        )
+        self._library.lanes_together(self._lanes, len(words), words.ctypes.data, differs.ctypes.data)
         return self._rows(), differs
 
     def shown(self, number: int) -> Shown:

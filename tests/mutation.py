@@ -110,11 +110,7 @@ def try_golden(total: int, seed_: int, folder: Path) -> tuple[list[Fate], list[s
     """Return the fates of `total` mutants of the golden model, and complaints about excuses."""
     # The second sensor has five subgroups and two streams, the third one maps of more bits than a
     # half word.
-    jobs = [
-        *frames(),
-        *frames(random_cases.SENSORS["odd"]),
-        *frames(random_cases.SENSORS["default"], DEFAULT_FRAMES),
-    ]
+    jobs = [*frames(), *frames(random_cases.SENSORS["odd"]), *frames(random_cases.SENSORS["default"], DEFAULT_FRAMES)]
     save_job(folder / "jobs", jobs)
     mutants = sample(total, golden_mutants(), np.random.default_rng(seed_))
     fates = judge_golden(mutants, folder, folder / "jobs", _tell)
@@ -129,12 +125,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Mutation test of RTL and golden model")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rtl", type=int, default=RTL_MUTANTS, help="mutants of the RTL, about")
-    parser.add_argument(
-        "--golden",
-        type=int,
-        default=GOLDEN_MUTANTS,
-        help="mutants of the golden model, of some 800",
-    )
+    parser.add_argument("--golden", type=int, default=GOLDEN_MUTANTS, help="mutants of the golden model, of some 800")
     options = parser.parse_args()
     folder = toolchain.build_root() / "mutation"
     shutil.rmtree(folder, ignore_errors=True)

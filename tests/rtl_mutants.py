@@ -80,9 +80,7 @@ def rtl_mutants(total: int, folder: Path, seed: int) -> list[Mutant]:
     return mutants
 
 
-def _mutants_of_block(
-    name: str, texts: dict[str, str], count: int, work: Path, seed: int
-) -> list[Mutant]:
+def _mutants_of_block(name: str, texts: dict[str, str], count: int, work: Path, seed: int) -> list[Mutant]:
     """Return mutants of a block; leave its RTLIL and the boxes of all others in `work`."""
     work.mkdir(parents=True, exist_ok=True)
     (work / "block.v").write_text(texts[name], encoding="utf-8")
@@ -109,9 +107,7 @@ def _boxes(text: str) -> str:
     return "".join(boxes)
 
 
-def judged_by_lanes(
-    mutants: list[Mutant], jobs: list[FrameJob], whole: bool, seed: int
-) -> list[str]:
+def judged_by_lanes(mutants: list[Mutant], jobs: list[FrameJob], whole: bool, seed: int) -> list[str]:
     """Return for each mutant the part of `session` that notices it, or that it is equal, or ''.
 
     whole, seed: of the session. All mutants are in one netlist, each with an input that turns it on
@@ -212,9 +208,7 @@ def proven(mutants: list[Mutant], blocks: list[str]) -> list[bool]:
     return [k in equal for k in range(len(mutants))]
 
 
-def _unequal(
-    mutants: list[Mutant], aside: list[set[str]], blocks: list[str]
-) -> list[set[str] | None]:
+def _unequal(mutants: list[Mutant], aside: list[set[str]], blocks: list[str]) -> list[set[str] | None]:
     """Return for each mutant the registers that are not proven to be equal to the RTL's.
 
     It is None if an output is not. aside: registers that are not compared.
@@ -231,9 +225,7 @@ def _unequal(
             (work / f"aside_{k}.txt").write_text(text, encoding="utf-8")
         run_yosys(work, *_comparison(mutants, blocks[0], [name for name in files if name != BOXES]))
         listed = (work / "outputs.txt").read_text(encoding="utf-8")
-        proofs = [
-            (work / f"proof_{k}.txt").read_text(encoding="utf-8") for k in range(len(mutants))
-        ]
+        proofs = [(work / f"proof_{k}.txt").read_text(encoding="utf-8") for k in range(len(mutants))]
     outputs = {"\\" + line.rpartition("/")[2] for line in listed.split()}
     verdicts: list[set[str] | None] = []
     for proof in proofs:
@@ -246,8 +238,7 @@ def _unequal(
 def _comparison(mutants: list[Mutant], top: str, files: list[str]) -> list[str]:
     """Return the commands that compare mutants with the RTL, and write `proof_K.txt` for each."""
     close = [
-        f"hierarchy -top {top}; flatten; expose -evert c:*; memory_map; async2sync; opt_clean; "
-        "dffunmap; opt_clean",
+        f"hierarchy -top {top}; flatten; expose -evert c:*; memory_map; async2sync; opt_clean; dffunmap; opt_clean",
         "select -set registers t:$dff %co1:+[Q] w:* %i",
     ]
     name_as = f"rename -hide w:* @registers %d; rename {top}"
@@ -332,9 +323,7 @@ class Campaign:
         return places
 
 
-def judge_rtl(
-    total: int, folder: Path, jobs: list[FrameJob], seed: int, tell: Callable[[Fate], None]
-) -> list[Fate]:
+def judge_rtl(total: int, folder: Path, jobs: list[FrameJob], seed: int, tell: Callable[[Fate], None]) -> list[Fate]:
     """Return the fates of about `total` mutants of the RTL; `tell` gets each."""
     clock = Stopwatch()
     mutants = rtl_mutants(total, folder, seed)

@@ -145,9 +145,7 @@ class Script:
         return min(self.short, key=lambda job: job.config.frame_cycles)
 
 
-def session(
-    sensor: Sensor, emission: Emission, jobs: Sequence[FrameJob], whole: bool, seed: int
-) -> list[Part]:
+def session(sensor: Sensor, emission: Emission, jobs: Sequence[FrameJob], whole: bool, seed: int) -> list[Part]:
     """Return what the host does, in order. The first parts are the jobs.
 
     emission: the sensor in slices; whole: with faults and large numbers, which take longest.
@@ -255,11 +253,7 @@ def sweep(sensor: Sensor, rng: random.Random) -> list[Access]:
 
 
 def _sweep_of_setting(
-    address: int,
-    low: int,
-    high: int,
-    every: list[tuple[int, registers.Register]],
-    rng: random.Random,
+    address: int, low: int, high: int, every: list[tuple[int, registers.Register]], rng: random.Random
 ) -> list[Access]:
     """Return writes to a setting: at its limits, beyond them, and with partial strobes."""
     span = (1 << high.bit_length()) - 1
@@ -280,9 +274,7 @@ def _sweep_of_setting(
     return accesses
 
 
-def _strange_accesses(
-    every: list[tuple[int, registers.Register]], rng: random.Random
-) -> list[Access]:
+def _strange_accesses(every: list[tuple[int, registers.Register]], rng: random.Random) -> list[Access]:
     """Return accesses to addresses without a register, or near those of one."""
     addresses = [address for address, _ in every]
     holes = {4 * k for k in range(1 << 11)} - set(addresses)
@@ -481,9 +473,7 @@ def _scrambles(script: Script) -> Iterator[Part]:
         yield part("upsets", job, upsets=upsets, after=after, **others)
 
 
-def _scrambled_unit(
-    job: FrameJob, of_kind: list[list[list[Register]]], one: int, rng: random.Random
-) -> list[Upset]:
+def _scrambled_unit(job: FrameJob, of_kind: list[list[list[Register]]], one: int, rng: random.Random) -> list[Upset]:
     """Return upsets of registers of a unit in one cycle.
 
     They become random, nearly equal to others, or close to a carry. one: the word of a constant 1.
@@ -686,9 +676,7 @@ def _flips(register: Register, cycle: int, number: int) -> list[Upset]:
     return [Upset(word, cycle, FLIPS) for bit, word in enumerate(register) if number >> bit & 1]
 
 
-def _tie(
-    some: list[Register], sources: list[Register], cycle: int, rng: random.Random
-) -> list[Upset]:
+def _tie(some: list[Register], sources: list[Register], cycle: int, rng: random.Random) -> list[Upset]:
     """Return upsets that make one of some registers nearly equal to one of others.
 
     They differ in a bit, and perhaps in lower ones. The longer register keeps its upper bits.
@@ -697,9 +685,7 @@ def _tie(
     other = rng.choice(sources)
     bits = min(len(one), len(other))
     size = rng.randrange(bits + 1)
-    upsets = [
-        Upset(word, cycle, source) for word, source in zip(one[:bits], other[:bits], strict=True)
-    ]
+    upsets = [Upset(word, cycle, source) for word, source in zip(one[:bits], other[:bits], strict=True)]
     highest = max(size - 1, 0)  # of the bits that differ
     upsets += [Upset(word, cycle, FLIPS) for word in one[:highest] if rng.random() < 0.5]
     upsets += [Upset(word, cycle, FLIPS) for word in one[highest:size]]

@@ -77,13 +77,7 @@ def cases() -> dict[str, Config]:
 
     Together they cover every kind of packet, gating, dither, and the controller.
     """
-    frame = {
-        "period": 24,
-        "pulses": 4,
-        "format": "full",
-        "minigroup_records": True,
-        "mg_threshold": 1,
-    }
+    frame = {"period": 24, "pulses": 4, "format": "full", "minigroup_records": True, "mg_threshold": 1}
     gate_in_steps = {"gate_step": 2, "gate_every": 1, "gate_steps": 3}
     gated = {"subgroups": [1], "gating": True, "gate_start": 3, "gate_len": 9, "threshold": 1}
     steps = configured(SMALL, frame | gate_in_steps, {"threshold": 2, "window": 6}, gated)
@@ -91,9 +85,7 @@ def cases() -> dict[str, Config]:
     dithered = {"format": "id", "dither_bits": 3, "dither_seed": 9}
     controller = {"capacity": 20, "auto_bounds": [0, 1, 4, 6, 9, 12]}
     without = {"subgroups": [2], "coincidence": False, "auto": False}
-    led = configured(
-        SMALL, frame | dithered | controller, {"threshold": 2, "window": 6, "auto": True}, without
-    )
+    led = configured(SMALL, frame | dithered | controller, {"threshold": 2, "window": 6, "auto": True}, without)
     return {"steps": steps, "led": led}
 
 
@@ -232,9 +224,7 @@ class Campaign:
     def __exit__(self, *_: object) -> None:
         self._lanes.__exit__()
 
-    def trials(
-        self, instants: int = INSTANTS, seed: int = 0, only: str = ""
-    ) -> list[tuple[Flop, int]]:
+    def trials(self, instants: int = INSTANTS, seed: int = 0, only: str = "") -> list[tuple[Flop, int]]:
         """Return flip-flops, each at some moments, as `run` takes them.
 
         only: those whose register's name contains this text.
@@ -323,9 +313,7 @@ class Campaign:
             return np.zeros((0, len(COUNTER_NAMES)), np.int64)
 
 
-def difference_of_streams(
-    shown: Shown, wanted: Sequence[np.ndarray], wanted_cycles: Sequence[np.ndarray]
-) -> str:
+def difference_of_streams(shown: Shown, wanted: Sequence[np.ndarray], wanted_cycles: Sequence[np.ndarray]) -> str:
     """Return how beats or their cycles differ from the wanted ones, or ''.
 
     wanted, wanted_cycles: of each stream. Frame numbers are not compared.
@@ -356,10 +344,7 @@ def without_number(beats: np.ndarray) -> np.ndarray:
 def _print_report(name: str, report: Report) -> None:
     """Print the counts of a campaign, and one failure of every register that has some."""
     unhealed = len(report.failures)
-    print(
-        f"{name}: {report.trials} trials, {report.changed} seen in their frame, "
-        f"{unhealed} did not heal"
-    )
+    print(f"{name}: {report.trials} trials, {report.changed} seen in their frame, {unhealed} did not heal")
     print(f"  writes that were upset on their way, with consequences: {len(report.misled)}")
     for outcome, count in sorted(report.outcomes.items()):
         print(f"  {outcome}: {count}")
@@ -371,12 +356,8 @@ def _print_report(name: str, report: Report) -> None:
 
 def main(arguments: list[str]) -> int:
     """Run the campaign of the command line; return 1 if a trial did not heal, else 0."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.upsets", description=__doc__.splitlines()[0]
-    )
-    parser.add_argument(
-        "--instants", type=int, default=INSTANTS, help="moments at which each flip-flop flips"
-    )
+    parser = argparse.ArgumentParser(prog="python -m tests.upsets", description=__doc__.splitlines()[0])
+    parser.add_argument("--instants", type=int, default=INSTANTS, help="moments at which each flip-flop flips")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="only flip-flops whose path contains this")
     parser.add_argument("--case", choices=cases(), help="only this setting of the sensor")
@@ -385,9 +366,7 @@ def main(arguments: list[str]) -> int:
     unhealed = 0
     for name, config in chosen.items():
         with Campaign(config) as campaign:
-            absent = ", ".join(
-                f"{bits} of {register}" for register, bits in campaign.absent.items()
-            )
+            absent = ", ".join(f"{bits} of {register}" for register, bits in campaign.absent.items())
             print(
                 f"{name}: {len(campaign.flops)} flip-flops, {campaign.span} cycles; "
                 f"constant bits, without one: {absent}"
