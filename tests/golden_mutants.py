@@ -85,7 +85,7 @@ class Excuse:
 
 @frozen
 class GoldenMutant:
-    """A mutant of a module. number: of the mutation in it; line, code: where it is; what: it does."""
+    """A mutant of a module. number: of the mutation; line, code: where it is; what: it does."""
 
     module: str
     number: int

@@ -3,11 +3,12 @@
 
 Yosys mutates cells of the emitted Verilog (`mutate`), block by block, in proportion to the size of
 the block. Some 500 mutants are in one netlist, each with an input that turns it on, and are played
-in slices: lane 0 is the RTL as it is, and every other lane has one mutant. A mutant is killed if its
-lane shows something else than lane 0 at the ports, while one host plays all lanes (`session.py`):
-frames, in which lane 0 must show what the golden model says, then accesses and resets. A longer
-session, with upsets and wide numbers, too, plays what is left. A mutant that Yosys removes, or
-proves to be equal to the block (`equiv_induct`), is equivalent. Three more hosts play the rest.
+in slices: lane 0 is the RTL as it is, and every other lane has one mutant. A mutant is killed if
+its lane shows something else than lane 0 at the ports, while one host plays all lanes
+(`session.py`): frames, in which lane 0 must show what the golden model says, then accesses and
+resets. A longer session, with upsets and wide numbers, too, plays what is left. A mutant that Yosys
+removes, or proves to be equal to the block (`equiv_induct`), is equivalent. Three more hosts play
+the rest.
 """
 
 import itertools
@@ -261,7 +262,8 @@ def _comparison(mutants: list[Mutant], top: str, files: list[str]) -> list[str]:
             f"{name_as} gate; design -stash gate",
             "design -load gold; design -copy-from gate -as gate gate",
             f"equiv_make -blacklist aside_{k}.txt gold gate both; hierarchy -top both",
-            "opt_merge -share_all; opt_clean",  # what the mutant does not change is compared no more
+            # What the mutant does not change is compared no more.
+            "opt_merge -share_all; opt_clean",
             f"{induction}; tee -o proof_{k}.txt equiv_status",
         ]
     return script

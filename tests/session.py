@@ -34,7 +34,7 @@ from coincid.slices.netlist import ONE
 from coincid.tb.frame_record import FrameJob
 
 from . import random_cases
-from .lanes import FLIPS, GAP, RESET, Access
+from .lanes import FLIPS, GAP, RESET, WHOLE, Access, Upset
 
 # How often each kind of part is played.
 LIGHTS = 1200  # frames whose light is drawn anew
@@ -48,7 +48,6 @@ WIDE = 2500
 LONG = 600
 COMMANDS = 1000
 
-WHOLE = 15  # strobe of a word
 FULL = (1 << DATA_BITS) - 1
 SHORT = 400  # cycles of a frame that is played often
 SWEEP_VALUES = 40  # random values of a register
@@ -64,25 +63,24 @@ WIDE_BITS = 9  # of a register whose values a short frame does not reach
 COPIES = ("_plain", "_inverse", "_by_turns", "_turn")  # ends of names of a voted register's parts
 CONTROL = ("registers", "sequencer", "readout", "controller")
 
-RESET_ALL: Access = (0, 0, RESET, 0, 0)
+RESET_ALL = Access(0, 0, RESET, 0, 0)
 STATUS = registers.address("status")
 PERIOD = registers.address("period")
 START = registers.control("start")
 ABORT = registers.control("abort")
 
-Upset: TypeAlias = tuple[int, int, int]  # word, cycle, source: as in `Lanes.recipe`
 Part: TypeAlias = tuple[str, dict[str, Any]]  # name, and arguments of `Lanes.recipe`
 Register: TypeAlias = list[int]  # the words of its bits, the lowest first
 
 
 def read(address: int, hold: int = 0) -> Access:
     """Return a read; hold: cycles in which the host does not take the answer."""
-    return address, 0, 0, 0, hold
+    return Access(address, 0, 0, 0, hold)
 
 
 def write(address: int, value: int, strobe: int = WHOLE, skew: int = 0, hold: int = 0) -> Access:
     """Return a write; skew: cycles by which the data come after the address, or before it."""
-    return address, value & FULL, strobe, skew, hold
+    return Access(address, value & FULL, strobe, skew, hold)
 
 
 TOTALS = [read(registers.address(name)) for name in ("budget", "limit")]
@@ -230,10 +228,10 @@ def _accesses(script: Script) -> Iterator[Part]:
     first = script.short[0]
     accesses = sweep(script.sensor, rng)
     yield part("registers", first, dark=True, after=accesses)
-    writes = [access for access in accesses if access[2]][:BESIDE_MAX]
+    writes = [access for access in accesses if access.strobe][:BESIDE_MAX]
     beside = []
     for _ in writes:
-        address, *_others = rng.choice(script.reads)
+        address = rng.choice(script.reads).address
         beside.append(read(address, rng.choice((0, 0, 0, 1, 2, 5))))
     yield part("registers", first, dark=True, after=writes, beside=beside)
     yield part("registers", first, dark=True, after=refused(script.sensor, rng))
@@ -418,7 +416,7 @@ def _upset_accesses(script: Script) -> Iterator[Part]:
     front = [_units(script.emission)["registers"]]
     first = script.shortest
     begin = _after_frame(first)
-    addresses = [address for address, *_ in script.reads]
+    addresses = [access.address for access in script.reads]
     for _ in range(UPSET_ACCESSES):
         accesses = [_any_access(addresses, rng) for _ in range(ACCESSES_TOGETHER)]
         upsets = []
@@ -453,8 +451,8 @@ def _upset_settings(script: Script) -> Iterator[Part]:
         some = bits[k : k + UPSET_BITS]
         upsets = []
         for i, bit in enumerate(some):
-            upsets.append((bit, begin + UPSET_CYCLES * (i + 1), FLIPS))
-            upsets.append((bit, begin + UPSET_CYCLES * (i + 2), FLIPS))
+            upsets.append(Upset(bit, begin + UPSET_CYCLES * (i + 1), FLIPS))
+            upsets.append(Upset(bit, begin + UPSET_CYCLES * (i + 2), FLIPS))
         tried = REFUSED * (UPSET_CYCLES * (len(some) + 2) // REFUSAL_CYCLES)
         after = [write(PERIOD, 1), *tried, RESET_ALL]
         yield part("upsets", first, dark=True, after=after, upsets=upsets)
@@ -501,7 +499,7 @@ def _scrambled_unit(
                 upsets += _tie([register], sources, cycle, rng)
             case 1:
                 low = rng.randrange(len(register) + 1)
-                upsets += [(word, cycle, one) for word in register[:low]]
+                upsets += [Upset(word, cycle, one) for word in register[:low]]
                 upsets += _flips(register[low:], cycle, rng.getrandbits(len(register)))
             case _:
                 upsets += _flips(register, cycle, rng.getrandbits(len(register)))
@@ -613,9 +611,10 @@ def _outvoted(bits: list[tuple[int, ...]], cycle: int, rng: random.Random) -> li
     upsets = []
     for copies in bits:
         if rng.random() < 0.5:
-            upsets += [(word, cycle, FLIPS) for word in copies]
+            upsets += [Upset(word, cycle, FLIPS) for word in copies]
     for later in range(1, 5):
-        upsets.append((rng.choice(rng.choice(bits)), cycle + later, FLIPS))
+        word = rng.choice(rng.choice(bits))
+        upsets.append(Upset(word, cycle + later, FLIPS))
     return upsets
 
 
@@ -678,12 +677,13 @@ def _units(emission: Emission) -> dict[str, list[Register]]:
 
 def _flip(units: list[list[Register]], cycle: int, rng: random.Random) -> Upset:
     """Return the upset of any flip-flop: of any register of any of the units."""
-    return rng.choice(rng.choice(rng.choice(units))), cycle, FLIPS
+    word = rng.choice(rng.choice(rng.choice(units)))
+    return Upset(word, cycle, FLIPS)
 
 
 def _flips(register: Register, cycle: int, number: int) -> list[Upset]:
     """Return upsets of a register's bits that are 1 in a number."""
-    return [(word, cycle, FLIPS) for bit, word in enumerate(register) if number >> bit & 1]
+    return [Upset(word, cycle, FLIPS) for bit, word in enumerate(register) if number >> bit & 1]
 
 
 def _tie(
@@ -697,8 +697,10 @@ def _tie(
     other = rng.choice(sources)
     bits = min(len(one), len(other))
     size = rng.randrange(bits + 1)
-    upsets = [(word, cycle, source) for word, source in zip(one[:bits], other[:bits], strict=True)]
+    upsets = [
+        Upset(word, cycle, source) for word, source in zip(one[:bits], other[:bits], strict=True)
+    ]
     highest = max(size - 1, 0)  # of the bits that differ
-    upsets += [(word, cycle, FLIPS) for word in one[:highest] if rng.random() < 0.5]
-    upsets += [(word, cycle, FLIPS) for word in one[highest:size]]
+    upsets += [Upset(word, cycle, FLIPS) for word in one[:highest] if rng.random() < 0.5]
+    upsets += [Upset(word, cycle, FLIPS) for word in one[highest:size]]
     return upsets

@@ -28,7 +28,7 @@ class Controller:
         self.budget: np.ndarray | None = None
         self.limit: np.ndarray | None = None
         self._controlled = np.zeros(sensor.subgroups, bool)  # in the previous frame
-        # equivalent: a frame ends before anything reads it
+        # equivalent (0: one more): a frame ends before anything reads it
         self._counters = np.empty((0, len(COUNTER)), np.int64)
         self._stream = np.array([sensor.stream_of(s) for s in range(sensor.subgroups)])
 

@@ -217,7 +217,6 @@ def front_end(
 
 def _room_for_events(most: int, shape: Shape) -> Events:
     return Events(
-        # equivalent (1: one more): a bound that nobody reads
         bounds=np.zeros(shape.subgroups + 1, np.int64),
         row=np.empty(most, _EVENT),
         hits=np.empty((most, shape.hits_words), np.uint64),

@@ -144,7 +144,8 @@ def _pack_list(packer, out, begin, bit, winner, hits, shape):
     """
     others = _list_others(out.listed, winner, hits, shape.pixels)
     for k in range(others):
-        # equivalent (k - groups.FIRST_PIXELS): the remainder of 2
+        # equivalent (k - groups.FIRST_PIXELS: Sub): the remainder of 2
+        # equivalent (k - groups.FIRST_PIXELS + 1: Add): the remainder of 2
         if k >= groups.FIRST_PIXELS - 1 and (k - groups.FIRST_PIXELS + 1) % groups.PER_PART == 0:
             _part(packer, out, bit - begin)
             begin = bit
