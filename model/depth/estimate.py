@@ -103,12 +103,21 @@ def estimate_depth(
         return _filled(chosen.name, chosen.estimate(reading), config, returns)
     with Threads(workers) as threads:
         found = find_returns(
-            arrays, config, chosen, source, frame, returns=returns, threads=threads, system_fwhm_s=system_fwhm_s
+            arrays,
+            config,
+            chosen,
+            source,
+            frame,
+            returns=returns,
+            threads=threads,
+            system_fwhm_s=system_fwhm_s,
         )
         signs = found.signs(config, threads)
     tick_m, confidence = config.tick_s * SPEED_OF_LIGHT_M_S / 2, found.sure.copy()
     confidence[:, :, 0], reason = believe(signs, config, chosen)
-    error_m, slope_m = (None if part is None else part * tick_m for part in (found.error, found.slope))
+    error_m, slope_m = (
+        None if part is None else part * tick_m for part in (found.error, found.slope)
+    )
     return Depth(found.ticks * tick_m, confidence, reason, error_m, slope_m)
 
 
@@ -133,11 +142,15 @@ def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
     has = np.shape(found.depth_m)[2:]
     if len(has) != 1 or not 1 <= has[0] <= returns:
         shape = np.shape(found.depth_m)
-        raise InputError(f"{name}.estimate: depth_m has shape {shape}, must be {pixels} and 1 to {returns} returns")
+        raise InputError(
+            f"{name}.estimate: depth_m has shape {shape}, must be {pixels} and 1 to {returns} returns"
+        )
     images = {"depth_m": (*pixels, *has), "confidence": (*pixels, *has), "reason": pixels}
     for part, shape in images.items():
         if np.shape(getattr(found, part)) != shape:
-            raise InputError(f"{name}.estimate: {part} has shape {np.shape(getattr(found, part))}, must be {shape}")
+            raise InputError(
+                f"{name}.estimate: {part} has shape {np.shape(getattr(found, part))}, must be {shape}"
+            )
     missing = ((0, 0), (0, 0), (0, returns - has[0]))
     error_m = found.error_m
     if error_m is not None:
@@ -171,7 +184,16 @@ class Found(NamedTuple):
     def signs(self, config: Config, threads: Threads) -> Signs:
         """Return what speaks for and against the first returns."""
         ticks, sure = self.ticks[:, :, 0], self.sure[:, :, 0]
-        return find_signs(self.events, config, self.sigma_ticks, self.pulses, ticks, sure, self.everywhere, threads)
+        return find_signs(
+            self.events,
+            config,
+            self.sigma_ticks,
+            self.pulses,
+            ticks,
+            sure,
+            self.everywhere,
+            threads,
+        )
 
 
 def find_returns(
@@ -202,18 +224,28 @@ def find_returns(
             threads=threads,
         )
         return Found(*parts, events, pulses, sigma_ticks, everywhere=False)
-    live, group = _live(arrays, events, config, source, frame) if method == "background" else (None, None)
+    live, group = (
+        _live(arrays, events, config, source, frame) if method == "background" else (None, None)
+    )
     step_ticks = 1 if source != "minigroup" else minigroup_step_ticks(config)
     histograms = subgroup_histograms(arrays, config, sigma_ticks, source=source, frame=frame)
     peaks = [
         pixel_peaks(
-            histogram, method, live(s) if live else None, sigma_ticks, returns, group=group, step_ticks=step_ticks
+            histogram,
+            method,
+            live(s) if live else None,
+            sigma_ticks,
+            returns,
+            group=group,
+            step_ticks=step_ticks,
         )
         for s, histogram in enumerate(histograms)
     ]
     ticks, sure = (pixel_image(np.stack(part), config.sensor) for part in zip(*peaks, strict=True))
     sure = np.where(np.isnan(ticks), 0.0, sure)
-    return Found(ticks, sure, None, None, events, pulses, sigma_ticks, everywhere=source == "subgroup")
+    return Found(
+        ticks, sure, None, None, events, pulses, sigma_ticks, everywhere=source == "subgroup"
+    )
 
 
 def _live(
