@@ -121,8 +121,9 @@ def _beats(queues: np.ndarray, shape: Shape) -> int:
     # equivalent: room for more beats, which is cut off
     records = int((queues["end_record"] - queues["next_record"]).sum())
     # equivalent (2: one more): room for more beats, which is cut off
+    head_and_end = 2
     return (
-        2
+        head_and_end
         + len(queues) * shape.counter_beats
         + events * shape.event_beats
         + records * shape.record_beats

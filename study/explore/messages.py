@@ -25,8 +25,7 @@ class Opened:
 class Question:
     """Page to server: what do these settings show?"""
 
-    # one more with every change of a control; an answer counts only if it has the newest number
-    number: int
+    number: int  # one more with every change of a control; only the newest one's answer counts
     values: dict[str, str]  # text of every control, by name
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.depth.estimate import METHODS
+from coincid.model.depth.methods import METHODS
 
 SENSOR = {"rows": 16, "cols": 16}
 

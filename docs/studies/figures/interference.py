@@ -110,7 +110,8 @@ def interference(run: Processes) -> Section:
             rows.append((name, *key, float(frame_us), *means))
     figure = new_figure(15, 5)
     left, middle, right = figure.subplots(1, 3, sharey=True)
-    colours = dict(zip(BITS_SHOWN, (SERIES[0], SERIES[3], SERIES[5]), strict=True))
+    far_apart = (SERIES[0], SERIES[3], SERIES[5])
+    colours = dict(zip(BITS_SHOWN, far_apart[: len(BITS_SHOWN)], strict=True))
     *of_the_other, of_the_dither = keys.items()
     for axis, at, (label, part) in zip((left, middle), (0, 1), of_the_other, strict=True):
         for bits in BITS_SHOWN:
