@@ -158,7 +158,7 @@ def time_order(
 
 
 @njit(allocates=False)
-def _count(pixel, table, bounds):
+def _count(pixel: np.ndarray, table: Pixels, bounds: np.ndarray) -> None:
     """Set `bounds` to where the edges of each subgroup begin and end, if they stand by subgroup.
     bounds: all 0.
     """
@@ -169,7 +169,16 @@ def _count(pixel, table, bounds):
 
 
 @njit(allocates=False)
-def _sort(pulse, pixel, tick, table, following, last, key, order):
+def _sort(
+    pulse: np.ndarray,
+    pixel: np.ndarray,
+    tick: np.ndarray,
+    table: Pixels,
+    following: np.ndarray,
+    last: np.ndarray,
+    key: np.ndarray,
+    order: np.ndarray,
+) -> bool:
     """Write keys and order of the edges, by subgroup; return whether the edges of each subgroup
     ascend in time.
 
@@ -234,7 +243,9 @@ def _room_for_records(most: int, shape: Shape) -> Records:
 
 
 @njit(allocates=False)
-def _every_subgroup(key, bounds, rules, work, made):
+def _every_subgroup(
+    key: np.ndarray, bounds: np.ndarray, rules: Rules, work: _Workspace, made: _Made
+) -> None:
     """Take the edges of each subgroup through all stages."""
     for s in range(rules.shape.subgroups):
         rows = slice(bounds[s], bounds[s + 1])
@@ -247,19 +258,19 @@ def _every_subgroup(key, bounds, rules, work, made):
 
 
 @part
-def _fields(key):
+def _fields(key: int) -> tuple[int, int, int]:
     """Return pulse, tick and pixel inside the subgroup."""
     return key >> _PULSE_LSB, key >> _TICK_LSB & _TICK_MASK, key & _PIXEL_MASK
 
 
 @part
-def _cycle(key, shape):
+def _cycle(key: int, shape: Shape) -> int:
     """Return pulse and cycle as one number, which no other cycle of the frame has."""
     return key >> _TICK_LSB + shape.phase_bits
 
 
 @part
-def _accept(own, rules, work):
+def _accept(own: _Own, rules: Rules, work: _Workspace) -> int:
     """Set the fates of edges that go no further; write the indices of the others to
     `work.accepted`, return their number.
     """
@@ -288,7 +299,7 @@ def _accept(own, rules, work):
 
 
 @part
-def _in_gate(s, key, shape, settings, timeline):
+def _in_gate(s: int, key: int, shape: Shape, settings: Settings, timeline: Timeline) -> bool:
     """Return whether an edge is inside the gate of subgroup `s`."""
     pulse, tick, _ = _fields(key)
     cycle = tick >> shape.phase_bits
@@ -297,7 +308,9 @@ def _in_gate(s, key, shape, settings, timeline):
 
 
 @part
-def _open_windows(own, accepted, rules, windows, counters):
+def _open_windows(
+    own: _Own, accepted: np.ndarray, rules: Rules, windows: np.ndarray, counters: np.ndarray
+) -> int:
     """The tree: set the fates of `accepted` edges by their times, write the windows to
     `windows`, return their number.
     """
@@ -340,7 +353,14 @@ def _open_windows(own, accepted, rules, windows, counters):
 
 
 @part
-def _commit(own, accepted, windows, rules, events, counters):
+def _commit(
+    own: _Own,
+    accepted: np.ndarray,
+    windows: np.ndarray,
+    rules: Rules,
+    events: Events,
+    counters: np.ndarray,
+) -> None:
     """Count the distinct pixels of the windows; windows that meet the threshold become events."""
     shape = rules.shape
     threshold = rules.settings.threshold[own.s]
@@ -399,7 +419,7 @@ def _commit(own, accepted, windows, rules, events, counters):
 
 
 @part
-def _clear(hits, offsets):
+def _clear(hits: np.ndarray, offsets: np.ndarray) -> None:
     """Empty the map and the offsets of an event."""
     for k in range(len(hits)):
         hits[k] = 0
@@ -408,7 +428,9 @@ def _clear(hits, offsets):
 
 
 @part
-def _collect_records(own, accepted, rules, collected, records):
+def _collect_records(
+    own: _Own, accepted: np.ndarray, rules: Rules, collected: _Collection, records: Records
+) -> None:
     """The minigroups: make a record for each period in which any of them latched."""
     shape = rules.shape
     pixel = rules.pixel
@@ -432,7 +454,7 @@ def _collect_records(own, accepted, rules, collected, records):
 
 
 @part
-def _add(collected, g, bit, tick, shape):
+def _add(collected: _Collection, g: int, bit: np.uint64, tick: int, shape: Shape) -> None:
     """Add an edge to the collection of minigroup `g`, or begin a collection with it."""
     cycle = tick >> shape.phase_bits
     if collected.hits[g] and cycle >= collected.end[g]:
@@ -448,7 +470,7 @@ def _add(collected, g, bit, tick, shape):
 
 
 @part
-def _latch(collected, entries, shape):
+def _latch(collected: _Collection, entries: np.ndarray, shape: Shape) -> bool:
     """Empty the collections into a record's entries; return whether any met the threshold."""
     latched = False
     for g in range(shape.minigroups):
@@ -462,7 +484,7 @@ def _latch(collected, entries, shape):
 
 
 @part
-def _enough(hits, threshold):
+def _enough(hits: np.uint64, threshold: int) -> bool:
     """Return whether a map holds at least `threshold` pixels (an empty one never does)."""
     count = 0
     while hits:
