@@ -7,7 +7,7 @@ the next event. A part is packed one cycle after it was formed, unless a beat of
 the receiver.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -78,7 +78,16 @@ def room_for_groups(most: int, shape: Shape, next_ready: np.ndarray) -> Packed:
 
 
 @part
-def pack_event(packer, out, event, subgroup, hits, offsets, read_at, shape):
+def pack_event(
+    packer: Any,
+    out: Packed,
+    event: np.record,
+    subgroup: int,
+    hits: np.ndarray,
+    offsets: np.ndarray,
+    read_at: int,
+    shape: Shape,
+) -> None:
     """Pack an event whose last beat was read in the cycle `read_at`.
 
     The next one is read from cycle `taken` on.
@@ -103,7 +112,9 @@ def pack_event(packer, out, event, subgroup, hits, offsets, read_at, shape):
 
 
 @part
-def _put_numbers(packer, out, bit, event, subgroup, shape):
+def _put_numbers(
+    packer: Any, out: Packed, bit: int, event: np.record, subgroup: int, shape: Shape
+) -> int:
     """Write the numbers of an event, from `bit` on; return the bit behind them."""
     listed = event.count
     if event.count > shape.listed_max:
@@ -121,7 +132,9 @@ def _put_numbers(packer, out, bit, event, subgroup, shape):
 
 
 @part
-def _pack_map(packer, out, begin, bit, hits, shape):
+def _pack_map(
+    packer: Any, out: Packed, begin: int, bit: int, hits: np.ndarray, shape: Shape
+) -> int:
     """Pack the numbers of an event, bits `begin` to `bit`, and its map.
 
     Return the bit behind it.
@@ -137,7 +150,15 @@ def _pack_map(packer, out, begin, bit, hits, shape):
 
 
 @part
-def _pack_list(packer, out, begin, bit, winner, hits, shape):
+def _pack_list(
+    packer: Any,
+    out: Packed,
+    begin: int,
+    bit: int,
+    winner: int,
+    hits: np.ndarray,
+    shape: Shape,
+) -> int:
     """Pack the numbers of an event, bits `begin` to `bit`, and a list of its other pixels.
 
     Return the bit behind it.
@@ -156,7 +177,7 @@ def _pack_list(packer, out, begin, bit, winner, hits, shape):
 
 
 @part
-def _list_others(listed, winner, hits, pixels):
+def _list_others(listed: np.ndarray, winner: int, hits: np.ndarray, pixels: int) -> int:
     """Write the pixels of a map to `listed`, without the winner; return their number."""
     number = 0
     for pixel in range(pixels):
@@ -168,7 +189,7 @@ def _list_others(listed, winner, hits, pixels):
 
 
 @part
-def _pack_offsets(packer, out, bit, offsets, shape):
+def _pack_offsets(packer: Any, out: Packed, bit: int, offsets: np.ndarray, shape: Shape) -> None:
     """Pack the offsets of the minigroups that were hit, from `bit` on."""
     hit = 0
     for minigroup in range(shape.minigroups):
@@ -187,13 +208,13 @@ def _pack_offsets(packer, out, bit, offsets, shape):
 
 
 @part
-def _from_both_ends(number, k):
+def _from_both_ends(number: int, k: int) -> int:
     """Return the k-th index of `number` in the order lowest, highest, second lowest, and so on."""
     return k // 2 if k % 2 == 0 else number - 1 - k // 2
 
 
 @part
-def _open_group(packer, out, pulse, shape):
+def _open_group(packer: Any, out: Packed, pulse: int, shape: Shape) -> None:
     """Begin a group in the next beat, and pack its head."""
     packer.begins = packer.beat
     packer.pulse = pulse
@@ -207,7 +228,7 @@ def _open_group(packer, out, pulse, shape):
 
 
 @part
-def close_group(packer, out, cycle):
+def close_group(packer: Any, out: Packed, cycle: int) -> None:
     """End the open group, if there is one.
 
     Its end is formed in `cycle` or, if a part waits there, later.
@@ -232,7 +253,7 @@ def close_group(packer, out, cycle):
 
 
 @part
-def _part(packer, out, bits):
+def _part(packer: Any, out: Packed, bits: int) -> None:
     """Form and pack a part of so many bits in the next possible cycles, and send the full beats."""
     packer.formed = max(packer.form_from, packer.packed)
     packer.packed = max(packer.formed + 1, packer.pack_from)
@@ -243,7 +264,7 @@ def _part(packer, out, bits):
 
 
 @part
-def _send(packer, out):
+def _send(packer: Any, out: Packed) -> int:
     """Send a beat as soon as the receiver takes it, and return that cycle.
 
     In that cycle, the next part can be packed.
@@ -262,7 +283,7 @@ def _send(packer, out):
 
 
 @part
-def _put(beats, bit, value, width):
+def _put(beats: np.ndarray, bit: int, value: Any, width: int) -> int:
     """Write `value`, of `width` bits, into the payloads of the beats, from `bit` on.
 
     Return the bit behind it.
