@@ -8,7 +8,7 @@ dropped (`_admit_events`, `_admit_records`). The next requesting subgroup is cho
 (`_transfer`). In a format with groups, the packer (`packer.py`) is this receiver.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -131,7 +131,15 @@ def _beats(queues: np.ndarray, shape: Shape) -> int:
 
 
 @njit(allocates=False)
-def _play(stream, shape, room, packers, events, records, counters):
+def _play(
+    stream: Stream,
+    shape: Shape,
+    room: _Room,
+    packers: np.ndarray,
+    events: Events,
+    records: Records,
+    counters: np.ndarray,
+) -> int:
     """Proceed from grant to grant; write the beats to `room`, and return the number of those
     before the packer.
     """
@@ -181,7 +189,17 @@ def _play(stream, shape, room, packers, events, records, counters):
 
 
 @part
-def _grant(chosen, t, done, stream, shape, room, packer, events, records):
+def _grant(
+    chosen: int,
+    t: int,
+    done: int,
+    stream: Stream,
+    shape: Shape,
+    room: _Room,
+    packer: Any,
+    events: Events,
+    records: Records,
+) -> tuple[int, int]:
     """Form and send the packet of the subgroup that is granted in cycle `t`; return the new
     `done`, and its length.
     """
@@ -210,7 +228,7 @@ def _grant(chosen, t, done, stream, shape, room, packer, events, records):
 
 
 @part
-def _when_room(length, t, done, sent_at, shape):
+def _when_room(length: int, t: int, done: int, sent_at: np.ndarray, shape: Shape) -> int:
     """Return the first cycle from `t` on in which the output buffer has room for `length` more
     beats after `done`.
 
@@ -221,7 +239,15 @@ def _when_room(length, t, done, sent_at, shape):
 
 
 @part
-def _arbitrate(t, pointer, queues, wake, events, records, fifo_depth):
+def _arbitrate(
+    t: int,
+    pointer: int,
+    queues: np.ndarray,
+    wake: np.ndarray,
+    events: np.ndarray,
+    records: np.ndarray,
+    fifo_depth: int,
+) -> tuple[int, Any]:
     """Return the first subgroup, from `pointer` on and round, that requests in cycle `t`, or
     else the next possible cycle.
 
@@ -249,7 +275,7 @@ def _arbitrate(t, pointer, queues, wake, events, records, fifo_depth):
 
 
 @part
-def _admit_events(queue, t, events, fifo_depth):
+def _admit_events(queue: Any, t: int, events: np.ndarray, fifo_depth: int) -> None:
     """Move events that may be granted by cycle `t` into the FIFO, or drop them if it was full at
     their commit.
     """
@@ -277,7 +303,7 @@ def _admit_events(queue, t, events, fifo_depth):
 
 
 @part
-def _admit_records(queue, t, records):
+def _admit_records(queue: Any, t: int, records: np.ndarray) -> None:
     """Move records that may be granted by cycle `t` to the only place, or drop them if it was
     taken.
     """
@@ -294,7 +320,15 @@ def _admit_records(queue, t, records):
 
 
 @part
-def _form_packet(beats, values, queue, t, shape, events, records):
+def _form_packet(
+    beats: np.ndarray,
+    values: np.ndarray,
+    queue: Any,
+    t: int,
+    shape: Shape,
+    events: Events,
+    records: Records,
+) -> int:
     """Write the packet that is granted in cycle `t` to `beats`, a record before events; free its
     place; return its length.
     """
@@ -324,7 +358,7 @@ def _form_packet(beats, values, queue, t, shape, events, records):
 
 
 @part
-def _encode(beats, code, values, parts):
+def _encode(beats: np.ndarray, code: int, values: np.ndarray, parts: np.ndarray) -> None:
     """Write a packet of this kind to `beats`. parts: which bits of `values` stand where."""
     for k in range(len(beats)):
         beats[k] = 0
@@ -337,7 +371,7 @@ def _encode(beats, code, values, parts):
 
 
 @part
-def _pack(beats, items, bits):
+def _pack(beats: np.ndarray, items: np.ndarray, bits: Any) -> None:
     """Pack `items` of `bits` each into words, lowest bits first."""
     for k in range(len(beats)):
         beats[k] = 0
@@ -347,7 +381,7 @@ def _pack(beats, items, bits):
 
 
 @part
-def _count(counters, queue, most):
+def _count(counters: np.ndarray, queue: Any, most: int) -> None:
     counters[COUNTER.stored] = min(queue.stored, most)
     counters[COUNTER.dropped] = min(queue.dropped, most)
     counters[COUNTER.mg_stored] = min(queue.mg_stored, most)
@@ -355,7 +389,7 @@ def _count(counters, queue, most):
 
 
 @part
-def _send(packer, room, done, length, t, shape):
+def _send(packer: Any, room: _Room, done: int, length: int, t: int, shape: Shape) -> int:
     """Let the `length` beats after `done`, which are of no event, leave behind the open group;
     return the new `done`.
     """
@@ -372,7 +406,7 @@ def _send(packer, room, done, length, t, shape):
 
 
 @part
-def _pass(packer, room, done, end, shape):
+def _pass(packer: Any, room: _Room, done: int, end: int, shape: Shape) -> None:
     """Let beats from `done` to `end` through the packer."""
     if shape.grouped:
         begin = packer.beat
@@ -383,7 +417,7 @@ def _pass(packer, room, done, end, shape):
 
 
 @part
-def _take(sent_at, done, length, t, taken):
+def _take(sent_at: np.ndarray, done: int, length: int, t: int, taken: int) -> int:
     """Write to `sent_at` when the packer takes an event's beats, the first one from cycle
     `taken` on; return the new `done`.
     """
@@ -396,7 +430,7 @@ def _take(sent_at, done, length, t, taken):
 
 
 @part
-def _transfer(room, done, length, t):
+def _transfer(room: _Room, done: int, length: int, t: int) -> int:
     """Write down when the `length` beats after `done`, granted in cycle `t`, leave; return the
     new `done`.
     """
