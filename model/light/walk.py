@@ -6,7 +6,7 @@ pulse's period.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -171,7 +171,7 @@ class _Progress(NamedTuple):
 
 
 @njit(allocates=False, error_model="numpy")
-def walk(course, state, scratch, made):
+def walk(course: Course, state: State, scratch: Scratch, made: Made) -> int:
     """Walk each pixel through the pulses; return the number of items made, or -1.
 
     made: has all items if they fit. -1: there are more photons than the scratch holds.
@@ -234,7 +234,7 @@ def walk(course, state, scratch, made):
 
 
 @part(error_model="numpy")
-def _source(pixel, period_ticks, arrays):
+def _source(pixel: int, period_ticks: float, arrays: Arrays) -> _Source:
     """Return the source of a pixel's photons."""
     noise = arrays.noise[pixel]
     signal = 0.0
@@ -254,7 +254,9 @@ def _source(pixel, period_ticks, arrays):
 
 
 @part(error_model="numpy")
-def _draw_noise(key, noise_to_ticks, period_ticks, photons):
+def _draw_noise(
+    key: np.uint64, noise_to_ticks: float, period_ticks: float, photons: np.ndarray
+) -> int:
     """Write a bright pixel's noise to `photons` in the order of time, by exponential gaps.
 
     Return its number.
@@ -269,7 +271,7 @@ def _draw_noise(key, noise_to_ticks, period_ticks, photons):
 
 
 @part
-def _draw_count(key, parts, law):
+def _draw_count(key: np.uint64, parts: int, law: np.ndarray) -> int:
     """Return a Poisson number, the sum of `parts` of the same law."""
     count = 0
     for k in range(parts):
@@ -282,7 +284,16 @@ def _draw_count(key, parts, law):
 
 
 @part(error_model="numpy")
-def _draw_photons(at, count, n, pulse, source, physics, arrays, photons):
+def _draw_photons(
+    at: _At,
+    count: int,
+    n: int,
+    pulse: int,
+    source: _Source,
+    physics: Physics,
+    arrays: Arrays,
+    photons: np.ndarray,
+) -> int:
     """Add `count` photons of `source`, with random origins and times, to the ascending photons[:n].
 
     Return the new n.
@@ -304,7 +315,9 @@ def _draw_photons(at, count, n, pulse, source, physics, arrays, photons):
 
 
 @part(error_model="numpy")
-def _arrival(at, i, mark, binned, pulse, physics, arrays):
+def _arrival(
+    at: _At, i: int, mark: float, binned: float, pulse: int, physics: Physics, arrays: Arrays
+) -> float:
     """Return the arrival of photon `i`, of the target or bin to which `mark` belongs.
 
     Negative: in the gap before the period.
@@ -334,7 +347,7 @@ def _arrival(at, i, mark, binned, pulse, physics, arrays):
 
 
 @part(error_model="numpy")
-def _start_in_bin(at, i, mark, physics, arrays):
+def _start_in_bin(at: _At, i: int, mark: float, physics: Physics, arrays: Arrays) -> float:
     """Return a random time in the pixel's bin to which `mark` belongs."""
     first_bin = arrays.bin_first[at.pixel]
     last_bin = arrays.bin_first[at.pixel + 1] - 1
@@ -343,7 +356,9 @@ def _start_in_bin(at, i, mark, physics, arrays):
 
 
 @part(error_model="numpy")
-def _draw_others(key, n, since, mean, physics, photons):
+def _draw_others(
+    key: np.uint64, n: int, since: float, mean: float, physics: Physics, photons: np.ndarray
+) -> int:
     """Add `mean` photons per pulse of another LiDAR, whose first pulse came `since` ticks ago.
 
     Return the new n.
@@ -364,7 +379,7 @@ def _draw_others(key, n, since, mean, physics, photons):
 
 
 @part
-def _release(n, carriers, period_ticks, photons):
+def _release(n: int, carriers: np.ndarray, period_ticks: float, photons: np.ndarray) -> int:
     """Add the photons of carriers that are released in this period.
 
     The others wait for the next; return the new n.
@@ -378,7 +393,7 @@ def _release(n, carriers, period_ticks, photons):
 
 
 @part
-def _lose(carriers, gap):
+def _lose(carriers: np.ndarray, gap: float) -> None:
     """Drop the carriers that are released in the gap between two periods."""
     for slot in range(CARRIERS_MAX):
         carriers[slot] -= gap
@@ -387,7 +402,7 @@ def _lose(carriers, gap):
 
 
 @part(error_model="numpy")
-def _gate_opens(pixel, pulse, physics, arrays):
+def _gate_opens(pixel: int, pulse: int, physics: Physics, arrays: Arrays) -> float:
     """Return the time at which a pixel's gate opens in a pulse."""
     opens = arrays.gate_start[pixel]
     if physics.gate_every > 0:
@@ -397,7 +412,16 @@ def _gate_opens(pixel, pulse, physics, arrays):
 
 
 @part
-def _avalanches(progress, at, gate, physics, taps, carriers, photons, made):
+def _avalanches(
+    progress: _Progress,
+    at: _At,
+    gate: _Gate,
+    physics: Physics,
+    taps: np.ndarray,
+    carriers: np.ndarray,
+    photons: np.ndarray,
+    made: Made,
+) -> _Progress:
     """Turn photons into avalanches by gate and dead time, and these into items.
 
     Items are edges or, with `sending`, crosstalk. Afterpulses join the photons. Returns the new
@@ -433,7 +457,7 @@ def _avalanches(progress, at, gate, physics, taps, carriers, photons, made):
 
 
 @part
-def _free_slot(carriers):
+def _free_slot(carriers: np.ndarray) -> int:
     """Return the slot with the latest release: a free one is infinite."""
     latest = 0
     for slot in range(1, len(carriers)):
@@ -443,7 +467,9 @@ def _free_slot(carriers):
 
 
 @part
-def _edge(at, fired, t, done, physics, taps, made):
+def _edge(
+    at: _At, fired: int, t: float, done: int, physics: Physics, taps: np.ndarray, made: Made
+) -> int:
     """Write the packed edge of an avalanche; return the number of items made."""
     if done < made.keys.size:
         time = _modulo(_with_jitter(at.key, fired, t, physics), physics.period_ticks)
@@ -455,7 +481,7 @@ def _edge(at, fired, t, done, physics, taps, made):
 
 
 @part
-def _send(at, fired, t, done, physics, made):
+def _send(at: _At, fired: int, t: float, done: int, physics: Physics, made: Made) -> int:
     """Send the crosstalk of an avalanche to the neighbours that it reaches.
 
     Return the number of items made.
@@ -472,7 +498,7 @@ def _send(at, fired, t, done, physics, made):
 
 
 @part
-def _with_jitter(key, fired, t, physics):
+def _with_jitter(key: np.uint64, fired: int, t: float, physics: Physics) -> float:
     """Return the time of an avalanche's edge."""
     if physics.jitter > 0:
         t += physics.jitter * normal(key, JITTER, fired)
@@ -482,7 +508,7 @@ def _with_jitter(key, fired, t, physics):
 
 
 @part(inlined=False)
-def _sort(photons, n):
+def _sort(photons: np.ndarray, n: int) -> None:
     """Sort photons[:n] (Shell, with Ciura's gaps)."""
     for gap in (701, 301, 132, 57, 23, 10, 4, 1):
         for i in range(gap, n):
@@ -495,7 +521,7 @@ def _sort(photons, n):
 
 
 @part(inlined=False, error_model="numpy")
-def _poisson_law(mean, law):
+def _poisson_law(mean: float, law: np.ndarray) -> None:
     """Fill law[k] with the probability of at most k, until it is 1 in float64."""
     chance = math.exp(-mean)
     law[0] = chance
@@ -508,7 +534,7 @@ def _poisson_law(mean, law):
 
 
 @part
-def _number_up_to(ascending, value):
+def _number_up_to(ascending: np.ndarray, value: float) -> int:
     """Return how many of some ascending values are at most `value`."""
     low = 0
     high = ascending.size
@@ -522,7 +548,7 @@ def _number_up_to(ascending, value):
 
 
 @part
-def _insert(photons, n, t):
+def _insert(photons: np.ndarray, n: int, t: float) -> int:
     """Insert `t` into the ascending photons[:n] (dropped if they are full) and return n + 1, or the
     size if less.
     """
@@ -537,13 +563,13 @@ def _insert(photons, n, t):
 
 
 @part(error_model="numpy")
-def _modulo(t, period_ticks):
+def _modulo(t: float, period_ticks: float) -> float:
     """Return `t` moved into [0, period_ticks]; the division is rarely needed."""
     return t if 0.0 <= t < period_ticks else t - period_ticks * np.floor(t / period_ticks)
 
 
 @part(error_model="numpy")
-def _tick(t, physics, taps):
+def _tick(t: float, physics: Physics, taps: np.ndarray) -> Any:
     """Return the TDC code of time `t` in ticks.
 
     `taps`: the inner borders of the phases, empty = ideal.
@@ -555,7 +581,7 @@ def _tick(t, physics, taps):
 
 
 @part(error_model="numpy")
-def _neighbour(pixel, side, rows, cols):
+def _neighbour(pixel: int, side: int, rows: int, cols: int) -> int:
     """Return the pixel above, left, right or below; -1 beyond the array."""
     row = pixel // cols + (side == 3) - (side == 0)
     col = pixel % cols + (side == 2) - (side == 1)
@@ -563,7 +589,9 @@ def _neighbour(pixel, side, rows, cols):
 
 
 @njit
-def unpacked(keys, first_pulse, packing):
+def unpacked(
+    keys: np.ndarray, first_pulse: int, packing: Packing
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return (pulse, pixel, tick) of packed edges."""
     pulse = np.empty(len(keys), np.int64)
     pixel = np.empty(len(keys), np.int64)
