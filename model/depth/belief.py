@@ -318,7 +318,7 @@ def _folded(near: np.ndarray, time: np.ndarray, alone: np.ndarray, pulses: int) 
 
 
 @njit
-def _count(stamp, hits, sought, own):
+def _count(stamp: np.ndarray, hits: np.ndarray, sought: _Sought, own: _Hits) -> None:
     """Count each pixel's hits, `own`, in a subgroup's events.
 
     stamp: ascending; hits: uint64[n, words].
