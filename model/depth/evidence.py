@@ -19,7 +19,7 @@ is dead from then on. So the probability that it has fired by time u is
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import special
@@ -27,7 +27,7 @@ from scipy import special
 from ..contract.parameters import OFFSET_NONE
 from ..shared.compiled import njit, part
 from . import portable
-from .clusters import NEVER
+from .clusters import NEVER, SubgroupEvents
 from .histograms import is_hit
 from .vector_math import fast_log
 
@@ -102,7 +102,7 @@ class _Hit(NamedTuple):
 
 
 @njit
-def add_events(law, events, pixels):
+def add_events(law: Law, events: SubgroupEvents, pixels: Pixels) -> np.ndarray:
     """Return what a subgroup's events say about pixels without a hit, float32[times * lights].
 
     What they say about hits is added to `pixels`. In each cluster of events, a pixel's first hit
@@ -129,7 +129,7 @@ def add_events(law, events, pixels):
 
 
 @part
-def _count_wanted(first, bins, wanted):
+def _count_wanted(first: np.ndarray, bins: int, wanted: np.ndarray) -> None:
     """Compute wanted[k], int64[times + 1]: how many times before k are in some pixel's bins."""
     times = len(wanted) - 1
     for i in range(len(first)):
@@ -140,7 +140,7 @@ def _count_wanted(first, bins, wanted):
 
 
 @part
-def _count_silent(law, events, silent):
+def _count_silent(law: Law, events: SubgroupEvents, silent: np.ndarray) -> None:
     """Count the pulses without an event nearby, int64[2, times + 1]: changes from time to time.
 
     Row 1 has those before an event that carries `overrun`, and row 0 the others.
@@ -160,7 +160,9 @@ def _count_silent(law, events, silent):
 
 
 @part
-def _add_silence(silent, from_pulse, since, to_pulse, until):
+def _add_silence(
+    silent: np.ndarray, from_pulse: np.int64, since: np.int64, to_pulse: int, until: int
+) -> None:
     """Count the pulses from time `since` of one pulse to time `until` of another."""
     silent[since] += 1
     silent[until] -= 1
@@ -168,7 +170,7 @@ def _add_silence(silent, from_pulse, since, to_pulse, until):
 
 
 @part
-def _add_silent(law, silent, numbers, common):
+def _add_silent(law: Law, silent: np.ndarray, numbers: np.ndarray, common: np.ndarray) -> None:
     """Add what the pulses without an event nearby say.
 
     numbers: workspace, float32[times * lights].
@@ -188,7 +190,15 @@ def _add_silent(law, silent, numbers, common):
 
 
 @part
-def _add_cluster(law, events, alike, wanted, pixels, rows, common):
+def _add_cluster(
+    law: Law,
+    events: SubgroupEvents,
+    alike: np.ndarray,
+    wanted: np.ndarray,
+    pixels: Pixels,
+    rows: _Rows,
+    common: np.ndarray,
+) -> None:
     """Add what a cluster of events, and those `alike`, say about pixels with and without a hit."""
     begin = alike[0]
     end = _cluster_end(events, begin)
@@ -217,7 +227,7 @@ def _add_cluster(law, events, alike, wanted, pixels, rows, common):
 
 
 @part
-def _cluster_end(events, begin):
+def _cluster_end(events: SubgroupEvents, begin: int) -> int:
     """Return the event after the last one of the cluster that begins at an event."""
     end = begin + 1
     while end < len(events.since) and events.since[end] != NEVER:
@@ -226,7 +236,7 @@ def _cluster_end(events, begin):
 
 
 @part
-def _lose(law, events, e, lost, k0, k1):
+def _lose(law: Law, events: SubgroupEvents, e: int, lost: np.ndarray, k0: int, k1: int) -> None:
     """Add event e to `lost`, the probability that a photon of a pixel outside its map was noticed.
 
     The pixel did not fire in the window, nor between the last event and it: before `quiet`, its
@@ -252,7 +262,7 @@ def _lose(law, events, e, lost, k0, k1):
 
 
 @part
-def _lose_after(law, armed, lost, k0, k1):
+def _lose_after(law: Law, armed: int, lost: np.ndarray, k0: int, k1: int) -> None:
     """Add the silence after the last event of a pulse to `lost`.
 
     armed: tick from which on the tree is.
@@ -267,7 +277,9 @@ def _lose_after(law, armed, lost, k0, k1):
 
 
 @part
-def _not_lost(lost, frequency, unseen, common):
+def _not_lost(
+    lost: np.ndarray, frequency: np.float32, unseen: np.ndarray, common: np.ndarray
+) -> None:
     """Compute `unseen` from `lost`, and add it to `common` so many times."""
     for j in range(len(lost)):
         unseen[j] = fast_log(max(np.float32(RARE), np.float32(1) - lost[j]))
@@ -275,7 +287,16 @@ def _not_lost(lost, frequency, unseen, common):
 
 
 @part
-def _add_hits(law, events, e, cluster, pixels, rows, k0, k1):
+def _add_hits(
+    law: Law,
+    events: SubgroupEvents,
+    e: int,
+    cluster: _Cluster,
+    pixels: Pixels,
+    rows: _Rows,
+    k0: int,
+    k1: int,
+) -> None:
     """Add what event e of a cluster, and single ones alike it, say about pixels in their maps.
 
     Pixels of a minigroup share a row, if their shares are alike and their background is the mean.
@@ -316,7 +337,7 @@ def _add_hits(law, events, e, cluster, pixels, rows, k0, k1):
 
 
 @part
-def _hit_of(law, events, e, group, minigroup):
+def _hit_of(law: Law, events: SubgroupEvents, e: int, group: int, minigroup: np.ndarray) -> _Hit:
     """Return when the pixels of a minigroup in the map of event e fired.
 
     Group -1 is the winner alone.
@@ -335,7 +356,7 @@ def _hit_of(law, events, e, group, minigroup):
 
 
 @part
-def _ticks_of(law, stamp, offset):
+def _ticks_of(law: Law, stamp: int, offset: int) -> tuple[int, int]:
     """Return the ticks of an event's window in a step of offsets: first, and after the last."""
     cycle = stamp // law.phases * law.phases
     begin = max(stamp, cycle + offset * law.offset)
@@ -344,7 +365,7 @@ def _ticks_of(law, stamp, offset):
 
 
 @part
-def _count(events, e, alike, pixels):
+def _count(events: SubgroupEvents, e: int, alike: np.ndarray, pixels: Pixels) -> int:
     """Count how often each pixel was hit without winning, and won, in event e and those alike.
 
     `number` of `pixels` gets both, and `hit` the pixels with a hit. Return how many these are.
@@ -371,7 +392,17 @@ def _count(events, e, alike, pixels):
 
 
 @part(error_model="numpy")
-def _row(law, events, e, hit, share, noise, rows, k0, k1):
+def _row(
+    law: Law,
+    events: SubgroupEvents,
+    e: int,
+    hit: _Hit,
+    share: np.float32,
+    noise: float,
+    rows: _Rows,
+    k0: int,
+    k1: int,
+) -> None:
     """Compute `logs` of `rows` for times k0 to k1: the likelihood ratio of a hit of event e.
 
     share: probability that the pixel was its minigroup's first. The ratio is relative to the
@@ -406,7 +437,9 @@ def _row(law, events, e, hit, share, noise, rows, k0, k1):
 
 
 @part
-def _add(pixels, i, row, number, k0, k1, lights):
+def _add(
+    pixels: Pixels, i: int, row: np.ndarray, number: np.float32, k0: int, k1: int, lights: int
+) -> None:
     """Add times k0 to k1 of a row, a number of times, to the total of pixel i."""
     first = pixels.first[i]
     total = pixels.total[i]
@@ -426,7 +459,14 @@ def _add(pixels, i, row, number, k0, k1, lights):
 
 
 @njit
-def first_shares(law, events, minigroup, time, light, sigma):
+def first_shares(
+    law: Law,
+    events: SubgroupEvents,
+    minigroup: np.ndarray,
+    time: np.ndarray,
+    light: np.ndarray,
+    sigma: float,
+) -> np.ndarray:
     """float32[n, pixels]: probability that a hit pixel was the first of its minigroup.
 
     time, light: float64[pixels], approximate ticks and photons of the surfaces.
@@ -455,7 +495,7 @@ def first_shares(law, events, minigroup, time, light, sigma):
 
 
 @part
-def _later(begin, own, end, time, light, sigma):
+def _later(begin: int, own: int, end: int, time: float, light: float, sigma: float) -> float:
     """Return the probability that a pixel that fired in [begin, end) did so in [own, end)."""
     last = _unfired(end - time, light, sigma)
     inside = _unfired(begin - time, light, sigma) - last
@@ -465,7 +505,7 @@ def _later(begin, own, end, time, light, sigma):
 
 
 @part
-def _all_others(chances, number, own):
+def _all_others(chances: np.ndarray, number: int, own: int) -> float:
     """Return the product of so many chances, except one."""
     share = 1.0
     for k in range(number):
@@ -475,7 +515,7 @@ def _all_others(chances, number, own):
 
 
 @part
-def _unfired(distance, light, sigma):
+def _unfired(distance: float, light: float, sigma: float) -> float:
     """Return 1 - F."""
     return math.exp(-light * 0.5 * math.erfc(-distance / sigma * math.sqrt(0.5)))
 
@@ -500,7 +540,15 @@ def fired_table(
 
 
 @njit
-def chances_to_be_heard(silent, every, origin, span, step, lights, alive):
+def chances_to_be_heard(
+    silent: np.ndarray,
+    every: int,
+    origin: int,
+    span: int,
+    step: int,
+    lights: int,
+    alive: np.float32,
+) -> np.ndarray:
     """float32[kinds, span * lights]: `Law.heard` or `Law.sharp`.
 
     silent: float32[kinds, points], as in `Unheard`, a point for every `every` ticks. The others are
@@ -522,7 +570,7 @@ def chances_to_be_heard(silent, every, origin, span, step, lights, alive):
 
 
 @part
-def reached(law, begin, end, times):
+def reached(law: Law, begin: int, end: int, times: int) -> tuple[Any, Any]:
     """Return the times, of so many, of surfaces whose photons come between two ticks: k0 and k1."""
     k0 = (begin - law.reach) // law.step - law.origin
     k1 = (end + law.reach) // law.step + 1 - law.origin
@@ -530,7 +578,7 @@ def reached(law, begin, end, times):
 
 
 @part
-def _by_tick(law, tick, k0, k1):
+def _by_tick(law: Law, tick: int, k0: int, k1: int) -> slice:
     """Return where `law.fired` has F at a tick, for surfaces at times k0 to k1 and all lights."""
     steps = (tick + law.reach) // law.step
     column = min(max(law.margin - steps + law.origin + k0, 0), 2 * law.margin)
