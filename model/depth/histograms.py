@@ -294,13 +294,15 @@ def frame_records(
 
 
 @part
-def is_hit(hits, e, i):
+def is_hit(hits: np.ndarray, e: int, i: int) -> bool:
     """Return whether pixel i of the subgroup is in the map of event e. hits: uint64[n, words]."""
     return hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1) != 0
 
 
 @njit
-def hits_away(stamp, hits, bounds, time, near):
+def hits_away(
+    stamp: np.ndarray, hits: np.ndarray, bounds: np.ndarray, time: np.ndarray, near: float
+) -> np.ndarray:
     """int64[subgroups, pixels]: each pixel's hits in events away from its time.
 
     stamp, hits, bounds: of `Events`. time: float64[subgroups, pixels], ticks; where it is NaN, all
