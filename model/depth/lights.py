@@ -10,6 +10,7 @@ import numpy as np
 
 from ..shared.compiled import njit, part
 from . import portable
+from .evidence import Pixels
 from .vector_math import fast_exp, fast_log, top_of
 
 LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
@@ -55,7 +56,7 @@ def learned_prior(chance: np.ndarray) -> np.ndarray:
 
 
 @njit
-def _gain(chance, share):
+def _gain(chance: np.ndarray, share: np.ndarray) -> np.ndarray:
     """float64[lights]: sum over the pixels of each light's likelihood, relative to the mean over
     the lights.
     """
@@ -87,7 +88,9 @@ class _Levels(NamedTuple):
 
 
 @njit
-def add_light_chances(common, pixels, known, chance):
+def add_light_chances(
+    common: np.ndarray, pixels: Pixels, known: np.ndarray, chance: np.ndarray
+) -> None:
     """Compute chance, float32[pixels, lights]: sum of a known pixel's likelihoods over its times.
 
     Its unit is the pixel's own. common, pixels: from `add_events`. known: bool[pixels].
@@ -108,7 +111,7 @@ def add_light_chances(common, pixels, known, chance):
 
 
 @part
-def _touch(total, touched, low, high, lights):
+def _touch(total: np.ndarray, touched: np.ndarray, low: int, high: int, lights: int) -> None:
     """Make a total valid from bin `low` to `high`; nothing was added where it is not yet."""
     for k in range(low, high):
         if not touched[k]:
@@ -117,7 +120,7 @@ def _touch(total, touched, low, high, lights):
 
 
 @part
-def _add_chances(common, own, line, chance):
+def _add_chances(common: np.ndarray, own: np.ndarray, line: np.ndarray, chance: np.ndarray) -> None:
     """Add the likelihoods of a pixel, common + own, to `chance`.
 
     line: workspace of the same length.
@@ -134,7 +137,15 @@ def _add_chances(common, own, line, chance):
 
 
 @njit
-def mean_over_lights(common, pixels, prior, lightest, place, level, light):
+def mean_over_lights(
+    common: np.ndarray,
+    pixels: Pixels,
+    prior: np.ndarray,
+    lightest: int,
+    place: np.ndarray,
+    level: np.ndarray,
+    light: np.ndarray,
+) -> None:
     """Compute the logarithm of the mean over the lights, and the likeliest light.
 
     A masked pixel favours no time. common, pixels: from `add_events`; `common` is used up. prior:
@@ -162,7 +173,9 @@ def mean_over_lights(common, pixels, prior, lightest, place, level, light):
 
 
 @part
-def _mean_of_all(common, prior, lightest, work, of_all):
+def _mean_of_all(
+    common: np.ndarray, prior: np.ndarray, lightest: int, work: _Work, of_all: _Levels
+) -> None:
     """Add the prior to `common`, and compute the levels and lights of a pixel that no event hit."""
     lights = len(prior)
     times = len(of_all.level)
@@ -176,7 +189,15 @@ def _mean_of_all(common, prior, lightest, work, of_all):
 
 
 @part
-def _mean_of_pixel(common, pixels, i, lightest, work, of_all, own):
+def _mean_of_pixel(
+    common: np.ndarray,
+    pixels: Pixels,
+    i: int,
+    lightest: int,
+    work: _Work,
+    of_all: _Levels,
+    own: _Levels,
+) -> None:
     """Compute the levels and lights of pixel i.
 
     Where no event hit it, they are those of all pixels.
@@ -212,14 +233,14 @@ def _mean_of_pixel(common, pixels, i, lightest, work, of_all, own):
 
 
 @part
-def _copy(source, target):
+def _copy(source: np.ndarray, target: np.ndarray) -> None:
     """Copy the values of a line to another one of the same length."""
     for k in range(len(target)):
         target[k] = source[k]
 
 
 @part
-def _mean(line, lightest, work, out):
+def _mean(line: np.ndarray, lightest: int, work: _Work, out: _Levels) -> None:
     """Compute the mean over the lights and the likeliest light of at most `BLOCK` times.
 
     line: float32[times * lights]. All loops over times have the same length, so that they compile
