@@ -16,7 +16,7 @@ pixel to pixel, 1 / time changes evenly instead of the time.
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -139,7 +139,7 @@ def _taps(cols: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @part
-def _place(cols, r, c):
+def _place(cols: int, r: int, c: int) -> int:
     """Return the place of pixel (r, c) in the arrays of a field, which have a margin around the
     array.
     """
@@ -147,7 +147,9 @@ def _place(cols, r, c):
 
 
 @njit(allocates=False)
-def _fill(field, levels, first, highest, begin, end):
+def _fill(
+    field: Field, levels: np.ndarray, first: np.ndarray, highest: np.ndarray, begin: int, end: int
+) -> None:
     """Compute all of a field except `left`, for some rows.
 
     levels: float32[widths, rows, cols, bins]. first: int64[widths, rows, cols], ticks. highest:
@@ -179,7 +181,9 @@ def _fill(field, levels, first, highest, begin, end):
 
 
 @part
-def _chances(line, best, most, own, other):
+def _chances(
+    line: np.ndarray, best: np.float32, most: np.float32, own: np.ndarray, other: np.ndarray
+) -> tuple[np.float32, float]:
     """Compute `own`, a line relative to its pixel's best, and `other`, its probabilities in a unit
     of their own.
 
@@ -200,14 +204,14 @@ def _chances(line, best, most, own, other):
 
 
 @part
-def _add_one_log(line, factor):
+def _add_one_log(line: np.ndarray, factor: np.float32) -> None:
     """Replace each value x of a line by log(1 + factor * x)."""
     for j in range(len(line)):
         line[j] = fast_log(np.float32(1) + factor * line[j])
 
 
 @njit(allocates=False)
-def _fill_left(field, highest, begin, end):
+def _fill_left(field: Field, highest: np.ndarray, begin: int, end: int) -> None:
     """Compute `left` of a field for some rows. highest: as in `_fill`."""
     rows, cols = highest.shape
     for r in range(begin, end):
@@ -283,7 +287,7 @@ _widened = part(widened)
 
 
 @njit
-def level_on(field, planes):
+def level_on(field: Field, planes: Planes) -> np.ndarray:
     """float64[rows, cols]: log likelihood of each pixel on its plane."""
     rows, cols = planes.time.shape
     level = np.empty((rows, cols))
@@ -297,7 +301,7 @@ def level_on(field, planes):
 
 
 @part
-def _between(lines, k, place, at):
+def _between(lines: np.ndarray, k: int, place: int, at: float) -> np.float32:
     """Interpolate a pixel's line linearly at a fractional index.
 
     Return 0 outside, as of a pixel that adds nothing.
@@ -311,7 +315,7 @@ def _between(lines, k, place, at):
 
 
 @part
-def _along(field, time, by):
+def _along(field: Field, time: float, by: float) -> float:
     """Return the time on a plane at the pixel where its tangent has changed by `by` ticks."""
     if len(field.scale) == 1:
         return time + by
@@ -319,7 +323,7 @@ def _along(field, time, by):
 
 
 @part
-def _width(field, down, right):
+def _width(field: Field, down: float, right: float) -> Any:
     """Return the width of the pulse from a plane as a fractional index."""
     if len(field.scale) == 1:
         return 0.0
@@ -328,19 +332,19 @@ def _width(field, down, right):
 
 
 @part
-def _bin(field, k, place, time):
+def _bin(field: Field, k: int, place: int, time: float) -> float:
     """Return where a time is among a pixel's bins of width k: 0 is the middle of the first."""
     return (time - field.first[k, place]) * field.scale[k] - 0.5
 
 
 @part
-def _inside(field, width, place, time):
+def _inside(field: Field, width: float, place: int, time: float) -> bool:
     """Return whether a time is between the middles of a pixel's bins."""
     return 0 <= _bin(field, int(width), place, time) < field.own.shape[2] - 1
 
 
 @part
-def _level(field, lines, width, place, time):
+def _level(field: Field, lines: np.ndarray, width: float, place: Any, time: float) -> np.float32:
     """Interpolate a pixel's line at a time and between two widths."""
     k = int(width)
     value = _between(lines, k, place, _bin(field, k, place, time))
@@ -352,7 +356,7 @@ def _level(field, lines, width, place, time):
 
 
 @part
-def _plane_of(field, planes, rr, cc, r, c):
+def _plane_of(field: Field, planes: Planes, rr: int, cc: int, r: int, c: int) -> _Plane:
     """Return the plane of pixel (rr, cc) at pixel (r, c)."""
     time = planes.time[rr, cc]
     down = planes.down[rr, cc]
@@ -365,14 +369,14 @@ def _plane_of(field, planes, rr, cc, r, c):
 
 
 @part
-def _slope_cost(down, right):
+def _slope_cost(down: float, right: float) -> np.float32:
     """Return by how much a plane's slopes, in ticks per pixel, lower its score (a logarithm)."""
     rarity = (1 + (down / SLOPE) ** 2) * (1 + (right / SLOPE) ** 2)
     return np.float32(SLOPE_COST * np.log(rarity))
 
 
 @part
-def _score(field, r, c, plane, least):
+def _score(field: Field, r: int, c: int, plane: _Plane, least: np.float32) -> np.float32:
     """Return the score of a plane at pixel (r, c) and around it, or less than `least` if it is
     less.
     """
@@ -402,7 +406,7 @@ def _score(field, r, c, plane, least):
 
 
 @njit(allocates=False)
-def _start(field, planes, begin, end):
+def _start(field: Field, planes: Planes, begin: int, end: int) -> None:
     """Start the pixels of some rows at their likeliest time for one of the widths.
 
     The slopes are the best of those towards the pixel's neighbours.
@@ -425,7 +429,7 @@ def _start(field, planes, begin, end):
 
 
 @part
-def _towards(peak, r, c, of_rows, of_cols):
+def _towards(peak: np.ndarray, r: int, c: int, of_rows: int, of_cols: int) -> tuple[bool, _Plane]:
     """Return whether a pixel has neighbours on two sides, and the plane through its peak with
     slopes to them.
 
@@ -443,7 +447,7 @@ def _towards(peak, r, c, of_rows, of_cols):
 
 
 @part
-def _set(planes, r, c, plane, score):
+def _set(planes: Planes, r: int, c: int, plane: _Plane, score: np.float32) -> None:
     """Store the plane of a pixel and its score."""
     planes.time[r, c] = plane.time
     planes.down[r, c] = plane.down
@@ -452,7 +456,9 @@ def _set(planes, r, c, plane, score):
 
 
 @njit(allocates=False)
-def _round(field, old, new, step, slope, begin, end):
+def _round(
+    field: Field, old: Planes, new: Planes, step: float, slope: float, begin: int, end: int
+) -> None:
     """Compute the new planes of some rows: the best of the pixel's old one, its neighbours', and
     small steps of it.
 
@@ -470,7 +476,9 @@ def _round(field, old, new, step, slope, begin, end):
 
 
 @part
-def _best_of_neighbours(field, planes, r, c, best, top):
+def _best_of_neighbours(
+    field: Field, planes: Planes, r: int, c: int, best: _Plane, top: np.float32
+) -> tuple[_Plane, np.float32]:
     """Return the best of a plane with the score `top` and the neighbours' planes, and its score."""
     rows, cols = planes.time.shape
     for rr in range(max(0, r - 1), min(rows, r + 2)):
@@ -488,7 +496,7 @@ def _best_of_neighbours(field, planes, r, c, best, top):
 
 
 @part
-def _same(one, other):
+def _same(one: _Plane, other: _Plane) -> bool:
     """Return whether two planes hardly differ at a pixel."""
     return (
         abs(one.time - other.time) < SAME
@@ -498,7 +506,9 @@ def _same(one, other):
 
 
 @part
-def _best_step(field, r, c, best, top, step, slope):
+def _best_step(
+    field: Field, r: int, c: int, best: _Plane, top: np.float32, step: float, slope: float
+) -> tuple[_Plane, np.float32]:
     """Return the best of a plane with the score `top` and small steps of it, and its score."""
     for _ in range(FINER):
         for j in range(6):  # later and earlier, then the two slopes up and down
@@ -534,7 +544,16 @@ def posterior(
 
 
 @njit(allocates=False)
-def _posterior(field, planes, tolerance, confidence, error, scores, begin, end):
+def _posterior(
+    field: Field,
+    planes: Planes,
+    tolerance: float,
+    confidence: np.ndarray,
+    error: np.ndarray,
+    scores: np.ndarray,
+    begin: int,
+    end: int,
+) -> None:
     """Compute confidence and error of some rows.
 
     tolerance: ticks. scores: workspace, float32[rows, ticks], scores of a pixel's plane at times
@@ -565,7 +584,9 @@ def _posterior(field, planes, tolerance, confidence, error, scores, begin, end):
 
 
 @part
-def _own_scores(field, width, place, time, scores):
+def _own_scores(
+    field: Field, width: float, place: int, time: float, scores: np.ndarray
+) -> tuple[int, int]:
     """Compute what a pixel itself says about times around `time`, `_NEVER` where it is improbable.
 
     scores: float32[ticks], the middle one is for `time`. Return the first index that is not
@@ -587,7 +608,9 @@ def _own_scores(field, width, place, time, scores):
 
 
 @part
-def _chance_and_variance(score, top, first, tolerance):
+def _chance_and_variance(
+    score: np.ndarray, top: np.float32, first: int, tolerance: float
+) -> tuple[float, float]:
     """Return the probability that the time is within `tolerance` ticks of 0, and the time's
     variance.
 
@@ -608,7 +631,9 @@ def _chance_and_variance(score, top, first, tolerance):
 
 
 @part
-def _add_neighbours(field, reach, place, plane, width, score):
+def _add_neighbours(
+    field: Field, reach: int, place: int, plane: _Plane, width: float, score: np.ndarray
+) -> None:
     """Add what the neighbours say about planes that begin with one and follow each other by one
     tick.
     """
@@ -630,7 +655,15 @@ def _add_neighbours(field, reach, place, plane, width, score):
 
 
 @part
-def _add_width(field, k, place, time, rate, weight, score):
+def _add_width(
+    field: Field,
+    k: int,
+    place: int,
+    time: float,
+    rate: float,
+    weight: np.float32,
+    score: np.ndarray,
+) -> None:
     """Add what a neighbour says with its bins of width k, from a time on, every `rate` ticks."""
     bins = field.own.shape[2]
     at = _bin(field, k, place, time)
@@ -643,7 +676,9 @@ def _add_width(field, k, place, time, rate, weight, score):
 
 
 @part
-def _add_line(line, at, step, weight, score):
+def _add_line(
+    line: np.ndarray, at: np.float32, step: np.float32, weight: np.float32, score: np.ndarray
+) -> None:
     """Add a line, interpolated from a fractional index on in steps."""
     last = np.int32(len(line) - 2)
     for j in range(len(score)):
@@ -653,7 +688,9 @@ def _add_line(line, at, step, weight, score):
 
 
 @part
-def _others(field, planes, r, c, tolerance, top):
+def _others(
+    field: Field, planes: Planes, r: int, c: int, tolerance: float, top: np.float32
+) -> float:
     """Return the odds of the neighbours' planes that pass outside `tolerance`, relative to the
     pixel's own plane.
     """
