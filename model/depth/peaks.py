@@ -116,7 +116,9 @@ class _Found(NamedTuple):
 
 
 @njit(allocates=False)
-def _peaks(histogram, law, work, ticks, confidence):
+def _peaks(
+    histogram: np.ndarray, law: _Law, work: _Workspace, ticks: np.ndarray, confidence: np.ndarray
+) -> None:
     """Find every pixel's peaks: float64[pixels, returns].
 
     Only bins within a pulse of a hit are searched; no other bin is above the background.
@@ -132,7 +134,7 @@ def _peaks(histogram, law, work, ticks, confidence):
 
 
 @part
-def _filter(hits, pulse, work):
+def _filter(hits: np.ndarray, pulse: np.ndarray, work: _Workspace) -> tuple[int, int]:
     """Compute `seen` and `reached` of a pixel; return its hits and how many bins are reached."""
     bins = len(hits)
     half = len(pulse) // 2
@@ -152,7 +154,7 @@ def _filter(hits, pulse, work):
 
 
 @part
-def _weigh(pixel, law, total, number, work):
+def _weigh(pixel: _Pixel, law: _Law, total: int, number: int, work: _Workspace) -> _Found:
     """Compute `evidence` and `score` of a pixel with `total` hits, in so many reached bins."""
     bins = len(pixel.hits)
     seen = work.seen
@@ -178,7 +180,15 @@ def _weigh(pixel, law, total, number, work):
 
 
 @part
-def _take(pixel, law, found, number, work, ticks, confidence):
+def _take(
+    pixel: _Pixel,
+    law: _Law,
+    found: _Found,
+    number: int,
+    work: _Workspace,
+    ticks: np.ndarray,
+    confidence: np.ndarray,
+) -> None:
     """Write the times and confidences of a pixel's returns, the highest peak first."""
     bins = len(pixel.hits)
     for r in range(len(ticks)):
@@ -204,7 +214,7 @@ def _take(pixel, law, found, number, work, ticks, confidence):
 
 
 @part
-def _centre(pixel, at, near):
+def _centre(pixel: _Pixel, at: int, near: int) -> float:
     """Return the mean time of the hits within `near` bins of a peak, if all bins had always been
     live.
     """
@@ -219,7 +229,7 @@ def _centre(pixel, at, near):
 
 
 @part
-def _clear(number, work):
+def _clear(number: int, work: _Workspace) -> None:
     """Set the workspace to 0 again."""
     for n in range(number):
         j = work.reached[n]
@@ -229,7 +239,7 @@ def _clear(number, work):
 
 
 @part
-def _poisson_cdf(count, mean):
+def _poisson_cdf(count: float, mean: float) -> float:
     """Return the probability of at most `count` (an integer as a float)."""
     term = total = math.exp(-mean)
     for k in range(1, int(count) + 1):
