@@ -127,7 +127,7 @@ def seed_scores(level: np.ndarray, light: np.ndarray, seeds: Seeds, blocks: Bloc
 
 
 @njit
-def _own(level, bins, begin, end):
+def _own(level: np.ndarray, bins: np.ndarray, begin: int, end: int) -> None:
     """Find the highest peaks of each pixel of some rows, in descending order."""
     height = np.empty(CANDIDATES, np.float32)
     for r in range(begin, end):
@@ -136,7 +136,7 @@ def _own(level, bins, begin, end):
 
 
 @part
-def _find_peaks(line, height, at):
+def _find_peaks(line: np.ndarray, height: np.ndarray, at: np.ndarray) -> None:
     """Write the bins of a line's highest peaks to `at`. height: workspace, the peaks' values."""
     times = len(line)
     number = 0
@@ -154,7 +154,7 @@ def _find_peaks(line, height, at):
 
 
 @part
-def _is_peak(line, k):
+def _is_peak(line: np.ndarray, k: int) -> bool:
     """Return whether no neighbour of bin k is higher; of two equal ones, the latter counts."""
     if k and line[k - 1] > line[k]:
         return False
@@ -162,7 +162,7 @@ def _is_peak(line, k):
 
 
 @part
-def _insert(height, at, number, value, k):
+def _insert(height: np.ndarray, at: np.ndarray, number: int, value: np.float32, k: int) -> int:
     """Insert a peak into the descending heights of so many; the lowest falls out.
 
     Return their number.
@@ -178,7 +178,7 @@ def _insert(height, at, number, value, k):
 
 
 @njit
-def _round(seen, job, begin, end):
+def _round(seen: _Seen, job: _Round, begin: int, end: int) -> None:
     """Compute the new candidates of the pixels of some rows.
 
     They come from the old ones and the neighbours' likeliest. A pixel stays as it is if no pixel
@@ -201,7 +201,7 @@ def _round(seen, job, begin, end):
 
 
 @part
-def _any_near(flags, r, c):
+def _any_near(flags: np.ndarray, r: int, c: int) -> bool:
     """Return whether a flag is set at most `NEAR` pixels from (r, c)."""
     for rr in range(max(0, r - NEAR), min(flags.shape[0], r + NEAR + 1)):
         for cc in range(max(0, c - NEAR), min(flags.shape[1], c + NEAR + 1)):
@@ -211,7 +211,7 @@ def _any_near(flags, r, c):
 
 
 @part
-def _stay(old, new, r, c):
+def _stay(old: Seeds, new: Seeds, r: int, c: int) -> None:
     """Keep the candidates of a pixel."""
     for j in range(KEPT):
         new.bins[r, c, j] = old.bins[r, c, j]
@@ -219,7 +219,7 @@ def _stay(old, new, r, c):
 
 
 @part
-def _gather(bins, r, c, at):
+def _gather(bins: np.ndarray, r: int, c: int, at: np.ndarray) -> int:
     """Write a pixel's candidates to `at`: the old ones, and the neighbours' likeliest.
 
     Return their number.
@@ -242,7 +242,16 @@ def _gather(bins, r, c, at):
 
 
 @part
-def _weigh(seen, seeds, first, r, c, at, number, total):
+def _weigh(
+    seen: _Seen,
+    seeds: Seeds,
+    first: bool,
+    r: int,
+    c: int,
+    at: np.ndarray,
+    number: int,
+    total: np.ndarray,
+) -> np.float32:
     """Compute the support for so many candidates of pixel (r, c), `_NEVER` if hopeless.
 
     Return the highest.
@@ -255,7 +264,14 @@ def _weigh(seen, seeds, first, r, c, at, number, total):
 
 
 @part
-def _choose(at, number, total, top, bins, chances):
+def _choose(
+    at: np.ndarray,
+    number: int,
+    total: np.ndarray,
+    top: np.float32,
+    bins: np.ndarray,
+    chances: np.ndarray,
+) -> None:
     """Write the most probable of so many candidates, the likeliest first. `total` is used up."""
     whole = np.float32(0)
     for n in range(number):
@@ -277,7 +293,7 @@ def _choose(at, number, total, top, bins, chances):
 
 
 @part
-def _has_changed(old, new, r, c):
+def _has_changed(old: Seeds, new: Seeds, r: int, c: int) -> bool:
     """Return whether a pixel's candidates or their probabilities have changed."""
     changed = False
     for j in range(KEPT):
@@ -287,7 +303,7 @@ def _has_changed(old, new, r, c):
 
 
 @njit(allocates=False)
-def _score(seen, seeds, score, begin, end):
+def _score(seen: _Seen, seeds: Seeds, score: np.ndarray, begin: int, end: int) -> None:
     """Compute `seed_scores` of some rows."""
     for r in range(begin, end):
         for c in range(score.shape[1]):
@@ -297,7 +313,9 @@ def _score(seen, seeds, score, begin, end):
 
 
 @part
-def _support(seen, seeds, first, r, c, k, least):
+def _support(
+    seen: _Seen, seeds: Seeds, first: bool, r: int, c: int, k: int, least: np.float32
+) -> np.float32:
     """Return the support for candidate k of pixel (r, c), from its own likelihood and its
     neighbours.
 
@@ -325,7 +343,9 @@ def _support(seen, seeds, first, r, c, k, least):
 
 
 @part
-def _odds(seen, seeds, r, c, k, slack, light):
+def _odds(
+    seen: _Seen, seeds: Seeds, r: int, c: int, k: int, slack: int, light: np.int64
+) -> np.float32:
     """Return the probability of pixel (r, c)'s candidates near bin k, weighted by how alike the
     lights are.
     """
@@ -342,7 +362,7 @@ def _odds(seen, seeds, r, c, k, slack, light):
 
 
 @part
-def _highest(line, k, reach):
+def _highest(line: np.ndarray, k: int, reach: int) -> np.float32:
     """Return the highest value of a line within `reach` bins of bin k."""
     best = _NEVER
     for j in range(max(0, k - reach), min(len(line), k + reach + 1)):
