@@ -196,7 +196,7 @@ def _while_dropping(
 
 
 @njit
-def _room_found(begin, end, rate):
+def _room_found(begin: np.ndarray, end: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """float64[cycles]: share of the intervals from `begin` to `end` in which there was room before
     a cycle of the period.
 
@@ -311,7 +311,15 @@ def _photons(law: tuple[Rise, ...], share: np.ndarray) -> np.ndarray:
 
 
 @njit(error_model="numpy")
-def _leave_no_trace(of_ticks, least, shares, pulse, kinds, missed, blind):
+def _leave_no_trace(
+    of_ticks: _Ticks,
+    least: np.float32,
+    shares: _Shares,
+    pulse: _Pulse,
+    kinds: int,
+    missed: np.ndarray,
+    blind: np.ndarray,
+) -> None:
     """Compute missed and blind, float32[2, points], of `Unheard` for one subgroup.
 
     They are means over the arrival times of a surface's photons. least: share of the windows that
@@ -352,7 +360,9 @@ def _leave_no_trace(of_ticks, least, shares, pulse, kinds, missed, blind):
 
 
 @part(error_model="numpy")
-def _mean_over_pulse(values, pulse, line, means):
+def _mean_over_pulse(
+    values: np.ndarray, pulse: _Pulse, line: np.ndarray, means: np.ndarray
+) -> None:
     """Compute the mean of values by tick, over each point's ticks and the pulse.
 
     line: workspace, float32[points + 2 * reach].
