@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from functools import cached_property
 from threading import Lock
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from attrs import evolve
@@ -24,7 +24,7 @@ from ..model.depth.quality import wrong_pixels
 from ..model.golden.frame import Golden, Trace
 from ..model.light.light import Light
 from ..model.scenes.scene import Scene
-from ..model.shared.errors import InputError
+from ..model.shared.errors import InputError, check_integer, wrong_value
 from ..tb.replay import replay
 from .compile_ahead import compile_ahead
 from .measures import MEASURES, Number, stream_beats
@@ -98,18 +98,26 @@ class Run:
         self._result = result
         self._frames: dict[tuple[int, str | None], Frame] = {}
 
-    def but(self, **changes: Any) -> "Run":
+    def __repr__(self) -> str:
+        """Return one line: scene, size, frames and engine; nothing is computed."""
+        setup, config = self.setup, self.config
+        seen = "edges" if setup.scene is None else setup.scene.name
+        size = f"{config.sensor.rows} x {config.sensor.cols} pixels"
+        frames = f"{config.frames} frame{'s' * (config.frames > 1)} of {config.pulses} pulses"
+        return f"<Run of {seen}: {size}, {frames}, engine {setup.engine}>"
+
+    def but(self, **changes: Any) -> Self:
         """Return the run of a changed setup (`Setup.but`). It keeps the photons if the change does
         not affect them.
         """
-        return Run(
+        return type(self)(
             self.setup.but(**changes), cache=self.cache, workers=self.workers, watch=self.watch
         )
 
-    def alone(self, number: int, **changes: Any) -> "Run":
+    def alone(self, number: int, **changes: Any) -> Self:
         """Return a run that begins at reset with the photons of one frame, with a changed setup."""
         setup = self.setup.but(edges=self.frame_edges(number), frame={"frames": 1}).but(**changes)
-        return Run(setup, workers=self.workers, watch=self.watch)
+        return type(self)(setup, workers=self.workers, watch=self.watch)
 
     @property
     def config(self) -> Config:
@@ -234,8 +242,11 @@ class Run:
         return estimate_depth(self.result, self.config, **given)
 
     def frame(self, number: int = -1, estimator: Method | None = None) -> "Frame":
-        """Return one frame (from the end, if negative) with an estimator; None: the first one of the setup."""
-        number %= self.config.frames
+        """Return one frame (from the end, if negative) with an estimator; None: the first one of
+        the setup. Raises `InputError`.
+        """
+        frames = self.config.frames
+        number = check_integer("frame", number, -frames, frames - 1) % frames
         chosen = estimator or next(iter(self.setup.estimators), None)
         name = chosen if chosen is None or isinstance(chosen, str) else fingerprint(chosen)
         return self._frames.setdefault((number, name), Frame(self, number, chosen))
@@ -258,6 +269,9 @@ class Frame:
         self._first: Depth | None = None
 
     def __getitem__(self, measure: str) -> Number:
+        """Return a measure by its name. Raises `InputError`."""
+        if measure not in MEASURES:
+            raise wrong_value("measure", measure, f"one of {', '.join(MEASURES)}")
         return MEASURES[measure].of(self)
 
     def by(self, estimator: Method) -> "Frame":

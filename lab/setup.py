@@ -9,12 +9,12 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from attrs import Attribute, evolve, field, frozen, has
+from attrs import Attribute, evolve, field, fields_dict, frozen, has
 
 from .. import __version__
-from ..model.contract.config import Config, parse_config
+from ..model.contract.config import SETTINGS, Config, parse_config
 from ..model.contract.edges import Edges
-from ..model.contract.parameters import Sensor
+from ..model.contract.parameters import SENSOR, Sensor
 from ..model.contract.settings import THRESHOLD_MAX
 from ..model.depth.methods import DEFAULT_METHOD, Method, taken_along
 from ..model.light.light import BACKGROUNDS, Light
@@ -24,6 +24,7 @@ from ..model.light.timing import Timing
 from ..model.scenes.ambient import Ambient
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene, scene_light
+from ..model.shared.errors import InputError
 from ..model.shared.own_part import OwnPart
 from ..model.shared.sources import digest, sources_digest
 from ..tb.replay import DEFAULT_VIEW
@@ -151,9 +152,12 @@ class Setup:
         **fields: Any,
     ) -> "Setup":
         """Return a copy with other settings, given as tables of a configuration file, and with
-        other fields.
+        other fields. Raises `InputError`.
         """
         config: Config = fields.pop("config", self.config)
+        for name in fields:
+            if name not in fields_dict(Setup):
+                raise _unknown_field(name)
         return evolve(
             self, config=config.with_frame(**frame or {}).with_settings(**subgroup or {}), **fields
         )
@@ -185,6 +189,19 @@ class Setup:
         project.
         """
         return fingerprint(self, versions(self.engine))
+
+
+def _unknown_field(name: str) -> InputError:
+    """Return the error for a name that is no field of a setup; a setting is told its table."""
+    if name in SENSOR:
+        message = f"{name}: is a parameter of the sensor, given as config=config.with_sensor(...)"
+    elif name in SETTINGS:
+        table = SETTINGS[name].table
+        message = f'{name}: is a setting of [{table}], given as {table}={{"{name}": ...}}'
+    else:
+        known = ", ".join(("frame", "subgroup", *fields_dict(Setup)))
+        message = f"{name}: unknown field, must be one of {known}"
+    return InputError(message, field=name)
 
 
 def scene_of(config: Config, source: Scene | str | np.ndarray, **options: Any) -> Scene:
@@ -231,6 +248,8 @@ def fingerprint(*values: Any) -> str:
     pending = list(values)
     while pending:
         value = pending.pop()
+        if isinstance(value, np.generic):
+            value = value.item()
         if isinstance(value, np.ndarray):
             parts += [f"{value.dtype} {value.shape}", np.ascontiguousarray(value).tobytes()]
             continue

@@ -9,7 +9,7 @@ from ..model.depth.belief import SENTENCES
 from ..model.depth.depth import Depth
 from ..model.light.link_budget import Optics
 from ..model.shared.errors import InputError
-from ..model.shared.files import FilePath, whole_file
+from ..model.shared.files import FilePath, check_suffix, whole_file
 
 _NORMAL = "nx", "ny", "nz"
 POINT = np.dtype([*((name, "<f4") for name in ("x", "y", "z", "confidence")), ("reason", "u1")])
@@ -98,7 +98,10 @@ def _tangents(pixels: int, fov_deg: float) -> np.ndarray:
 
 
 def write_ply(path: FilePath, points: np.ndarray) -> None:
-    """Write points (`point_cloud`) as binary PLY, whole or not at all."""
+    """Write points (`point_cloud`) as binary PLY, whole or not at all. Raises `InputError` for
+    another suffix.
+    """
+    check_suffix(path, ".ply")
     header = [
         "ply",
         "format binary_little_endian 1.0",

@@ -20,12 +20,14 @@ from ..model.depth.methods import DEFAULT_METHOD, Method
 from ..model.golden.frame import Golden
 from ..model.light.light import BACKGROUNDS
 from ..model.light.link_budget import Optics
+from ..model.light.photons import edge_chunks
 from ..model.light.spad import Spad
 from ..model.scenes.ambient import Ambient
 from ..model.scenes.catalogue import NAMES, usual_klux
 from ..model.scenes.scene import REFLECTIVITY, Scene
 from ..model.shared.compiled import is_compiled
 from ..model.shared.errors import InputError
+from ..model.shared.files import check_suffix
 from ..tb.replay import DEFAULT_VIEW
 from .point_cloud import point_cloud, write_ply
 from .progress import COMPILES
@@ -102,6 +104,7 @@ class Run(outcomes.Run):
 
     def to_ply(self, path: str | Path, **options: Any) -> None:
         """Write `point_cloud` as a PLY file; its folder must exist."""
+        check_suffix(path, ".ply")
         if not Path(path).parent.is_dir():
             raise InputError(
                 f"{path}: cannot be written: the folder {Path(path).parent} does not exist"
@@ -110,10 +113,13 @@ class Run(outcomes.Run):
 
     def save_depth(self, path: str | Path, **options: Any) -> None:
         """Write the depth as NPZ (`Depth.save`); `options` are those of `estimate_depth`."""
+        check_suffix(path, ".npz")  # before the depth is computed
         self.depth(**options).save(path)
 
     def save(self, path: str | Path) -> None:
-        """Write the result file (NPZ), whole or not at all."""
+        """Write the result file (NPZ), whole or not at all. Raises `InputError` for another
+        suffix.
+        """
         write_result(path, self.result)
 
 
@@ -188,8 +194,8 @@ def simulate(
         view=view,
         estimators=(method,),
     )
-    if not is_compiled(Golden.__module__):
-        print(f"coincid: {COMPILES}", file=sys.stderr)
+    if not is_compiled(edge_chunks.__module__) or not is_compiled(Golden.__module__):
+        print(f"coincid: {COMPILES}", file=sys.stderr, flush=True)
     run = Run(setup, workers=os.cpu_count() or 1)
     _ = run.result  # computed here, so that errors appear in this call
     return run

@@ -71,7 +71,8 @@ def files(tmp_path, monkeypatch):
 # contract/test_config.py has the others
 @pytest.mark.parametrize("text", ["[subgroup]\nthreshhold = 2", "threshold:"])
 @pytest.mark.parametrize(
-    "job", ["replay --edges edges.npz --out out/x", "sim --out out", "verilog --out out", "lint"]
+    "job",
+    ["replay --edges edges.npz --out out/x.npz", "sim --out out", "verilog --out out", "lint"],
 )
 def test_bad_configuration(files, text, job):
     (files / "config.toml").write_text(text, encoding="utf-8")
@@ -122,6 +123,11 @@ def test_files_that_are_no_edges(files):
     with open(path, "wb") as file:
         np.save(file, np.arange(5))
     assert_refused(command(REPLAY), "edges.npz", "is a single array")
+    path.write_text("pulse,pixel,tick\n0,0,0\n", encoding="utf-8")
+    assert_refused(command(REPLAY), "edges.npz", "is not an NPZ file", "pulse, pixel, tick")
+    (files / "edges.csv").write_text("pulse,pixel,tick\n0,0,0\n", encoding="utf-8")
+    told = "edges.csv: is read as NPZ; coincid edges makes one of a .csv file"
+    assert_refused(command(REPLAY.replace("edges.npz", "edges.csv")), told)
     with zipfile.ZipFile(path, "w") as archive:
         for name in NAMES:
             archive.writestr(f"{name}.npy", b"nothing")
@@ -135,6 +141,7 @@ def test_files_that_are_no_edges(files):
     ("words", "told"),
     [
         (f"{REPLAY} --stall -1", ("stall = -1", "from 0 to")),
+        (REPLAY.replace("result.npz", "result.h5"), ("out/result.h5: must end with .npz",)),
         (
             f"{REPLAY} --engine cocotb-verilator",
             ("engine = 'cocotb-verilator'", "golden, sliced, verilator, icarus"),

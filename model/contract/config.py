@@ -9,6 +9,7 @@ import json
 import tomllib
 from collections.abc import Callable, Collection, Mapping
 from fractions import Fraction
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,13 @@ class Config(SubgroupSettings):
             raise out_of_range(
                 "subgroup.gate_start", int(self.gate_start[late[0]]), 0, period - 1, where
             )
+
+    def __repr__(self) -> str:
+        """Return one line: size, frames, and how many keys were written."""
+        sensor = self.sensor
+        size = f"{sensor.rows} x {sensor.cols} pixels in {sensor.subgroups} subgroups"
+        frames = f"{self.frames} frame{'s' * (self.frames > 1)} of {self.pulses} pulses"
+        return f"<Config: {size}, {frames}, {len(self.given)} keys written>"
 
     @property
     def frames(self) -> int:
@@ -378,6 +386,13 @@ def load_config(path: FilePath | None = None, changes: Mapping[str, Any] | None 
         If the file cannot be read, or a setting is unknown or out of range; the message names
         the key and its range.
     """
+    if path is not None and not isinstance(path, str | PathLike):
+        message = f"config = {type(path).__name__}: must be a TOML file or a preset"
+        raise InputError(f"{message}; parse_config takes tables", field="config")
+    for name in changes or {}:
+        if name not in SETTINGS:
+            message = f"{name}: unknown setting, must be one of {', '.join(SETTINGS)}"
+            raise InputError(message, field=name)
     document: dict[str, Any] = {}
     try:
         if path is not None:
@@ -454,6 +469,9 @@ def parse_config(document: dict[str, Any]) -> Config:
     document: the tables `sensor`, `frame`, `subgroup` and `override`; every table and every key
     may be missing.
     """
+    if not isinstance(document, dict):
+        message = f"document = {type(document).__name__}: must be a dict of tables"
+        raise InputError(f"{message}; load_config reads files and presets", field="document")
     tables = {"sensor": dict, "frame": dict, "subgroup": dict, "override": list}
     for name, value in document.items():
         if name not in tables:

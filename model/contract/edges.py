@@ -2,6 +2,7 @@
 """Edges: SPAD avalanches as the digital logic sees them, and their file format."""
 
 import enum
+from pathlib import Path
 
 import numpy as np
 from attrs import evolve, frozen
@@ -39,8 +40,17 @@ class Edges:
     def __len__(self) -> int:
         return len(self.tick)
 
+    def __repr__(self) -> str:
+        """Return one line: how many edges there are, and of which pulses."""
+        if not len(self):
+            return "<Edges: none>"
+        return f"<Edges: {len(self):,}, pulses {self.pulse.min()} to {self.pulse.max()}>"
+
     def save(self, path: FilePath) -> None:
-        """Write the edges as NPZ, whole or not at all."""
+        """Write the edges as NPZ, whole or not at all. Raises `InputError` for another suffix.
+
+        `coincid edges` converts the file to other formats.
+        """
         offset = {} if self.offset_ps is None else {"offset_ps": self.offset_ps}
         write_npz(path, {name: getattr(self, name) for name in NAMES} | offset)
 
@@ -59,6 +69,7 @@ class Edges:
 
 
 NAMES = ("pulse", "pixel", "tick")
+OTHER_SUFFIXES = (".csv", ".h5", ".hdf5", ".ptu")  # of edges in formats of other programs
 
 
 def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -> Edges:
@@ -68,6 +79,9 @@ def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -
     frames). An array `offset_ps` may give the position of each edge in its tick. Raises
     `InputError` with the array, its first bad element and the legal range.
     """
+    suffix = Path(path).suffix.lower()
+    if suffix in OTHER_SUFFIXES and Path(path).exists():
+        raise InputError(f"{path}: is read as NPZ; coincid edges makes one of a {suffix} file")
     arrays = read_npz(path, NAMES, optional=("offset_ps",))
     return checked_edges(
         arrays, pixels=pixels, pulses=pulses, period_ticks=period_ticks, source=f"{path}: "

@@ -146,7 +146,8 @@ class Sensor:
     def __attrs_post_init__(self) -> None:
         check_rule(self.rule)
         for setting in SENSOR.values():
-            setting.checked(setting.key, getattr(self, setting.name), self)
+            value = setting.checked(setting.key, getattr(self, setting.name), self)
+            object.__setattr__(self, setting.name, value)  # without types of NumPy
         for name, highest in (("phases", PHASES_MAX), ("offset_phases", self.phases)):
             steps = getattr(self, name)
             if steps & (steps - 1):

@@ -104,10 +104,12 @@ def events_table(arrays: dict[str, np.ndarray]) -> Any:
     """Return one row per event, as a pandas DataFrame if pandas is installed, otherwise as a
     structured array.
 
-    The columns are those of `EVENT_COLUMNS`. Row i belongs to row i of the arrays `hits` and
-    `mg_offset`, which hold several values per event.
+    The columns are those of `EVENT_COLUMNS`, and `hits` (`map_numbers`) unless the format has no
+    map. Row i belongs to row i of the array `mg_offset`, which holds several values per event.
     """
     columns = {name: arrays[name] for name in EVENT_COLUMNS}
+    if "hits" in arrays:
+        columns["hits"] = map_numbers(arrays["hits"])
     try:
         from pandas import DataFrame
     except ImportError:
@@ -117,13 +119,27 @@ def events_table(arrays: dict[str, np.ndarray]) -> Any:
     return DataFrame(columns)
 
 
+def map_numbers(hits: np.ndarray) -> np.ndarray:
+    """Return the ID map of each event as one number: bit i is pixel i of the subgroup.
+
+    hits: uint64[n, words]. Returns uint64[n] for maps of one word, otherwise Python's integers,
+    object[n].
+    """
+    if hits.shape[1] == 1:
+        return hits[:, 0]
+    numbers = np.zeros(len(hits), object)
+    for word in reversed(range(hits.shape[1])):
+        numbers = (numbers << 64) | hits[:, word].astype(object)
+    return numbers
+
+
 def stall(cycles: int) -> np.ndarray:
     """Return a `tready` that is low for the first `cycles` cycles of every frame."""
     return np.zeros(cycles, np.uint8)
 
 
 def write_result(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
-    """Write a result file, whole or not at all."""
+    """Write a result file (NPZ), whole or not at all. Raises `InputError` for another suffix."""
     write_npz(path, arrays)
 
 

@@ -55,9 +55,20 @@ class Depth:
         reason[sure[:, :, 0] >= BELIEVED_MIN] = Reason.BELIEVED
         return cls(distance_m, sure, reason)
 
+    def __repr__(self) -> str:
+        """Return one line: size, range of the distances, and how many are to be believed."""
+        rows, cols, returns = self.depth_m.shape
+        first_m = self.depth_m[:, :, 0]
+        size = f"{rows} x {cols} pixels, {returns} return{'s' * (returns > 1)}"
+        if np.isnan(first_m).all():
+            return f"<Depth: {size}, no distance>"
+        span = f"{np.nanmin(first_m):.3g} to {np.nanmax(first_m):.3g} m"
+        believed = np.mean(self.reason == Reason.BELIEVED)
+        return f"<Depth: {size}, {span}, {believed:.0%} to be believed>"
+
     def save(self, path: FilePath) -> None:
         """Write the arrays that there are as NPZ, whole or not at all; `sentences` are those of
-        the reasons.
+        the reasons. Raises `InputError` for another suffix.
         """
         arrays = {name: part for name, part in asdict(self).items() if part is not None}
         write_npz(path, arrays | {"sentences": np.array([SENTENCES[reason] for reason in Reason])})

@@ -99,10 +99,10 @@ def edge_chunks(
     chunk_pulses: pulses per chunk; None: about `CHUNK_EDGES` edges. Neither workers nor chunks
     change the edges. A SPAD model of a user's own (`OwnSpad`) makes one chunk of all pulses.
     """
-    check_integer("pulses", pulses, 1, PULSES_MAX)
-    check_integer("pulse_start", pulse_start, 0, PULSES_MAX)
-    check_integer("seed", seed, 0, SEED_MAX)
-    check_integer("workers", workers, 1, 256)
+    pulses = check_integer("pulses", pulses, 1, PULSES_MAX)
+    pulse_start = check_integer("pulse_start", pulse_start, 0, PULSES_MAX)
+    seed = check_integer("seed", seed, 0, SEED_MAX)
+    workers = check_integer("workers", workers, 1, 256)
     physics, arrays = _in_ticks(light, spad, timing, gate, pulse_start + pulses)
     if isinstance(spad, OwnSpad):
         generate = partial(

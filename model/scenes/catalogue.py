@@ -114,6 +114,13 @@ def load_scene(
                 raise InputError(
                     f"unit = {unit!r}: goes with depth files only, not with scene {text!r}"
                 )
+            if np.any(reflectivity != REFLECTIVITY):
+                raise InputError(
+                    f"reflectivity: goes with depth files and arrays, not with scene {text!r}"
+                    " (some built-in scenes take one after the colon, as in flat:5,0.9)"
+                )
+            if colour is not None:
+                raise InputError(f"colour = {str(colour)!r}: goes with depth files only")
             return _named_scene(text, rows, cols, range_m)
         if "," in text and not Path(text).exists():
             source, _, beside = text.rpartition(",")
@@ -126,7 +133,8 @@ def load_scene(
             raise InputError(f"{source}: no such file (built-in scenes: {', '.join(NAMES)})")
     elif not isinstance(source, np.ndarray):
         raise InputError(
-            f"scene = {source!r}: must be a Scene, a name or file of one, or an array of distances in metres"
+            f"scene = {_told(source)}: must be a Scene, a name or file of one, or an array of"
+            " distances in metres"
         )
     return depth_scene(
         source,
@@ -138,6 +146,13 @@ def load_scene(
         unit=unit,
         range_m=range_m,
     )
+
+
+def _told(source: object) -> str:
+    """Return what a user gave as a scene: a list is told by its kind, not by its numbers."""
+    if isinstance(source, list | tuple):
+        return f"{type(source).__name__} (numpy.array(scene) makes an array of it)"
+    return repr(source)
 
 
 def _named_scene(source: str, rows: int, cols: int, range_m: float) -> Scene:

@@ -11,7 +11,7 @@ from attrs import field, frozen
 from ..light.light import NEAREST_M, Light
 from ..shared.errors import InputError
 from ..shared.quantities import given, real_array
-from .ambient import Ambient, ambient_klux
+from .ambient import Ambient, ambient_klux, told_klux
 from .transient import Transient
 
 NO_OBJECT = 0
@@ -64,6 +64,14 @@ class Scene:
             self, "labels", np.broadcast_to(np.asarray(self.labels, np.int64), shape[:2])
         )
 
+    def __repr__(self) -> str:
+        """Return one line: name, size, and range of the distances."""
+        size = f"{self.rows} x {self.cols} pixels"
+        if not self.valid.any():
+            return f"<Scene {self.name}: {size}, no target>"
+        span = f"{np.nanmin(self.distance_m):.3g} to {np.nanmax(self.distance_m):.3g} m"
+        return f"<Scene {self.name}: {size}, {span}>"
+
     @property
     def rows(self) -> int:
         return self.distance_m.shape[0]
@@ -100,6 +108,15 @@ def scene_light(scene: Scene, klux: Ambient, **others: Any) -> Light:
     klux: ambient light, as in `simulate`. others: `background`, and fields of `Light`.
     """
     reaches_klux = ambient_klux(klux, scene.rows, scene.cols) * scene.sunlit
-    if scene.transient is not None:
-        return scene.transient.light(reaches_klux, **others)
-    return Light.from_scene(scene.distance_m, scene.reflectivity, reaches_klux, **others)
+    try:
+        if scene.transient is not None:
+            return scene.transient.light(reaches_klux, **others)
+        return Light.from_scene(scene.distance_m, scene.reflectivity, reaches_klux, **others)
+    except InputError as error:
+        if error.field != "background_cps":
+            raise
+        message = (
+            f"klux = {told_klux(klux)}: is too much ambient light: a pixel would detect more than"
+            f" {error.high:g} photons per second"
+        )
+        raise InputError(message, field="klux") from None

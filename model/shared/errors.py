@@ -5,6 +5,7 @@ optional packages.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from numbers import Integral
 
 SEED_MAX = (1 << 63) - 1  # highest seed of random numbers: it fits a column of int64
 
@@ -67,12 +68,15 @@ def out_of_range(name: str, value: object, low: int, high: int, why: str = "") -
 
 
 def check_integer(name: str, value: object, low: int, high: int, why: str = "") -> int:
-    """Return `value` if it is an integer (a bool is not) from `low` to `high`. Raises
-    `InputError`.
+    """Return `value` as an int if it is an integer, also one of NumPy (a bool is not), from
+    `low` to `high`. Raises `InputError`.
     """
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+    if isinstance(value, bool) or not isinstance(value, Integral):
         raise out_of_range(name, value, low, high, why)
-    return value
+    number = int(value)
+    if not low <= number <= high:
+        raise out_of_range(name, value, low, high, why)
+    return number
 
 
 @contextmanager

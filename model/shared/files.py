@@ -4,6 +4,7 @@
 import csv
 import os
 import tempfile
+import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 from .errors import InputError
 
 FilePath: TypeAlias = str | os.PathLike[str]
+NPY_START = b"\x93NUMPY"  # first bytes of a file with a single array
 
 
 @contextmanager
@@ -67,10 +69,19 @@ def write_csv(path: FilePath, rows: Iterable[Iterable[object]]) -> None:
         )
 
 
+def check_suffix(path: FilePath, suffix: str) -> None:
+    """Raise `InputError` if the name of a file to be written promises another format than that of
+    `suffix`.
+    """
+    if Path(path).suffix.lower() != suffix:
+        raise InputError(f"{path}: must end with {suffix}", field="path")
+
+
 def write_npz(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
     """Write `arrays` as a compressed NPZ whose bytes depend only on the arrays (`np.savez`
-    writes no time stamp).
+    writes no time stamp). Raises `InputError` if the file's name does not end with .npz.
     """
+    check_suffix(path, ".npz")
     with whole_file(path) as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # no array is called allow_pickle
 
@@ -84,6 +95,10 @@ def read_npz(
     """
     path = Path(path)
     with reading(path, "NPZ file"):
+        with path.open("rb") as file:
+            start = file.read(len(NPY_START))
+        if start != NPY_START and not zipfile.is_zipfile(path):
+            raise InputError(f"{path}: is not an NPZ file, must hold the arrays {', '.join(names)}")
         archive = np.load(path, allow_pickle=False)
         if not isinstance(archive, np.lib.npyio.NpzFile):
             raise InputError(

@@ -361,6 +361,7 @@ def replay(
     from coincid.model.contract.edges import load_edges
     from coincid.model.contract.result import stall as low
     from coincid.model.contract.result import write_result
+    from coincid.model.shared.files import check_suffix
     from coincid.tb.replay import DEFAULT_VIEW, chosen_view
     from coincid.tb.replay import replay as run
 
@@ -375,7 +376,7 @@ def replay(
         pulses=pulses,
         period_ticks=settings.period_ticks,
     )
-    _file(out)
+    check_suffix(_file(out), ".npz")
     if offset_seed is not None:
         with extra("rtl"):
             from coincid.tb.stimulus import off_centre

@@ -27,7 +27,7 @@ from ...model.light.light import NEAREST_M, Light
 from ...model.light.spad import Spad
 from ...model.light.timing import Timing
 from ...model.scenes.catalogue import load_scene
-from ...model.scenes.scene import Scene, scene_light
+from ...model.scenes.scene import REFLECTIVITY, Scene, scene_light
 from ...model.shared.errors import InputError, check_integer, out_of_range, wrong_value
 from ...model.shared.quantities import check_choice, check_real
 from .controls import CONTROL, CONTROLS, DEFAULTS, SCENES, UNITS, Control, Value
@@ -107,7 +107,7 @@ class Settings:
                 sensor.rows,
                 sensor.cols,
                 colour=self.uploads.colour if name == "upload" else None,
-                reflectivity=values["reflectivity"],
+                reflectivity=values["reflectivity"] if name == "upload" else REFLECTIVITY,
                 unit=None if name != "upload" or values["unit"] == UNITS[0] else values["unit"],
                 range_m=self.timing.range_m,
             )

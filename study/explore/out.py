@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from attrs import frozen
 
-from ...model.contract.result import EVENT_COLUMNS
+from ...model.contract.result import EVENT_COLUMNS, map_numbers
 from ..pictures import Panel, draw_row
 from ..plot_style import figure_bytes
 from .control_values import config_toml
@@ -35,7 +35,7 @@ def events_csv(explored: Explored, frame: int) -> bytes:
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     lines.writerow([*EVENT_COLUMNS, "hits"])
-    maps = [int.from_bytes(row.astype("<u8").tobytes(), "little") for row in arrays["hits"]]
+    maps = map_numbers(arrays["hits"]).tolist()
     columns = [arrays[name].astype(np.int64).tolist() for name in EVENT_COLUMNS]
     lines.writerows([*row, f"{hits:x}"] for *row, hits in zip(*columns, maps, strict=True))
     return text.getvalue().encode()

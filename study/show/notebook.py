@@ -16,12 +16,15 @@ from ...lab.outcomes import Run
 from ...model.depth.histograms import pixel_histogram
 from ...model.depth.methods import Method
 from ...model.shared.errors import InputError, check_integer, extra
-from ...model.shared.files import FilePath, whole_file
+from ...model.shared.files import FilePath, check_suffix, whole_file
 from ..pictures import Panel, draw_row
 from ..plot_style import figure_bytes
 from .assets import FILES
 from .frame_content import FrameView
 from .words import number_rows, story
+
+# of all views, in the widest and in the narrowest output of a notebook in which nothing is cut
+PLOT_HEIGHT_PX = 1360
 
 
 @frozen
@@ -37,7 +40,10 @@ class Shown:
         return f'<iframe srcdoc="{escape(self.html)}" style="width: 100%; height: {self.height_px}px; border: 0"></iframe>'
 
     def save(self, path: FilePath) -> None:
-        """Write the page, whole or not at all."""
+        """Write the page, whole or not at all. Raises `InputError` for another suffix than
+        .html.
+        """
+        check_suffix(path, ".html")
         with whole_file(path, "w") as file:
             file.write(self.html)
 
@@ -68,7 +74,8 @@ def plot(run: Run, frame: int = 0, method: Method | None = None) -> Shown:
     with extra("explore"):
         from .report import report_html
 
-    return Shown(report_html(run.scene.name, [run_view(run, frame, method)]), 820)
+    html = report_html(run.scene.name, [run_view(run, frame, method)])
+    return Shown(html, PLOT_HEIGHT_PX)
 
 
 class PixelHistogram(np.ndarray):
@@ -91,6 +98,15 @@ class PixelHistogram(np.ndarray):
 
     def __array_finalize__(self, other: object) -> None:
         self.draw = None
+
+    def __repr__(self) -> str:
+        """Return one line about a whole histogram; arrays that are computed from it show their
+        numbers.
+        """
+        if self.draw is None:
+            return super().__repr__()
+        hits = np.asarray(self)
+        return f"<PixelHistogram: {hits.sum()} hits in {len(hits)} ticks, {hits.max()} at most>"
 
     def _repr_html_(self) -> str | None:
         """Return the picture; None if there is none, and then a notebook prints the array."""

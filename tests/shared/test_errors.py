@@ -37,6 +37,19 @@ def test_an_error_of_the_configuration_has_its_field_and_range(document, field, 
     assert str(raised.value).startswith(field)
 
 
+@pytest.mark.parametrize(
+    "load, words",
+    [
+        (lambda: load_config({"sensor": {}}), "config = dict: must be a TOML file or a preset; p"),
+        (lambda: load_config("fpga", {"moon": 3}), "moon: unknown setting, must be one of rows"),
+        (lambda: parse_config("fpga"), "document = str: must be a dict of tables; load_config"),
+    ],
+)
+def test_a_configuration_of_another_kind_is_refused(load, words):
+    with pytest.raises(InputError, match=words):
+        load()
+
+
 def test_a_change_is_blamed_for_an_error_in_another_field():
     with pytest.raises(
         InputError, match=r"^sensor\.coarse_bits: does not go with .*\(frame\.period = 63"

@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import coincid
-from coincid.model.contract.result import EVENT_COLUMNS, differences
+from coincid.model.contract.result import EVENT_COLUMNS, differences, map_numbers
 from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.histograms import subgroup_histograms
@@ -41,6 +41,75 @@ def run():
 def test_a_saved_run_is_read_back(run, tmp_path):
     run.save(tmp_path / "events.npz")
     assert not differences(coincid.read_result(tmp_path / "events.npz"), run.result)
+
+
+@pytest.mark.parametrize(
+    ("write", "suffix"),
+    [
+        (lambda run, path: run.save(path), "npz"),
+        (lambda run, path: run.save_depth(path), "npz"),
+        (lambda run, path: run.edges.save(path), "npz"),
+        (lambda run, path: run.depth().save(path), "npz"),
+        (lambda run, path: coincid.write_result(path, run.result), "npz"),
+        (lambda run, path: run.to_ply(path), "ply"),
+        (lambda run, path: run.plot().save(path), "html"),
+    ],
+)
+def test_a_file_is_what_its_name_says(run, tmp_path, write, suffix):
+    with pytest.raises(coincid.InputError, match=f"out.h5: must end with .{suffix}"):
+        write(run, tmp_path / "out.h5")
+    assert not list(tmp_path.iterdir())
+    write(run, tmp_path / f"out.{suffix}")
+    assert (tmp_path / f"out.{suffix}").stat().st_size
+
+
+def test_one_line_says_what_a_thing_is(run):
+    told = {
+        run: "<Run of flat:5,0.5: 16 x 8 pixels, 1 frame of 60 pulses, engine golden>",
+        run.config: "<Config: 16 x 8 pixels in 2 subgroups, 1 frame of 60 pulses, 3 keys written>",
+        run.scene: "<Scene flat:5,0.5: 16 x 8 pixels, 5 to 5 m>",
+    }
+    for one, line in told.items():
+        assert repr(one) == line
+    assert repr(run.depth()).startswith("<Depth: 16 x 8 pixels, 1 return, ")
+    assert repr(run.edges).startswith(f"<Edges: {len(run.edges):,}, pulses 0 to 59")
+    hits = run.histogram(0)
+    assert repr(hits).startswith(f"<PixelHistogram: {hits.sum()} hits in ")
+    assert repr(hits[:2] + 1).startswith("PixelHistogram([")
+
+
+def test_a_changed_run_has_all_methods_and_names_what_it_does_not_know(run):
+    assert len(run.but(subgroup={"threshold": 3}).events()) < len(run.events())
+    for change, words in {
+        "threshold": r"threshold: is a setting of \[subgroup\], given as subgroup=\{",
+        "rows": "rows: is a parameter of the sensor, given as config=config.with_sensor",
+        "moon": "moon: unknown field, must be one of frame, subgroup, config, scene",
+    }.items():
+        with pytest.raises(coincid.InputError, match=words):
+            run.but(**{change: 3})
+    with pytest.raises(coincid.InputError, match="measure = 'foo': must be one of edges"):
+        run.frame(0)["foo"]
+    with pytest.raises(coincid.InputError, match="frame = 1: must be an integer from -1 to 0"):
+        run.frame(1)
+
+
+def test_every_integer_of_numpy_is_an_integer(run):
+    given = {"rows": 16, "cols": 8, "pulses": 60, "threshold": 3, "seed": 3}
+    plain = coincid.simulate(None, "flat:5,0.5", klux=10, **given)
+    for kind in (np.int64, np.uint16):
+        others = {name: kind(value) for name, value in given.items()}
+        same = coincid.simulate(None, "flat:5,0.5", klux=10, **others)
+        assert same.setup.key == plain.setup.key
+        assert not differences(same.result, plain.result)
+        place = kind(9), kind(5)
+        assert np.array_equal(same.histogram(place), plain.histogram((9, 5)))
+
+
+def test_the_table_of_events_has_the_maps(run):
+    table = run.to_pandas()
+    assert np.array_equal(table["hits"], run.result["hits"][:, 0])
+    two_words = np.array([[1, 1 << 63], [5, 0]], np.uint64)
+    assert map_numbers(two_words).tolist() == [(1 << 127) + 1, 5]
 
 
 def test_histogram_of_a_pixel(run):
@@ -207,6 +276,9 @@ def test_an_array_of_distances_is_a_scene():
         ((None, "flat:5"), {"thresold": 3}, "thresold: unknown argument or setting"),
         ((None, "flat:5"), {"threshold": 99}, "subgroup.threshold = 99: must be"),
         ((None, "flat:5"), {"scale": 3.0}, "scale = 3: goes with depth files only"),
+        ((None, "flat:5"), {"reflectivity": 0.9}, "reflectivity: goes with depth files and arr"),
+        ((None, [[5.0, 5.0]]), {}, r"scene = list \(numpy.array\(scene\) makes an array"),
+        ((None, "flat:5"), {"klux": 1e12}, "klux = 1000000000000.0: is too much ambient light: a"),
     ],
 )
 def test_what_simulate_refuses(arguments, options, words):
