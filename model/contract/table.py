@@ -167,7 +167,7 @@ def _plain(value: Any) -> Any:
     """Return a value as a file would hold it: no NumPy types, no tuples."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    return list(value) if isinstance(value, tuple) else value
+    return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def _checked_size(where: str, value: Any, low: int, high: int) -> tuple[int, int]:
