@@ -297,6 +297,19 @@ def values_of_link(given: dict[str, str]) -> tuple[dict[str, Any], str]:
     return values, " ".join(f"Ignored in the link: {message}." for message in ignored)
 
 
+def without_lost_pictures(values: dict[str, Any], uploads: Uploads) -> tuple[dict[str, Any], str]:
+    """Return values without choices of pictures that are not there any more, and a message about
+    them.
+    """
+    needed = {"scene": ("upload", uploads.depth), "sun": ("picture", uploads.sun)}
+    lost = [
+        name for name, (asking, path) in needed.items() if values.get(name) == asking and not path
+    ]
+    messages = [f"{CONTROL[name].label}: the picture is not here any more" for name in lost]
+    kept = {name: value for name, value in values.items() if name not in lost}
+    return kept, " ".join(f"{message}; please choose it again." for message in messages)
+
+
 def values_of_text(given: dict[str, str]) -> dict[str, Any]:
     """Return the values of controls from the text of a command or URL. Raises `InputError`."""
     values = {}

@@ -55,6 +55,8 @@ class Words:
 
     status: str  # the settings in short, and the time that they took
     query: str  # the changed settings as the query string of a URL; "" if none is
+    uploads: int  # number of the set of uploads that counts (`uploads.Kept`)
+    notes: list[str]  # what was cropped, masked or assumed of the scene, and of its light
     story: str  # what happens in the pixel and the pulse that are looked at
     where: str  # a hint where to look
     objects: list[list[str]]  # rows of the table of objects
@@ -168,6 +170,13 @@ class Forget:
 
 
 @frozen(kw_only=True)
+class Recall:
+    """Use an earlier set of uploads again."""
+
+    number: int  # `Words.uploads` of an earlier answer
+
+
+@frozen(kw_only=True)
 class KeepA:
     """Keep the result as A, and compare the next ones with it."""
 
@@ -207,6 +216,7 @@ class Save:
 ORDERS: dict[str, type] = {
     "upload": Upload,
     "forget": Forget,
+    "recall": Recall,
     "keep_a": KeepA,
     "drop_a": DropA,
     "look": Look,

@@ -26,8 +26,6 @@ function settle() {
     control.classList.toggle("dormant", off);
     control.querySelectorAll("input, select").forEach((input) => { input.disabled = off; });
   }
-  const uploads = {depth: field("scene").value === "upload", colour: field("scene").value === "upload", sun: field("sun").value === "picture"};
-  for (const [kind, used] of Object.entries(uploads)) document.querySelector(`[data-upload=${kind}]`).classList.toggle("dormant", !used);
 }
 
 function say(selector, text) {
@@ -47,10 +45,10 @@ function ask() {
   settle();
   state("asked");
   for (const place of ["#rtl", "#said"]) say(place, "");
+  $("#looked").textContent = "";
   clearTimeout(waiting);
   waiting = setTimeout(() => {
-    const values = Object.fromEntries(all("#controls [name]").map((input) => [input.name, read(input)]));
-    link.question = {number: asked, values};
+    link.question = {number: asked, values: controlValues()};
     began = performance.now();
   }, pause);
 }
@@ -63,17 +61,46 @@ function answered() {
   if (number !== asked) return;
   settled("");
   $("#status").textContent = words.status;
-  history.replaceState(null, "", words.query ? "?" + words.query : location.pathname);
   tell(words);
+  document.body.toggleAttribute("data-earlier", true);
   state("shown");
+  remember(words);
 }
+
+// Every change is a step of the browser's history, so that Back undoes it; quick changes of one control are one step.
+const STEP_MS = 1500;
+let changed = "";       // name of the control that changed last; "" after Back and at the beginning
+let stepped = {control: "", time: 0};  // the latest step
+function remember(words) {
+  const page = {values: controlValues(), uploads: words.uploads};
+  const search = words.query ? "?" + words.query : "";
+  const now = performance.now();
+  const same = changed === stepped.control && now - stepped.time < STEP_MS;
+  if (changed === "" || same || search === location.search) history.replaceState(page, "", search || location.pathname);
+  else history.pushState(page, "", search || location.pathname);
+  stepped = {control: changed, time: now};
+}
+
+function controlValues() {
+  return Object.fromEntries(all("#controls [name]").map((input) => [input.name, read(input)]));
+}
+
+window.addEventListener("popstate", ({state: page}) => {
+  if (!page) return;
+  for (const [name, value] of Object.entries(page.values)) write(name, field(name).type === "checkbox" ? value === "true" : value);
+  order("recall", {number: page.uploads});
+  changed = "";
+  ask();
+});
 
 function refused() {
   const {number, message, control} = link.refusal;
   if (number !== asked) return;
   settled(message);
   state("refused");
-  $("#status").textContent = "Nothing is shown: these settings are not possible.";
+  $("#status").textContent = document.body.hasAttribute("data-earlier")
+    ? "These settings are not possible. What is shown is the result of the settings before."
+    : "Nothing is shown: these settings are not possible.";
   document.querySelector(`[data-control="${control}"]`)?.classList.add("illegal");
 }
 
@@ -94,6 +121,8 @@ function tell(words) {
   document.body.toggleAttribute("data-film", words.frames > 1);
   $("[data-do=drop_a]").hidden = !words.ab;
   $("#a-says").textContent = words.a_says;
+  say("#notes", words.notes.join("\n"));
+  renewOver();
   $("#story").textContent = words.story;
   $("#where").textContent = words.where;
   fillTable("objects", words.object_heads, words.objects);
@@ -162,6 +191,7 @@ function upload(input) {
   const reader = new FileReader();
   reader.onload = () => {
     if (kind !== "sun") write("scene", "upload"); else write("sun", "picture");
+    changed = `file ${kind} ${file.name}`;
     const content = reader.result.split(",")[1] ?? "";
     order("upload", {kind, name: file.name, content});
     ask();
@@ -214,6 +244,7 @@ function explorer(model) {
     if (slides) field(slides).value = event.target.value;
     else if (event.target.name) write(event.target.name, event.target.type === "checkbox" ? event.target.checked : event.target.value);
     if (event.target.type === "file") return;
+    changed = slides ?? event.target.name;
     ask();
   });
   for (const kind of ["focusin", "mouseover"]) {  // in a place of its own: nothing may move under the mouse
@@ -235,12 +266,14 @@ function explorer(model) {
       $("#tried").textContent = "";
       say("#ignored", "");
       order("forget");
+      changed = "reset";
       ask();
     } else order(button.dataset.do);
   }));
   all("[data-try]").forEach((button) => button.addEventListener("click", () => {
     for (const [name, value] of Object.entries({...defaults, ...JSON.parse(button.dataset.try)})) write(name, value);
     $("#tried").textContent = button.dataset.says;
+    changed = `try ${button.dataset.try}`;
     ask();
   }));
   all("[data-look]").forEach((input) => input.addEventListener("input", () => order("look", {name: input.dataset.look, value: input.value})));

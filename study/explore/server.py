@@ -21,8 +21,9 @@ from tornado.netutil import bind_sockets
 from tornado.web import ErrorHandler
 
 from ...model.shared.errors import InputError, check_integer
-from .control_values import Settings, values_of_link
-from .tab import Page
+from .control_values import Settings, values_of_link, without_lost_pictures
+from .tab import UPLOADS, Page
+from .uploads import Kept, Uploads
 
 ADDRESS, PORT = "127.0.0.1", 5006
 PORTS_TRIED = 20  # from `PORT` on, if none is given
@@ -60,18 +61,24 @@ def make_server(port: int | None = None, start: Settings | None = None) -> tuple
     """
     sockets, port = _sockets(port)
     hosts = frozenset(f"{name}:{port}" for name in (ADDRESS, "localhost"))
+    kept = Kept()
 
     def new_page(doc: Document) -> None:
         arguments = {
             name: values[-1].decode("utf-8", "replace")
             for name, values in doc.session_context.request.arguments.items()
         }
+        number = arguments.pop(UPLOADS, "")
         given, ignored = values_of_link(
             {name: text for name, text in arguments.items() if not name.startswith("bokeh-")}
         )
-        Page(
-            doc, (start.values if start else {}) | given, start.uploads if start else None, ignored
-        )
+        values = (start.values if start else {}) | given
+        if number.isdecimal():
+            uploads = kept.get(int(number))
+        else:
+            uploads = start.uploads if start else Uploads()
+        values, lost = without_lost_pictures(values, uploads)
+        Page(doc, values, uploads, kept, " ".join(filter(None, (ignored, lost))))
 
     tornado = Guarded(
         {"/": Application(FunctionHandler(new_page))},

@@ -8,7 +8,6 @@ has the number of the newest request.
 
 import base64
 import json
-import tempfile
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
@@ -40,11 +39,12 @@ from .control_values import (
     told_by_labels,
     values_of_text,
 )
-from .controls import CONTROLS, DEFAULTS, GROUPS
+from .controls import CONTROL, CONTROLS, DEFAULTS, GROUPS
 from .messages import LookedAt, Words, sent
 from .stages import Explored, Explorer, Runner, check_on_rtl
-from .uploads import Uploads
+from .uploads import Kept, Uploads
 
+UPLOADS = "uploads"  # in the address of a page: number of its uploads (`Kept`)
 FIRST_LOOK = LookedAt(row=14, col=10, pulse=0, frame=0, which="B")
 # of its fields on the page
 LOOK_LABELS = {"row": "Row", "col": "Column", "pulse": "Pulse", "frame": "Frame"}
@@ -88,18 +88,22 @@ class Page:
     def __init__(
         self,
         doc: Document,
-        start: dict[str, Any] | None = None,
-        uploads: Uploads | None = None,
+        start: dict[str, Any],
+        uploads: Uploads,
+        kept: Kept,
         ignored: str = "",
     ) -> None:
-        """ignored: message about the link with which the page was opened."""
+        """Make the page of a document.
+
+        start: values that differ from their defaults. uploads: with which it begins; kept: those of
+        all pages. ignored: message about the link with which the page was opened.
+        """
         self.doc = doc
         self.views = Views(compared=True)
-        opened = messages.Opened(
-            values=DEFAULTS | (start or {}), defaults=DEFAULTS, ignored=ignored
-        )
+        opened = messages.Opened(values=DEFAULTS | start, defaults=DEFAULTS, ignored=ignored)
         self.link = Link(opened=sent(opened))
-        self.uploads = uploads or Uploads()
+        self.uploads = uploads
+        self._kept = kept
         self.bad_uploads: dict[str, str] = {}  # error of each bad file, by kind
         self.look = FIRST_LOOK
         self._shown: Explored | None = None
@@ -107,7 +111,6 @@ class Page:
         self.number = 0  # of the newest question
         self._downloads = 0
         self._explorer = Explorer()
-        self._folder = tempfile.TemporaryDirectory(prefix="coincid-explore-")
         self._runner = Runner(lambda *what: self._soon(self._computed, *what))
         self._checker = Runner(lambda *what: self._soon(self._checked, *what))
         self._run: int | None = None  # number of the run that answers the newest question
@@ -134,7 +137,6 @@ class Page:
     def close(self) -> None:
         self._runner.close()
         self._checker.close()
-        self._folder.cleanup()
 
     def _soon(self, call: Callable[..., None], *what: object) -> None:
         """Call in the document's thread."""
@@ -245,9 +247,14 @@ class Page:
         view = self.shown.view(self.look.frame)
         a_view = self._a_view()
         views, heads = ([view], [""]) if a_view is None else ([view, a_view], ["B", "A"])
+        run = self.shown.run
+        number = self._kept.number_of(settings.uploads)
+        changed = query(settings)
         return Words(
             status=f"{_summary(settings)} · {self.shown.seconds:.2f} s, golden model",
-            query=query(settings),
+            query="&".join(filter(None, (changed, f"{UPLOADS}={number}" if number else ""))),
+            uploads=number,
+            notes=[settings.uploads.named(one) for one in (*run.scene.notes, *run.light.notes())],
             story=story(view),
             where=where_to_look(view),
             objects=object_table(*views),
@@ -274,6 +281,10 @@ class Page:
                 self.uploads = Uploads()
                 self.bad_uploads = {}
                 return
+            case messages.Recall(number=number):
+                self.uploads = self._kept.get(number)
+                self.bad_uploads = {}
+                return
         if self._shown is None:
             return  # what follows needs a result
         match order:
@@ -295,7 +306,7 @@ class Page:
         content = base64.b64decode(upload.content)
         try:
             self.uploads = self.uploads.with_file(
-                upload.kind, upload.name, content, Path(self._folder.name)
+                upload.kind, upload.name, content, self._kept.folder
             )
         except InputError as error:
             self.bad_uploads[upload.kind] = str(error)
@@ -381,8 +392,17 @@ def _summary(settings: Settings) -> str:
     else:
         first.append("coincidence off")
     said = ("scene", "klux", "pulses", "coincidence", "auto", "threshold")
-    rest = [f"{name} {value}" for name, value in settings.changed.items() if name not in said]
+    rest = [
+        f"{_inside(CONTROL[name].label)} {value}"
+        for name, value in settings.changed.items()
+        if name not in said
+    ]
     return ", ".join(first + rest)
+
+
+def _inside(label: str) -> str:
+    """Return a label as it stands inside a sentence."""
+    return label if label[:2].isupper() else label[:1].lower() + label[1:]
 
 
 def _variables(views: Views) -> dict[str, Any]:

@@ -83,6 +83,33 @@ class Uploads:
         return np.asarray(grey, np.float64) / 255
 
 
+class Kept:
+    """The uploads of all pages of a server, by number, so that a page that is loaded again finds
+    its own; their files go when the server ends.
+    """
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="coincid-explore-")
+        self._sets = [Uploads()]  # the number of a set is its place
+
+    @property
+    def folder(self) -> Path:
+        """Folder for the files."""
+        return Path(self._folder.name)
+
+    def number_of(self, uploads: Uploads) -> int:
+        """Return the number under which `uploads` are kept from now on."""
+        if uploads not in self._sets:
+            self._sets.append(uploads)
+        return self._sets.index(uploads)
+
+    def get(self, number: int) -> Uploads:
+        """Return the uploads of a number; none for an unknown one, as after a new start of the
+        server.
+        """
+        return self._sets[number] if 0 <= number < len(self._sets) else self._sets[0]
+
+
 def _check_samples(path: Path) -> None:
     """Raise `InputError` for a file that is no picture, or too large when decoded; pictures are not
     decoded here.

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
-from bokeh.events import Tap
+from bokeh.events import DoubleTap, Press, Tap
 from bokeh.models import (
     BasicTicker,
     ColorBar,
@@ -113,6 +113,8 @@ WHOLE_COLOURS_MAX = 8  # up to this value, each whole number has a colour of its
 COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown when two frames are compared
 MAP_SIZE_PX, BAR_WIDTH_PX, BAR_AND_LABELS_PX = 168, 8, 44
 DEPTH_MARGIN = 0.05  # margin at both ends of the colour scale, relative to the range of the truth
+# clicks on a map: Bokeh tells the second of two quick ones, and a slow one, as other events
+CLICKS = (Tap, DoubleTap, Press)
 CHOICE_MARKS = ("diamond", "circle")  # the chosen return, the others
 # clear where the depth is believed
 REASON_PALETTE = tuple(REASONS.get(reason, "#00000000") for reason in Reason)
@@ -201,7 +203,8 @@ class MapFigure:
         around: ColumnDataSource,
     ) -> None:
         self.shows, (self._title, self._full_palette) = shows, MAPS[shows]
-        over = CustomJS(args={"source": source}, code="overMap(source.data, cb_data.geometry)")
+        over = CustomJS(args={"source": source}, code="overMap(source, cb_data.geometry)")
+        touched = CustomJS(args={"source": source}, code="overMap(source, cb_obj)")
         self._palette = self._full_palette
         self.mapper = LinearColorMapper(
             palette=self._palette, low=0, high=1, nan_color=NO_VALUE_ON_PAGE
@@ -218,6 +221,8 @@ class MapFigure:
             name=name,
             **ON_PAGE,
         )
+        for click in CLICKS:  # a finger never hovers
+            plot.js_on_event(click, touched)
         plot.grid.visible = plot.axis.visible = False
         plot.title.text_font_size = TITLE_PX
         plot.min_border = 4
@@ -647,12 +652,14 @@ class Views:
     def on_pick(self, picked: Callable[[int, int], None]) -> None:
         """Call picked(row, col) after a click, for pages with a server."""
         for one in (*self.a_maps, *self.maps):
-            one.figure.on_event(Tap, lambda event: picked(round(event.y), round(event.x)))
+            for click in CLICKS:
+                one.figure.on_event(click, lambda event: picked(round(event.y), round(event.x)))
 
     def pick_in_page(self, code: CustomJS) -> None:
         """Run `code` after a click, for pages without a server."""
         for one in self.maps:
-            one.figure.js_on_event(Tap, code)
+            for click in CLICKS:
+                one.figure.js_on_event(click, code)
 
 
 def _no_picture() -> Columns:

@@ -38,6 +38,7 @@ function show(frameChanged) {
     document.getElementById("story").textContent = words.story;
     fillTable("objects", words.object_heads, words.objects);
     fillTable("numbers", words.heads, words.numbers);
+    renewOver();
   }
   const pixel = row * sensor.cols + col;
   const subgroup = all.inside.data.subgroup[pixel];

@@ -16,8 +16,11 @@ function fillTable(id, heads, rows) {
   table.tBodies[0].replaceChildren(...rows.map((row) => line(row, false)));
 }
 
-// Numbers of the pixel under the mouse, below the maps: nothing covers a map. columns: of the maps' source.
-function overMap(columns, {x, y}) {
+// Numbers of the pixel under the mouse or the finger, below the maps: nothing covers a map. source: of the maps.
+let over = null;  // the pixel whose numbers are shown, and the source they come from
+function overMap(source, {x, y}) {
+  over = {source, x, y};
+  const columns = source.data;
   const row = Math.round(y), col = Math.round(x), {dw, dh} = columns;
   if (row < 0 || col < 0 || row >= dh[0] || col >= dw[0]) return;
   const at = (name) => columns[name][0][row * dw[0] + col];
@@ -30,6 +33,27 @@ function overMap(columns, {x, y}) {
   ].join(" · ");
 }
 
+// The maps show something else: the numbers below them follow.
+function renewOver() {
+  if (over) overMap(over.source, over);
+}
+
+// A notebook shows the page in a frame, which becomes as high as its content.
+if (location.href === "about:srcdoc" && window.frameElement) {
+  new ResizeObserver(() => {
+    window.frameElement.style.height = `${Math.ceil(document.body.offsetHeight)}px`;
+  }).observe(document.documentElement);
+}
+
+const THEME = "coincid-theme";  // where the browser keeps the chosen theme
+function keptTheme() {
+  try { return localStorage.getItem(THEME); } catch { return null; }  // some frames and files may keep nothing
+}
+
+function keepTheme(name) {
+  try { localStorage.setItem(THEME, name); } catch { /* it counts for this page alone */ }
+}
+
 function setTheme(name) {
   document.documentElement.dataset.theme = name;
   const roots = window.Bokeh?.index?.roots ?? window.Bokeh?.index ?? {};
@@ -40,7 +64,9 @@ function setTheme(name) {
   }
   for (const view of Object.values(roots)) { view.invalidate_layout?.(); view.request_repaint?.(); }
 }
-setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+setTheme(keptTheme() ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
 document.addEventListener("click", (event) => {
-  if (event.target.id === "theme") setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+  if (event.target.id !== "theme") return;
+  setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+  keepTheme(document.documentElement.dataset.theme);
 });

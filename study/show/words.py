@@ -17,6 +17,7 @@ NUMBERS: tuple[tuple[str, str, _Form], ...] = (  # label, name in `FrameView.num
     ("drops", "dropped", _COUNT),
     ("data per frame", "bits", "{:,.0f} bits".format),
     ("stream load", "stream_load", _SHARE),
+    ("link load", "link_load", _SHARE),
     ("mean threshold", "threshold_mean", "{:.2f} pixels".format),
     ("wrong, above 3.4 cm", "wrong_share", _SHARE),
     ("wrong, above 15 cm", "wrong_share_15cm", _SHARE),

@@ -176,7 +176,9 @@ def test_a_result_is_shown_only_beside_its_own_legal_settings(tabs, address):
     put(tab, "threshold", 999)
     assert refused(tab) == "Threshold = 999: must be an integer from 1 to 64"
     assert "illegal" in tab.locator("[data-control=threshold]").get_attribute("class")
-    assert tab.locator("#results").evaluate("(one) => getComputedStyle(one).opacity") == "0.06"
+    # The earlier result stays, and the page says that it is the earlier one.
+    assert tab.locator("#results").evaluate("(one) => getComputedStyle(one).opacity") == "0.6"
+    assert "of the settings before" in tab.locator("#status").text_content()
     put(tab, "threshold", "")
     tab.wait_for_function(
         "document.getElementById('refused').textContent.startsWith('Threshold: is empty')"
@@ -232,6 +234,53 @@ def test_a_click_picks_a_pixel_and_its_subgroup_and_pulses_play(tabs, address):
         tab.click(f"[data-play={name}]")
 
 
+def test_no_click_is_lost_however_quick_or_slow_it_is(tabs, address):
+    tab = tabs(address)
+    for row in (2, 9, 4, 11):
+        click_map(tab, "depth_m", row, row + 1)
+        tab.wait_for_timeout(60)  # a person's quick second click comes within 260 ms
+    wait_for_title(tab, "histogram", "startsWith('row 11, column 12')")
+    tab.mouse.down()  # on the last pixel: no second click, but a long one
+    tab.wait_for_timeout(600)
+    tab.mouse.up()
+    click_map(tab, "depth_m", 5, 6)
+    wait_for_title(tab, "histogram", "startsWith('row 5, column 6')")
+
+
+def test_the_number_under_the_mouse_follows_a_change(tabs, address):
+    tab = tabs(address)
+    click_map(tab, "depth_m", 3, 12)
+    told = "document.getElementById('pixel').textContent"
+    tab.wait_for_function(f"{told}.includes('threshold 2 pixels')")
+    tab.evaluate("write('threshold', 5), ask()")
+    tab.wait_for_function(f"{told}.includes('threshold 5 pixels')")
+
+
+def test_back_undoes_a_change_and_the_theme_stays(tabs, address):
+    tab = tabs(address)
+    for name, value in (("threshold", 4), ("window", 20), ("coincidence", False)):
+        put(tab, name, value)
+        shown(tab)
+    tab.go_back()
+    tab.wait_for_function("document.querySelector('[name=coincidence]').checked")
+    shown(tab)
+    assert tab.input_value("[name=window]") == "20"
+    tab.go_back()
+    shown(tab)
+    assert tab.input_value("[name=window]") == "16" and tab.input_value("[name=threshold]") == "4"
+    assert number(tab, "mean threshold") == ["4.00 pixels"]
+    tab.go_forward()
+    tab.wait_for_function("document.querySelector('[name=window]').value === '20'")
+    shown(tab)
+    theme = "document.documentElement.dataset.theme"
+    before = tab.evaluate(theme)
+    tab.click("#theme")
+    tab.reload()
+    shown(tab)
+    assert tab.evaluate(theme) != before
+    assert tab.input_value("[name=window]") == "20"
+
+
 def test_uploads(tabs, address, tmp_path):
     tab = tabs(address)
     depth, bad = tmp_path / "depth.png", tmp_path / "<b>.png"
@@ -242,6 +291,21 @@ def test_uploads(tabs, address, tmp_path):
     tab.set_input_files("#u-depth", depth)
     shown(tab)
     assert "truth 3.00 m" in figure_title(tab, "histogram")
+    assert "depth.png: reflectivity 0.4 everywhere" in tab.locator("#notes").text_content()
+    right = (
+        "[...document.querySelectorAll('.numbers')].map((one) => one.scrollWidth - one.clientWidth)"
+    )
+    assert tab.evaluate(right) == [0, 0]  # nothing is cut
+    opacity = "getComputedStyle(document.querySelector('[data-upload=sun]')).opacity"
+    assert tab.evaluate(opacity) == "1"  # a file can be chosen
+    tab.reload()
+    shown(tab)
+    assert "truth 3.00 m" in figure_title(tab, "histogram")
+    tab.goto(f"{address}?scene=upload&uploads=99")
+    shown(tab)
+    assert "Scene: the picture is not here any more" in tab.locator("#ignored").text_content()
+    tab.go_back()
+    shown(tab)
     tab.click("[data-do=reset]")
     shown(tab)
     assert tab.input_value("#u-depth") == ""
@@ -326,6 +390,15 @@ def test_two_settings_side_by_side(tabs, address):
         and tab.locator("[data-map=map_truth_m]").is_hidden()
     )
     assert number(tab, "mean threshold") == ["5.00 pixels", "2.00 pixels"]
+    assert number(tab, "link load") == number(tab, "stream load")  # without a slower link
+    tab.set_viewport_size({"width": 390, "height": 844})
+    for name in ("depth_m", "error_m", "drops"):
+        a, b = (
+            tab.locator(f"[data-map={prefix}{name}]").bounding_box()
+            for prefix in ("map_a_", "map_")
+        )
+        assert a["y"] == b["y"] and a["x"] < b["x"]
+    tab.set_viewport_size({"width": 1280, "height": 800})
     tab.select_option("[data-look=which]", "A")
     wait_for_title(tab, "timeline", "endsWith('needs 2 pixels')")
     put(tab, "cols", 24)
@@ -379,6 +452,7 @@ def test_reports_and_a_notebooks_pages_need_no_server(tabs, tmp_path):
     tab = tabs(f"file://{tmp_path}/report.html", ready=False)
     tab.set_viewport_size({"width": 390, "height": 844})
     assert tab.evaluate("document.documentElement.scrollWidth") <= 390
+    assert tab.locator("header .fill").bounding_box()["width"] > 300
     tab.set_viewport_size({"width": 1280, "height": 800})
     tab.wait_for_function("document.getElementById('story')?.textContent.length > 0")
     click_map(tab, "truth_m", 9, 4)
@@ -396,6 +470,18 @@ def test_reports_and_a_notebooks_pages_need_no_server(tabs, tmp_path):
     coincid.simulate(None, "flat:5,0.5", rows=8, cols=8, pulses=5).timeline(0, 3).save(
         tmp_path / "period.html"
     )
+    notebook = tmp_path / "notebook.html"
+    run = coincid.simulate(None, "flat:5,0.5", rows=8, cols=8, pulses=5)
+    notebook.write_text(run.plot()._repr_html_(), encoding="utf-8")
+    tab = tabs(notebook.as_uri(), ready=False)
+    for width in (1280, 700):
+        tab.set_viewport_size({"width": width, "height": 800})
+        tab.wait_for_function("""() => {
+          const frame = document.querySelector("iframe");
+          const page = frame.contentDocument;
+          const shown = page.getElementById("fifo") || page.querySelector(".key");
+          return shown && frame.clientHeight >= page.documentElement.scrollHeight;
+        }""")
     tab = tabs(f"file://{tmp_path}/period.html", ready=False)
     tab.wait_for_function("Bokeh.documents[0]?.get_model_by_name('timeline')")
     assert figure_title(tab, "timeline") == "subgroup 0, pulse 3: a window needs 2 pixels"

@@ -6,6 +6,7 @@ with the legal range.
 import io
 import re
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from coincid.study.explore.control_values import (
     control_of,
     given_settings,
     told_by_labels,
+    without_lost_pictures,
 )
 from coincid.study.explore.controls import CONTROL, CONTROLS
 from coincid.study.explore.uploads import BYTES_MAX, Uploads
@@ -121,6 +123,15 @@ def test_illegal_values_name_the_control_and_what_is_legal(values, control, sent
     assert str(refused.value).startswith(sentence)
     found = control_of(refused.value)
     assert (found and found.name) == control
+
+
+def test_a_lost_picture_is_said_and_the_default_counts():
+    values = {"scene": "upload", "sun": "picture", "threshold": 3}
+    kept, told = without_lost_pictures(values, Uploads())
+    assert kept == {"threshold": 3}
+    assert "Scene: the picture is not here any more" in told and "The sun shines:" in told
+    there = Uploads(depth=Path("a.png"), sun=Path("b.png"))
+    assert without_lost_pictures(values, there) == (values, "")
 
 
 def test_distances_are_scaled_within_the_range():
