@@ -40,9 +40,10 @@ function renewOver() {
 
 // A notebook shows the page in a frame, which becomes as high as its content.
 if (location.href === "about:srcdoc" && window.frameElement) {
-  new ResizeObserver(() => {
-    window.frameElement.style.height = `${Math.ceil(document.body.offsetHeight)}px`;
-  }).observe(document.documentElement);
+  const fitted = new ResizeObserver(() => {
+    window.frameElement.style.height = `${document.documentElement.scrollHeight}px`;
+  });
+  addEventListener("load", () => [document.documentElement, ...document.body.children].forEach((part) => fitted.observe(part)));
 }
 
 const THEME = "coincid-theme";  // where the browser keeps the chosen theme
