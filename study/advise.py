@@ -3,9 +3,11 @@
 
 All thresholds and windows see the same photons. Several of them leave about the fewest wrong pixels
 and do not overload the link; the one of these with the fewest bits is chosen. For it, the slowest
-sufficient link is advised, and the format with the fewest bits on this link.
+sufficient link is advised, and the format with the fewest bits on this link. If none of them
+leaves a useful picture, the advice says so, and what would help.
 """
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,20 +19,27 @@ from ..lab.outcomes import Frame, Run
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config, toml_text
 from ..model.contract.packet import BEAT_BITS
+from ..model.golden.frame import Golden
+from ..model.light.photons import edge_chunks
 from ..model.shared.files import whole_file, write_csv
 from ..model.shared.quantities import check_real
 from .palette import ALARM, GREY, SERIES
 from .plot_style import new_figure, save_figure, style
 from .price import um2_per_pixel, uw_per_pixel
+from .progress import first_time
+from .usefulness import is_useful, useless_sentence
 
 THRESHOLDS = (1, 2, 3, 4, 5, 6)
 WINDOWS_NS = (0.5, 1.0, 2.0)
 LINKS_GBPS = (1.0, 2.0, 4.0, 8.0, 16.0)
+FIRST_LINK_GBPS = 8.0  # with which thresholds and windows are compared
 FORMATS = ("compact", "id")
 # more wrong pixels that count as equal: as a share of all, and of the best one's wrong pixels
 WORSE_MAX = 0.002, 0.1
 # share of the events; a link that drops more, or has a load above 1, is overloaded
 DROPPED_MAX = 0.01
+# an overload is advised only if everything else leaves more than so many times as many wrong pixels
+OVERLOAD_GAIN = 2
 TABLE, PICTURE, SETTINGS = "advise.csv", "advise.png", "advised.toml"
 HEADS = (
     "threshold",
@@ -39,6 +48,7 @@ HEADS = (
     "link, Gbit/s",
     "wrong pixels",
     "off by 15 cm",
+    "error, mm",
     "bits per frame",
     "dropped",
     "link load",
@@ -48,13 +58,14 @@ Progress = Callable[[str, int, int], None]  # stage, done, in total
 
 @frozen(kw_only=True)
 class Tried:
-    """A configuration, and the outcome of its last frame. wrong, far: shares of pixels; load: of
-    the link.
+    """A configuration, and the outcome of its last frame. wrong, far: shares of pixels; error_mm:
+    RMS of the pixels that are not wrong, NaN if all are; load: of the link.
     """
 
     config: Config
     wrong: float
     far: float
+    error_mm: float
     bits: int
     dropped: float
     load: float
@@ -79,19 +90,40 @@ class Tried:
         """Return the values under `HEADS`."""
         return (
             self.threshold, self.window_ns, self.config.format, self.link_gbps,
-            self.wrong, self.far, self.bits, self.dropped, self.load,
+            self.wrong, self.far, self.error_mm, self.bits, self.dropped, self.load,
         )  # fmt: skip
 
 
 @frozen(kw_only=True)
 class Advice:
-    """tried: all configurations in order; best: the advised one; klux: the light for which the
-    power is told.
+    """What was tried, and what is advised.
+
+    settings: thresholds and windows, all with the link `FIRST_LINK_GBPS`; chosen: the best of them.
+    links: links and formats for `chosen`; best: the advised one. klux: the light for which the
+    power is told. useless: sentences about a scene of which no setting leaves a useful picture; ""
+    if one does.
     """
 
-    tried: list[Tried]
+    settings: list[Tried]
+    chosen: Tried
+    links: list[Tried]
     best: Tried
     klux: float
+    useless: str = ""
+
+    @property
+    def tried(self) -> list[Tried]:
+        """All configurations, in the order in which they were tried."""
+        return [*self.settings, *self.links]
+
+    @property
+    def price(self) -> str:
+        """Return the power and area of the sensor; thresholds, windows and links do not change
+        them.
+        """
+        config = self.best.config
+        mw = uw_per_pixel(config, self.klux) / 1e3
+        return f"about {mw:.2g} mW and {um2_per_pixel(config.sensor):.0f} um2 per pixel in 45 nm"
 
     @property
     def sentence(self) -> str:
@@ -100,13 +132,31 @@ class Advice:
         rate_gbps = (
             best.bits / config.sensor.streams / (config.frame_cycles / config.clock_mhz * 1e3)
         )
+        window = int(config.window[0])
+        ticks = f"{window} tick{'s' * (window > 1)}"
+        start = "The least bad: take" if self.useless else "Take"
+        text = (
+            f"{start} {threshold}, a window of {best.window_ns:.3g} ns ({ticks}), the format"
+            f" {config.format} and a link of {best.link_gbps:g} Gbit/s: {best.wrong:.1%} of the"
+            f" pixels are wrong ({best.far:.1%} by more than 15 cm), for {best.bits:,} bits per"
+            f" frame ({rate_gbps:.2g} Gbit/s), and {self.price}."
+        )
+        return f"{text} {self._overload()}".strip()
+
+    def _overload(self) -> str:
+        """Return what is to be said about an overloaded link."""
+        best = self.best
+        if not best.overloaded:
+            return ""
+        dropped = f"{best.load:.0%}, {best.dropped:.1%} of the events dropped"
+        if all(one.overloaded for one in self.tried):
+            return (
+                f"Everything that was tried overloads its link ({dropped}). More laser pulses per"
+                " frame or more streams help."
+            )
         return (
-            f"Take {threshold}, a window of {best.window_ns:.3g} ns ({config.window[0]} ticks), the format {config.format} and a link of"
-            f" {best.link_gbps:g} Gbit/s: {best.wrong:.1%} of the pixels are wrong ({best.far:.1%} by more than 15 cm), for"
-            f" {best.bits:,} bits per frame ({rate_gbps:.2g} Gbit/s), and about {uw_per_pixel(config, self.klux) / 1e3:.2g} mW and"
-            f" {um2_per_pixel(config.sensor):.0f} um2 per pixel in 45 nm."
-            + f" The link is overloaded ({best.load:.0%}, {best.dropped:.1%} of the events dropped); what was tried without an"
-            " overload leaves more pixels wrong." * best.overloaded
+            f"The link is overloaded ({dropped}); what was tried without an overload leaves more"
+            f" than {OVERLOAD_GAIN} times as many pixels wrong."
         )
 
 
@@ -120,7 +170,7 @@ def advise(
     setup.
     """
     setup = setup.but(
-        frame={"frames": SETTLING + 1, "format": FORMATS[0], "link_gbps": 8.0},
+        frame={"frames": SETTLING + 1, "format": FORMATS[0], "link_gbps": FIRST_LINK_GBPS},
         estimators=("planes",),
     )
     windows = sorted(
@@ -130,27 +180,33 @@ def advise(
         }
     )
     thresholds = [one for one in THRESHOLDS if one <= setup.config.sensor.pixels]
-    run = Run(setup, workers=os.cpu_count() or 1)
-    progress("photons", 0, 1)
+    klux = check_real("klux", klux, 0)
+    workers = os.cpu_count() or 1
+    run = Run(setup, workers=workers)
+    progress(first_time("photons", edge_chunks.__module__), 0, 1)
     _ = run.edges
-    total = len(windows) * (len(thresholds) + setup.config.sensor.controller) + len(
-        LINKS_GBPS
-    ) * len(FORMATS)
-    tried: list[Tried] = []
+    rows = len(windows) * (len(thresholds) + setup.config.sensor.controller)
 
-    def tell(stage: str, found: Iterator[Tried]) -> list[Tried]:
-        fresh = []
+    def tell(stage: str, found: Iterator[Tried], total: int) -> list[Tried]:
+        tried: list[Tried] = []
+        progress(stage, 0, total)
         for one in found:
-            fresh.append(one)
             tried.append(one)
             progress(stage, len(tried), total)
-        return fresh
+        return tried
 
-    first = tell("thresholds and windows", _settings(run, thresholds, windows))
-    chosen = cheapest(first, lambda one: one.bits)
-    second = tell("links and formats", _links(run, chosen.config))
-    best = cheapest([chosen, *second], lambda one: (one.link_gbps, one.bits))
-    return Advice(tried=tried, best=best, klux=check_real("klux", klux, 0))
+    stage = first_time("thresholds and windows", Golden.__module__)
+    settings = tell(stage, _settings(run, thresholds, windows), rows)
+    chosen = cheapest(settings, lambda one: one.bits)
+    links = tell("links and formats", _links(run, chosen.config), len(LINKS_GBPS) * len(FORMATS))
+    best = cheapest(links, lambda one: (one.link_gbps, one.bits))
+    useless = ""
+    if not is_useful(best.wrong):
+        progress("what would help", 0, 1)
+        useless = useless_sentence(best.wrong, setup, int(best.config.window[0]), workers)
+    return Advice(
+        settings=settings, chosen=chosen, links=links, best=best, klux=klux, useless=useless
+    )
 
 
 def _settings(run: Run, thresholds: list[int], windows: list[int]) -> Iterator[Tried]:
@@ -182,10 +238,14 @@ def _links(run: Run, chosen: Config) -> Iterator[Tried]:
 
 def _tried(run: Run) -> Tried:
     frame: Frame = run.frame()
+    wrong, far, error_m = (
+        frame[name] for name in ("wrong_share", "wrong_share_15cm", "right_rms_m")
+    )
     return Tried(
         config=run.config,
-        wrong=frame["wrong_share"] or 0.0,
-        far=frame["wrong_share_15cm"] or 0.0,
+        wrong=1.0 if wrong is None else wrong,
+        far=1.0 if far is None else far,
+        error_mm=math.nan if error_m is None else 1e3 * error_m,
         bits=int(frame["bits"] or 0),
         dropped=frame["dropped_share"] or 0.0,
         load=frame["link_load"] or 0.0,
@@ -193,13 +253,20 @@ def _tried(run: Run) -> Tried:
 
 
 def cheapest(tried: list[Tried], price: Callable[[Tried], Any]) -> Tried:
-    """Return the one with the lowest price among those that are about as good as the best one, and
-    not overloaded if possible.
+    """Return the one with the lowest price among those that are about as good as the best one.
+
+    One that is not overloaded comes first, unless all of them leave more than `OVERLOAD_GAIN` times
+    as many pixels wrong. Among overloaded ones, the fewest drops come first, not the price.
     """
-    least = min(one.wrong for one in tried)
     absolute, relative = WORSE_MAX
-    equal = [one for one in tried if one.wrong <= least + max(absolute, relative * least)]
-    return min([one for one in equal if not one.overloaded] or equal, key=price)
+    least = min(one.wrong for one in tried)
+    fitting = [one for one in tried if not one.overloaded]
+    least_fitting = min((one.wrong for one in fitting), default=math.inf)
+    if least_fitting <= OVERLOAD_GAIN * least + absolute:
+        good = least_fitting + max(absolute, relative * least_fitting)
+        return min((one for one in fitting if one.wrong <= good), key=price)
+    good = least + max(absolute, relative * least)
+    return min((one for one in tried if one.wrong <= good), key=lambda one: (one.dropped, one.load))
 
 
 def write_advice(out: Path, advice: Advice, heading: str) -> list[Path]:
@@ -230,13 +297,9 @@ def _draw(path: Path, advice: Advice, heading: str) -> None:
     with style():
         figure = new_figure(7.5, 4.5)
         axis = figure.subplots()
-        compared = [
-            one for one in advice.tried if one.link_gbps == 8.0 and one.config.format == FORMATS[0]
-        ]
-        for colour, window_ns in zip(
-            SERIES[1::2], sorted({one.window_ns for one in compared}), strict=False
-        ):
-            of_window = [one for one in compared if one.window_ns == window_ns]
+        windows_ns = sorted({one.window_ns for one in advice.settings})
+        for colour, window_ns in zip(SERIES[1::2], windows_ns, strict=False):
+            of_window = [one for one in advice.settings if one.window_ns == window_ns]
             fixed = [one for one in of_window if not one.config.auto.any()]
             axis.plot(
                 [one.bits for one in fixed],
@@ -263,19 +326,20 @@ def _draw(path: Path, advice: Advice, heading: str) -> None:
             )
         axis.plot([], [], "D", color=GREY, label="controller")
         axis.plot(
-            advice.best.bits,
-            advice.best.wrong,
+            advice.chosen.bits,
+            advice.chosen.wrong,
             "o",
             color=ALARM,
             markersize=15,
             fillstyle="none",
-            label="advised",
+            label=f"advised, with a link of {advice.best.link_gbps:g} Gbit/s",
         )
         axis.set(
             xscale="log", xlabel="bits per frame", ylabel="share of wrong pixels", ylim=(0, None)
         )
         axis.set_title(
-            f"{heading}: thresholds (numbers) and windows, a link of 8 Gbit/s", loc="left"
+            f"{heading}: thresholds (numbers) and windows, a link of {FIRST_LINK_GBPS:g} Gbit/s",
+            loc="left",
         )
         axis.legend()
         save_figure(figure, path)

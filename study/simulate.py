@@ -45,6 +45,7 @@ from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.rtl_errors import Mismatch
 from .progress import Bar, first_time
 from .show.frame_content import FrameView
+from .usefulness import is_useful, useless_sentence
 
 if TYPE_CHECKING:
     from ..hdl.front_end_views import View
@@ -264,6 +265,7 @@ def simulate_to_folder(
         results.remove(out / PAGE)
     report = _report(played) | shares | given
     _write_report(out, report)
+    _tell_if_useless(console, setup, config, report, list(titles))
     written = [*results, out / REPORT]
     if played.wave:
         from ..tb.wave_views import views  # which needs an RTL tool
@@ -367,6 +369,7 @@ def _report(played: Played) -> dict[str, Any]:
             f"dropped_{name}": frame["dropped"],
             f"beats_{name}": frame["beats"],
             f"load_{name}": frame["link_load"],
+            f"stream_load_{name}": frame["stream_load"],
             f"threshold_{name}": frame.threshold.tolist(),
         }
     return report
@@ -375,6 +378,22 @@ def _report(played: Played) -> dict[str, Any]:
 def _write_report(out: Path, report: dict[str, Any]) -> None:
     with whole_file(out / REPORT, "w") as file:
         file.write(json.dumps(report, indent=2) + "\n")
+
+
+def _tell_if_useless(
+    console: Console, setup: Setup, config: Config, report: dict[str, Any], schemes: list[str]
+) -> None:
+    """Print first that no scheme leaves a useful picture, and what would help; nothing if one
+    does.
+    """
+    shares = [report[f"wrong_share_{name}"] for name in schemes]
+    wrong = min(1.0 if share is None else share for share in shares)
+    if is_useful(wrong):
+        return
+    changed = setup.but(config=config, view=DEFAULT_VIEW, estimators=(DEFAULT_METHOD,))
+    workers = os.cpu_count() or 1
+    told = useless_sentence(wrong, changed, int(config.window.max()), workers)
+    console.print(told, markup=False, emoji=False, soft_wrap=True)
 
 
 def _span(values: np.ndarray) -> str:
@@ -393,7 +412,8 @@ def _tell(
     """Print the table of the schemes, the notes and the written files."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("frame", no_wrap=True)
-    for title in ("threshold", "events", "dropped", "link load", "wrong pixels", "by peaks"):
+    loads = "stream load", "link load"
+    for title in ("threshold", "events", "dropped", *loads, "wrong pixels", "by peaks"):
         table.add_column(title, justify="right")
     for name, title in titles.items():
         table.add_row(
@@ -401,6 +421,7 @@ def _tell(
             _span(np.array(report[f"threshold_{name}"])),
             f"{report[f'events_{name}']:,}",
             f"{report[f'dropped_{name}']:,}",
+            f"{report[f'stream_load_{name}']:.0%}",
             f"{report[f'load_{name}']:.0%}",
             f"{report[f'wrong_share_{name}']:.1%}",
             f"{report[f'wrong_share_{name}_peak']:.1%}",

@@ -282,12 +282,18 @@ def advise(
     for head in HEADS:
         table.add_column(head, justify="right")
     for one in advice.tried:
-        threshold, window_ns, packets, link_gbps, wrong, far, bits, dropped, load = one.row()
-        told = f"{wrong:.1%}", f"{far:.1%}", f"{bits:,}", f"{dropped:.1%}", f"{load:.0%}"
-        style = "bold" if one is advice.best else None
-        table.add_row(threshold, f"{window_ns:.3g}", packets, f"{link_gbps:g}", *told, style=style)
+        threshold, window_ns, packets, link_gbps, wrong, far, error_mm, bits, dropped, load = (
+            one.row()
+        )
+        setting = threshold, f"{window_ns:.3g}", packets, f"{link_gbps:g}"
+        shares = f"{wrong:.1%}", f"{far:.1%}"
+        prices = f"{error_mm:.1f}", f"{bits:,}", f"{dropped:.1%}", f"{load:.0%}"
+        table.add_row(*setting, *shares, *prices, style="bold" if one is advice.best else None)
     shown = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
+    if advice.useless:
+        print(advice.useless)
     shown.print(table)
+    print(f"Every row: {advice.price}. The error is the RMS of the pixels that are not wrong.")
     for note in looked_at.notes:
         print(note)
     print(advice.sentence)

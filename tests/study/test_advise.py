@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from pandas import read_csv
 
+from coincid.lab.setup import Setup
 from coincid.model.contract.config import load_config, parse_config
-from coincid.study.advise import Advice, Tried, cheapest
+from coincid.study.advise import Advice, Tried, advise, cheapest, write_advice
 from coincid.study.explain import meaning, warnings
 from coincid.study.price import UM2_PER_PIXEL, UW_PER_PIXEL, um2_per_pixel
 
@@ -39,8 +40,20 @@ def test_advice_for_a_scene_of_ones_own(tmp_path):
 def test_advice_overloads_no_link_where_it_need_not():
     def tried(wrong, bits, dropped, load):
         return Tried(
-            config=parse_config({}), wrong=wrong, far=0.0, bits=bits, dropped=dropped, load=load
+            config=parse_config({}),
+            wrong=wrong,
+            far=0.0,
+            error_mm=9.0,
+            bits=bits,
+            dropped=dropped,
+            load=load,
         )
+
+    def sentence(*settings):
+        best = settings[0]
+        return Advice(
+            settings=list(settings), chosen=best, links=[best], best=best, klux=1.0
+        ).sentence
 
     full, lossy, fits = (
         tried(0.004, 100, 0.0, 1.08),
@@ -50,11 +63,43 @@ def test_advice_overloads_no_link_where_it_need_not():
     assert cheapest([full, lossy, fits], lambda one: one.bits) is fits
     worse = tried(0.1, 50, 0.0, 0.1)
     assert cheapest([full, lossy, worse], lambda one: one.bits) is full
-    told = (
-        Advice(tried=[full, worse], best=full, klux=1.0).sentence,
-        Advice(tried=[fits], best=fits, klux=1.0).sentence,
+    # Somewhat more wrong pixels are better than an overload, and the least one comes before the
+    # price.
+    a_little_worse = tried(0.005, 900, 0.0, 0.9)
+    assert cheapest([full, lossy, a_little_worse], lambda one: one.bits) is a_little_worse
+    slow, fast = tried(1.0, 100, 0.0, 19.58), tried(1.0, 200, 0.0, 1.2)
+    assert cheapest([slow, fast], lambda one: one.bits) is fast
+    assert "is overloaded (108%" in sentence(full, worse)
+    assert "Everything that was tried overloads its link (120%" in sentence(fast, slow)
+    assert "overload" not in sentence(fits)
+
+
+def test_where_no_setting_helps_the_advice_begins_with_what_would(tmp_path):
+    given = "--klux 100 --set rows=8 --set cols=8 --set pulses=5"
+    done = command(f"advise flat:9,0.05 {given} --out {tmp_path}/out")
+    assert done.exit_code == 0, done.output
+    first, *others = done.output[done.output.index("No setting") :].splitlines()
+    assert re.match(r"No setting leaves a useful picture: at best, \d+.\d% of the pixels", first)
+    for words in ("20 laser pulses", "10 klux", "half the distance, 4.5 m", "9 to 9 m", "--unit"):
+        assert words in first
+    assert re.search("threshold.*error, mm", others[0])
+    assert any(line.startswith("The least bad: take ") for line in others)
+
+
+def test_the_curve_of_a_window_has_each_threshold_once(monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(
+        "coincid.study.advise.save_figure", lambda figure, path: drawn.append(figure)
     )
-    assert ["overloaded" in sentence for sentence in told] == [True, False]
+    setup = Setup.of("flat:5,0.5", sensor={"rows": 8, "cols": 8}, frame={"pulses": 20}, klux=1.0)
+    advice = advise(setup, klux=1.0)
+    write_advice(tmp_path, advice, "a wall")
+    lines = drawn[0].axes[0].lines
+    curves = [one for one in lines if str(one.get_label()).startswith("window")]
+    assert [len(one.get_xdata()) for one in curves] == [6, 6, 6]
+    ring = next(one for one in lines if str(one.get_label()).startswith("advised"))
+    points = {(x, y) for one in lines if one is not ring for x, y in one.get_xydata().tolist()}
+    assert tuple(ring.get_xydata()[0]) in points
 
 
 def test_what_a_configuration_means():
