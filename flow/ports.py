@@ -36,16 +36,20 @@ from .contract_tables import header_table, settings_tables
 
 EXAMPLE = Sensor(rows=8, cols=16)  # for docs/integrate.md: two subgroups, one module
 
-_READY = "the port takes what its `valid` offers"
+_READY = "the port takes what its `valid` offers; low during a reset"
 _MEANINGS = {  # pattern of a port's name -> value after a reset (outputs only), meaning
     r"clk": ("", "system clock; every other port is sampled and driven at its rising edge"),
     r"rst": ("", "synchronous reset, high; one cycle is enough"),
-    r"s_axi_(aw|ar)addr": ("", "byte address of a register"),
+    r"s_axi_awaddr": ("", "byte address of a register"),
+    r"s_axi_araddr": ("", "byte address of a register; its lowest two bits are ignored"),
     r"s_axi_(aw|ar)prot": ("", "ignored"),
     r"s_axi_(aw|w|ar)valid": ("", "address or data is offered"),
-    r"s_axi_(aw|w|ar)ready": ("1", _READY),
+    r"s_axi_(aw|w|ar)ready": ("0; 1 one cycle later", _READY),
     r"s_axi_wdata": ("", "value of a write"),
-    r"s_axi_wstrb": ("", "must be all ones: a write of a part of a word answers SLVERR"),
+    r"s_axi_wstrb": (
+        "",
+        "all ones; a write of a part of a word answers SLVERR, one of no byte OKAY",
+    ),
     r"s_axi_bresp": ("0", "answer to a write: 0 OKAY, 2 SLVERR"),
     r"s_axi_rresp": ("0", "answer to a read: 0 OKAY, 2 SLVERR"),
     r"s_axi_rdata": ("0", "value of a read; 0 with SLVERR"),
@@ -110,7 +114,9 @@ def _meaning(name: str, sensor: Sensor, view: View) -> tuple[str, str]:
         kind, subgroup = match.groups()
         rises = f"SPADs of subgroup {subgroup}: bit i rises with an avalanche in pixel i"
         if kind == "line":
-            return "", f"levels of the {rises}, {CYCLES} cycles before its edge word counts"
+            late = f"{CYCLES} cycles before its edge word counts"
+            skew = "the delays of a bit to its samplers differ by less than half a tick"
+            return "", f"levels of the {rises}, {late}; {skew}"
         if view.macros:
             return "", f"lines of the {rises}"
         word = f"bit {sensor.phases} * i + k is an avalanche in pixel i in tick k of this cycle"

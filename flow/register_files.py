@@ -88,7 +88,8 @@ HEAD = ("offset", "name", "access", "range", "reset", "meaning")
 def _intro(sensor: Sensor) -> tuple[str, str]:
     return f"Registers of the {sensor.rows} x {sensor.cols} sensor", (
         f"AXI4-Lite, {DATA_BITS}-bit words, {ADDRESS_BITS}-bit byte addresses. A write outside the range of its register, to a "
-        "read-only or an unmapped address, or of less than a word answers SLVERR, changes nothing, and sets a bit of status."
+        "read-only or an unmapped address, or of less than a word answers SLVERR, changes nothing, and sets a bit of status. A "
+        "write of no byte answers OKAY and changes nothing. A read ignores the lowest two bits of its address."
     )
 
 

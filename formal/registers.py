@@ -5,7 +5,7 @@ The proof names its parts in order: the specification of what waits, what is pro
 invariants that only help the induction.
 """
 
-from amaranth.hdl import Cat, Mux, ResetSignal, Signal
+from amaranth.hdl import Cat, Const, Mux, ResetSignal, Signal
 from attrs import frozen
 
 from ..hdl import bus
@@ -41,13 +41,16 @@ def _asks(unit, name, bit):
 class Waiting:
     """Accesses that were taken and have no answer yet, as counted at the port.
 
-    address, data, read: the port's channels that hold something; writing, reading: the access is
-    complete, and its answer is not there; write_cycles, read_cycles: for how long.
+    address, data, read: the port's channels that hold something; strobe: of the write that was
+    taken; read_address: of the read; writing, reading: the access is complete, and its answer is
+    not there; write_cycles, read_cycles: for how long.
     """
 
     address: Signal
     data: Signal
     read: Signal
+    strobe: Signal
+    read_address: Signal
     writing: Signal
     reading: Signal
     write_cycles: Signal
@@ -56,8 +59,9 @@ class Waiting:
 
 @proof(depth=3, cover=20)
 def register_front(b: Bench):
-    """AXI4-Lite with any master: one answer each, in bounded time; a refusal changes nothing; a
-    frame's settings stay.
+    """AXI4-Lite with any master: one answer each, in order, in bounded time; not ready in a reset;
+    a refusal changes nothing; a write without strobes is granted and changes nothing; a read
+    returns the word around its address; a frame's settings stay.
     """
     unit = b.place(Registers(SMALL))
     _sequencer_obeys(b, unit)
@@ -68,6 +72,8 @@ def register_front(b: Bench):
     _answers_come_in_time(b, waiting)
     _settings_are_legal_and_change_by_writes(b, unit)
     _table_decides_what_is_written(b, unit)
+    _nothing_asked_is_nothing_done(b, unit, waiting)
+    _reads_return_whole_words(b, unit, waiting)
     _frame_keeps_its_settings(b, unit)
     _bus_tells_settings(b, unit)
     _only_writes_abort_and_clear(b, unit)
@@ -80,6 +86,8 @@ def register_front(b: Bench):
     axi = unit.s_axi
     b.cover(axi.bvalid & (axi.bresp == SLVERR) & waiting.read)
     b.cover(axi.rvalid & (axi.rresp == OKAY) & waiting.address & waiting.data)
+    b.cover(axi.rvalid & (axi.rresp == OKAY) & waiting.read_address[:2].all())
+    b.cover(_granted(unit) & (waiting.strobe == 0))
 
 
 def _sequencer_obeys(b: Bench, unit: Registers) -> None:
@@ -95,6 +103,9 @@ def _waiting(b: Bench, unit: Registers) -> Waiting:
     address = Signal()
     data = Signal()
     read = Signal()
+    strobe = Signal.like(axi.wstrb)
+    read_address = Signal.like(axi.araddr)
+    after_reset = b.last(ResetSignal())
     for held, valid, ready, response, accepted in (
         (address, axi.awvalid, axi.awready, axi.bvalid, axi.bready),
         (data, axi.wvalid, axi.wready, axi.bvalid, axi.bready),
@@ -104,14 +115,29 @@ def _waiting(b: Bench, unit: Registers) -> Waiting:
             m.d.sync += held.eq(0)
         with m.Elif(valid & ready):
             m.d.sync += held.eq(1)
-        b.always(ready == ~held)
+        b.always(ready == (~held & ~after_reset))
+    b.always(unit.up == ~after_reset)
+    with m.If(axi.wvalid & axi.wready):
+        m.d.sync += strobe.eq(axi.wstrb)
+    with m.If(axi.arvalid & axi.arready):
+        m.d.sync += read_address.eq(axi.araddr)
     writing = b.same("writing", address & data & ~axi.bvalid)
     reading = b.same("reading", read & ~axi.rvalid)
     write_cycles = Signal(8)
     read_cycles = Signal(8)
     m.d.sync += write_cycles.eq((write_cycles + 1) & writing.replicate(8))
     m.d.sync += read_cycles.eq((read_cycles + 1) & reading.replicate(8))
-    return Waiting(address, data, read, writing, reading, write_cycles, read_cycles)
+    return Waiting(
+        address=address,
+        data=data,
+        read=read,
+        strobe=strobe,
+        read_address=read_address,
+        writing=writing,
+        reading=reading,
+        write_cycles=write_cycles,
+        read_cycles=read_cycles,
+    )
 
 
 def _granted(unit: Registers):
@@ -170,11 +196,49 @@ def _table_decides_what_is_written(b: Bench, unit: Registers) -> None:
                 above_low = unit.value >= register.low(SMALL)
                 below_high = unit.value <= register.high(SMALL)
                 allowed.append(here & above_low & below_high)
-    fits = b.same("fits", Cat(allowed).any() & unit.whole)
-    starts = _asks(unit, "control", CONTROL.bit("start"))
+    fits = b.same("fits", unit.empty | (Cat(allowed).any() & unit.whole))
+    starts = _asks(unit, "control", CONTROL.bit("start")) & ~unit.empty
     refused = unit.s_axi.bvalid & (unit.s_axi.bresp == SLVERR)
     b.always(_granted(unit), where=b.past(state("write") & fits & ~starts))
     b.always(refused, where=b.past(state("write") & ~fits))
+
+
+def _nothing_asked_is_nothing_done(b: Bench, unit: Registers, waiting: Waiting) -> None:
+    """State that only a write of a whole word does anything, and that one without strobes is
+    granted.
+    """
+    b.always(unit.whole == waiting.strobe.all(), where=waiting.data)
+    b.always(unit.empty == ~waiting.strobe.any(), where=waiting.data)
+    b.always(_granted(unit), where=unit.s_axi.bvalid & (waiting.strobe == 0))
+    b.always(waiting.strobe.all() | (waiting.strobe == 0), where=_granted(unit))
+    state = unit.machine.ongoing
+    starting = state("check") | state("thresholds") | state("begin")
+    b.always(waiting.strobe.all(), where=starting)
+    decided = b.past(state("write"))
+    partial = decided & ~b.past(waiting.strobe.all())
+    done_nothing = (unit.command.operation != bus.Operation.WRITE) & ~unit.abort_frame
+    b.always(done_nothing & ~state("check"), where=partial)
+    sticky = Cat(
+        unit.flag[bits.name] for bits in STATUS.bits if bits.clears and bits.name != "done"
+    )
+    b.always((b.last(sticky) & ~sticky) == 0, where=partial)
+    programmed = Cat(*unit.setting.values(), *unit.setting_parity.values())
+    b.always(programmed == b.last(programmed), where=partial)
+    asked_nothing = partial & (waiting.strobe == 0)
+    b.always(sticky == b.last(sticky), where=asked_nothing)
+
+
+def _reads_return_whole_words(b: Bench, unit: Registers, waiting: Waiting) -> None:
+    """State that a read is answered for the word around its address; shown for the constants."""
+    axi = unit.s_axi
+    word = waiting.read_address[2:]
+    b.always(unit.read_word == word, where=waiting.read)
+    in_read = waiting.read & unit.machine.ongoing("read")
+    b.always(unit.address == Cat(Const(0, 2), word), where=in_read)
+    for offset, register, _ in registers.words(registers.GLOBAL, SMALL):
+        if register.access is registers.Access.CONSTANT:
+            here = axi.rvalid & (word == offset // 4)
+            b.always((axi.rresp == OKAY) & (axi.rdata == register.reset(SMALL)), where=here)
 
 
 def _frame_keeps_its_settings(b: Bench, unit: Registers) -> None:

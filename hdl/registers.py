@@ -59,7 +59,10 @@ class Registers(Unit):
     -----
     s_axi : AXI4-Lite slave, 32-bit data. One access at a time; address and data of a write may come
         in any order. A write that is refused is answered with SLVERR, changes nothing and sets a
-        sticky bit; a read of an unmapped address is answered with SLVERR and 0.
+        sticky bit; a read of an unmapped address is answered with SLVERR and 0. A write without any
+        strobe asks for nothing: it is answered with OKAY and changes nothing. A read ignores the
+        lowest two bits of its address. `ready` is low during a reset, from its second cycle on, and
+        in the cycle after it.
     command : out, configuration bus to all subgroups; data : in, OR of their answers
     gate_late, settings_upset : in, OR of the subgroups' start checks
     period : out, as programmed; frame : out, settings of the running frame; plan : out, settings of
@@ -95,8 +98,9 @@ class Registers(Unit):
             **(_controller_ports(sensor) if sensor.controller else {}),
         )
         # An access.
+        self.up = Signal()  # there was no reset in the previous cycle
         self.write_address = Signal(registers.ADDRESS_BITS)  # the address that the master gave
-        self.read_address = Signal(registers.ADDRESS_BITS)
+        self.read_word = Signal(registers.ADDRESS_BITS - 2)  # the word that the master asked for
         self.address = Signal(registers.ADDRESS_BITS)  # the address of the access at work
         self.same_address = Signal()  # it is the one that the master gave
         self.held_write = Signal()  # address and value of a write are there
@@ -104,6 +108,8 @@ class Registers(Unit):
         self.parity = Signal()  # its parity at the port
         self.same_value = Signal()  # it has this parity
         self.whole = Signal()  # all bytes of the word are to be written
+        # No byte is. With a bit for each case, an upset of one of them never drops a write silently.
+        self.empty = Signal()
         self.wait = Signal(range(max(READ_CYCLES, CHECK_CYCLES) + 1))  # cycles so far
         # The word at the address.
         self.in_subgroup = Signal()  # it is in a subgroup's block
@@ -152,6 +158,7 @@ class Registers(Unit):
     def _write_channel(self, m):
         """Hold address and data of a write until the write is answered."""
         axi = self.s_axi
+        m.d.sync += self.up.eq(1)
         held_address = Voted(m, "held_address")
         held_data = Voted(m, "held_data")
         self.held_read = Voted(m, "held_read")
@@ -165,8 +172,8 @@ class Registers(Unit):
             self.answered_read,
         ]
         m.d.comb += [
-            axi.awready.eq(~held_address.value),
-            axi.wready.eq(~held_data.value),
+            axi.awready.eq(~held_address.value & self.up),
+            axi.wready.eq(~held_data.value & self.up),
             axi.bvalid.eq(self.answered_write.value),
             self.held_write.eq(held_address.value & held_data.value),
         ]
@@ -178,6 +185,7 @@ class Registers(Unit):
             m.d.sync += [
                 self.value.eq(axi.wdata),
                 self.whole.eq(axi.wstrb.all()),
+                self.empty.eq(~axi.wstrb.any()),
                 self.parity.eq(axi.wdata.xor()),
             ]
         with m.If(axi.bvalid & axi.bready):
@@ -190,10 +198,13 @@ class Registers(Unit):
     def _read_channel(self, m):
         """Hold the address of a read until the read is answered."""
         axi = self.s_axi
-        m.d.comb += [axi.arready.eq(~self.held_read.value), axi.rvalid.eq(self.answered_read.value)]
+        m.d.comb += [
+            axi.arready.eq(~self.held_read.value & self.up),
+            axi.rvalid.eq(self.answered_read.value),
+        ]
         with m.If(axi.arvalid & axi.arready):
             m.d.comb += self.held_read.next.eq(1)
-            m.d.sync += self.read_address.eq(axi.araddr)
+            m.d.sync += self.read_word.eq(axi.araddr[2:])
         with m.If(axi.rvalid & axi.rready):
             m.d.comb += [self.answered_read.next.eq(0), self.held_read.next.eq(0)]
 
@@ -326,7 +337,7 @@ class Registers(Unit):
                     m.d.sync += self.address.eq(self.write_address)
                     m.next = "decode"
                 with m.Elif(self.held_read.value & ~axi.rvalid):
-                    m.d.sync += self.address.eq(self.read_address)
+                    m.d.sync += self.address.eq(Cat(Const(0, 2), self.read_word))
                     m.next = "read"
             with m.State("read"):
                 m.d.sync += self._name_word()
@@ -341,7 +352,11 @@ class Registers(Unit):
                 m.next = "idle"
                 with m.If(~(self.held_write & self.same_address & (self.wait == DECODE_CYCLES))):
                     pass  # only after an upset; the access that is held starts again
-                with m.Elif(self.writable & self.whole & self.legal & self.same_value):
+                with m.Elif(self.empty & ~self.whole):
+                    self._respond(m, OKAY)
+                with m.Elif(
+                    self.writable & self.whole & ~self.empty & self.legal & self.same_value
+                ):
                     self._respond(m, OKAY)
                     self._write(m)
                 with m.Else():

@@ -91,9 +91,12 @@ def test_outputs_after_a_reset_are_as_told():
     simulator.add_testbench(bench)
     simulator.run()
     for row in rows:
-        first, _, later = row.reset.partition("; ")
-        assert seen[0][row.name] == seen[1][row.name] == int(first), row.name
-        assert bool(later) == (seen[2][row.name] == (1 << row.width) - 1 != int(first)), row.name
+        told = re.fullmatch(r"(\d+)(?:; (?:1|all ones) (one cycle|two cycles) later)?", row.reset)
+        assert told, row.name
+        cycles = {None: len(seen), "one cycle": 1, "two cycles": 2}[told[2]]
+        all_ones = (1 << row.width) - 1
+        expected = [int(told[1])] * cycles + [all_ones] * (len(seen) - cycles)
+        assert [values[row.name] for values in seen] == expected, row.name
 
 
 def test_the_instance_compiles(tmp_path):
