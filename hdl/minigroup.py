@@ -10,7 +10,7 @@ offsets.
 from itertools import pairwise
 from typing import Any
 
-from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
+from amaranth.hdl import Cat, Const, Module, Mux, ResetSignal, Signal, Value
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract.parameters import Sensor
@@ -79,7 +79,7 @@ class Recorder(Unit):
         strobes = [begins, *(Signal(name=f"begins_{n}", reset_less=True) for n in stages)]
         steps = [step_4, *(Signal.like(step_4, name=f"step_{n}") for n in stages)]
         moves = Cat(strobes).any()
-        with m.If(moves):
+        with m.If(ResetSignal() | moves):
             for delayed in (strobes, steps):
                 for sooner, later in pairwise(delayed):
                     m.d.sync += later.eq(sooner)
@@ -129,7 +129,7 @@ class Recorder(Unit):
             self.entry.stamp.eq(self.stamp.value),
         ]
         moves = runs | self.started | (self.wrap & self.latched)
-        with m.If(moves):
+        with m.If(ResetSignal() | moves):
             m.d.sync += [
                 self.started.eq(starts),
                 seen.eq(seen_next),
@@ -165,7 +165,9 @@ class Minigroup(Recorder):
     latched, entry : out, the record of the period, to be taken during `wrap` (stage 3)
 
     Reset clears the record circuit. The rest needs no reset, because nothing is accepted outside a
-    frame and every window starts from an empty map.
+    frame and every window starts from an empty map. All stages load in a reset. Otherwise those
+    that are undefined at power-on stay so in a simulator with four states, because their own value
+    is in the condition under which they load.
 
     The registers of stages 1, 3 and 5, and of the stages behind each, change only while they hold
     or get something valid. Otherwise a gate stops the minigroup's clock.
@@ -241,8 +243,10 @@ class Minigroup(Recorder):
                 m.d.sync += self.phases_1[i].eq(phase | ~on.replicate(sensor.phase_bits))
         m.d.comb += [
             self.root.eq(any_of(m, roots, "root_or")),
-            self.awake_1.eq(valid_0.any() | self.valid_1.any()),
-            self.awake_3.eq(Cat(self.valid_1, self.valid_2, self.active, self.hit_3).any()),
+            self.awake_1.eq(ResetSignal() | valid_0.any() | self.valid_1.any()),
+            self.awake_3.eq(
+                ResetSignal() | Cat(self.valid_1, self.valid_2, self.active, self.hit_3).any()
+            ),
         ]
         with m.If(self.awake_1):
             m.d.sync += self.valid_1.eq(valid_0)
@@ -286,11 +290,12 @@ class Minigroup(Recorder):
         pixels = self.sensor.minigroup_pixels
         hits = Signal(pixels, reset_less=True)
         moves = Cat(self.active, self.hit_4).any() | (self.opening & hits.any())
-        with m.If(moves):
+        empties = self.opening | ResetSignal()
+        with m.If(ResetSignal() | moves):
             m.d.sync += [
                 self.hit_4.eq(self.hit_3),
                 self.step_4.eq(self.step),
-                hits.eq(self.hit_4 | (hits & ~self.opening.replicate(pixels))),
+                hits.eq(self.hit_4 | (hits & ~empties.replicate(pixels))),
             ]
         m.d.comb += self.hits.eq(hits)
         begins = self.hit_4.any() & (self.opening | ~hits.any())

@@ -110,7 +110,8 @@ class Subgroup(Unit):
         """Put inputs straight into registers, except the subgroup's number, which never changes.
 
         These need no reset, because the registers that drive them have one. Most of them change
-        only when something comes.
+        only when something comes. Strobes and grants also load in a reset, because otherwise one
+        that is undefined at power-on stays so in a simulator with four states.
         """
         self.command_taken = Signal.like(self.command, reset_less=True)
         self.timing_taken = Signal.like(self.timing, reset_less=True)
@@ -127,7 +128,8 @@ class Subgroup(Unit):
             ]
         strobes = Cat(self.timing[name] for name in bus.STROBES)
         strobes_taken = Cat(self.timing_taken[name] for name in bus.STROBES)
-        with m.If(Cat(strobes_taken != strobes, self.grant_taken, self.grant).any()):
+        comes = Cat(strobes_taken != strobes, self.grant_taken, self.grant).any()
+        with m.If(self._reset | comes):
             m.d[self._gated] += [
                 strobes_taken.eq(strobes),
                 self.grant_taken.eq(self.grant),
@@ -260,6 +262,6 @@ class Subgroup(Unit):
             | ResetSignal()
         )
         domain = stopped(m, platform, self.clock_gate, asked | (left != 0))
-        with m.If(~asked | (left != AWAKE_CYCLES)):
+        with m.If(ResetSignal() | ~asked | (left != AWAKE_CYCLES)):
             m.d[domain] += left.eq(Mux(asked, AWAKE_CYCLES, left - (left != 0)))
         return domain
