@@ -11,10 +11,11 @@ SYSTEM = "clk"
 FS_PER_NS = 1_000_000
 
 
-def async_constraints(sensor: Sensor, circuit: Circuit, spads: str = "spad_*") -> str:
-    """Return the constraints of the front ends, which follow the system clock's. spads: pattern
-    of the SPAD line ports.
+def async_constraints(sensor: Sensor, circuit: Circuit, spads: str = "") -> str:
+    """Return the constraints of the front ends, which follow the system clock's. spads: patterns
+    of the SPAD line ports, default: those of the top. No pattern fits `spad_gate`, an output.
     """
+    spads = spads or " ".join(f"spad_{s}[*]" for s in range(sensor.subgroups))
     cycle, lag = circuit.clock_fs / FS_PER_NS, lag_fs(sensor) / FS_PER_NS
     tick, half = cycle / sensor.phases, cycle / 2
     times = {"cycle": cycle, "lag": lag, "tick": tick, "half": half, "half_tick": tick / 2}

@@ -24,6 +24,7 @@ from .async_constraints import async_constraints
 from .c_driver import c_driver
 from .captured import captured_files
 from .ports import instantiation, port_table, stream_words
+from .prefix import checked_prefix, prefixed_files, prefixed_name
 from .register_files import register_files
 from .smoke import FPGA_SMOKE, SMOKE, smoke_test
 from .waivers import CONTROL_FILE, OLDEST_VERILATOR, control_file
@@ -36,7 +37,11 @@ SYNTHESIS_LIST = "coincid_synthesis.f"  # for a view with macros
 # Both for standard cells: a file list, and the folder of blocks that have another form.
 CELLS_LIST, CELLS_FOLDER = ("coincid_cells.f", "cells")
 TIMESCALE = "1ps/1fs"  # for a view with macros
-PORT_DELAY = 0.4  # share of a period for the logic outside the ports
+# Shares of a period for the logic outside the ports.
+PORT_DELAY = 0.4  # at most, in front of an input and behind an output
+INPUT_DELAY_MIN = 0.05  # an input keeps its value for so long after the edge
+OUTPUT_DELAY_MIN = 0.0  # the outside needs no output after the edge
+SKEW_TICKS = 0.5  # between the delays of a SPAD line to its samplers
 UNCERTAINTY = 0.05  # share of a period
 DERIVED = ("array_pixels", "subgroups", "pixels", "minigroups", "guard", "stamp_bits", "period_max")
 PER_TOP = {TOP: SMOKE, FPGA_TOP: FPGA_SMOKE}
@@ -115,23 +120,44 @@ def _constraints(sensor: Sensor, clock_mhz: float, top: str, view: View) -> str:
     ]
     lines += [
         f"set_clock_uncertainty [expr {UNCERTAINTY} * $period] [all_clocks]",
-        *(
-            f"set_{kind}_delay [expr {PORT_DELAY} * $period] -clock clk [get_ports {{{port.name}{'[*]' if port.width > 1 else ''}}}]"
-            for kind, is_input in (("input", True), ("output", False))
-            for port in timed
-            if port.is_input is is_input
-        ),
+        *_port_delays([port for port in timed if port.is_input], "input", INPUT_DELAY_MIN),
+        *_port_delays([port for port in timed if not port.is_input], "output", OUTPUT_DELAY_MIN),
     ]
     if top == FPGA_TOP:
-        lines += [
-            "# SPADs know no clock: their levels are sampled, and pass two flip-flops before any logic."
-        ]
-        lines += [
-            f"set_false_path -from [get_ports {{{port.name}[*]}}]"
-            for port in ports
-            if port.name.startswith("line_")
-        ]
+        lines += _line_skew([port.name for port in ports if port.name.startswith("line_")], sensor)
     return "\n".join(lines) + "\n"
+
+
+def _port_delays(ports: list[Port], kind: str, at_least: float) -> list[str]:
+    """Return the delays outside the ports, at least and at most. kind: input or output."""
+    lines = []
+    for port in ports:
+        name = f"{port.name}[*]" if port.width > 1 else port.name
+        for bound, share in (("min", at_least), ("max", PORT_DELAY)):
+            lines.append(
+                f"set_{kind}_delay -{bound} [expr {share:g} * $period] -clock clk"
+                f" [get_ports {{{name}}}]"
+            )
+    return lines
+
+
+def _line_skew(lines: list[str], sensor: Sensor) -> list[str]:
+    """Return the bounds of the delays from the ports `lines` to the samplers.
+
+    SDC has a bound of the delay only. Vivado and Quartus also know one of the skew.
+    """
+    ports = " ".join(f"{name}[*]" for name in lines)
+    return [
+        "# SPADs know no clock: their levels are sampled, and pass two flip-flops before any logic. The delays of a line to",
+        "# its samplers must differ by less than a tick; if one of them is later, a single rise becomes two edges.",
+        "# A tool without `set_bus_skew` bounds only the delay: read the delays of the samplers after routing.",
+        f"set tick [expr $period / {sensor.phases}]",
+        f"set lines [get_ports {{{ports}}}]",
+        "set_max_delay $period -from $lines",
+        "if {[llength [info commands set_bus_skew]]} {",
+        f"  set_bus_skew -from $lines -to [get_cells -hierarchical *sample_*] [expr {SKEW_TICKS:g} * $tick]",
+        "}",
+    ]
 
 
 def phase_clock(sensor: Sensor, j: int) -> str:
@@ -265,11 +291,11 @@ def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view:
     )
 
 
-def _manifest(config: Config, files: dict[str, bytes], view: View) -> str:
+def _manifest(config: Config, files: dict[str, bytes], view: View, prefix: str) -> str:
     sensor, clock_mhz = config.sensor, config.clock_mhz
-    tops = [top for top in PER_TOP if f"{top}.sdc" in files]
+    tops = [f"{prefix}{top}" for top in PER_TOP if f"{prefix}{top}.sdc" in files]
     facts = {
-        "name": TOP,
+        "name": f"{prefix}{TOP}",
         "version": version("coincid"),
         "view": view.name,
         "tops": tops,
@@ -279,7 +305,7 @@ def _manifest(config: Config, files: dict[str, bytes], view: View) -> str:
         "latency_cycles": {
             name.lower(): value for name, value in vars(latency).items() if name.isupper()
         }
-        | ({"deserialiser": deserialiser.CYCLES} if FPGA_TOP in tops else {}),
+        | ({"deserialiser": deserialiser.CYCLES} if f"{prefix}{FPGA_TOP}" in tops else {}),
         "sha256": {
             name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())
         },
@@ -287,16 +313,22 @@ def _manifest(config: Config, files: dict[str, bytes], view: View) -> str:
     return json.dumps(facts, indent=2) + "\n"
 
 
-def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) -> list[Path]:
+def write_release(
+    folder: Path, config: Config, view: str | View = POLYPHASE, prefix: str = ""
+) -> list[Path]:
     """Write the release of a configuration's sensor to `folder`, which appears complete and
-    replaces an earlier release.
+    replaces an earlier release with the same prefix. Return the files.
 
-    Raises `InputError` if the folder cannot be written, or contains anything but an earlier
-    release.
+    prefix: of all names of the release (see `prefix.py`), such as "near_". Releases with different
+    prefixes may be in one folder.
+
+    Raises `InputError` if the folder cannot be written, or contains anything but earlier releases,
+    or if names cannot begin with the prefix.
     """
     given, folder = folder, Path(folder).resolve()
+    prefix = checked_prefix(prefix)
     if folder.exists() and not (
-        folder.is_dir() and ((folder / FILE_LIST).exists() or not any(folder.iterdir()))
+        folder.is_dir() and (any(folder.glob(f"*{FILE_LIST}")) or not any(folder.iterdir()))
     ):
         raise InputError(
             f"{given}: holds other things, must be a new or empty folder, or one with an earlier export"
@@ -309,10 +341,8 @@ def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) ->
     try:
         fresh, stale = beside / "fresh", beside / "stale"
         fresh.mkdir()
-        files = {name: text.encode() for name, text in release_files(config, view).items()}
-        files |= captured_files(config.sensor)
-        files[MANIFEST] = _manifest(config, files, view_at(view, config.clock_mhz)).encode()
-        for name, content in files.items():
+        files = _contents(config, view, prefix)
+        for name, content in (_other_releases(folder, prefix) | files).items():
             (fresh / name).parent.mkdir(exist_ok=True)
             (fresh / name).write_bytes(content)
         if folder.exists():
@@ -325,3 +355,25 @@ def write_release(folder: Path, config: Config, view: str | View = POLYPHASE) ->
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return sorted(folder / name for name in files)
+
+
+def _contents(config: Config, view: str | View, prefix: str) -> dict[str, bytes]:
+    """Return the files of a release by name, with its manifest."""
+    texts = prefixed_files(release_files(config, view), prefix)
+    files = {name: text.encode() for name, text in texts.items()}
+    for name, content in captured_files(config.sensor).items():
+        files[prefixed_name(name, prefix)] = content
+    manifest = _manifest(config, files, view_at(view, config.clock_mhz), prefix)
+    return files | {f"{prefix}{MANIFEST}": manifest.encode()}
+
+
+def _other_releases(folder: Path, prefix: str) -> dict[str, bytes]:
+    """Return the files by name of the releases in `folder` that have other prefixes."""
+    files = {}
+    for manifest in folder.glob(f"*{MANIFEST}"):
+        if manifest.name == f"{prefix}{MANIFEST}":
+            continue
+        names = json.loads(manifest.read_text(encoding="utf-8"))["sha256"]
+        for name in (manifest.name, *names):
+            files[name] = (folder / name).read_bytes()
+    return files

@@ -554,12 +554,19 @@ def verilog(
     config: ConfigOption = None,
     changes: ChangesOption = None,
     view: ViewOption = "polyphase",
+    prefix: Annotated[
+        str,
+        option(
+            "Beginning of all names of the export, such as near_; so several sensors fit on one chip.",
+            "NAME",
+        ),
+    ] = "",
 ) -> None:
     """Export the synthesizable Verilog, one file per block, with file lists, constraints, register map and smoke test."""
     settings = _config(config, changes)
     with extra("rtl"):
         from coincid.flow.release import write_release
-    files = write_release(out, settings, view)
+    files = write_release(out, settings, view, prefix)
     print(f"{out}: {len(files)} files, {sum(path.stat().st_size for path in files) / 1000:.0f} kB")
 
 

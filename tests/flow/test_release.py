@@ -21,18 +21,21 @@ from systemrdl.node import RegNode
 from coincid.flow.register_files import IP_XACT, RDL
 from coincid.flow.release import CELLS_LIST, MANIFEST, write_release
 from coincid.flow.smoke import FPGA_SMOKE, SMOKE
-from coincid.hdl.sensor import FPGA_TOP
+from coincid.hdl.export import FILE_LIST
+from coincid.hdl.front_end_views import view_at
+from coincid.hdl.sensor import FPGA_TOP, SensorTop
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import BY_NAME, SUBGROUP, WRITABLE, Access, address
 from coincid.model.contract.stream import COLUMN, decode_frame
+from coincid.model.shared.errors import InputError
 from coincid.model.shared.files import read_npz
 from coincid.tb import toolchain
 from coincid.tb.rtl import rtl
 from coincid.tools.wheels import run_yosys
 
-from ..exports import PASSED, complaint, readme_commands, write_export
+from ..exports import EXPORTS, PASSED, complaint, readme_commands, write_export
 from ..random_cases import LEAN, SENSORS
 from ..releases import CLOCK_MHZ, SMALL, config, small_releases
 
@@ -224,6 +227,116 @@ def test_smoke_test_works_behind_an_adapter(smallest):
     (smallest / "adapted.v").write_text(SHIM.join(text.rsplit("endmodule\n", 1)), encoding="utf-8")
     done = simulated(smallest, sources="-f coincid.f adapted.v")
     assert PASSED.fullmatch(done.stdout.strip()), done.stdout + done.stderr
+
+
+INITIAL_VALUE = re.compile(r"^(  reg (?:\[\d+:\d+\] )?\S+ ?) = \d+'[hd][0-9a-f]+;$", re.MULTILINE)
+INITIAL_MEMORY = re.compile(r"^  initial begin\n.*?^  end\n", re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("sources", (FILE_LIST, CELLS_LIST))
+def test_smoke_test_passes_without_initial_values(smallest, tmp_path, sources):
+    """Every register is undefined at power-on, and a reset defines what matters."""
+    folder = shutil.copytree(smallest, tmp_path / "rtl")
+    for path in (*folder.glob("coincid_*.v"), *folder.glob("cells/*.v")):
+        if path.stem not in (SMOKE, FPGA_SMOKE):
+            text = INITIAL_VALUE.sub(r"\1;", path.read_text(encoding="utf-8"))
+            text = INITIAL_MEMORY.sub("", text)
+            assert not re.search(r"^  reg .* = |^  initial begin", text, re.MULTILINE)
+            path.write_text(text, encoding="utf-8")
+    done = simulated(folder, sources=f"-f {sources} {SMOKE}.v")
+    assert PASSED.fullmatch(done.stdout.strip()), done.stdout + done.stderr
+
+
+PREFIXES = {"near_": "smallest", "far_": "lean"}
+
+
+@pytest.fixture(scope="module")
+def two_sensors(tmp_path_factory):
+    """Return a folder with two exports, each with a prefix."""
+    folder = tmp_path_factory.mktemp("two") / "rtl"
+    for prefix, name in PREFIXES.items():
+        tables, view = EXPORTS[name]
+        write_release(folder, parse_config(tables), view, prefix)
+    return folder
+
+
+def test_two_sensors_with_prefixes_are_one_simulation(two_sensors):
+    """Each smoke test passes with both sensors in the design."""
+    lists = " ".join(f"-f {prefix}{FILE_LIST}" for prefix in PREFIXES)
+    for prefix in PREFIXES:
+        tops = " ".join([f"-s {prefix}{SMOKE}", *(f"-s {other}{TOP}" for other in PREFIXES)])
+        sources = f"{lists} {prefix}{SMOKE}.v"
+        command = f"iverilog -g2005 {tops} -o {prefix}.vvp {sources} && vvp -n {prefix}.vvp"
+        done = alone(command, two_sensors)
+        assert PASSED.fullmatch(done.stdout.strip()), done.stdout + done.stderr
+
+
+def test_every_name_of_an_export_has_its_prefix(two_sensors):
+    """Modules, macros, C symbols, files, cores and names of register maps."""
+    names = re.compile(r"(?<![A-Za-z0-9_*])(coincid_|COINCID_)")
+    for prefix in PREFIXES:
+        manifest = json.loads((two_sensors / f"{prefix}{MANIFEST}").read_text(encoding="utf-8"))
+        for name, digest in manifest["sha256"].items():
+            content = (two_sensors / name).read_bytes()
+            assert hashlib.sha256(content).hexdigest() == digest, name
+            assert Path(name).name.startswith(prefix)
+            if not name.startswith("captured/"):
+                wrong = [line for line in content.decode().splitlines() if names.search(line)]
+                allowed = [line for line in wrong if "cells/coincid_*.v" in line]
+                assert wrong == allowed, name
+        core = (two_sensors / f"{prefix}{TOP}.core").read_text(encoding="utf-8")
+        assert f'name: "coincid:sensor:{prefix}{TOP}:' in core
+
+
+def test_an_export_replaces_only_that_with_its_prefix(two_sensors, tmp_path):
+    folder = shutil.copytree(two_sensors, tmp_path / "rtl")
+    (folder / f"near_{TOP}.v").write_text("old", encoding="utf-8")
+    write_release(folder, parse_config(EXPORTS["smallest"][0]), prefix="near_")
+    manifests = [folder / f"{prefix}{MANIFEST}" for prefix in PREFIXES]
+    of_exports = {path.name for path in manifests}
+    for path in manifests:
+        of_exports |= json.loads(path.read_text(encoding="utf-8"))["sha256"].keys()
+    assert files(folder) == of_exports
+    assert (folder / f"near_{TOP}.v").read_bytes() == (two_sensors / f"near_{TOP}.v").read_bytes()
+
+
+@pytest.mark.parametrize("prefix", ["1st_", "a-", "a b", "x" * 41])
+def test_a_prefix_that_begins_no_name_is_refused(prefix, tmp_path):
+    with pytest.raises(InputError, match="prefix .*must be letters"):
+        write_release(tmp_path / "rtl", parse_config(EXPORTS["smallest"][0]), prefix=prefix)
+    assert not (tmp_path / "rtl").exists()
+
+
+def test_the_events_of_the_asynchronous_view_are_clocks_of_inputs_only(releases):
+    text = (releases / "async" / f"{TOP}.sdc").read_text(encoding="utf-8")
+    (pattern,) = re.findall(r"create_clock -name spads .*\[get_ports \{(.*)\}\]", text)
+    ports = SensorTop(config("async").sensor, view_at("async", 400)).ports()
+    matched = {
+        port.name
+        for port in ports
+        for one in pattern.split()
+        if re.fullmatch(one.replace("[*]", r"(\[\d+\])?"), port.name)
+    }
+    assert matched == {port.name for port in ports if re.fullmatch(r"spad_\d+", port.name)}
+
+
+@pytest.mark.parametrize("preset, top", [(preset, top) for preset, top, _ in TOPS])
+def test_constraints_have_minimum_and_maximum(releases, preset, top):
+    text = (releases / preset / f"{top}.sdc").read_text(encoding="utf-8")
+    for kind in ("input", "output"):
+        ports = {
+            bound: re.findall(rf"^set_{kind}_delay -{bound} .*get_ports (.*)\]$", text, re.M)
+            for bound in ("min", "max")
+        }
+        assert ports["min"] == ports["max"] and len(ports["min"]) >= 8
+    assert not re.search(r"^set_(input|output)_delay \[", text, re.M)
+
+
+def test_constraints_of_the_fpga_top_bound_the_skew_of_the_lines(releases):
+    text = (releases / "fpga" / f"{FPGA_TOP}.sdc").read_text(encoding="utf-8")
+    assert "set_false_path" not in text
+    assert "set_max_delay $period -from $lines" in text
+    assert re.search(r"set_bus_skew -from \$lines -to .*\[expr 0\.5 \* \$tick\]", text)
 
 
 @pytest.mark.long
