@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from attrs import frozen
 
-from ..model.scenes.depth_units import DATA_SETS, UNIT_FORMS
+from ..model.scenes.conventions import CONVENTIONS, UNIT_FORMS
 from ..model.shared.errors import SEED_MAX
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -39,11 +39,12 @@ _SCENES = (
     "returns:METRES@REFLECTIVITY,..., sun-and-shade, tunnel"
 )
 _RAYS = "ray:five-objects, ray:glass, ray:corner, ray:retroreflector, ray:fog"
-_DATA_SETS = "; ".join(f"{name} ({what})" for name, (_, what) in DATA_SETS.items())
+_DATA_SETS = "; ".join(f"{one.name} ({one.files}: {one.told})" for one in CONVENTIONS)
 _ALL = (
     Option(
         name="scene", kind="Scene, str or numpy.ndarray", metavar="SCENE", default="five-objects",
-        doc=f"Built in: {_SCENES}; a depth file (PNG, TIFF, NPY, PFM, EXR), with a colour picture for the reflectivities as DEPTH,COLOUR; "
+        doc=f"Built in: {_SCENES}; a depth file (PNG, TIFF, PGM, NPY, PFM, EXR; NPZ, HDF5 or MATLAB as FILE:NAME), "
+        "with a colour picture for the reflectivities as DEPTH,COLOUR; "
         f"ray-traced: {_RAYS}, or a Mitsuba scene (XML, metres).",
     ),
     Option(
@@ -53,6 +54,26 @@ _ALL = (
     Option(
         name="scale", kind="float", metavar="FACTOR", default=1.0, low=1e-3, high=1e3,
         doc="Factor for the distances of a depth file.",
+    ),
+    Option(
+        name="missing", kind="float, sequence of float or None", metavar="VALUE",
+        doc="A number in a depth file that means no depth, besides 0, NaN, infinity, 65504, 65535 and the limits of integers.",
+    ),
+    Option(
+        name="sky_m", kind="float or None", metavar="DISTANCE",
+        doc="Distance in a depth file, in metres before the scale, from which on there is nothing to see.",
+    ),
+    Option(
+        name="z", kind="bool", default=False,
+        doc="Distances of a depth file are along the axis (z), as of depth cameras and most renderers, not along the rays of the pixels.",
+    ),
+    Option(
+        name="fov_deg", kind="float or None", metavar="DEGREES",
+        doc="Horizontal field of view of the whole picture of a depth file. By default, the part that the sensor sees has the sensor's.",
+    ),
+    Option(
+        name="channel", kind="str or None", metavar="NAME",
+        doc="Channel of a depth picture that has several, such as an EXR file; by default the one that is called depth or Z.",
     ),
     Option(
         name="reflectivity", kind="float or numpy.ndarray", metavar="SHARE", default=0.4,

@@ -8,6 +8,7 @@ import numpy as np
 from ..model.depth.belief import SENTENCES
 from ..model.depth.depth import Depth
 from ..model.light.link_budget import Optics
+from ..model.scenes.view import View
 from ..model.shared.errors import InputError
 from ..model.shared.files import FilePath, check_suffix, whole_file
 
@@ -49,7 +50,7 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
         raise InputError("normals: the depth has no slopes, its method must be planes")
     optics = optics or Optics()
     rows, cols, _ = depth.depth_m.shape
-    right, down = np.meshgrid(_tangents(cols, optics.fov_h_deg), _tangents(rows, optics.fov_v_deg))
+    right, down = View(h_deg=optics.fov_h_deg, v_deg=optics.fov_v_deg).tangents(rows, cols)
     ray = np.stack([right, down, np.ones_like(right)], axis=2)
     ray /= np.linalg.norm(ray, axis=2, keepdims=True)
     seen = ~np.isnan(depth.depth_m)
@@ -88,13 +89,6 @@ def _normals(
     found = np.full((*depth_m.shape, 3), np.nan)
     found[:, :, 0] = first
     return found
-
-
-def _tangents(pixels: int, fov_deg: float) -> np.ndarray:
-    """Return the tangents of the angles between the axis and the middles of pixels that share a
-    field of view.
-    """
-    return (2 * np.arange(pixels) + 1 - pixels) / pixels * np.tan(np.radians(fov_deg) / 2)
 
 
 def write_ply(path: FilePath, points: np.ndarray) -> None:

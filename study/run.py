@@ -5,6 +5,7 @@ usual next steps.
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -73,7 +74,13 @@ class Run(outcomes.Run):
     def point_cloud(
         self, optics: Optics | None = None, *, normals: bool = False, **options: Any
     ) -> np.ndarray:
-        """Return points in space; `options` are those of `estimate_depth`. See `point_cloud`."""
+        """Return points in space; `options` are those of `estimate_depth`. See `point_cloud`.
+
+        optics: None = the field of view of the scene.
+        """
+        if optics is None:
+            view = self.scene.view
+            optics = Optics(fov_h_deg=view.h_deg, fov_v_deg=view.v_deg)
         return point_cloud(self.depth(**options), optics, normals=normals)
 
     def to_pandas(self) -> Any:
@@ -130,6 +137,11 @@ def simulate(
     *,
     scale: float = 1.0,
     unit: str | None = None,
+    missing: float | Sequence[float] | None = None,
+    sky_m: float | None = None,
+    z: bool = False,
+    fov_deg: float | None = None,
+    channel: str | None = None,
     reflectivity: float | np.ndarray = REFLECTIVITY,
     klux: Ambient | None = None,
     background: str = BACKGROUNDS[0],
@@ -170,19 +182,25 @@ def simulate(
     """
     _check_order(config)
     config = with_settings(config if isinstance(config, Config) else load_config(config), settings)
+    meaning = {
+        "scale": scale,
+        "unit": unit,
+        "missing": missing,
+        "sky_m": sky_m,
+        "z": z,
+        "fov_deg": fov_deg,
+        "channel": channel,
+    }
     if isinstance(scene, Scene):
-        given = {
-            "scale": scale != 1,
-            "unit": unit is not None,
-            "reflectivity": np.any(reflectivity != REFLECTIVITY),
-        }
+        given = {"reflectivity": np.any(reflectivity != REFLECTIVITY)}
+        given |= {name: value != OPTIONS[name].default for name, value in meaning.items()}
         for name in (name for name, is_given in given.items() if is_given):
             raise InputError(
                 f"{name}: goes with depth files and arrays of distances, not with a Scene"
             )
     setup = Setup(
         config=config,
-        scene=scene_of(config, scene, scale=scale, unit=unit, reflectivity=reflectivity),
+        scene=scene_of(config, scene, reflectivity=reflectivity, **meaning),
         klux=usual_klux(str(scene) if isinstance(scene, str | os.PathLike) else "")
         if klux is None
         else klux,

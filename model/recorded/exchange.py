@@ -27,9 +27,12 @@ from ..shared.files import FilePath, read_npz, reading, whole_file
 from .ptu import read_ptu, write_ptu
 from .recordings import SYNC_MAX, Recording, since_sync
 
-UNITS_PS = {"time_ps": 1, "time_ns": 1e3, "time_us": 1e6, "time_s": 1e12}
+INTEGER_MAX = (1 << 63) - 1
+UNITS_PS = {"time_ps": 1, "time_ns": 1000, "time_us": 1_000_000, "time_s": 1_000_000_000_000}
 SUFFIXES = (".npz", ".csv", ".h5", ".hdf5", ".ptu")
-Columns: TypeAlias = Sequence[np.ndarray] | np.ndarray  # float64, all of one length
+Columns: TypeAlias = Sequence[
+    np.ndarray
+]  # int64 where all numbers are written as integers, else float64; of one length
 Read: TypeAlias = Callable[[tuple[str, ...]], Columns]
 EXPECTED = "pulse, pixel, tick; or sync, channel, time_ps; or channel, time_ps (or time_ns, time_us, time_s)"
 
@@ -53,7 +56,7 @@ def read_recording(path: FilePath, sync_channel: int | None = None) -> Recording
         )
     if "sync" in names:
         sync, channel, time = read(("sync", "channel", unit))
-        columns = sync, channel, time * UNITS_PS[unit]
+        columns = sync, channel, time * float(UNITS_PS[unit])
         return _of_syncs(path, ("sync", "channel", "time"), columns, "table of syncs", sync_channel)
     channel, time = read(("channel", unit))
     channel = _integers(path, "channel", channel)
@@ -65,6 +68,7 @@ def read_recording(path: FilePath, sync_channel: int | None = None) -> Recording
     if not is_sync.any():
         raise InputError(f"{path}: has no events on channel {sync_channel} (--sync-channel)")
     _not_negative(path, unit, time)
+    _exact(path, unit, time)
     return since_sync(
         time[~is_sync], channel[~is_sync], time[is_sync], UNITS_PS[unit], "table of absolute times"
     )
@@ -119,7 +123,7 @@ def parse_channels(text: str) -> dict[int, int]:
         if not pairs:
             raise InputError(f"{text}: names no channel")
     else:
-        if not re.fullmatch(r"\s*\d+\s*:\s*\d+\s*(,\s*\d+\s*:\s*\d+\s*)*", text):
+        if not re.fullmatch(r"\s*-?\d+\s*:\s*\d+\s*(,\s*-?\d+\s*:\s*\d+\s*)*", text):
             raise InputError(
                 f"channels = {text!r}: must be CHANNEL:PIXEL,CHANNEL:PIXEL,... or a CSV file with the columns channel, pixel"
             )
@@ -158,11 +162,22 @@ def _integers(path: FilePath, name: str, values: np.ndarray) -> np.ndarray:
     """Return `values` as int64. Raises `InputError`."""
     with np.errstate(invalid="ignore"):
         bad = np.flatnonzero(~((values == np.floor(values)) & (np.abs(values) < SYNC_MAX)))
-    if len(bad):
+    if values.dtype.kind != "i" and len(bad):
         raise InputError(
-            f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be an integer below 2^53"
+            f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be an integer, below 2^53 in a column of floats"
         )
     return values.astype(np.int64)
+
+
+def _exact(path: FilePath, name: str, values: np.ndarray) -> None:
+    """Refuse floats that are too large to hold every integer: they have lost the difference
+    between trigger and photon.
+    """
+    bad = np.flatnonzero((values >= SYNC_MAX) & (values.dtype.kind == "f"))
+    if len(bad):
+        raise InputError(
+            f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be below 2^53 in a column of floats; integers may be larger"
+        )
 
 
 def _not_negative(path: FilePath, name: str, values: np.ndarray) -> None:
@@ -174,33 +189,61 @@ def _not_negative(path: FilePath, name: str, values: np.ndarray) -> None:
 
 
 def _csv(path: FilePath) -> tuple[list[str], Read]:
-    """Return the column names of a CSV file, and a function that reads columns as float64. Lines
-    with # are comments.
+    """Return the column names of a CSV file, and a function that reads columns. Lines with # are
+    comments.
+
+    The names are the first line that is no comment; if that has numbers, they are the last
+    comment before it.
     """
+    comment = ""
     with reading(path, "CSV file"), open(path, encoding="utf-8-sig") as file:
         lines = 1
         while (head := file.readline()).lstrip().startswith("#") or head.isspace():
+            comment = head.lstrip("# \t") if head.strip() else comment
             lines += 1
     separator = next((mark for mark in (",", ";", "\t") if mark in head), None)
+    if comment and _are_numbers(head.split(separator)):
+        head = comment
+        lines -= 1
     names = [name.strip().strip('"').lower() for name in head.split(separator)]
 
     def read(chosen: tuple[str, ...]) -> Columns:
+        form: dict[str, Any] = {"delimiter": separator, "skiprows": lines, "encoding": "utf-8-sig"}
+        columns = []
         try:
             with warnings.catch_warnings(
                 category=UserWarning, action="ignore"
             ):  # no rows: no photons
-                form: dict[str, Any] = {
-                    "delimiter": separator,
-                    "skiprows": lines,
-                    "ndmin": 2,
-                    "encoding": "utf-8-sig",
-                }
-                columns = np.loadtxt(path, usecols=[names.index(name) for name in chosen], **form)
+                for name in chosen:
+                    columns.append(_read_column(path, names.index(name), form))
         except (OSError, ValueError, IndexError) as error:
             raise InputError(f"{path}: is not a table of numbers ({error})") from None
-        return columns.T if columns.size else np.empty((len(chosen), 0))
+        return columns
 
     return names, read
+
+
+def _read_column(path: FilePath, number: int, form: dict[str, Any]) -> np.ndarray:
+    """Return a column of a CSV file: int64 if all are such integers, otherwise float64. Raises
+    `ValueError`.
+    """
+
+    def read(kind: type) -> np.ndarray:
+        return np.loadtxt(path, dtype=kind, usecols=number, ndmin=1, quotechar='"', **form)
+
+    try:
+        return read(np.int64)
+    except ValueError:
+        return read(np.float64)
+
+
+def _are_numbers(texts: list[str]) -> bool:
+    try:
+        for text in texts:
+            float(text.strip().strip('"'))
+        return True
+    except ValueError:
+        return False
 
 
 def _npz(path: FilePath) -> tuple[list[str], Read]:
@@ -228,8 +271,8 @@ def _hdf5(path: FilePath) -> tuple[list[str], Read]:
 
 
 def _columns(path: FilePath, arrays: dict[str, np.ndarray]) -> Columns:
-    """Return the arrays as numeric columns of equal length; `_integers` refuses integers beyond
-    float64.
+    """Return the arrays as numeric columns of equal length, integers as int64. Raises
+    `InputError`.
     """
     for name, array in arrays.items():
         if np.ndim(array) != 1 or array.dtype.kind not in "iuf":
@@ -241,4 +284,15 @@ def _columns(path: FilePath, arrays: dict[str, np.ndarray]) -> Columns:
         raise InputError(
             f"{path}: lengths differ: " + ", ".join(f"{name} {n}" for name, n in lengths.items())
         )
-    return [array.astype(np.float64) for array in arrays.values()]
+    return [_column(path, name, array) for name, array in arrays.items()]
+
+
+def _column(path: FilePath, name: str, array: np.ndarray) -> np.ndarray:
+    """Return int64 for integers, float64 for floats. Raises `InputError` for integers beyond
+    int64.
+    """
+    if array.dtype.kind == "f":
+        return array.astype(np.float64)
+    if len(array) and int(array.max()) > INTEGER_MAX:
+        raise InputError(f"{path}: {name}: holds {array.max()}, must be below 2^63")
+    return array.astype(np.int64)

@@ -49,9 +49,9 @@ def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
     logging.getLogger("ptufile").setLevel(logging.CRITICAL)  # the errors below report the fault
     with reading(path, "PTU file"), ptufile.PtuFile(path) as file:
         stored = (os.path.getsize(path) - file.record_offset) / 4
-        if file.number_records > stored or stored % 1:
+        if file.number_records > stored:
             raise InputError(
-                f"{path}: is truncated: {int(stored)} whole records of {max(file.number_records, int(stored) + 1)}"
+                f"{path}: is truncated: {int(stored)} whole records of {file.number_records}"
             )
         raw, photons = file.read_records(), file.decode_records()
         unit_ps = file.global_resolution * PS_PER_S
@@ -155,11 +155,17 @@ class _Scan:
         )  # no stop before the next start
         if cut.all():
             raise InputError("scan: the recording holds no whole line between its markers")
-        ends = np.where(cut, begins, ends)
         first = np.searchsorted(begins, changes)
+        begun_before = (
+            first[0] % self.rows if len(first) else 0
+        )  # lines of a frame whose beginning is not recorded
+        cut[:begun_before] = True
+        ends = np.where(cut, begins, ends)
         base = np.zeros(len(begins), np.int64)  # first line of each line's frame
+        base[begun_before] = begun_before
         base[first[first < len(begins)]] = first[first < len(begins)]
         row = (np.arange(len(begins)) - np.maximum.accumulate(base)) % self.rows
+        row[:begun_before] = -1
         frame = np.cumsum(row == 0) - 1
         dwell = int(np.median((ends - begins)[~cut]) // self.cols)
         line = np.searchsorted(begins, recording.sync, side="right") - 1

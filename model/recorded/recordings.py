@@ -16,7 +16,7 @@ PS_PER_S = 1e12
 NO_SYNC = -1  # sync of a photon that belongs to no laser pulse
 FRACTION = 1e-6  # of a tick: tolerance for rounding errors at the border of a tick
 SAME_PERIOD = 1e-3  # relative difference of laser periods up to which there is no note
-SYNC_MAX = 1 << 53  # tables are read as float64, which is exact for integers up to this
+SYNC_MAX = 1 << 53  # float64 is exact for integers up to this
 
 
 @frozen(eq=False, kw_only=True)

@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The catalogue of scenes: makes a `Scene` from the name or file that a user gives."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
+from attrs import fields
 
 from ..light.light import NEAREST_M
 from ..light.timing import RANGE_M
 from ..shared.errors import InputError, check_integer
 from ..shared.files import FilePath
 from ..shared.quantities import check_real
+from .archives import is_in_archive
 from .daylight import SHADE, sun_and_shade, tunnel
-from .depth_file import depth_scene
+from .depth_file import Meaning, depth_scene
 from .flat_scenes import FIVE_OBJECTS, LETTER_F, flat, planes_scene, returns, two_targets
 from .ray_scene import is_ray_scene, ray_scene
 from .scene import REFLECTIVITY, Scene
@@ -62,6 +64,11 @@ def load_scene(
     reflectivity: float | np.ndarray = REFLECTIVITY,
     scale: float = 1.0,
     unit: str | None = None,
+    missing: float | Sequence[float] | None = None,
+    sky_m: float | None = None,
+    z: bool = False,
+    fov_deg: float | None = None,
+    channel: str | None = None,
     range_m: float = RANGE_M,
 ) -> Scene:
     """Return the scene that a name or a file describes, for rows x cols pixels.
@@ -75,8 +82,9 @@ def load_scene(
         in every pixel, `returns:METRES,METRES,...` in every pixel, each METRES or
         METRES@REFLECTIVITY, `sun-and-shade:SHADE`, `tunnel:SHADE`; distances are in metres, and
         SHADE is the share of the light that reaches the shade); a depth file, `DEPTH` or
-        `DEPTH,COLOUR` (see `depth_scene`); or a scene for the ray tracer, `ray:NAME` or a
-        Mitsuba file that ends with .xml.
+        `DEPTH,COLOUR` (see `depth_scene`), or `ARCHIVE:NAME` for an array in a NPZ, HDF5 or
+        MATLAB file; or a scene for the ray tracer, `ray:NAME` or a Mitsuba file that ends with
+        .xml.
     rows, cols : int
         Size of the sensor in pixels.
     colour : str, Path or None
@@ -87,8 +95,22 @@ def load_scene(
         Factor for the distances of a depth file.
     unit : str or None
         Unit of a depth file: m, cm, mm, 1/N (of a metre),
-        disparity:FOCAL_PX,BASELINE_M[,OFFSET_PX], or a data set: tum, kitti, nyu, sun-rgbd,
-        middlebury. None: floats are metres, integers of a file millimetres.
+        disparity[/N]:FOCAL_PX,BASELINE_M[,OFFSET_PX] (N numbers per pixel), or the name of a
+        data set, camera or program (see `CONVENTIONS`). None: floats are metres, integers of a
+        file millimetres.
+    missing : float, sequence of float or None
+        Numbers in a depth file that mean "no depth", besides 0, NaN, infinity, 65504, 65535 and
+        the limits of integer types.
+    sky_m : float or None
+        Distance in metres, before the scale, from which on there is nothing to see.
+    z : bool
+        Distances are along the axis of the lens; otherwise they are along the rays through the
+        pixels.
+    fov_deg : float or None
+        Horizontal field of view of the whole picture, which has square samples. None: the part
+        that the sensor sees fills its field of view.
+    channel : str or None
+        Channel of a picture that has several; None: the one that is called depth or Z.
     range_m : float
         Range of the laser period in metres; surfaces beyond it are left out.
 
@@ -103,17 +125,13 @@ def load_scene(
     """
     check_integer("rows", rows, 1, 4096)
     check_integer("cols", cols, 1, 4096)
+    meaning = Meaning(
+        unit=unit, scale=scale, missing=missing, sky_m=sky_m, z=z, fov_deg=fov_deg, channel=channel
+    )
     if isinstance(source, str | PathLike):
         text = source = str(source)
         if is_ray_scene(text) or _is_built_in(text):
-            if scale != 1:
-                raise InputError(
-                    f"scale = {scale:g}: goes with depth files only, must be 1 for scene {text!r}"
-                )
-            if unit is not None:
-                raise InputError(
-                    f"unit = {unit!r}: goes with depth files only, not with scene {text!r}"
-                )
+            _check_no_meaning(text, meaning)
             if np.any(reflectivity != REFLECTIVITY):
                 raise InputError(
                     f"reflectivity: goes with depth files and arrays, not with scene {text!r}"
@@ -122,14 +140,15 @@ def load_scene(
             if colour is not None:
                 raise InputError(f"colour = {str(colour)!r}: goes with depth files only")
             return _named_scene(text, rows, cols, range_m)
-        if "," in text and not Path(text).exists():
-            source, _, beside = text.rpartition(",")
+        pair = _depth_and_colour(text)
+        if pair is not None:
+            source, beside = pair
             if colour is not None:
                 raise InputError(
                     f"scene {text!r}: names a colour picture, and another one is given: {colour}"
                 )
             colour = beside
-        if not Path(source).exists():
+        if not Path(source).exists() and not is_in_archive(source):
             raise InputError(f"{source}: no such file (built-in scenes: {', '.join(NAMES)})")
     elif not isinstance(source, np.ndarray):
         raise InputError(
@@ -142,8 +161,7 @@ def load_scene(
         cols,
         colour=colour,
         reflectivity=reflectivity,
-        scale=scale,
-        unit=unit,
+        meaning=meaning,
         range_m=range_m,
     )
 
@@ -153,6 +171,31 @@ def _told(source: object) -> str:
     if isinstance(source, list | tuple):
         return f"{type(source).__name__} (numpy.array(scene) makes an array of it)"
     return repr(source)
+
+
+def _depth_and_colour(text: str) -> tuple[str, str] | None:
+    """Return the two paths of DEPTH,COLOUR at the comma that divides existing files, or else at
+    the last one.
+    """
+    if "," not in text or Path(text).exists():
+        return None
+    commas = [at for at, sign in enumerate(text) if sign == ","]
+    depth = [at for at in commas if Path(text[:at]).is_file() or is_in_archive(text[:at])]
+    both = [at for at in depth if Path(text[at + 1 :]).exists()]
+    if not both and is_in_archive(text):
+        return None
+    at = (both or depth or commas)[-1]
+    return text[:at], text[at + 1 :]
+
+
+def _check_no_meaning(source: str, meaning: Meaning) -> None:
+    """Raise `InputError` if something was said about a depth file, and the scene is none."""
+    for one in fields(Meaning):
+        value = getattr(meaning, one.name)
+        if value != one.default:
+            raise InputError(
+                f"{one.name} = {value!r}: goes with depth files only, not with scene {source!r}"
+            )
 
 
 def _named_scene(source: str, rows: int, cols: int, range_m: float) -> Scene:

@@ -1,37 +1,90 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes from depth files, resampled to the sensor. The rules of the resampling are our choice."""
+"""Scenes from depth files, resampled to the sensor."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from attrs import frozen
 
 from ..light.light import NEAREST_M
 from ..light.timing import RANGE_M
 from ..shared.errors import InputError
 from ..shared.files import FilePath
 from ..shared.quantities import check_real, real_array
-from .depth_units import check_unit, fitting_unit, metres
+from .archives import ARCHIVES, is_in_archive, read_from_archive
+from .conventions import RAY, check_unit, convention
+from .depth_units import fitting_unit, metres, raw_numbers
 from .image_files import (
     centre_crop,
     check_picture_array,
-    covered_samples,
+    depth_channel,
     open_picture,
     read_array,
-    read_exr,
-    read_pfm,
+    read_channels,
+    read_pgm,
 )
+from .pixel_surface import choose_samples
 from .scene import REFLECTIVITY, Scene
+from .view import View
 
 DARKEST, BRIGHTEST = 0.05, 0.8  # reflectivities of black and white in a colour picture
 WRONG_SHARE_MAX = (
     0.1  # share of a file's samples beyond the range or negative; with more, the unit is wrong
 )
 VALID_SHARE_MIN = 0.1  # lowest share of the sensor's pixels that must have a depth
-NOWHERE_M = 65504.0  # the largest half float: what renderers write where there is nothing
-READERS = {".npy": read_array, ".pfm": read_pfm, ".exr": read_exr}
-SUFFIXES = (".png", ".tif", ".tiff", *READERS)
+MARKS = (
+    65535,
+    65504,
+)  # "no depth" of most writers: the largest integer of 16 bits, the largest half float
+NOWHERE_M = 65504.0  # renderers write this and more where there is nothing
+SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".pfm", ".exr")
 ARRAY = "array"  # name of distances that are no file
 SCALES = 1e-3, 1e3
+ASPECT_TOLERANCE = 0.02  # relative difference between the shapes of a depth and its colour picture
+WHITE = {"I;16": 65535, "I;16B": 65535, "I": 65535}  # value of white, by the mode of a grey picture
+
+
+@frozen(kw_only=True)
+class Meaning:
+    """What the numbers of a depth file mean, as far as the user says so.
+
+    unit: None = metres for floats, millimetres for integers. scale: factor for all distances,
+    applied last. missing: further numbers of the file that mean "no depth". sky_m: distance
+    before the scale, from which on there is nothing to see. z: distances are along the axis, not
+    along the rays. fov_deg: horizontal field of view of the whole picture;
+    None: the part that the sensor sees has the sensor's. channel: of a picture with several.
+    """
+
+    unit: str | None = None
+    scale: float = 1.0
+    missing: float | Sequence[float] | None = None
+    sky_m: float | None = None
+    z: bool = False
+    fov_deg: float | None = None
+    channel: str | None = None
+
+    def __attrs_post_init__(self) -> None:
+        check_real("scale", self.scale, *SCALES)
+        if self.unit is not None:
+            check_unit(self.unit)
+        if self.sky_m is not None:
+            check_real("sky_m", self.sky_m, NEAREST_M)
+        if self.fov_deg is not None:
+            check_real("fov_deg", self.fov_deg, 1e-3, 179)
+
+    @property
+    def marks(self) -> np.ndarray:
+        """float64[n]: the numbers that mean "no depth", of the user and of the unit's
+        convention.
+        """
+        known = convention(self.unit)
+        given = () if self.missing is None else np.atleast_1d(self.missing)
+        try:
+            numbers = np.asarray([*given, *MARKS, *(known.missing if known else ())], np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"missing = {self.missing!r}: must be a number, or several") from None
+        return numbers
 
 
 def depth_scene(
@@ -41,50 +94,75 @@ def depth_scene(
     *,
     colour: FilePath | None = None,
     reflectivity: float | np.ndarray = REFLECTIVITY,
-    scale: float = 1.0,
-    unit: str | None = None,
+    meaning: Meaning | None = None,
     range_m: float = RANGE_M,
 ) -> Scene:
     """Return a scene from a depth file, or from an array of distances. Raises `InputError`.
 
-    The file is a picture of 16 bits or floats (PNG, TIFF), NPY, PFM or OpenEXR; without `unit`
-    (see `depth_units`), floats are metres and integers of a file millimetres, and numbers of an
-    array are metres. The picture is cropped around its centre to the sensor's aspect ratio. A
-    pixel of the sensor takes the nearest of the samples that it covers, with the
-    reflectivity at that very sample: nothing is averaged across an edge. Samples that are 0,
-    infinite, NaN or negative, or at or beyond `range_m`, are left out, and noted.
+    The file is a picture of 16 bits or floats, or NPY; numbers of an array are metres. The
+    picture is cropped around its centre to the sensor's aspect ratio. `pixel_surface` has the
+    rule by which samples stand for a pixel; the reflectivity is that of the very same samples.
+    Samples that mean "no depth", are negative, or at or beyond `range_m`, are left out, and noted.
 
-    scale: factor for all distances, applied first. colour: a picture of the same view; its
-    luminance (linear light) maps to `DARKEST` to `BRIGHTEST`.
+    colour: a picture of the same view; its luminance (linear light) maps to `DARKEST` to
+    `BRIGHTEST`.
     """
+    meaning = meaning or Meaning()
     if not np.ndim(reflectivity):
         reflectivity = check_real("reflectivity", reflectivity, 0, 1)
+    notes: list[str] = []
     if isinstance(depth, np.ndarray):
-        path, usual, samples = ARRAY, "m", check_picture_array("scene", depth)
+        path, usual, samples = ARRAY, "m", _plain_array(depth)
     else:
-        path, samples = str(depth), _read_depth(depth)
+        path = str(depth)
+        samples, notes = _read_depth(depth, meaning)
         usual = "m" if samples.dtype.kind == "f" else "mm"
-    unit = usual if unit is None else check_unit(unit)
-    sample_m = metres(path, samples, unit) * check_real("scale", scale, *SCALES)
-    sample_m[~(np.abs(sample_m) < NOWHERE_M)] = np.nan
-    seen_m = sample_m[sample_m > 0]
-    better = (
-        fitting_unit(samples, unit, float(np.median(seen_m)), range_m)
-        if len(seen_m) and scale == 1
-        else ""
+    hidden = (
+        np.ma.getmaskarray(depth).reshape(samples.shape)
+        if isinstance(depth, np.ma.MaskedArray)
+        else False
     )
+    unit = usual if meaning.unit is None else meaning.unit
+    sample_m = metres(path, samples, unit)
+    marked = _marked(raw_numbers(path, samples, unit), meaning.marks)
+    sky_m = NOWHERE_M if meaning.sky_m is None else min(meaning.sky_m, NOWHERE_M)
+    if marked.any():
+        notes.append(
+            f"{path}: {marked.sum()} samples are {_listed(samples[marked])}, which is taken for no depth"
+        )
+    sample_m[hidden | marked | ~(np.abs(sample_m) < NOWHERE_M) | (sample_m >= sky_m)] = np.nan
+    sample_m *= meaning.scale
+
+    seen_m = sample_m[sample_m > 0]
+    better = ""
+    if len(seen_m) and meaning.scale == 1:
+        better = fitting_unit(
+            samples[sample_m > 0], unit, meaning.unit is not None, float(np.median(seen_m)), range_m
+        )
     height, width = sample_m.shape
     top, left, crop_height, crop_width = centre_crop(height, width, rows, cols)
     sample_m = sample_m[top : top + crop_height, left : left + crop_width]
-    notes = [f"{path}: distances times {scale:g}"] if scale != 1 else []
+    if meaning.scale != 1:
+        notes.append(f"{path}: distances times {meaning.scale:g}")
     if (crop_height, crop_width) != (height, width):
         notes.append(
             f"{path}: cropped to the middle {crop_height} x {crop_width} of {height} x {width} samples"
         )
     sample_m, masked = _usable(path, sample_m, range_m, better)
-    notes += [*masked, *([f"{path}: {better}"] if better else [])]
-    row, col = _nearest_surface(sample_m, rows, cols)
-    distance_m = sample_m[row, col]
+    notes += masked
+    if better:
+        notes.append(f"{path}: {better}")
+
+    view = View()
+    if meaning.fov_deg is not None:
+        view = View.of_part(meaning.fov_deg, (height, width), (crop_height, crop_width))
+    chosen = choose_samples(sample_m, rows, cols)
+    distance_m = np.where(chosen.hole, np.nan, chosen.middle(sample_m))
+    if meaning.z:
+        distance_m *= view.ray_per_z(rows, cols)
+        distance_m[distance_m >= range_m] = np.nan
+    elif path != ARRAY:
+        notes += _ray_note(path, meaning.unit, view)
     valid_share = np.mean(~np.isnan(distance_m))
     if valid_share < VALID_SHARE_MIN:
         raise InputError(
@@ -94,21 +172,61 @@ def depth_scene(
         notes.append(
             f"{path}: {np.isnan(distance_m).sum()} of {rows * cols} pixels without depth are masked"
         )
-    if colour is None and not isinstance(reflectivity, np.ndarray):
+    if colour is None and not np.ndim(reflectivity):
         notes.append(
             f"{path}: reflectivity {reflectivity:g} everywhere, because no colour picture is given"
         )
         surface = np.full((rows, cols), float(reflectivity))
     else:
-        given = real_array("reflectivity", reflectivity, (height, width), 0, 1)
-        albedo = given if colour is None else _read_reflectivity(colour)
-        surface = albedo[
-            (2 * (top + row) + 1) * albedo.shape[0] // (2 * height),
-            (2 * (left + col) + 1) * albedo.shape[1] // (2 * width),
-        ]
+        if colour is None:
+            albedo = real_array("reflectivity", reflectivity, (height, width), 0, 1)
+        else:
+            albedo = _at_samples(colour, _read_reflectivity(colour), (height, width))
+        surface = chosen.middle(albedo[top : top + crop_height, left : left + crop_width])
     return Scene(
-        name=Path(path).name, distance_m=distance_m, reflectivity=surface, notes=tuple(notes)
+        name=Path(path).name,
+        distance_m=distance_m,
+        reflectivity=surface,
+        view=view,
+        notes=tuple(notes),
     )
+
+
+def _plain_array(given: np.ndarray) -> np.ndarray:
+    """Return the numbers of an array as they are below its mask, in the order of bytes of this
+    machine.
+    """
+    samples = check_picture_array("scene", np.asarray(np.ma.getdata(given)))
+    return samples.astype(samples.dtype.newbyteorder("="))
+
+
+def _marked(numbers: np.ndarray, marks: np.ndarray) -> np.ndarray:
+    """Return which numbers of a file mean "no depth". bool of the shape of `numbers`.
+
+    The limits of a type of integers do so, as well.
+    """
+    if numbers.dtype.kind == "f":
+        with np.errstate(over="ignore"):  # half floats hold no larger number
+            return np.isin(numbers, marks.astype(numbers.dtype))
+    limits = np.iinfo(numbers.dtype)
+    ends = [end for end in (limits.min, limits.max) if end != 0]
+    return np.isin(numbers, marks) | np.isin(numbers, ends)
+
+
+def _listed(values: np.ndarray) -> str:
+    return " or ".join(f"{value:.10g}" for value in np.unique(values).tolist())
+
+
+def _ray_note(path: str, unit: str | None, view: View) -> list[str]:
+    """Return what was assumed about the distances, if no convention says it."""
+    known = convention(unit)
+    if known is not None and known.along == RAY:
+        return []
+    corner = view.ray_per_z(64, 64)[0, 0] - 1
+    return [
+        f"{path}: distances are taken along the rays; if they are along the axis (z), as depth cameras and most "
+        f"renderers write them, --z makes the corners {corner:.0%} farther"
+    ]
 
 
 def _usable(
@@ -116,61 +234,86 @@ def _usable(
 ) -> tuple[np.ndarray, list[str]]:
     """Return `sample_m` with NaN for unusable samples, and notes about them. better: what to say
     about the unit.
+
+    If all samples that are negative or beyond the range have the same value, they mean that
+    there is nothing.
     """
     missing = np.isnan(sample_m) | (sample_m == 0)
     negative = sample_m < 0
     far = sample_m >= range_m
     near = (sample_m > 0) & (sample_m < NEAREST_M)
+    usable = ~(missing | negative | far | near)
     notes = []
     if missing.all():
         raise InputError(
             f"{depth}: every sample is 0 or NaN, must hold distances above 0 and below {range_m:.4g} m"
         )
-    for what, bad in (
-        ("negative", negative),
-        (f"at or beyond the laser period's range of {range_m:.4g} m", far),
-        (f"below {NEAREST_M:g} m", near),
+    for what, bad, may_mark in (
+        ("negative", negative, True),
+        (f"at or beyond the laser period's range of {range_m:.4g} m", far, True),
+        (f"below {NEAREST_M:g} m", near, False),
     ):
+        values = np.unique(sample_m[bad])
+        if may_mark and len(values) == 1 and usable.mean() >= VALID_SHARE_MIN:
+            notes.append(
+                f"{depth}: {bad.sum()} samples {what} left out (all {values[0]:.6g} m, taken for no depth)"
+            )
+            continue
         share = bad.sum() / (~missing).sum()
         if share > WRONG_SHARE_MAX:
             worst = float(sample_m[bad].flat[0])
+            guess = better or "floats are metres, integers millimetres, unless a unit is given"
             raise InputError(
                 f"{depth}: {share:.0%} of the samples are {what} (such as {worst:.6g} m), must be above 0 and below "
-                f"{range_m:.4g} m; {better or 'floats are metres, integers millimetres, unless a unit is given'}"
+                f"{range_m:.4g} m; {guess}; --missing VALUE or --sky DISTANCE leaves out what is no surface"
             )
         if bad.any():
             notes.append(f"{depth}: {bad.sum()} samples {what} left out")
     if missing.any():
-        notes.append(f"{depth}: {missing.sum()} of {missing.size} samples hold no depth (0 or NaN)")
-    return np.where(missing | negative | far | near, np.nan, sample_m), notes
+        notes.append(f"{depth}: {missing.sum()} of {missing.size} samples hold no depth")
+    return np.where(usable, sample_m, np.nan), notes
 
 
-def _nearest_surface(sample_m: np.ndarray, rows: int, cols: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return (row, col) of the nearest sample that each pixel of the sensor covers; int64[rows,
-    cols] each.
-
-    A picture with fewer samples than the sensor has pixels is repeated. NaN counts as the farthest.
+def _read_depth(path: FilePath, meaning: Meaning) -> tuple[np.ndarray, list[str]]:
+    """Return number[height, width], the samples of a depth file, and notes about them. Raises
+    `InputError`.
     """
-    height, width = sample_m.shape
-    row, col, cell = covered_samples(height, width, rows, cols)
-    far_first = np.argsort(-sample_m[row, col].ravel(), kind="stable")
-    far_first = np.roll(
-        far_first, np.isnan(sample_m[row, col]).sum()
-    )  # NaN sorts last, must be written first
-    chosen = np.empty(rows * cols, np.int64)
-    chosen[cell.ravel()[far_first]] = far_first  # of several writes the last one wins: the nearest
-    at_row, at_col = np.divmod(chosen, len(col))
-    return row[at_row, 0].reshape(rows, cols), col[at_col].reshape(rows, cols)
-
-
-def _read_depth(path: FilePath) -> np.ndarray:
-    """Number[height, width]: the samples of a depth file. Raises `InputError`."""
     suffix = Path(path).suffix.lower()
+    if is_in_archive(path):
+        return _plain_array(read_from_archive(path)), []
+    if suffix == ".npy":
+        return _plain_array(check_picture_array(path, read_array(path))), []
     if suffix not in SUFFIXES and not _is_picture(path):
         raise InputError(
-            f"{path}: is no scene, must be a depth file ({', '.join(SUFFIXES)}), or a Mitsuba scene (.xml)"
+            f"{path}: is no scene, must be a depth file ({', '.join((*SUFFIXES, *ARCHIVES))}), or a Mitsuba scene (.xml)"
         )
-    return check_picture_array(path, READERS.get(suffix, _read_grey)(path))
+    if _is_pgm(path):
+        channels = {"Y": read_pgm(path)}
+    else:
+        channels = read_channels(path)
+    known = convention(meaning.unit)
+    wanted = meaning.channel or (known.channel if known else "")
+    name = depth_channel(path, channels, wanted)
+    samples = check_picture_array(path, channels[name])
+    if samples.dtype == np.uint8 and meaning.unit is None:
+        raise InputError(
+            f"{path}: is a colour or 8 bit picture, must be depth: 16 bits or floats in one channel, or grey of 8 bits with a unit"
+        )
+    notes = []
+    if len(channels) > 1 and not meaning.channel:
+        others = ", ".join(other for other in channels if other != name)
+        notes.append(
+            f"{path}: depth is the channel {name}; --channel NAME takes another one ({others})"
+        )
+    return samples, notes
+
+
+def _is_pgm(path: FilePath) -> bool:
+    try:
+        with open(path, "rb") as file:
+            return file.read(2) in (b"P2", b"P5")
+    except OSError:
+        return False  # reported by the reader
 
 
 def _is_picture(path: FilePath) -> bool:
@@ -182,25 +325,37 @@ def _is_picture(path: FilePath) -> bool:
         return False
 
 
-def _read_grey(path: FilePath) -> np.ndarray:
-    """Return the samples of a picture; colour and 8 bits are refused, because they cannot be
-    depth in millimetres.
+def _at_samples(colour: FilePath, albedo: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """float64 of `shape`: what a picture of the same view shows at the samples of a depth
+    picture. Raises `InputError`.
     """
-    with open_picture(path) as picture:
-        if picture.mode != "F" and not picture.mode.startswith("I"):
-            raise InputError(
-                f"{path}: is a picture of mode {picture.mode} (colour or 8 bit), "
-                "must be depth: one channel of 16 bits or floats"
-            )
-        return np.array(picture)
+    (height, width), (other_height, other_width) = shape, albedo.shape
+    aspect = width / height
+    if abs(other_width / other_height / aspect - 1) > ASPECT_TOLERANCE:
+        raise InputError(
+            f"{colour}: has {other_height} x {other_width} samples, must have the shape of the depth's {height} x {width}, "
+            "or a multiple; crop one of them to the view of the other"
+        )
+    row = (2 * np.arange(height) + 1) * other_height // (2 * height)
+    col = (2 * np.arange(width) + 1) * other_width // (2 * width)
+    return albedo[row[:, None], col]
 
 
 def _read_reflectivity(path: FilePath) -> np.ndarray:
-    """float64[height, width]: linear luminance (sRGB primaries) between `DARKEST` and
-    `BRIGHTEST`.
+    """float64[height, width]: linear luminance (sRGB primaries) between `DARKEST` and `BRIGHTEST`.
+
+    Integers are sRGB, and the largest of their type is white. Floats are linear light from 0 to 1.
     """
     with open_picture(path) as picture:
-        srgb = np.asarray(picture.convert("RGB"), np.float64) / 255
+        if picture.mode == "F":
+            return DARKEST + (BRIGHTEST - DARKEST) * real_array(
+                f"{path}: light", np.asarray(picture), picture.size[::-1], 0, 1
+            )
+        if picture.mode in WHITE:
+            grey = np.asarray(picture, np.float64) / WHITE[picture.mode]
+            srgb = np.repeat(grey[:, :, None], 3, axis=2)
+        else:
+            srgb = np.asarray(picture.convert("RGB"), np.float64) / 255
     linear = np.where(
         srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4
     )  # IEC 61966-2-1

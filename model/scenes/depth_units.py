@@ -1,90 +1,98 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units of depth files: from samples to metres, and which unit would fit if the one that is
-assumed does not.
-
-A unit is `m`, `cm`, `mm`, `1/N` (of a metre), `disparity:FOCAL_PX,BASELINE_M[,OFFSET_PX]`, or
-the name of a data set.
+"""From the numbers of a depth file to metres, and which unit would fit if the one that is taken
+does not.
 """
 
-import re
 from pathlib import Path
 
 import numpy as np
 
 from ..shared.errors import InputError
 from ..shared.files import FilePath
+from .conventions import (
+    DATA_SETS,
+    DISPARITY,
+    INDOORS_M,
+    KINECT_RAW,
+    PER_METRE,
+    ROTATED,
+    check_unit,
+    convention,
+    stored_unit,
+)
 
-PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
-ROTATED, DISPARITY = "sun-rgbd", "disparity"
 ROTATED_BITS = 3  # SUN RGB-D: the bits of millimetres, rotated to the left
-DATA_SETS = {  # name: (unit, what it is)
-    "tum": ("1/5000", "TUM RGB-D, ICL-NUIM: PNG in 1/5000 m"),
-    "kitti": ("1/256", "KITTI: PNG in 1/256 m"),
-    "nyu": ("mm", "NYU, ScanNet, Kinect: PNG in millimetres"),
-    ROTATED: (ROTATED, "SUN RGB-D: PNG in 1/8000 m with rotated bits"),
-    "middlebury": (
-        DISPARITY,
-        "Middlebury: PFM of disparities, with the data set's calib.txt beside it",
-    ),
-}
-_METRIC = ", ".join(PER_METRE)
-_DISPARITIES = f"{DISPARITY}:FOCAL_PX,BASELINE_M (optionally also ,OFFSET_PX)"
-UNIT_FORMS = f"{_METRIC}, 1/N (of a metre), {_DISPARITIES}, {', '.join(DATA_SETS)}"
-NEAR_M, FAR_M = (
-    0.2,
-    8.0,
-)  # usual medians: at least NEAR_M, and at most FAR_M in files of integers, as depth cameras write
+KINECT_BITS = 11
+KINECT_NUMERATOR, KINECT_END = 351.3, 1092.5  # NYU's toolbox: metres = 351.3 / (1092.5 - number)
+KITTI_FORM = f"{DISPARITY}/256"
+NEAR_M = 0.2  # smallest usual median
 MULTIPLES = {
     5: "tum",
     1 << ROTATED_BITS: ROTATED,
 }  # divisor of all samples -> the data set that writes such samples
 
 
-def check_unit(unit: str) -> str:
-    """Return `unit` if it is one. Raises `InputError`."""
-    known = (
-        unit in PER_METRE
-        or unit in DATA_SETS
-        or unit == DISPARITY
-        or unit.startswith(f"{DISPARITY}:")
-    )
-    if not known and not re.fullmatch(r"1/[1-9]\d{0,6}", unit):
-        raise InputError(f"unit = {unit!r}: must be one of {UNIT_FORMS}")
-    return unit
-
-
 def metres(path: FilePath, samples: np.ndarray, unit: str) -> np.ndarray:
     """float64: samples in metres; NaN = no depth. path: of the file, for messages and calib.txt.
     Raises `InputError`.
     """
-    unit = DATA_SETS[check_unit(unit)][0] if unit in DATA_SETS else check_unit(unit)
-    if unit == ROTATED:
-        if samples.dtype != np.uint16:
-            raise InputError(
-                f"{path}: holds {samples.dtype}, must hold 16-bit integers for the unit {ROTATED}"
-            )
-        samples = samples >> ROTATED_BITS | samples << (16 - ROTATED_BITS)
-        unit = "mm"
+    stored = stored_unit(check_unit(unit))
+    if stored == ROTATED:
+        bits = _bits16(path, samples, unit)
+        return (bits >> ROTATED_BITS | bits << (16 - ROTATED_BITS)) / 1000
+    if stored == KINECT_RAW:
+        raw = _bits16(path, samples, unit).byteswap().astype(np.float64)
+        return np.where(
+            raw < KINECT_END,
+            KINECT_NUMERATOR / (KINECT_END - np.minimum(raw, KINECT_END - 1)),
+            np.nan,
+        )
     values = samples.astype(np.float64)
-    if unit.startswith(DISPARITY):
-        focal_px, baseline_m, offset_px = _stereo(path, unit)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance_m = focal_px * baseline_m / (values + offset_px)
-        return np.where(np.isfinite(values) & (values > 0), distance_m, np.nan)
-    return values / (PER_METRE[unit] if unit in PER_METRE else int(unit.removeprefix("1/")))
+    if stored.startswith(DISPARITY):
+        return _from_disparities(path, values, unit)
+    return values / (PER_METRE[stored] if stored in PER_METRE else int(stored.removeprefix("1/")))
+
+
+def raw_numbers(path: FilePath, samples: np.ndarray, unit: str) -> np.ndarray:
+    """Return the numbers with which a convention tells "no depth": those of the file, or the
+    Kinect's own.
+    """
+    return _bits16(path, samples, unit).byteswap() if stored_unit(unit) == KINECT_RAW else samples
+
+
+def _bits16(path: FilePath, samples: np.ndarray, unit: str) -> np.ndarray:
+    """uint16: samples of 16 bits, whatever type holds them. Raises `InputError`."""
+    if samples.dtype.kind not in "iu" or samples.min() < 0 or samples.max() > 0xFFFF:
+        raise InputError(
+            f"{path}: holds {samples.dtype}, must hold 16-bit integers for the unit {unit}"
+        )
+    return samples.astype(np.uint16)
+
+
+def _from_disparities(path: FilePath, values: np.ndarray, unit: str) -> np.ndarray:
+    """float64: metres from disparities, of which some units store N numbers per pixel."""
+    focal_px, baseline_m, offset_px = _stereo(path, unit)
+    _, _, per_pixel = stored_unit(unit).partition("/")
+    disparity_px = values / int(per_pixel or 1) + offset_px
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance_m = focal_px * baseline_m / disparity_px
+    return np.where(np.isfinite(values) & (values > 0), distance_m, np.nan)
 
 
 def _stereo(path: FilePath, unit: str) -> tuple[float, float, float]:
     """Return (focal length in pixels, baseline in metres, offset of the disparities in pixels)."""
-    _, _, given = unit.partition(":")
+    name, _, given = unit.partition(":")
     if given:
         try:
-            focal_px, baseline_m, *offset_px = map(float, given.split(","))
-            return focal_px, baseline_m, sum(offset_px)
+            numbers = [float(number) for number in given.split(",")]
         except ValueError:
+            numbers = []
+        if len(numbers) not in (2, 3) or not np.isfinite(numbers).all() or min(numbers[:2]) <= 0:
             raise InputError(
-                f"unit = {unit!r}: must be {DISPARITY}:FOCAL_PX,BASELINE_M[,OFFSET_PX]"
-            ) from None
+                f"unit = {unit!r}: must be {name}:FOCAL_PX,BASELINE_M[,OFFSET_PX]: a focal length and a baseline above "
+                f"0, three numbers at most; {DISPARITY}/N if the file has N numbers per pixel (KITTI: {KITTI_FORM})"
+            )
+        return numbers[0], numbers[1], sum(numbers[2:])
     beside = Path(path).with_name("calib.txt")
     try:
         lines = dict(
@@ -98,31 +106,61 @@ def _stereo(path: FilePath, unit: str) -> tuple[float, float, float]:
             float(lines.get("doffs", 0)),
         )
     except (OSError, KeyError, ValueError, IndexError):
-        wanted = f"{DISPARITY}:FOCAL_PX,BASELINE_M or a calib.txt beside the file, with cam0 and baseline"
+        wanted = f"{stored_unit(unit)}:FOCAL_PX,BASELINE_M or a calib.txt beside the file, with cam0 and baseline"
         raise InputError(f"{path}: is read as disparities, which needs {wanted}") from None
 
 
-def fitting_unit(samples: np.ndarray, unit: str, median_m: float, range_m: float) -> str:
+def fitting_unit(
+    samples: np.ndarray, unit: str, given: bool, median_m: float, range_m: float
+) -> str:
     """Return a sentence with the unit that would fit better, if the median distance is unusual;
     else nothing.
 
     samples: of the file; unit: the one that was assumed or given.
     """
     whole = samples.dtype.kind in "iu"
-    if unit not in PER_METRE or NEAR_M <= median_m <= (FAR_M if whole else range_m):
+    known = convention(unit)
+    if known is not None:
+        far_m = known.far_m
+    else:
+        far_m = INDOORS_M if whole and not given else range_m
+    if NEAR_M <= median_m <= far_m:
         return ""
-    stored = median_m * PER_METRE[unit]
-    seen = samples[samples > 0] if whole else samples[:0]
-    found = int(np.gcd.reduce(seen)) if len(seen) else 0
-    if (
-        likely := next(
-            (name for step, name in MULTIPLES.items() if found and found % step == 0), None
+    unusual = f"the median distance is {median_m:.3g} m"
+    stored = stored_unit(unit)
+    if stored == DISPARITY:
+        _, _, numbers = unit.partition(":")
+        there = f"{KITTI_FORM}:{numbers}" if numbers else "kitti-disparity"
+        return (
+            f"{unusual}; with the unit {there} it is {median_m * 256:.3g} m"
+            if median_m < NEAR_M
+            else ""
         )
-    ) is not None:
+    seen = samples[samples > 0] if whole else samples[:0]
+    likely = _likely(seen)
+    if likely and likely != stored:
         fits_m = float(np.median(metres("", seen, likely)))
-        why = f"the median distance is {median_m:.3g} m, and the samples look like {DATA_SETS[likely][1]}"
-        return f"{why}; with the unit {likely} it is {fits_m:.3g} m"
+        looks = f"the samples look like {DATA_SETS[likely].files} ({DATA_SETS[likely].told})"
+        return f"{unusual}, and {looks}; with the unit {likely} it is {fits_m:.3g} m"
+    if stored.startswith(DISPARITY) or stored in (ROTATED, KINECT_RAW):
+        return ""
+    number = median_m * (
+        PER_METRE[stored] if stored in PER_METRE else int(stored.removeprefix("1/"))
+    )
     for other, per_metre in PER_METRE.items():
-        if NEAR_M <= stored / per_metre <= FAR_M and other != unit:
-            return f"the median distance is {median_m:.3g} m; with the unit {other} it is {stored / per_metre:.3g} m"
+        if NEAR_M <= number / per_metre <= INDOORS_M and other != stored:
+            return f"{unusual}; with the unit {other} it is {number / per_metre:.3g} m"
+    return ""
+
+
+def _likely(seen: np.ndarray) -> str:
+    """Return the data set that writes such integers, or nothing."""
+    if not len(seen) or seen.max() > 0xFFFF:
+        return ""
+    if len(np.unique(seen)) > 1 and np.all(seen.astype(np.uint16).byteswap() < 1 << KINECT_BITS):
+        return KINECT_RAW
+    divisor = int(np.gcd.reduce(seen))
+    for step, name in MULTIPLES.items():
+        if divisor % step == 0:
+            return name
     return ""

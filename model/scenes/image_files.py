@@ -4,13 +4,21 @@ ratio.
 """
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import OpenImageIO
 from PIL import Image
 
 from ..shared.errors import InputError
 from ..shared.files import FilePath, reading
+
+_GAP = rb"(?:\s+|#[^\n]*\n)+"
+PGM_HEAD = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d+)") + rb"\s")
+ALPHA = ("a", "alpha")
 
 
 def open_picture(path: FilePath) -> Image.Image:
@@ -30,47 +38,147 @@ def read_array(path: FilePath) -> np.ndarray:
     return samples
 
 
-def read_pfm(path: FilePath) -> np.ndarray:
-    """float32[rows, cols]: the samples of a grey PFM file, top row first. Raises `InputError`."""
-    with reading(path, "PFM file"):
-        content = Path(path).read_bytes()
-    head = re.match(rb"Pf\s+(\d+)\s+(\d+)\s+(-?[\d.]+(?:[eE][-+]?\d+)?)\s", content)
-    if head is None:
-        raise InputError(f"{path}: is not a grey PFM file")
-    cols, rows = int(head[1]), int(head[2])
-    if len(content) - head.end() < 4 * rows * cols:
-        raise InputError(f"{path}: ends before its {rows} x {cols} samples")
-    samples = np.frombuffer(
-        content, "<f4" if float(head[3]) < 0 else ">f4", rows * cols, head.end()
-    )
-    return samples.reshape(rows, cols)[::-1].astype(np.float32)
+def read_pgm(path: FilePath) -> np.ndarray:
+    """uint8 or uint16[rows, cols]: the numbers of a grey PGM file as they are. Raises `InputError`.
 
-
-def read_exr(path: FilePath) -> np.ndarray:
-    """float32[rows, cols]: the depth channel of an OpenEXR file. Raises `InputError`.
-
-    That is `Z`, or a channel that ends with `.Z`, or that has `depth` in its name; else the only
-    channel, or `R`.
+    Libraries multiply them so that the file's largest number becomes white.
     """
-    import OpenEXR
+    with reading(path, "PGM file"):
+        content = Path(path).read_bytes()
+    head = PGM_HEAD.match(content)
+    if head is None:
+        raise InputError(f"{path}: is not a grey PGM file")
+    cols, rows, white = (int(number) for number in head.groups()[1:])
+    stored = np.dtype(">u2" if white > 0xFF else "u1")
+    with reading(path, "PGM file"):
+        if head[1] == b"2":
+            samples = np.array(content[head.end() :].split()[: rows * cols], np.uint16)
+        else:
+            samples = np.frombuffer(content, stored, rows * cols, head.end())
+        return samples.reshape(rows, cols).astype(stored.newbyteorder("="))
 
-    with reading(path, "EXR file"):
-        open(path, "rb").close()  # the library does not tell a missing file
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {
-                name: np.asarray(one.pixels, np.float32) for name, one in file.channels().items()
-            }
-    names = sorted(channels)
-    wanted = (
-        *(name for name in names if name == "Z" or name.endswith(".Z")),
-        *(name for name in names if "depth" in name.lower()),
-        *(names if len(names) == 1 else [name for name in names if name in ("R", "Y")]),
+
+def read_channels(path: FilePath) -> dict[str, np.ndarray]:
+    """Return the channels of a picture by their names, each [rows, cols], top row first. Raises
+    `InputError`.
+
+    The names of further parts of an EXR file begin with that of their part. An EXR file may
+    store a part of its picture only; the rest is NaN.
+    """
+    channels: dict[str, np.ndarray] = {}
+    with reading(path, "picture"), _opened(path) as file:
+        part = 0
+        while file.seek_subimage(part, 0):
+            spec = file.spec()
+            if spec.deep:
+                raise InputError(f"{path}: is a deep picture, must have one sample per pixel")
+            samples = file.read_image(part, 0, 0, spec.nchannels, OpenImageIO.UNKNOWN)
+            if samples is None:
+                raise ValueError(file.geterror())
+            if file.format_name() == "openexr":
+                samples = _in_display(samples, spec)
+            elif part:
+                break  # further pages
+            for name, plane in zip(spec.channelnames, np.moveaxis(samples, 2, 0), strict=True):
+                title = (
+                    name if name not in channels else f"{spec.getattribute('name') or part}.{name}"
+                )
+                channels[title] = plane
+            part += 1
+    return channels
+
+
+def picture_shape(path: FilePath) -> tuple[int, int]:
+    """Return (rows, cols) of a picture, from its header. Raises `InputError`."""
+    with reading(path, "picture"), _opened(path) as file:
+        spec = file.spec()
+        return max(spec.height, spec.full_height), max(spec.width, spec.full_width)
+
+
+@contextmanager
+def _opened(path: FilePath) -> Iterator[Any]:
+    """Open a picture without any change of its numbers."""
+    open(path, "rb").close()  # the library does not tell a missing file
+    as_stored = OpenImageIO.ImageSpec()
+    as_stored.attribute("oiio:UnassociatedAlpha", 1)
+    file = OpenImageIO.ImageInput.open(str(path), as_stored)
+    if file is None:
+        raise ValueError(OpenImageIO.geterror())
+    try:
+        yield file
+    finally:
+        file.close()
+
+
+def _in_display(samples: np.ndarray, spec: Any) -> np.ndarray:
+    """Return the samples of an EXR file at their places in the whole picture, with NaN in the
+    rest.
+    """
+    stored = spec.x, spec.y, spec.width, spec.height
+    shown = spec.full_x, spec.full_y, spec.full_width, spec.full_height
+    if stored == shown:
+        return samples
+    whole = np.full((spec.full_height, spec.full_width, spec.nchannels), np.nan, np.float32)
+    top, left = spec.y - spec.full_y, spec.x - spec.full_x
+    bottom, right = top + spec.height, left + spec.width
+    inside = samples[
+        max(0, -top) : max(0, spec.full_height - top),
+        max(0, -left) : max(0, spec.full_width - left),
+    ]
+    whole[max(0, top) : max(0, bottom), max(0, left) : max(0, right)] = inside
+    return whole
+
+
+def depth_channel(path: FilePath, channels: dict[str, np.ndarray], wanted: str) -> str:
+    """Return the name of the channel that holds depth. Raises `InputError` if none does, and
+    names all.
+
+    That is, in this order: the only channel, except for alpha; `wanted`, as the whole name or
+    its last part; Z or depth, as the whole name or its last part; a channel of a layer called
+    depth; any of red, green and blue if they are the same. Z of a layer that also has X or Y is
+    part of a vector, such as a normal.
+    """
+    names = [name for name in channels if _parts(name)[-1] not in ALPHA]
+    told = f"{path}: has the channels {', '.join(channels)}"
+    if wanted:
+        found = [name for name in channels if wanted == name] or [
+            name for name in channels if wanted.lower() == _parts(name)[-1]
+        ]
+        if not found:
+            raise InputError(f"{told}; must have {wanted} (--channel)")
+        return found[0]
+    if len(names) == 1:
+        return names[0]
+    layers = {
+        (*_parts(name)[:-1], axis) for name in names for axis in "xy" if _parts(name)[-1] == axis
+    }
+    scalars = [name for name in names if not layers & {(*_parts(name)[:-1], axis) for axis in "xy"}]
+    ranked = (
+        *(name for name in scalars if len(_parts(name)) == 1 and _is_depth(_parts(name)[0])),
+        *(name for name in scalars if _is_depth(_parts(name)[-1])),
+        *(name for name in scalars if any("depth" in _words(part) for part in _parts(name)[:-1])),
     )
-    if not wanted:
-        raise InputError(
-            f"{path}: has the channels {', '.join(names)}, must have Z, or one channel alone"
-        )
-    return channels[wanted[0]]
+    if ranked:
+        return ranked[0]
+    first = channels[names[0]] if names else np.empty(0)
+    if sorted(names) == ["B", "G", "R"] and all(
+        np.array_equal(first, channels[name], equal_nan=first.dtype.kind == "f") for name in names
+    ):
+        return "R"
+    raise InputError(f"{told}, none of which is called depth or Z; --channel NAME chooses one")
+
+
+def _parts(name: str) -> list[str]:
+    """Return the layers of a channel's name and the channel, in lower case."""
+    return name.lower().split(".")
+
+
+def _words(part: str) -> list[str]:
+    return re.split("[^a-z]+", part)
+
+
+def _is_depth(part: str) -> bool:
+    return part == "z" or "depth" in _words(part)
 
 
 def check_picture_array(path: FilePath, samples: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from ..shared.errors import InputError
 from ..shared.quantities import given, real_array
 from .ambient import Ambient, ambient_klux, told_klux
 from .transient import Transient
+from .view import View
 
 NO_OBJECT = 0
 REFLECTIVITY = 0.4  # default: the reflectivity of the paper's flat target
@@ -28,7 +29,8 @@ class Scene:
     `NO_OBJECT`. sunlit: float64[rows, cols], share of the ambient light that reaches the
     surface, 0 to 1. notes: sentences that the user should read: what was cropped, masked or
     assumed.
-    transient: light of a ray-traced scene, in which distance and reflectivity are only the truth.
+    transient: light of a ray-traced scene, in which distance and reflectivity are only the
+    truth. view: field of view that the pixels share.
 
     Raises `InputError` if a distance is below `NEAREST_M`, or a reflectivity or share is outside
     0 to 1.
@@ -41,6 +43,7 @@ class Scene:
     sunlit: np.ndarray = field(default=1.0, converter=given)
     notes: tuple[str, ...] = ()
     transient: Transient | None = None
+    view: View = View()
 
     def __attrs_post_init__(self) -> None:
         distance_m = np.asarray(self.distance_m, np.float64)

@@ -119,6 +119,11 @@ SceneOption = Annotated[str, tabled("scene")]
 SceneArgument = Annotated[str, argument(OPTIONS["scene"].doc, "SCENE")]
 UnitOption = Annotated[str | None, tabled("unit")]
 ScaleOption = Annotated[float, tabled("scale")]
+MissingOption = Annotated[list[float] | None, tabled("missing", "--missing")]
+SkyOption = Annotated[float | None, tabled("sky_m", "--sky")]
+ZOption = Annotated[bool, tabled("z", "--z")]
+FovOption = Annotated[float | None, tabled("fov_deg", "--fov")]
+ChannelOption = Annotated[str | None, tabled("channel")]
 ReflectivityOption = Annotated[float, tabled("reflectivity")]
 KluxOption = Annotated[str | None, tabled("klux")]
 BackgroundOption = Annotated[str, tabled("background")]
@@ -149,6 +154,11 @@ def sim(
     scene: SceneOption = "sun-and-shade",
     unit: UnitOption = None,
     scale: ScaleOption = 1.0,
+    missing: MissingOption = None,
+    sky_m: SkyOption = None,
+    z: ZOption = False,
+    fov_deg: FovOption = None,
+    channel: ChannelOption = None,
     reflectivity: ReflectivityOption = 0.4,
     klux: KluxOption = None,
     background: BackgroundOption = "reflected",
@@ -214,6 +224,11 @@ def sim(
             klux=klux,
             unit=unit,
             scale=scale,
+            missing=missing,
+            sky_m=sky_m,
+            z=z,
+            fov_deg=fov_deg,
+            channel=channel,
             reflectivity=reflectivity,
             background=background,
             seed=seed,
@@ -238,6 +253,11 @@ def advise(
     scene: SceneArgument,
     unit: UnitOption = None,
     scale: ScaleOption = 1.0,
+    missing: MissingOption = None,
+    sky_m: SkyOption = None,
+    z: ZOption = False,
+    fov_deg: FovOption = None,
+    channel: ChannelOption = None,
     reflectivity: ReflectivityOption = 0.4,
     klux: KluxOption = None,
     background: BackgroundOption = "reflected",
@@ -264,6 +284,11 @@ def advise(
         klux=klux,
         unit=unit,
         scale=scale,
+        missing=missing,
+        sky_m=sky_m,
+        z=z,
+        fov_deg=fov_deg,
+        channel=channel,
         reflectivity=reflectivity,
         background=background,
         seed=seed,
@@ -457,6 +482,11 @@ def photons(
     scene: SceneOption = "five-objects",
     unit: UnitOption = None,
     scale: ScaleOption = 1.0,
+    missing: MissingOption = None,
+    sky_m: SkyOption = None,
+    z: ZOption = False,
+    fov_deg: FovOption = None,
+    channel: ChannelOption = None,
     reflectivity: ReflectivityOption = 0.4,
     klux: KluxOption = None,
     background: BackgroundOption = "reflected",
@@ -478,6 +508,11 @@ def photons(
         klux=klux,
         unit=unit,
         scale=scale,
+        missing=missing,
+        sky_m=sky_m,
+        z=z,
+        fov_deg=fov_deg,
+        channel=channel,
         reflectivity=reflectivity,
         background=background,
         seed=seed,
@@ -873,14 +908,32 @@ def _setup(
     klux: str | None,
     unit: str | None = None,
     scale: float = OPTIONS["scale"].default,
+    missing: list[float] | None = None,
+    sky_m: float | None = None,
+    z: bool = False,
+    fov_deg: float | None = None,
+    channel: str | None = None,
     reflectivity: float = OPTIONS["reflectivity"].default,
     **fields: Any,
 ) -> "Setup":
-    """Return the `Setup` of a scene, which `unit`, `scale` and `reflectivity` describe, with further `fields`."""
+    """Return the `Setup` of a scene, which the options from `unit` on describe (`load_scene`),
+    with further `fields`.
+    """
     from coincid.lab.setup import Setup, scene_of
     from coincid.model.scenes.catalogue import usual_klux
 
-    surfaces = scene_of(config, scene, unit=unit, scale=scale, reflectivity=reflectivity)
+    surfaces = scene_of(
+        config,
+        scene,
+        unit=unit,
+        scale=scale,
+        missing=missing or None,
+        sky_m=sky_m,
+        z=z,
+        fov_deg=fov_deg,
+        channel=channel,
+        reflectivity=reflectivity,
+    )
     ambient = usual_klux(scene) if klux is None else klux
     return Setup(config=config, scene=surfaces, klux=ambient, **fields)
 

@@ -93,9 +93,7 @@ class Settings:
         name = values["scene"]
         if name == "upload":
             if self.uploads.depth is None:
-                message = (
-                    "scene = 'upload': choose a depth picture (PNG of 16 bits, NPY, PFM or EXR)"
-                )
+                message = "scene = 'upload': choose a depth picture (PNG, TIFF or PGM of 16 bits, NPY, PFM or EXR)"
                 raise InputError(message, field="scene")
             source = str(self.uploads.depth)
         else:
@@ -108,8 +106,8 @@ class Settings:
                 sensor.cols,
                 colour=self.uploads.colour if name == "upload" else None,
                 reflectivity=values["reflectivity"] if name == "upload" else REFLECTIVITY,
-                unit=None if name != "upload" or values["unit"] == UNITS[0] else values["unit"],
                 range_m=self.timing.range_m,
+                **self._meaning(),
             )
         except InputError as error:
             raise InputError(self.uploads.named(str(error)), field="scene") from None
@@ -127,6 +125,19 @@ class Settings:
                 high=high,
             )
         return evolve(scene, distance_m=scaled_m)
+
+    def _meaning(self) -> dict[str, Any]:
+        """Return what the controls say about an uploaded depth file, as arguments of
+        `load_scene`.
+        """
+        values = self.values
+        if values["scene"] != "upload":
+            return {}
+        return {
+            "unit": None if values["unit"] == UNITS[0] else values["unit"],
+            "z": values["z"],
+            "sky_m": values["sky_m"],
+        }
 
     def light(self, scene: Scene) -> Light:
         """Return the light of `scene`, including sun and shade. Raises `InputError`."""

@@ -22,8 +22,8 @@ from ...model.depth.methods import DEFAULT_METHOD, METHODS
 from ...model.light.light import BACKGROUNDS, NEAREST_M
 from ...model.light.timing import RANGE_M
 from ...model.scenes.catalogue import BUILT_IN
+from ...model.scenes.conventions import DATA_SETS, PER_METRE
 from ...model.scenes.daylight import SHADE
-from ...model.scenes.depth_units import DATA_SETS, PER_METRE
 from ...model.shared.errors import SEED_MAX
 
 SIZES = ("4x4", "4x8", "8x4", "8x8", "8x16", "16x8", "16x16")
@@ -40,6 +40,7 @@ SCENES = {  # name: controls that are the scene's parameters
     for name, (parameters, _) in BUILT_IN.items()
 } | {"upload": ("reflectivity",)}
 UNITS = ("of its kind", *PER_METRE, *DATA_SETS)
+SKY_MAX_M = 10_000.0  # beyond the range of every laser period
 SUN = ("everywhere", "left half", "picture")
 SLIDERS = {"klux": 100, "threshold": 16, "window": 64}  # control: upper end of its slider
 PULSES_MAX, FRAMES_MAX, KLUX_MAX = 10_000, 64, 200
@@ -59,6 +60,8 @@ NEEDS: dict[str, "Needs"] = {  # conditions under which a control has an effect
     "far_m": ({"scene": ("two-targets", "two-returns")},),
     "reflectivity": ({"scene": (*_OWN, "upload")},),
     "unit": ({"scene": ("upload",)},),
+    "z": ({"scene": ("upload",)},),
+    "sky_m": ({"scene": ("upload",)},),
     "shade": ({"scene": ("sun-and-shade", "tunnel")},),
     "shade_klux": ({"sun": ("left half", "picture")},),
     "gate_start": _GATED,
@@ -293,6 +296,25 @@ _DESCRIBED: tuple[Control, ...] = (
     ),
     _choice(
         name="unit", group="Scene", label="Unit of the file", choices=UNITS, sentence=_told("unit")
+    ),
+    Control(
+        name="z",
+        group="Scene",
+        label="Along the axis (z)",
+        default=False,
+        kind="switch",
+        sentence=_told("z"),
+    ),
+    _real(
+        name="sky_m",
+        group="Scene",
+        label="Nothing from",
+        default=SKY_MAX_M,
+        low=NEAREST_M,
+        high=SKY_MAX_M,
+        unit="m",
+        step=5,
+        sentence=_told("sky_m"),
     ),
     _real(
         name="klux",

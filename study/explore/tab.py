@@ -242,6 +242,11 @@ class Page:
         self.link.look_refusal = sent(messages.LookRefusal(text=""))
         self.link.new_words = sent(messages.NewWords(number=self.number, words=self._words()))
 
+    def _notes(self) -> list[str]:
+        """Return what was assumed about uploaded files, and left out of them."""
+        uploads = self.shown.settings.uploads
+        return [uploads.named(note) for note in self.shown.run.scene.notes]
+
     def _words(self) -> Words:
         settings = self.shown.settings
         view = self.shown.view(self.look.frame)
@@ -265,7 +270,7 @@ class Page:
             a_says=f"A: {_summary(self.a.settings)}" if self.a is not None else "",
             frames=settings.config.frames,
             meaning=[list(row) for row in meaning(settings.config)],
-            wastes=warnings(settings.config),
+            wastes=[*self._notes(), *warnings(settings.config)],
             spans={c.name: settings.told(c) for c in CONTROLS if c.where and c.kind == "integer"},
             look=self.look,
         )

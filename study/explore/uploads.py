@@ -11,7 +11,8 @@ import numpy as np
 from attrs import evolve, frozen
 from PIL import Image
 
-from ...model.scenes.depth_file import READERS, SUFFIXES
+from ...model.scenes.depth_file import SUFFIXES
+from ...model.scenes.image_files import picture_shape
 from ...model.shared.errors import InputError
 from ...model.shared.quantities import check_choice
 
@@ -20,6 +21,7 @@ SAMPLES_MAX = 16_000_000  # in a picture
 NAME_MAX = 60  # characters; every file system accepts such names
 FORMATS = ("PNG", "TIFF", "JPEG")  # accepted formats; the file's name does not matter
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+HEADED = (".pfm", ".exr", ".pgm", ".tif", ".tiff")  # Pillow reads only some of them
 KINDS = {"depth": SUFFIXES, "colour": PICTURES, "sun": PICTURES}
 
 
@@ -117,8 +119,8 @@ def _check_samples(path: Path) -> None:
     try:
         if path.suffix.lower() == ".npy":
             shape = np.lib.format.open_memmap(path, mode="r").shape
-        elif path.suffix.lower() in READERS:
-            shape = READERS[path.suffix.lower()](path).shape
+        elif path.suffix.lower() in HEADED:
+            shape = picture_shape(path)
         else:
             with warnings.catch_warnings():
                 # the size is checked here

@@ -57,7 +57,8 @@ def test_the_table_knows_what_there_is():
 
 
 @pytest.mark.parametrize(
-    "name", ["scale", "reflectivity", "seed", "spad_gate", "method", "unit", "background"]
+    "name",
+    ["scale", "reflectivity", "seed", "spad_gate", "method", "unit", "z", "sky_m", "background"],
 )
 def test_the_explorer_has_them_too(name):
     assert CONTROL[name].sentence.startswith(

@@ -361,3 +361,89 @@ def test_errors_at_the_command_line(tmp_path):
     ):
         assert_refused(command("edges", tmp_path / "a.csv", *arguments), words)
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_times_keep_their_picoseconds(tmp_path):
+    """Taggers count for months; float64 holds no integer above 2^53 (Photon-HDF5 keeps
+    timestamps as int64 for it).
+    """
+    ps = np.array([0, 1000, 1062, 1063, 500_000, 507_777]) + 30 * 86_400 * 10**12
+    channel = np.array([0, 1, 1, 1, 0, 2])
+    expected = [(0, 1, 16), (0, 1, 16), (0, 1, 17), (1, 2, 124)]
+    np.savez(tmp_path / "a.npz", channel=channel, time_ps=ps)
+    np.savetxt(
+        tmp_path / "a.csv",
+        np.stack([channel, ps], axis=1),
+        "%d",
+        ",",
+        header="channel,time_ps",
+        comments="",
+    )
+    for name in ("a.npz", "a.csv"):
+        assert edges_of(tmp_path / name, sync_channel=0)[0] == expected
+    epoch_ns = np.array([0, 50, 100, 500, 630]) + 1_700_000_000_000_000_000
+    np.savez(tmp_path / "b.npz", channel=[0, 1, 1, 0, 2], time_ns=epoch_ns)
+    assert edges_of(tmp_path / "b.npz", sync_channel=0)[0] == [
+        (0, 1, 800),
+        (0, 1, 1600),
+        (1, 2, 2080),
+    ]
+    np.savez(tmp_path / "c.npz", channel=channel, time_ps=ps.astype(float))
+    with pytest.raises(InputError, match="below 2.53 in a column of floats"):
+        edges_of(tmp_path / "c.npz", sync_channel=0)
+
+
+def test_a_scan_that_begins_within_a_frame(tmp_path):
+    """`ptufile.decode_image` leaves out what is before the first frame marker, because its rows
+    are unknown.
+    """
+    rows, cols, dwell = 4, 4, 5
+    records, at = [], 10
+    for frame in range(3):
+        if frame:
+            records.append(t3(1, 4, 0, at))  # markers are bits: frame 4, line start 1, line stop 2
+            at += 3
+        for row in range(rows if frame else 2):
+            row += 0 if frame else 2
+            records.append(t3(1, 1, 0, at))
+            records += [t3(0, 0, row * 16 + col, at + col * dwell + 2) for col in range(cols)]
+            at += cols * dwell
+            records.append(t3(1, 2, 0, at))
+            at += 4
+    tags = {
+        "Measurement_SubMode": 3,
+        "ImgHdr_Dimensions": 3,
+        "ImgHdr_PixX": cols,
+        "ImgHdr_PixY": rows,
+        "ImgHdr_LineStart": 1,
+        "ImgHdr_LineStop": 2,
+        "ImgHdr_Frame": 3,
+        "ImgHdr_Ident": 1,
+        "ImgHdr_BiDirect": 0,
+    }
+    path = ptu(
+        tmp_path / "a.ptu", records, mode=3, kind=0x00010307, clock_s=500e-9, bin_s=125e-12, **tags
+    )
+    read = read_recording(path)
+    placed = read.sync >= 0
+    bins = (read.time_ps // 125).astype(int)
+    assert placed.sum() == 2 * rows * cols and "2 image(s)" in read.kind
+    assert np.array_equal((bins // 16 * cols + bins % 16)[placed], read.channel[placed])
+
+
+def test_tables_of_other_programs(tmp_path):
+    """NumPy's `savetxt` writes names as a comment; spreadsheets quote everything; some add bytes
+    after the last record.
+    """
+    np.savetxt(
+        tmp_path / "a.csv", [[0, 3, 100], [1, 3, 200]], "%d", ",", header="sync,channel,time_ps"
+    )
+    assert edges_of(tmp_path / "a.csv")[0] == [(0, 3, 1), (1, 3, 3)]
+    (tmp_path / "b.csv").write_text('"sync","channel","time_ps"\n"0","3","100"\n', encoding="utf-8")
+    assert edges_of(tmp_path / "b.csv")[0] == [(0, 3, 1)]
+    path = ptu(
+        tmp_path / "c.ptu", [t3(0, 3, 0, 1)], mode=3, kind=0x00010307, clock_s=500e-9, bin_s=125e-12
+    )
+    path.write_bytes(path.read_bytes() + bytes(2))
+    assert edges_of(path)[0] == [(1, 3, 1)]
+    assert parse_channels("-2:0, 2:1") == {-2: 0, 2: 1}

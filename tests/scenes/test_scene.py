@@ -12,7 +12,10 @@ from PIL import Image
 
 from coincid.model.scenes.catalogue import RANGE_M, load_scene
 from coincid.model.scenes.depth_file import BRIGHTEST, DARKEST, depth_scene
+from coincid.model.scenes.image_files import centre_crop, covered_samples
+from coincid.model.scenes.pixel_surface import GAP_SHARE
 from coincid.model.scenes.scene import scene_light
+from coincid.model.scenes.transient import SURFACE_GAP_M
 from coincid.model.shared.errors import InputError
 
 
@@ -132,16 +135,47 @@ def test_bad_names(name, words):
     rows=st.integers(1, 9),
     cols=st.integers(1, 9),
 )
-def test_resampling_takes_the_nearest_sample_and_never_averages(
-    tmp_path_factory, samples, rows, cols
-):
-    path = npy(tmp_path_factory.mktemp("scene") / "depth.npy", samples)
-    truth_m = depth_scene(path, rows, cols).truth_m
-    assert truth_m.shape == (rows, cols)
-    assert np.isin(truth_m, samples).all()
-    if rows * samples.shape[1] == cols * samples.shape[0] and samples.shape[0] % rows == 0:
-        blocks = samples.reshape(rows, samples.shape[0] // rows, cols, -1)
-        assert np.array_equal(truth_m, blocks.min(axis=(1, 3)))
+def test_a_pixel_takes_the_median_of_the_surface_with_most_samples(samples, rows, cols):
+    truth_m = load_scene(samples, rows, cols).truth_m
+    top, left, height, width = centre_crop(*samples.shape, rows, cols)
+    row, col, pixel = covered_samples(height, width, rows, cols)
+    values = samples[top + row, left + col]
+    for k in range(rows * cols):
+        covered = np.sort(values[pixel == k])
+        gap = np.diff(covered) > np.maximum(SURFACE_GAP_M, GAP_SHARE * covered[1:])
+        surfaces = np.split(covered, np.flatnonzero(gap) + 1)
+        assert truth_m[k // cols, k % cols] == pytest.approx(np.median(max(surfaces, key=len)))
+
+
+def test_speckle_and_noise_leave_a_wall_where_it_is():
+    """Flying pixels of time of flight cameras (librealsense#1246), and their noise: the nearest
+    sample is none of them.
+    """
+    rng = np.random.default_rng(0)
+    wall_m = np.full((480, 480), 4.0)
+    wall_m[rng.random(wall_m.shape) < 0.01] = 0.5
+    assert np.all(load_scene(wall_m, 32, 32).truth_m == 4)
+    noisy_m = rng.normal(4, 0.01, (64, 64))
+    for side in (8, 16, 32):
+        assert abs(load_scene(noisy_m, side, side).truth_m.mean() - 4) < 0.001
+
+
+def test_an_edge_is_kept_and_a_hole_stays_one():
+    depth_m = np.full((8, 8), 4.0)
+    depth_m[:, 5:] = 9.0
+    edge = load_scene(depth_m, 2, 2).truth_m
+    assert np.array_equal(edge, [[4, 9], [4, 9]])  # three of four columns of the right pixels
+    for missing, seen in ((8, True), (9, False)):
+        depth_m[:4, :4] = 4.0
+        depth_m[:4, :4].flat[:missing] = 0
+        assert load_scene(depth_m, 2, 2).valid[0, 0] == seen
+
+
+def test_reflectivity_is_that_of_the_surface_which_the_pixel_takes():
+    depth_m = np.tile([4.0, 4.0, 9.0, 4.0], (4, 1))
+    reflectivity = np.where(depth_m == 9, 0.9, 0.2)
+    scene = load_scene(depth_m, 1, 1, reflectivity=reflectivity)
+    assert scene.truth_m == 4 and scene.reflectivity == pytest.approx(0.2)
 
 
 def test_scaled_distances_and_too_much_signal(tmp_path):
@@ -236,12 +270,12 @@ def test_files_that_are_no_depth(tmp_path):
     np.savez(tmp_path / "many.npz", a=np.ones(3))
     (tmp_path / "many.npz").rename(tmp_path / "many.npy")
     for name, words in (
-        ("colour.png", "mode RGB"),
-        ("grey.png", "mode L"),
+        ("colour.png", "colour or 8 bit"),
+        ("grey.png", "colour or 8 bit"),
         ("cut.png", "readable"),
         ("text.npy", "readable"),
         ("many.npy", "NPZ"),
-        ("depth.exr", "EXR"),
+        ("depth.exr", "readable picture"),
         ("none.npy", "no such file"),
         ("none.png", "no such file"),
     ):

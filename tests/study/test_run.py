@@ -275,7 +275,7 @@ def test_an_array_of_distances_is_a_scene():
         ((None, None), {}, "scene = None: must be a Scene"),
         ((None, "flat:5"), {"thresold": 3}, "thresold: unknown argument or setting"),
         ((None, "flat:5"), {"threshold": 99}, "subgroup.threshold = 99: must be"),
-        ((None, "flat:5"), {"scale": 3.0}, "scale = 3: goes with depth files only"),
+        ((None, "flat:5"), {"scale": 3.0}, "scale = 3.0: goes with depth files only"),
         ((None, "flat:5"), {"reflectivity": 0.9}, "reflectivity: goes with depth files and arr"),
         ((None, [[5.0, 5.0]]), {}, r"scene = list \(numpy.array\(scene\) makes an array"),
         ((None, "flat:5"), {"klux": 1e12}, "klux = 1000000000000.0: is too much ambient light: a"),

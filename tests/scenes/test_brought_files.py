@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth files as cameras, data sets and renderers write them. Each case names who does, or where
+others met it.
+"""
+
+import re
+
+import h5py
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+from scipy.io import savemat
+
+from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.conventions import CONVENTIONS, conventions_table
+from coincid.model.scenes.view import View
+from coincid.model.shared.errors import InputError
+from coincid.study.explore.controls import UNITS
+
+from ..commands import ROOT
+
+SHAPE = (4, 4)
+HOLE = np.zeros(SHAPE, bool)
+HOLE[0] = True
+
+
+def png(path, samples):
+    Image.fromarray(samples).save(path)
+    return str(path)
+
+
+def npy(path, samples):
+    np.save(path, samples)
+    return str(path)
+
+
+def exr(path, header=None, **channels):
+    usual = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    planes = {
+        name: np.broadcast_to(np.float32(value), SHAPE).copy() for name, value in channels.items()
+    }
+    OpenEXR.File(usual | (header or {}), planes).write(str(path))
+    return str(path)
+
+
+def content(path, data):
+    path.write_bytes(data)
+    return str(path)
+
+
+def with_hole(value, mark, dtype):
+    return np.where(HOLE, mark, value).astype(dtype)
+
+
+WALLS = {  # file, options, distance in metres
+    "RealSense, OAK: 65535 is no depth": (
+        lambda at: png(at / "d.png", with_hole(4000, 65535, "u2")),
+        {},
+        4,
+    ),
+    "BOP: 65535 is background": (
+        lambda at: png(at / "d.png", with_hole(10000, 65535, "u2")),
+        {"unit": "bop"},
+        1,
+    ),
+    "Virtual KITTI: sky at 655.35 m": (
+        lambda at: png(at / "d.png", with_hole(4000, 65535, "u2")),
+        {"unit": "virtual-kitti"},
+        40,
+    ),
+    "half floats end at 65504": (
+        lambda at: npy(at / "d.npy", with_hole(4, 65504, "f4")),
+        {"scale": 0.5},
+        2,
+    ),
+    "-1 is no depth": (lambda at: npy(at / "d.npy", with_hole(4, -1, "f4")), {}, 4),
+    "-9999 is no depth (rasters)": (lambda at: npy(at / "d.npy", with_hole(4, -9999, "f4")), {}, 4),
+    "a far plane at 1000 m": (lambda at: npy(at / "d.npy", with_hole(4, 1000, "f4")), {}, 4),
+    "a number of the user's": (
+        lambda at: npy(at / "d.npy", with_hole(4, 7, "f4")),
+        {"missing": 7},
+        4,
+    ),
+    "a sky of the user's": (lambda at: npy(at / "d.npy", with_hole(4, 60, "f4")), {"sky_m": 50}, 4),
+}
+
+
+@pytest.mark.parametrize("case", WALLS)
+def test_samples_without_depth(tmp_path, case):
+    write, options, distance_m = WALLS[case]
+    read = load_scene(write(tmp_path), *SHAPE, **options)
+    assert np.array_equal(read.valid, ~HOLE)
+    assert np.all(read.truth_m[~HOLE] == distance_m)
+    assert any("no depth" in note or "hold no depth" in note for note in read.notes)
+
+
+def test_the_mask_of_an_array_hides_samples():
+    """NumPy's functions for masked arrays, and `numpy.asarray` of them, differ (numpy#4972)."""
+    masked = np.ma.masked_array(np.where(HOLE, 1.5, 4.0), mask=HOLE)
+    assert np.array_equal(load_scene(masked, *SHAPE).valid, ~HOLE)
+    assert np.all(load_scene(np.asmatrix(masked.data), *SHAPE).truth_m[1:] == 4)
+
+
+CHANNELS = {  # channels of an EXR file, options, distance or part of the error
+    "Arnold: Z beside normals": (
+        {"R": 0.5, "G": 0.4, "B": 0.3, "Z": 4, "N.X": 0.1, "N.Y": 0.2, "N.Z": 0.7},
+        {},
+        4,
+    ),
+    "Blender: a layer called Depth": (
+        {"Depth.V": 4, "Normal.X": 0.1, "Normal.Y": 0.2, "Normal.Z": 0.7},
+        {},
+        4,
+    ),
+    "a layer's Z": ({"View.Depth.Z": 4, "View.Combined.R": 0.5}, {}, 4),
+    "one channel of any name": ({"V": 4}, {}, 4),
+    "grey as three equal colours": ({"R": 4, "G": 4, "B": 4}, {}, 4),
+    "normals alone": (
+        {"nn.X": 0.1, "nn.Y": 0.2, "nn.Z": 0.7},
+        {},
+        "nn.X, nn.Y, nn.Z, none of which",
+    ),
+    "colours alone": ({"R": 0.5, "G": 0.4, "B": 0.3}, {}, "R, G, B, none of which"),
+    "Mitsuba's AOV": ({"R": 0.5, "dd.y.T": 4, "nn.X": 0.1, "nn.Z": 0.7}, {"unit": "mitsuba"}, 4),
+    "pbrt's GBufferFilm": ({"R": 0.5, "Pz": 4, "Nz": 0.7}, {"unit": "pbrt"}, 4),
+    "the user's choice": ({"R": 0.5, "Nz": 0.7, "far": 4}, {"channel": "far"}, 4),
+    "a choice that is not there": ({"R": 0.5, "Z": 4}, {"channel": "far"}, "R, Z; must have far"),
+}
+
+
+@pytest.mark.parametrize("case", CHANNELS)
+def test_the_channel_of_depth(tmp_path, case):
+    channels, options, expected = CHANNELS[case]
+    path = exr(tmp_path / "d.exr", **channels)
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=re.escape(expected)):
+            load_scene(path, *SHAPE, **options)
+    else:
+        assert np.all(load_scene(path, *SHAPE, **options).truth_m == expected)
+
+
+def test_a_part_of_an_exr_picture_is_at_its_place(tmp_path):
+    """The data window of OpenEXR is the part of the display window that is stored."""
+    window = {
+        "dataWindow": (np.int32([4, 0]), np.int32([7, 3])),
+        "displayWindow": (np.int32([0, 0]), np.int32([7, 7])),
+    }
+    read = load_scene(exr(tmp_path / "d.exr", window, Z=4), *SHAPE)
+    assert np.array_equal(np.argwhere(read.valid), [[0, 2], [0, 3], [1, 2], [1, 3]])
+
+
+TIFF_OF_DOUBLES = bytes.fromhex("49492a00080000000900") + b"".join(
+    np.array([tag, kind], "<u2").tobytes() + np.array([1, value], "<u4").tobytes()
+    for tag, kind, value in (
+        (256, 3, 4),
+        (257, 3, 4),
+        (258, 3, 64),
+        (259, 3, 1),
+        (262, 3, 1),
+        (273, 4, 122),
+        (278, 3, 4),
+        (279, 4, 128),
+        (339, 3, 3),
+    )
+) + bytes(4) + np.full(16, 4.0).tobytes()  # fmt: skip
+
+FILES = {  # file with a wall at 4 m
+    "PGM in millimetres, with a maximum of 10000": lambda at: content(
+        at / "d.pgm", b"P5\n# by a camera\n4 4\n10000\n" + np.full(SHAPE, 4000, ">u2").tobytes()
+    ),
+    "PGM as text": lambda at: content(at / "d.pgm", b"P2 4 4 10000\n" + b"4000 " * 16),
+    "PFM with the scale +1.0": lambda at: content(
+        at / "d.pfm", b"Pf\n4 4\n+1.0\n" + np.full(16, 4, ">f4").tobytes()
+    ),
+    "PFM with a comment": lambda at: content(
+        at / "d.pfm", b"Pf\n# by a program\n4 4\n-1.0\n" + np.full(16, 4, "<f4").tobytes()
+    ),
+    "TIFF of doubles": lambda at: content(at / "d.tif", TIFF_OF_DOUBLES),
+    "a big-endian array": lambda at: npy(at / "d.npy", np.full(SHAPE, 4000, ">u2")),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_numbers_are_read_as_they_are(tmp_path, case):
+    assert np.all(load_scene(FILES[case](tmp_path), *SHAPE).truth_m == 4)
+
+
+def test_sun_rgbd_in_a_big_endian_array(tmp_path):
+    bits = np.full(SHAPE, 4000 << 3, ">u2")
+    assert np.all(load_scene(npy(tmp_path / "d.npy", bits), *SHAPE, unit="sun-rgbd").truth_m == 4)
+
+
+def test_disparities_of_kitti(tmp_path):
+    """The development kit stores 256 numbers per pixel; without that, 20 m become 8 cm, and the
+    note says so.
+    """
+    disparity = np.full(SHAPE, round(721.5 * 0.54 / 20 * 256), np.uint16)
+    path = png(tmp_path / "d.png", disparity)
+    for unit in ("disparity/256:721.5,0.54", "kitti-disparity:721.5,0.54"):
+        assert load_scene(path, *SHAPE, unit=unit).truth_m == pytest.approx(20, abs=0.01)
+    plain = load_scene(path, *SHAPE, unit="disparity:721.5,0.54")
+    assert any("disparity/256:721.5,0.54 it is 20 m" in note for note in plain.notes)
+    with pytest.raises(InputError, match="three numbers at most"):
+        load_scene(path, *SHAPE, unit="disparity:184704,0.54,0,5000")
+
+
+def test_nyus_raw_files_are_recognized(tmp_path):
+    """The toolbox swaps the bytes of the raw PGM files, and turns the Kinect's 11 bits into
+    metres.
+    """
+    number = np.full(SHAPE, 1005, np.uint16) + np.arange(4, dtype=np.uint16)
+    raw_m = 351.3 / (1092.5 - number)
+    path = npy(tmp_path / "d.npy", number.byteswap())
+    assert load_scene(path, *SHAPE, unit="nyu-raw").truth_m == pytest.approx(raw_m)
+    try:
+        told = " ".join(load_scene(path, *SHAPE, unit="nyu").notes)
+    except InputError as error:
+        told = str(error)
+    assert "with the unit nyu-raw it is 4" in told
+
+
+def test_a_wall_of_z_is_flat_in_space(tmp_path):
+    """Depth cameras and renderers store z (librealsense's projection, Blender's Z pass)."""
+    path = npy(tmp_path / "d.npy", np.full((8, 12), 4.0))
+    for options in ({"z": True}, {"z": True, "fov_deg": 90}):
+        read = load_scene(path, 8, 12, **options)
+        right, down = read.view.tangents(8, 12)
+        along = read.truth_m / np.sqrt(1 + right**2 + down**2)
+        assert along == pytest.approx(4, abs=1e-9)
+    assert read.view.h_deg == pytest.approx(90) and np.tan(
+        np.radians(read.view.v_deg / 2)
+    ) == pytest.approx(8 / 12)
+    plain = load_scene(path, 8, 12)
+    assert np.all(plain.truth_m == 4) and any("--z" in note for note in plain.notes)
+    assert not any("--z" in note for note in load_scene(path, 8, 12, unit="hypersim").notes)
+
+
+def test_a_cropped_picture_has_a_smaller_view():
+    part = View.of_part(90, (480, 640), (480, 480))
+    assert part.h_deg == pytest.approx(part.v_deg) and np.tan(
+        np.radians(part.h_deg / 2)
+    ) == pytest.approx(0.75)
+
+
+def test_grey_pictures_give_the_reflectivity_by_their_type(tmp_path):
+    grey = np.full(SHAPE, 60, np.uint8)
+    grey[2:] = 20
+    wall = npy(tmp_path / "wall.npy", np.full(SHAPE, 4.0))
+    of_8 = load_scene(wall, *SHAPE, colour=png(tmp_path / "8.png", grey)).reflectivity
+    of_16 = load_scene(
+        wall, *SHAPE, colour=png(tmp_path / "16.png", grey.astype(np.uint16) * 257)
+    ).reflectivity
+    assert of_16 == pytest.approx(of_8) and len(np.unique(of_8)) == 2
+    Image.fromarray(np.where(grey == 60, 1, 0).astype(np.float32)).save(tmp_path / "f.tif")
+    of_floats = load_scene(wall, *SHAPE, colour=tmp_path / "f.tif").reflectivity
+    assert np.unique(of_floats) == pytest.approx([0.05, 0.8])
+    with pytest.raises(InputError, match="must have the shape of the depth's 4 x 4"):
+        load_scene(wall, *SHAPE, colour=png(tmp_path / "wide.png", np.zeros((4, 16), np.uint8)))
+
+
+def test_a_folder_with_a_comma(tmp_path):
+    folder = tmp_path / "a,b"
+    folder.mkdir()
+    wall = npy(folder / "d.npy", np.full(SHAPE, 4.0))
+    colour = png(folder / "c,1.png", np.zeros(SHAPE, np.uint8))
+    assert np.all(load_scene(f"{wall},{colour}", *SHAPE).reflectivity == 0.05)
+
+
+def test_one_table_of_conventions():
+    assert conventions_table() in (ROOT / "docs" / "advise.md").read_text(encoding="utf-8")
+    assert {one.name for one in CONVENTIONS} < set(UNITS)
+
+
+def test_arrays_in_archives(tmp_path):
+    """Hypersim writes HDF5; MATLAB 7.3 writes HDF5 with columns first; other MATLAB files are
+    read by SciPy.
+    """
+    depth_m = np.arange(2.0, 18.0).reshape(SHAPE)
+    np.savez(tmp_path / "a.npz", depth=depth_m, mask=np.ones(SHAPE, np.uint16), k=np.ones(3))
+    with h5py.File(tmp_path / "b.h5", "w") as archive:
+        archive["dataset"] = depth_m
+    with h5py.File(tmp_path / "c.mat", "w") as archive:
+        archive["frame/depth"] = depth_m.T
+    savemat(tmp_path / "d.mat", {"depth": depth_m})
+    for source in (
+        "a.npz:depth",
+        "b.h5",
+        "b.h5:dataset",
+        "c.mat:frame/depth",
+        "d.mat",
+        "d.mat:depth",
+    ):
+        assert np.array_equal(load_scene(str(tmp_path / source), *SHAPE).truth_m, depth_m)
+    for source in ("a.npz", "a.npz:none"):
+        with pytest.raises(InputError, match="two dimensions depth, mask; must name one"):
+            load_scene(str(tmp_path / source), *SHAPE)
+    colour = png(tmp_path / "c.png", np.zeros(SHAPE, np.uint8))
+    assert np.all(load_scene(f"{tmp_path / 'a.npz'}:depth,{colour}", *SHAPE).reflectivity == 0.05)
+    (tmp_path / "e.mat").write_bytes(b"no archive")
+    with pytest.raises(InputError, match="e.mat: is not a readable archive"):
+        load_scene(str(tmp_path / "e.mat"), *SHAPE)
