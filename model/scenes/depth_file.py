@@ -111,37 +111,11 @@ def depth_scene(
     if not np.ndim(reflectivity):
         reflectivity = check_real("reflectivity", reflectivity, 0, 1)
     notes: list[str] = []
-    if isinstance(depth, np.ndarray):
-        path, usual, samples = ARRAY, "m", _plain_array(depth)
-    else:
-        path = str(depth)
-        samples, notes = _read_depth(depth, meaning)
-        usual = "m" if samples.dtype.kind == "f" else "mm"
-    hidden = (
-        np.ma.getmaskarray(depth).reshape(samples.shape)
-        if isinstance(depth, np.ma.MaskedArray)
-        else False
-    )
-    unit = usual if meaning.unit is None else meaning.unit
-    sample_m = metres(path, samples, unit)
-    marked = _marked(raw_numbers(path, samples, unit), meaning.marks)
-    sky_m = NOWHERE_M if meaning.sky_m is None else min(meaning.sky_m, NOWHERE_M)
-    if marked.any():
-        notes.append(
-            f"{path}: {marked.sum()} samples are {_listed(samples[marked])}, which is taken for no depth"
-        )
-    sample_m[hidden | marked | ~(np.abs(sample_m) < NOWHERE_M) | (sample_m >= sky_m)] = np.nan
-    sample_m *= meaning.scale
-
-    seen_m = sample_m[sample_m > 0]
-    better = ""
-    if len(seen_m) and meaning.scale == 1:
-        better = fitting_unit(
-            samples[sample_m > 0], unit, meaning.unit is not None, float(np.median(seen_m)), range_m
-        )
+    path, sample_m, better = _samples_in_metres(depth, meaning, range_m, notes)
     height, width = sample_m.shape
     top, left, crop_height, crop_width = centre_crop(height, width, rows, cols)
-    sample_m = sample_m[top : top + crop_height, left : left + crop_width]
+    crop = slice(top, top + crop_height), slice(left, left + crop_width)
+    sample_m = sample_m[crop]
     if meaning.scale != 1:
         notes.append(f"{path}: distances times {meaning.scale:g}")
     if (crop_height, crop_width) != (height, width):
@@ -163,26 +137,18 @@ def depth_scene(
         distance_m[distance_m >= range_m] = np.nan
     elif path != ARRAY:
         notes += _ray_note(path, meaning.unit, view)
-    valid_share = np.mean(~np.isnan(distance_m))
-    if valid_share < VALID_SHARE_MIN:
-        raise InputError(
-            f"{path}: {valid_share:.1%} of the sensor's pixels have a usable depth, must be at least {VALID_SHARE_MIN:.0%}"
-        )
-    if valid_share < 1:
-        notes.append(
-            f"{path}: {np.isnan(distance_m).sum()} of {rows * cols} pixels without depth are masked"
-        )
+    notes += _check_valid(path, distance_m)
     if colour is None and not np.ndim(reflectivity):
         notes.append(
             f"{path}: reflectivity {reflectivity:g} everywhere, because no colour picture is given"
         )
         surface = np.full((rows, cols), float(reflectivity))
+    elif colour is None:
+        albedo = real_array("reflectivity", reflectivity, (height, width), 0, 1)
+        surface = chosen.middle(albedo[crop])
     else:
-        if colour is None:
-            albedo = real_array("reflectivity", reflectivity, (height, width), 0, 1)
-        else:
-            albedo = _at_samples(colour, _read_reflectivity(colour), (height, width))
-        surface = chosen.middle(albedo[top : top + crop_height, left : left + crop_width])
+        albedo = _at_samples(colour, _read_reflectivity(colour), (height, width))
+        surface = chosen.middle(albedo[crop])
     return Scene(
         name=Path(path).name,
         distance_m=distance_m,
@@ -190,6 +156,59 @@ def depth_scene(
         view=view,
         notes=tuple(notes),
     )
+
+
+def _samples_in_metres(
+    depth: FilePath | np.ndarray, meaning: Meaning, range_m: float, notes: list[str]
+) -> tuple[str, np.ndarray, str]:
+    """Return the name of a depth file, its samples in metres times the scale, and a sentence.
+
+    The samples are NaN where they mean "no depth", or lie in the sky. The sentence says which
+    other unit fits better, or is empty. What was taken for no depth is added to `notes`.
+    """
+    if isinstance(depth, np.ndarray):
+        path = ARRAY
+        usual = "m"
+        samples = _plain_array(depth)
+    else:
+        path = str(depth)
+        samples, read = _read_depth(depth, meaning)
+        usual = "m" if samples.dtype.kind == "f" else "mm"
+        notes += read
+    hidden: np.ndarray | bool = False
+    if isinstance(depth, np.ma.MaskedArray):
+        hidden = np.ma.getmaskarray(depth).reshape(samples.shape)
+    unit = usual if meaning.unit is None else meaning.unit
+    sample_m = metres(path, samples, unit)
+    marked = _marked(raw_numbers(path, samples, unit), meaning.marks)
+    if marked.any():
+        notes.append(
+            f"{path}: {marked.sum()} samples are {_listed(samples[marked])}, which is taken for no depth"
+        )
+    sky_m = NOWHERE_M if meaning.sky_m is None else min(meaning.sky_m, NOWHERE_M)
+    no_depth = hidden | marked | ~(np.abs(sample_m) < NOWHERE_M) | (sample_m >= sky_m)
+    sample_m[no_depth] = np.nan
+    sample_m *= meaning.scale
+    seen = sample_m > 0
+    better = ""
+    if seen.any() and meaning.scale == 1:
+        middle_m = float(np.median(sample_m[seen]))
+        named = meaning.unit is not None
+        better = fitting_unit(samples[seen], unit, named, middle_m, range_m)
+    return path, sample_m, better
+
+
+def _check_valid(path: str, distance_m: np.ndarray) -> list[str]:
+    """Return a note if some pixels have no depth. Raises `InputError` if too many have none."""
+    valid_share = np.mean(~np.isnan(distance_m))
+    if valid_share < VALID_SHARE_MIN:
+        raise InputError(
+            f"{path}: {valid_share:.1%} of the sensor's pixels have a usable depth, must be at least {VALID_SHARE_MIN:.0%}"
+        )
+    if valid_share == 1:
+        return []
+    holes = np.isnan(distance_m).sum()
+    return [f"{path}: {holes} of {distance_m.size} pixels without depth are masked"]
 
 
 def _plain_array(given: np.ndarray) -> np.ndarray:
