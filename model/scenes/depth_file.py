@@ -138,21 +138,19 @@ def depth_scene(
     elif path != ARRAY:
         notes += _ray_note(path, meaning.unit, view)
     notes += _check_valid(path, distance_m)
-    if colour is None and not np.ndim(reflectivity):
+    if colour is not None:
+        albedo = _at_samples(colour, _read_reflectivity(colour), (height, width))
+    elif np.ndim(reflectivity):
+        albedo = real_array("reflectivity", reflectivity, (height, width), 0, 1)
+    else:
         notes.append(
             f"{path}: reflectivity {reflectivity:g} everywhere, because no colour picture is given"
         )
-        surface = np.full((rows, cols), float(reflectivity))
-    elif colour is None:
-        albedo = real_array("reflectivity", reflectivity, (height, width), 0, 1)
-        surface = chosen.middle(albedo[crop])
-    else:
-        albedo = _at_samples(colour, _read_reflectivity(colour), (height, width))
-        surface = chosen.middle(albedo[crop])
+        albedo = np.full((height, width), float(reflectivity))
     return Scene(
         name=Path(path).name,
         distance_m=distance_m,
-        reflectivity=surface,
+        reflectivity=chosen.middle(albedo[crop]),
         view=view,
         notes=tuple(notes),
     )

@@ -67,9 +67,7 @@ class Words:
     a_says: str  # the settings of A in short; "" without A
     frames: int  # number of frames
     meaning: list[list[str]]  # rows of the table that says what the sensor is: name, value
-    wastes: list[
-        str
-    ]  # what was assumed about the scene's file; a sentence for each setting that wastes something
+    wastes: list[str]  # sentences: what was assumed about the scene's file, which settings waste
     spans: dict[str, str]  # range, unit and present value of the controls with integers, by name
     look: LookedAt  # as the views show it now
 
