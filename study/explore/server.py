@@ -18,7 +18,7 @@ from tornado.httpserver import HTTPServer
 from tornado.httputil import HTTPHeaders, HTTPMessageDelegate, HTTPServerRequest
 from tornado.ioloop import IOLoop
 from tornado.netutil import bind_sockets
-from tornado.web import ErrorHandler
+from tornado.web import ErrorHandler, OutputTransform
 
 from ...model.shared.errors import InputError, check_integer
 from .control_values import Settings, values_of_link, without_lost_pictures
@@ -55,6 +55,17 @@ class Guarded(BokehTornado):  # type: ignore[misc]  # Bokeh comes with an extra
         return own and (site in ("none", "same-origin") or opened)
 
 
+class Unkept(OutputTransform):
+    """Tells the browser to keep no page: the session of a page that Back brings has ended."""
+
+    def transform_first_chunk(
+        self, status_code: int, headers: HTTPHeaders, chunk: bytes, finishing: bool
+    ) -> tuple[int, HTTPHeaders, bytes]:
+        if headers.get("Content-Type", "").startswith("text/html"):
+            headers["Cache-Control"] = "no-store"
+        return status_code, headers, chunk
+
+
 def make_server(port: int | None = None, start: Settings | None = None) -> tuple[BaseServer, str]:
     """Return a listening server and its address. start: first settings of a page. Raises
     `InputError` for a bad port.
@@ -87,6 +98,7 @@ def make_server(port: int | None = None, start: Settings | None = None) -> tuple
         use_index=False,
     )
     tornado.hosts = hosts
+    tornado.add_transform(Unkept)
     http = HTTPServer(tornado)
     http.add_sockets(sockets)
     return BaseServer(IOLoop.current(), tornado, http), f"http://{ADDRESS}:{port}/"
