@@ -115,9 +115,9 @@ INTERFERENCE = dict(
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "f1b6a1bd02092015"),
-    "sim": (sim, "ed4fb83bae583761"),
+    "sim": (sim, "93dd64531ae48f70"),
     "sweep": (sweep, "c722601e9ccfee6d"),
-    "explorer": (explorer, "b904fc3e2af28bc9"),
+    "explorer": (explorer, "3f36b05e10e88d56"),
     "surfaces": (surface, "56076c599e3d1736"),
     "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "84c6b4b042f08787"),
     "modes": (
