@@ -412,9 +412,10 @@ def _tell(
     """Print the table of the schemes, the notes and the written files."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("frame", no_wrap=True)
-    loads = "stream load", "link load"
-    for title in ("threshold", "events", "dropped", *loads, "wrong pixels", "by peaks"):
+    for title in ("threshold", "events", "dropped"):
         table.add_column(title, justify="right")
+    for title in ("stream load", "link load", "wrong pixels", "by peaks"):
+        table.add_column(title.replace(" ", "\n"), justify="right")
     for name, title in titles.items():
         table.add_row(
             title,
