@@ -31,9 +31,8 @@ myst_heading_anchors = (
 )
 
 autodoc_member_order = "bysource"
-suppress_warnings = [
-    "ref.python"
-]  # names of the front door are also in their rooms: two targets for one name
+# names of the front door are also in their rooms: two targets for one name
+suppress_warnings = ["ref.python"]
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 napoleon_google_docstring = False

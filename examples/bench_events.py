@@ -16,12 +16,8 @@ from cocotb.triggers import RisingEdge
 from cocotbext.axi import AxiLiteBus, AxiLiteMaster, AxiStreamBus, AxiStreamSink
 
 PHASES = 32  # ticks of a cycle
-EDGES = (
-    (9, 5, 22),
-    (10, 5, 25),
-    (18, 5, 30),
-    (2, 6, 3),
-)  # (pixel, cycle, phase): four photons of a laser pulse
+# (pixel, cycle, phase): four photons of a laser pulse
+EDGES = ((9, 5, 22), (10, 5, 25), (18, 5, 30), (2, 6, 3))
 REGISTERS = json.loads(os.environ["COINCID_REGISTERS"])
 
 

@@ -13,9 +13,8 @@ import numpy as np
 
 import coincid
 
-CYCLE_M = (
-    2e-9 * 299_792_458 / 2
-)  # the distance that light covers, there and back, in one clock cycle: 0.3 m
+# the distance that light covers, there and back, in one clock cycle: 0.3 m
+CYCLE_M = 2e-9 * 299_792_458 / 2
 base = coincid.load_config().with_frame(pulses=200)
 ungated = base
 gated = base.with_settings(gating=True, gate_start=20, gate_len=20)

@@ -130,9 +130,8 @@ def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
     options += ["--report", "report.json", "--textcfg", "board.config"]
 
     def make(folder: Path) -> None:
-        (folder / NETLIST).hardlink_to(
-            netlist / NETLIST
-        )  # the wheel's nextpnr sees its own folder only
+        # the wheel's nextpnr sees its own folder only
+        (folder / NETLIST).hardlink_to(netlist / NETLIST)
         (folder / PINS).write_text(board.pins, encoding="utf-8")
         (folder / "nextpnr.log").write_text(
             run_wheel(NEXTPNR, "run_nextpnr_ecp5", options, folder), encoding="utf-8"

@@ -301,9 +301,8 @@ def _sums(
             for name, net in instance.nets.items()
             if cell.pins[name].clock and cell.pins[name].output
         ]
-        passed = sum(
-            moves[net] for net in gated
-        )  # transitions of the clock that a gate lets through
+        # transitions of the clock that a gate lets through
+        passed = sum(moves[net] for net in gated)
         for name, net in instance.nets.items():
             pin, count = cell.pins[name], moves[net]
             energy = pin.energies.at(loads[net]) if pin.energies else 0.0

@@ -172,10 +172,8 @@ RDL_FIELD = {  # access of software and hardware to the field of a register
     Access.PULSE: "sw = w; hw = r; singlepulse;",
     Access.COUNTER: "sw = r; hw = w;",
 }
-RDL_CLEARED, RDL_STATE = (
-    "sw = rw; onwrite = woclr; hw = w;",
-    "sw = r; hw = w;",
-)  # bits of the status register
+# bits of the status register
+RDL_CLEARED, RDL_STATE = ("sw = rw; onwrite = woclr; hw = w;", "sw = r; hw = w;")
 
 
 def _systemrdl(sensor: Sensor) -> str:
@@ -228,9 +226,8 @@ def _rdl_block(registers: tuple[Register, ...], sensor: Sensor, indent: str) -> 
 
 
 def _ip_xact(rdl: str) -> str:
-    from peakrdl_ipxact import (
-        IPXACTExporter,
-    )  # here, because simulations use this file without the compiler
+    # here, because simulations use this file without the compiler
+    from peakrdl_ipxact import IPXACTExporter
     from systemrdl.compiler import RDLCompiler
 
     with tempfile.TemporaryDirectory(prefix="coincid-") as folder:

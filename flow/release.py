@@ -111,9 +111,8 @@ def _constraints(sensor: Sensor, clock_mhz: float, top: str, view: View) -> str:
         for port in SensorTop(sensor, view, top == FPGA_TOP).ports()
         if port.name != "phase_clocks"
     ]
-    events = (
-        {f"spad_{s}" for s in range(sensor.subgroups)} if view.macros else set()
-    )  # clocks of their own
+    # clocks of their own
+    events = {f"spad_{s}" for s in range(sensor.subgroups)} if view.macros else set()
     timed = [
         Port("rst", 1, True),
         *(port for port in ports if not port.name.startswith("line_") and port.name not in events),

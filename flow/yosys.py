@@ -19,15 +19,11 @@ DRIVER = "set_driving_cell BUF_X2\nset_load 5.0 [all_outputs]\n"
 CONSTRAINTS = "abc.constr"
 ENABLES = Path(__file__).with_name("enables.v")
 GATED_MIN = 3  # fewer flip-flops with the same enable cost less without a clock gate
-GATE, GATED_MAX = (
-    "CLKGATE_X1",
-    63,
-)  # the smallest clock gate, and the number of flip-flops that it can drive
+# the smallest clock gate, and the number of flip-flops that it can drive
+GATE, GATED_MAX = ("CLKGATE_X1", 63)
 BOUND = {ClockGate().unit_name: "CLKGATE_X8", ClockGate(small=True).unit_name: "CLKGATE_X1"}
-CLOCK_BUFFER, SINKS_MAX = (
-    "BUF_X4",
-    16,
-)  # buffer of a clock tree, and the largest number of pins or buffers below it
+# buffer of a clock tree, and the largest number of pins or buffers below it
+CLOCK_BUFFER, SINKS_MAX = ("BUF_X4", 16)
 SCANNED_GATES = "CLKGATETST_X*"  # not used: there is no scan chain
 # goal of abc between registers: the cycle of the preset `silicon` minus flip-flop, clock and wires
 MAPPED_PS = 1400

@@ -160,9 +160,8 @@ def with_dark_tables(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) 
     dark_values: dict[int, int] = {}
     for k, (_, zeros) in enumerate(flags):
         known: dict[int, int] = dict.fromkeys(zeros, 0)
-        behind: set[int] = (
-            set()
-        )  # nets that depend on this DarkTables's tables, and are not among them
+        # nets that depend on this DarkTables's tables, and are not among them
+        behind: set[int] = set()
         mine: set[int] = set()
         for table in order:
             value = _constant(table, known)

@@ -268,9 +268,8 @@ class LineBench(SensorBench):
             await falling
             if int(self.dut.timing.value) & start:
                 break
-        now = (
-            self.cycle_fs // 2 - LEAD * self.cycle_fs
-        )  # time of this falling edge; cycle 0 of the frame begins at 0
+        # time of this falling edge; cycle 0 of the frame begins at 0
+        now = self.cycle_fs // 2 - LEAD * self.cycle_fs
         for at, subgroup, word in zip(*levels, strict=True):
             if at > now:
                 await Timer(at - now, "fs")

@@ -3,10 +3,8 @@
 needs none.
 """
 
-SIMULATORS = (
-    "verilator",
-    "icarus",
-)  # play the whole RTL under cocotb, also with a waveform or with delays
+# play the whole RTL under cocotb, also with a waveform or with delays
+SIMULATORS = ("verilator", "icarus")
 ENGINES = ("golden", "sliced", *SIMULATORS)
 LANES_MAX = 512  # bits of the sliced engine's widest word: subgroups that it plays at once
 

@@ -45,9 +45,8 @@ VERILATOR_OPTIONS = ("-Wno-lint", "-O3", "--x-assign", "fast", "--x-initial", "f
 NOT_INLINED = (
     "-fno-inline"  # for designs that contain one block many times, whose C++ must not be inlined
 )
-OPTIMISE = os.environ.get(
-    "COINCID_OPTIMISE", "-O2"
-)  # designs; -O1 takes two thirds of the time and runs 5 % slower
+# designs; -O1 takes two thirds of the time and runs 5 % slower
+OPTIMISE = os.environ.get("COINCID_OPTIMISE", "-O2")
 # Cold code stays unoptimised: it is most of the source and takes almost no run time.
 MAKE_OPTIONS = (f"OPT_FAST={OPTIMISE}", "OPT_SLOW=-O0", f"OPT_GLOBAL={OPTIMISE}")
 # With blocks there is little source without tracing: as many small files it takes twice as long
@@ -331,9 +330,8 @@ def _make_model(scratch: Path, run: Compile, options: Sequence[str]) -> None:
 
     library = build_once(build_root() / "verilator" / f"runtime-{flags}", make)
     for name in objects:
-        shutil.copyfile(
-            library / name, scratch / name
-        )  # with a fresh date: newer than the make file
+        # with a fresh date: newer than the make file
+        shutil.copyfile(library / name, scratch / name)
     run(command)
 
 

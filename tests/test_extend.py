@@ -189,9 +189,8 @@ def test_a_spad_that_is_always_ready_gets_the_photons_of_the_built_in_one():
     ready = generate_edges(light, Spad(dead_time_s=0.0, jitter_fwhm_s=0.0), timing, **options)
     same = (own.pulse == ready.pulse) & (own.pixel == ready.pixel) & (own.tick == ready.tick)
     assert len(own) == len(ready) > 500
-    assert (
-        same.mean() > 0.9
-    )  # a photon within a sixteenth of a tick of a tap's border may change its tick
+    # a photon within a sixteenth of a tick of a tap's border may change its tick
+    assert same.mean() > 0.9
     assert np.abs(own.tick - ready.tick)[own.pixel == ready.pixel].max() <= 1
 
 

@@ -12,9 +12,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-Functions: TypeAlias = Mapping[
-    str, tuple[Any, Sequence[Any]]
-]  # name -> types of the answer and of the arguments
+# name -> types of the answer and of the arguments
+Functions: TypeAlias = Mapping[str, tuple[Any, Sequence[Any]]]
 
 
 def load(path: Path, prefix: str, functions: Functions) -> ctypes.CDLL:

@@ -28,10 +28,8 @@ from .dependencies import Closure, Sources
 
 TABLE = Path("docs") / "pages.toml"
 UNKNOWN = "unknown"
-WRITERS = (
-    "coincid.tools.pages",
-    "coincid.tools.dependencies",
-)  # write regions, and change no number
+# write regions, and change no number
+WRITERS = ("coincid.tools.pages", "coincid.tools.dependencies")
 FOLDER = "COINCID_PAGES"  # environment: the folder whose pages are written, instead of the checkout
 GROUPS = "without"  # key of the table with lists of modules, by name
 _BEGIN = re.compile(

@@ -19,19 +19,11 @@ ROW_UM, SITE_UM = 1.4, 0.19
 FILLERS = ("FILLCELL_X32", "FILLCELL_X16", "FILLCELL_X8", "FILLCELL_X4", "FILLCELL_X1")
 OUTLINE, TEXT_OF_CELLS = 235, 63  # layers of the cells' GDS that are not masks
 ROUTED = range(2, 7)  # metals that the router uses; metal2 has the strips of the pins
-WIDTH_UM = {
-    1: 0.065,
-    2: 0.07,
-    3: 0.07,
-    4: 0.14,
-    5: 0.14,
-    6: 0.14,
-}  # least widths of metals, and least distances
+# least widths of metals, and least distances
+WIDTH_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}
 CUT_SPACE_UM = {1: 0.08, 2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16}
-END_UM, ENDED_VIAS = (
-    0.035,
-    (1, 2, 3),
-)  # metal must reach so far beyond the cut of these vias on two opposite sides
+# metal must reach so far beyond the cut of these vias on two opposite sides
+END_UM, ENDED_VIAS = (0.035, (1, 2, 3))
 COLOURS = {
     3: 0xC8B878,
     1: 0x2E8B57,

@@ -124,12 +124,8 @@ def route(top: str, cells: Path, folder: Path, tell: Callable[[str], None]) -> N
             r"^\.(?:gate|subckt) (\S+)", (folder / BLIF).read_text(encoding="utf-8"), re.MULTILINE
         )
     )
-    used |= {
-        "BUF_X4",
-        "BUF_X1",
-        "LOGIC0_X1",
-        "LOGIC1_X1",
-    }  # for the clock tree, nets with many pins, and constants
+    # for the clock tree, nets with many pins, and constants
+    used |= {"BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}
     places = strips(cells / LEFS[1], used)
     flat = {
         cell: {pin: astuple(strip) for pin, strip in pins.items()} for cell, pins in places.items()

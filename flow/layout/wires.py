@@ -155,9 +155,8 @@ def clock_tree_mw(
 
     Every net of the tree changes twice per cycle. cells: from `liberty.read_cells`.
     """
-    tree = [
-        one for one in placed["cells"] if one["kind"] == CLOCK_BUFFER
-    ]  # nothing else in a placed block has it
+    # nothing else in a placed block has it
+    tree = [one for one in placed["cells"] if one["kind"] == CLOCK_BUFFER]
     loads = {one["nets"]["A"]: 0.0 for one in tree} | {one["nets"]["Z"]: 0.0 for one in tree}
     pins = dict.fromkeys(loads, 0.0)
     for one in placed["cells"]:

@@ -137,9 +137,8 @@ def rises(rule: Rule, shape: tuple[int, int], threshold: int) -> tuple[Rise, ...
         return (Rise(threshold, 1.0),)
     pixels = shape[0] * shape[1]
     random = np.random.default_rng(SAMPLING_SEED)
-    place = random.permuted(
-        np.tile(np.arange(pixels), (SAMPLES, 1)), axis=1
-    )  # the order in which pixels are hit
+    # the order in which pixels are hit
+    place = random.permuted(np.tile(np.arange(pixels), (SAMPLES, 1)), axis=1)
     found = []
     before = 0.0
     for count in range(max(1, rule.least(threshold)), pixels + 1):

@@ -14,12 +14,10 @@ from .packet import BEAT_BITS, layout
 from .parameters import Sensor
 from .settings import LINK_GBPS_MAX
 
-SHARE_MIN = Fraction(
-    1, 1024
-)  # lowest share of the cycles: with a lower one, a frame would take too long
-_DENOMINATOR_MAX = (
-    1 << 20
-)  # denominator of the share: keeps its product with a cycle number in 64 bits
+# lowest share of the cycles: with a lower one, a frame would take too long
+SHARE_MIN = Fraction(1, 1024)
+# denominator of the share: keeps its product with a cycle number in 64 bits
+_DENOMINATOR_MAX = 1 << 20
 
 
 def link_share(link_gbps: float, clock_mhz: float) -> Fraction:

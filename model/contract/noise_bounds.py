@@ -17,11 +17,8 @@ from .parameters import Sensor, guard_cycles
 from .settings import AUTO_BOUNDS
 
 NOISE_COMMITS_PER_PULSE = 0.25
-PHOTONS_PER_TICK = (
-    1e-7,
-    10.0,
-    100_000,
-)  # photons per tick of a subgroup: lowest, highest, number of values tried
+# photons per tick of a subgroup: lowest, highest, number of values tried
+PHOTONS_PER_TICK = (1e-7, 10.0, 100_000)
 
 
 @cache

@@ -98,12 +98,10 @@ FORMATS = {  # packets of events, in the order of the format register's values
     ),
 }
 FORMAT_NAMES = tuple(FORMATS)
-UNBUILT = tuple(
-    name for name, packet in FORMATS.items() if packet.has("offsets")
-)  # without `Sensor.offsets`
-WITH_MAP = tuple(
-    name for name, packet in FORMATS.items() if packet.has("map")
-)  # formats from which depth can be made
+# without `Sensor.offsets`
+UNBUILT = tuple(name for name, packet in FORMATS.items() if packet.has("offsets"))
+# formats from which depth can be made
+WITH_MAP = tuple(name for name, packet in FORMATS.items() if packet.has("map"))
 RECORD = Packet(4, "record", (*_HEADER, ENTRIES))
 FRAME_START = Packet(6, "frame_start", _HEADER)
 FRAME_END = Packet(7, "frame_end", (*_HEADER, _COUNTERS))

@@ -20,12 +20,8 @@ from .table import NO_BIT, Kind, Limit, settings_of_class
 
 AUTO_BOUNDS = 6
 THRESHOLD_MAX = 1 + AUTO_BOUNDS  # highest threshold of the controller
-BUDGET_GROWTHS = (
-    3,
-    2,
-    1,
-    0,
-)  # from frame to frame, the controller's budget may grow by these powers of 1/2 of itself
+# from frame to frame, the controller's budget may grow by these powers of 1/2 of itself
+BUDGET_GROWTHS = (3, 2, 1, 0)
 LIMIT_DROP = 2  # from frame to frame, its limit may fall by this power of 1/2 of itself
 FRAMES_MAX = 1 << 16  # the frame number has 16 bits
 LINK_GBPS_MAX = 1e6  # highest rate of the link behind a stream

@@ -52,9 +52,8 @@ class ReceivedFrame:
     records: np.ndarray  # int64[k, 2]: subgroup and pulse
     entries: np.ndarray  # int64[k, minigroups, 2]: stamp and map
     counters: np.ndarray  # int64[subgroups of the stream, 11]
-    damaged: (
-        np.ndarray
-    )  # int64[m]: beats at which a group of events is missing or wrong; all other events are right
+    # int64[m]: beats at which a group of events is missing or wrong; all other events are right
+    damaged: np.ndarray
     missing: int  # number of events that were left out, because their group is damaged
 
     def check(self) -> "ReceivedFrame":

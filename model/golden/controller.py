@@ -55,9 +55,8 @@ class Controller:
         committed, lower = column[COUNTER.committed], column[COUNTER.lower]
         rises = committed > self.limit[self._stream]
         falls = ~rises & (lower <= self.budget[self._stream])
-        ceiling = 1 + np.searchsorted(
-            config.auto_bounds, opened, side="right"
-        )  # at most THRESHOLD_MAX
+        # at most THRESHOLD_MAX
+        ceiling = 1 + np.searchsorted(config.auto_bounds, opened, side="right")
         floor = max(1, config.frame.threshold_floor)
         return np.maximum(floor, np.minimum(threshold + rises - falls, ceiling))
 
@@ -84,10 +83,8 @@ class Controller:
         span = self.sensor.stream_subgroups(stream)
         of_stream = slice(span.start, span.stop)
         column, controlled = self._counters[of_stream].T, config.controlled[of_stream]
-        committed, lower = (
-            column[COUNTER.committed],
-            column[COUNTER.lower],
-        )  # equal at a threshold of 1
+        # equal at a threshold of 1
+        committed, lower = (column[COUNTER.committed], column[COUNTER.lower])
         total, top = (
             int(committed.sum()),
             min(limit, int(committed.max(where=controlled, initial=0))),

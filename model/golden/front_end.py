@@ -118,9 +118,8 @@ class _Workspace(NamedTuple):
 
     seen_at: np.ndarray  # [pixels], cycle of each pixel's last edge, as of `_cycle`
     accepted: np.ndarray  # [edges], indices of the edges that the tree sees
-    windows: (
-        np.ndarray
-    )  # [edges, 2], indices in `accepted`: a window's first edge, and the first edge after it
+    # [edges, 2], indices in `accepted`: a window's first edge, and the first edge after it
+    windows: np.ndarray
     collected: _Collection
 
 

@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import Numbers, check_choice, given, real, real_array
 
-BACKGROUND_CPS_PER_KLUX = (
-    1.226e6 / 50
-)  # detected, per pixel; our preset: a level at which thresholds are selective
+# detected, per pixel; our preset: a level at which thresholds are selective
+BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50
 SIGNAL_REFERENCE = (
     0.613  # detected photons per pulse and pixel by equation (1) at the two values below
 )

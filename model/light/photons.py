@@ -290,9 +290,8 @@ class _Walker:
         self.first, self.end = block
         self.packing = packing
         self.edges_per_pulse = edges_per_pulse[self.first : self.end].sum()
-        self.photons_max = (
-            int(brightest + 12 * math.sqrt(brightest)) + 64
-        )  # doubled if it is ever exceeded
+        # doubled if it is ever exceeded
+        self.photons_max = int(brightest + 12 * math.sqrt(brightest)) + 64
         pixels = self.end - self.first
         carriers = np.full((pixels, CARRIERS_MAX if physics.afterpulse else 0), np.inf)
         fresh = State(np.zeros(pixels), carriers)

@@ -91,9 +91,8 @@ def _spectrum(name: str) -> tuple[np.ndarray, float]:
             / np.expm1(exponent)
         )
     else:
-        from pvlib.spectrum import (
-            get_reference_spectra,
-        )  # here, because importing pvlib takes a second
+        # here, because importing pvlib takes a second
+        from pvlib.spectrum import get_reference_spectra
 
         table = get_reference_spectra()
         density = np.interp(_GRID_NM, table.index.to_numpy(), table[TABLE_COLUMNS[name]].to_numpy())

@@ -30,9 +30,8 @@ from .recordings import SYNC_MAX, Recording, since_sync
 INTEGER_MAX = (1 << 63) - 1
 UNITS_PS = {"time_ps": 1, "time_ns": 1000, "time_us": 1_000_000, "time_s": 1_000_000_000_000}
 SUFFIXES = (".npz", ".csv", ".h5", ".hdf5", ".ptu")
-Columns: TypeAlias = Sequence[
-    np.ndarray
-]  # int64 where all numbers are written as integers, else float64; of one length
+# int64 where all numbers are written as integers, else float64; of one length
+Columns: TypeAlias = Sequence[np.ndarray]
 Read: TypeAlias = Callable[[tuple[str, ...]], Columns]
 EXPECTED = "pulse, pixel, tick; or sync, channel, time_ps; or channel, time_ps (or time_ns, time_us, time_s)"
 

@@ -25,11 +25,8 @@ from .recordings import NO_SYNC, Recording, since_sync
 
 PS_PER_S = 1e12
 T2_SYNC = 1 << 6  # upper 7 bits of a sync's record: the special bit, and input 0
-CHANNEL_BITS, DTIME_BITS, NSYNC_BITS = (
-    6,
-    15,
-    10,
-)  # widths in a written record, below the special bit
+# widths in a written record, below the special bit
+CHANNEL_BITS, DTIME_BITS, NSYNC_BITS = (6, 15, 10)
 NO_SYNC_YET = np.int64(1) << 62
 OVERFLOW = (
     1 << CHANNEL_BITS + 1
@@ -150,15 +147,13 @@ class _Scan:
             time[(marker & mask) > 0] for mask in (self.start, self.stop, self.frame)
         )
         ends = np.append(ends, -1)[np.searchsorted(ends, begins, side="right")]
-        cut = (ends < begins) | (
-            ends > np.append(begins[1:], NO_SYNC_YET)
-        )  # no stop before the next start
+        # no stop before the next start
+        cut = (ends < begins) | (ends > np.append(begins[1:], NO_SYNC_YET))
         if cut.all():
             raise InputError("scan: the recording holds no whole line between its markers")
         first = np.searchsorted(begins, changes)
-        begun_before = (
-            first[0] % self.rows if len(first) else 0
-        )  # lines of a frame whose beginning is not recorded
+        # lines of a frame whose beginning is not recorded
+        begun_before = first[0] % self.rows if len(first) else 0
         cut[:begun_before] = True
         ends = np.where(cut, begins, ends)
         base = np.zeros(len(begins), np.int64)  # first line of each line's frame

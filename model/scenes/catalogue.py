@@ -39,10 +39,8 @@ BUILT_IN: dict[
     "tunnel": ((("SHADE", SHADE),), tunnel),
 }
 
-RETURNS, AT = (
-    "returns",
-    "@",
-)  # the scene of any number of surfaces per pixel, and the sign before a reflectivity
+# the scene of any number of surfaces per pixel, and the sign before a reflectivity
+RETURNS, AT = ("returns", "@")
 NAMES = (*BUILT_IN, RETURNS)
 
 USUAL_KLUX, DAYLIGHT_KLUX = 50.0, {"sun-and-shade": 100.0, "tunnel": 100.0}

@@ -27,10 +27,8 @@ YARD = (
     Plane(4, 7.4, 0.12, 15 / 32, 30 / 32, 22 / 32, 30 / 32),  # back of a dark car, in the sun
     Plane(5, 5.6, 0.45, 4 / 32, 11 / 32, 24 / 32, 29 / 32),  # a sign, in the sun
 )
-SHADOW_TOP, SHADOW_BOTTOM = (
-    18 / 32,
-    14 / 32,
-)  # where the shadow's edge meets the upper and lower border of the picture
+# where the shadow's edge meets the upper and lower border of the picture
+SHADOW_TOP, SHADOW_BOTTOM = (18 / 32, 14 / 32)
 
 TUNNEL_HALF_M = 2.0  # from the axis to each wall of a square tunnel
 EXIT_M = 11.0  # where the tunnel ends

@@ -33,10 +33,8 @@ WRONG_SHARE_MAX = (
     0.1  # share of a file's samples beyond the range or negative; with more, the unit is wrong
 )
 VALID_SHARE_MIN = 0.1  # lowest share of the sensor's pixels that must have a depth
-MARKS = (
-    65535,
-    65504,
-)  # "no depth" of most writers: the largest integer of 16 bits, the largest half float
+# "no depth" of most writers: the largest integer of 16 bits, the largest half float
+MARKS = (65535, 65504)
 NOWHERE_M = 65504.0  # renderers write this and more where there is nothing
 SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".pfm", ".exr")
 ARRAY = "array"  # name of distances that are no file
@@ -373,7 +371,6 @@ def _read_reflectivity(path: FilePath) -> np.ndarray:
             srgb = np.repeat(grey[:, :, None], 3, axis=2)
         else:
             srgb = np.asarray(picture.convert("RGB"), np.float64) / 255
-    linear = np.where(
-        srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4
-    )  # IEC 61966-2-1
+    # IEC 61966-2-1
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     return DARKEST + (BRIGHTEST - DARKEST) * (linear @ [0.2126, 0.7152, 0.0722])

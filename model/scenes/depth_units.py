@@ -26,10 +26,8 @@ KINECT_BITS = 11
 KINECT_NUMERATOR, KINECT_END = 351.3, 1092.5  # NYU's toolbox: metres = 351.3 / (1092.5 - number)
 KITTI_FORM = f"{DISPARITY}/256"
 NEAR_M = 0.2  # smallest usual median
-MULTIPLES = {
-    5: "tum",
-    1 << ROTATED_BITS: ROTATED,
-}  # divisor of all samples -> the data set that writes such samples
+# divisor of all samples -> the data set that writes such samples
+MULTIPLES = {5: "tum", 1 << ROTATED_BITS: ROTATED}
 
 
 def metres(path: FilePath, samples: np.ndarray, unit: str) -> np.ndarray:

@@ -45,10 +45,8 @@ LLVM_LIBRARIES = (
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 RECORDED_PERIODS = 2  # laser periods; light that arrives even later is left out
 LOST_SHARE_MAX = 1e-3  # share of the returning light up to which there is no note
-DOUBTFUL_NEAR_M, DOUBTFUL_FAR_SHARE = (
-    0.3,
-    0.5,
-)  # limits of the median beyond which metres are in doubt
+# limits of the median beyond which metres are in doubt
+DOUBTFUL_NEAR_M, DOUBTFUL_FAR_SHARE = (0.3, 0.5)
 
 
 def is_ray_scene(source: str) -> bool:

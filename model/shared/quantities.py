@@ -69,9 +69,8 @@ def real_array(
             f"{name}: must hold numbers {_range(low, high)}", field=name, low=low, high=high
         ) from None
     try:
-        array = np.array(
-            np.broadcast_to(array, shape), order="C"
-        )  # a copy, so that the caller's array stays writable
+        # a copy, so that the caller's array stays writable
+        array = np.array(np.broadcast_to(array, shape), order="C")
     except ValueError:
         message = f"{name}: has shape {array.shape}, must be {shape} or broadcast to it"
         raise InputError(message, field=name) from None

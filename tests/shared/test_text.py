@@ -12,12 +12,8 @@ from coincid.study.simulate import PAGE, REPORT
 
 ROOT = Path(__file__).parents[2]
 OUTSIDE = {".venv", "build", ".git"}
-OTHER_OPENERS = {
-    "Image.open",
-    "OpenImageIO.ImageInput.open",
-    "os.open",
-    "webbrowser.open",
-}  # no text files
+# no text files
+OTHER_OPENERS = {"Image.open", "OpenImageIO.ImageInput.open", "os.open", "webbrowser.open"}
 PROCESSES = {"run", "Popen", "check_output", "program"}
 ASCII_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
