@@ -36,6 +36,7 @@ from .contract_tables import header_table, settings_tables
 
 EXAMPLE = Sensor(rows=8, cols=16)  # for docs/integrate.md: two subgroups, one module
 
+UNDEFINED = "any"  # value after a reset of what comes from a memory
 _READY = "the port takes what its `valid` offers; low during a reset"
 _MEANINGS = {  # pattern of a port's name -> value after a reset (outputs only), meaning
     r"clk": ("", "system clock; every other port is sampled and driven at its rising edge"),
@@ -55,10 +56,16 @@ _MEANINGS = {  # pattern of a port's name -> value after a reset (outputs only),
     r"s_axi_rdata": ("0", "value of a read; 0 with SLVERR"),
     r"s_axi_[br]valid": ("0", "the answer stands, and stays until it is taken"),
     r"s_axi_[br]ready": ("", "the answer is taken"),
-    r"m_axis\d*_tdata": ("0", "beat of a packet; it means something only while `tvalid` is high"),
+    r"m_axis\d*_tdata": (
+        UNDEFINED,
+        "beat of a packet; means something only while `tvalid` is high",
+    ),
     r"m_axis\d*_tvalid": ("0", "a beat is offered, and stays until it is taken"),
     r"m_axis\d*_tready": ("", "the beat is taken; may be low for any time"),
-    r"m_axis\d*_tlast": ("0", "last beat of the frame on this stream"),
+    r"m_axis\d*_tlast": (
+        UNDEFINED,
+        "last beat of the frame on this stream; means something only while `tvalid` is high",
+    ),
     r"laser": ("0", "high in cycle 0 of every laser period"),
     r"spad_gate": (
         "0; all ones two cycles later",
