@@ -2,7 +2,7 @@
 """Views of a waveform, block by block, for GTKWave and Surfer."""
 
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from pywellen import Waveform
 
@@ -39,6 +39,9 @@ BLOCKS: tuple[Block, ...] = (
     ("controller 0", "controller_0", "fits done budget limit"),
 )
 
+# GTKWave shows 2**ZOOM picoseconds per screen pixel: some 40 cycles of 2 ns across a window.
+ZOOM = 6.3
+
 Group: TypeAlias = tuple[str, list[tuple[str, int]]]  # title; path and width in bits of its signals
 
 
@@ -48,10 +51,10 @@ def views(fst: Path, blocks: tuple[Block, ...] = BLOCKS) -> list[Path]:
 
     Signals that are not in the waveform (because the sensor lacks the block) are left out.
     """
-    known: dict[
-        str, tuple[str, int]
-    ] = {}  # path below the top module, in whatever scope a simulator puts the top
-    for variable in Waveform(str(fst)).all_vars():
+    variables = Waveform(str(fst)).all_vars()
+    # path below the top module, in whatever scope a simulator puts the top
+    known: dict[str, tuple[str, int]] = {}
+    for variable in variables:
         known.setdefault(
             variable.full_name.partition(f"{TOP}.")[2], (variable.full_name, variable.bitwidth)
         )
@@ -64,16 +67,26 @@ def views(fst: Path, blocks: tuple[Block, ...] = BLOCKS) -> list[Path]:
         ]
         if found:
             groups.append((title, found))
+    start = _first_pulse(variables)
     written = []
-    for suffix, text in ((".gtkw", _gtkwave(fst, groups)), (".sucl", _surfer(groups))):
+    for suffix, text in ((".gtkw", _gtkwave(fst, groups, start)), (".sucl", _surfer(groups))):
         written.append(fst.with_suffix(suffix))
         with whole_file(written[-1], "w") as file:
             file.write(text)
     return written
 
 
-def _gtkwave(fst: Path, groups: list[Group]) -> str:
-    lines = [f'[dumpfile] "{fst.name}"', "[timestart] 0"]
+def _first_pulse(variables: list[Any]) -> int:
+    """Return the time at which `laser` rises first, in units of the waveform; 0 if it never does."""
+    for variable in variables:
+        if variable.full_name.endswith(f"{TOP}.laser"):
+            return next((time for time, value in variable.tv if value == 1), 0)
+    return 0
+
+
+def _gtkwave(fst: Path, groups: list[Group], start: int) -> str:
+    """Return a view that begins with the first laser pulse, behind the reset and the settings."""
+    lines = [f'[dumpfile] "{fst.name}"', f"[timestart] {start}", f"*-{ZOOM} {start}"]
     for title, signals in groups:
         lines += ["@200", f"-{title}"]
         for path, width in signals:

@@ -198,6 +198,9 @@ def test_views_name_signals_of_the_waveform(tmp_path, simulator):
     )
 
     gtkwave = (tmp_path / f"{TOP}.gtkw").read_text(encoding="utf-8").splitlines()
+    start = int(gtkwave[1].removeprefix("[timestart] "))
+    laser = next(v for v in Waveform(str(fst)).all_vars() if v.full_name == f"{TOP}.laser")
+    assert dict(laser.tv)[start] == 1 and not any(v for at, v in laser.tv if at < start)
     shown = [line for line in gtkwave if line.startswith(TOP)]
     assert [line[1:] for line in gtkwave if line.startswith("-")] == [
         title for title, _, _ in wave_views.BLOCKS
