@@ -225,7 +225,7 @@ def _check_order(config: object) -> None:
         return
     told = f"{type(config).__name__}: is no configuration"
     if isinstance(config, str | os.PathLike):
-        if str(config).partition(":")[0] not in NAMES or Path(config).exists():
+        if str(config).partition(":")[0] not in NAMES or os.path.exists(config):
             return
         told = f"{config!r}: is a scene"
     raise InputError(

@@ -3,6 +3,7 @@
 export.
 """
 
+import errno
 import json
 import os
 import re
@@ -223,6 +224,48 @@ def test_interrupt_leaves_nothing(files, number, code, inherited):
         stderr = process.communicate(timeout=60)[1]
     assert (process.returncode, stderr) == (code, "coincid: interrupted\n")
     assert not (files / "out").exists()
+
+
+@pytest.mark.parametrize("words", ["show", "--help"])
+def test_a_full_standard_output_is_told_in_one_line(words):
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "coincid", words],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+        )
+    told = f"coincid: standard output: {os.strerror(errno.ENOSPC)}\n"
+    assert (done.returncode, done.stderr) == (1, told)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_last_word_changes_nothing(number, monkeypatch):
+    """The work is done, so the exit code says how."""
+    code = "import os, signal, atexit; from coincid import __main__; "
+    code += f"atexit.register(os.kill, os.getpid(), {int(number)}); __main__.main()"
+    done = subprocess.run([sys.executable, "-c", code, "show"], capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+LONG_NAME = "a" * 300
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        f"show {LONG_NAME}.toml",
+        f"photons --scene flat:5 --out {LONG_NAME}.npz",
+        f"sim --engine golden --scene {LONG_NAME}.png",
+        f"sim --engine golden --scene flat:5 --klux {LONG_NAME}",
+    ],
+)
+def test_a_name_that_no_file_can_have_gets_a_sentence(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = command(words)
+    assert result.exit_code == 2 and result.stderr.count("\n") == 1 and LONG_NAME in result.stderr
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", get_command(app).commands)

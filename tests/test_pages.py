@@ -22,7 +22,12 @@ ROOT = Path(__file__).parents[1]
 TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "examples" / "README.md"]
 BY_HAND = {"blocks.svg", "async_timing.svg"}  # drawings
 PAGES = Pages(ROOT, ROOT / "build" / "pages" / "facts.json")
-CHEAP = [name for name, program in PAGES.programs.items() if program.cheap]
+SLOWEST = ("scene", "timing-diagrams", "waveform")  # of the cheap ones
+CHEAP = [
+    pytest.param(name, marks=[pytest.mark.long] if name in SLOWEST else [])
+    for name, program in PAGES.programs.items()
+    if program.cheap
+]
 
 
 def driver():

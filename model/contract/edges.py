@@ -2,6 +2,7 @@
 """Edges: SPAD avalanches as the digital logic sees them, and their file format."""
 
 import enum
+import os
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +81,7 @@ def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -
     `InputError` with the array, its first bad element and the legal range.
     """
     suffix = Path(path).suffix.lower()
-    if suffix in OTHER_SUFFIXES and Path(path).exists():
+    if suffix in OTHER_SUFFIXES and os.path.exists(path):
         raise InputError(f"{path}: is read as NPZ; coincid edges makes one of a {suffix} file")
     arrays = read_npz(path, NAMES, optional=("offset_ps",))
     return checked_edges(

@@ -5,7 +5,7 @@ Ref: paper II, equation (2): the background is proportional to the light. The fo
 rules of the resampling, are our choice.
 """
 
-from pathlib import Path
+import os
 from typing import TypeAlias
 
 import numpy as np
@@ -37,7 +37,7 @@ def ambient_klux(source: Ambient, rows: int, cols: int) -> Numbers:
         )
     if (number := _number(source)) is not None:
         return check_real("klux", number, 0)
-    if source.count("|") == 1 and not Path(source).exists():
+    if source.count("|") == 1 and not os.path.exists(source):
         low, high = (_klux(source, part) for part in source.split("|"))
         return np.broadcast_to(np.where(np.arange(cols) < cols // 2, low, high), (rows, cols))
     return _resampled(source, _read_klux(source), rows, cols)
@@ -75,7 +75,7 @@ def _read_klux(source: str) -> np.ndarray:
     if not comma:
         what = (
             f"{source}: a picture needs its white level in klux"
-            if Path(source).exists()
+            if os.path.exists(source)
             else f"klux = {source!r}"
         )
         raise InputError(f"{what}: must be {AMBIENT_FORMS}")

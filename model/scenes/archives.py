@@ -3,6 +3,7 @@
 FILE alone the only one.
 """
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +19,7 @@ ARCHIVES = (".npz", ".h5", ".hdf5", ".mat")
 def is_in_archive(source: FilePath) -> bool:
     """Return whether a text is an archive, or one of its arrays."""
     path, _ = _divided(source)
-    return path.suffix.lower() in ARCHIVES and path.exists()
+    return path.suffix.lower() in ARCHIVES and os.path.exists(path)
 
 
 def read_from_archive(source: FilePath) -> np.ndarray:
@@ -38,7 +39,7 @@ def read_from_archive(source: FilePath) -> np.ndarray:
 def _divided(source: FilePath) -> tuple[Path, str]:
     """Return the file and the name of FILE:NAME; the name is empty if there is none."""
     text = str(source)
-    if Path(text).exists():
+    if os.path.exists(text):
         return Path(text), ""
     path, _, name = text.rpartition(":")
     return Path(path), name

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The catalogue of scenes: makes a `Scene` from the name or file that a user gives."""
 
+import os
 from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
@@ -146,7 +147,7 @@ def load_scene(
                     f"scene {text!r}: names a colour picture, and another one is given: {colour}"
                 )
             colour = beside
-        if not Path(source).exists() and not is_in_archive(source):
+        if not os.path.exists(source) and not is_in_archive(source):
             raise InputError(f"{source}: no such file (built-in scenes: {', '.join(NAMES)})")
     elif not isinstance(source, np.ndarray):
         raise InputError(
@@ -175,7 +176,7 @@ def _depth_and_colour(text: str) -> tuple[str, str] | None:
     """Return the two paths of DEPTH,COLOUR at the comma that divides existing files, or else at
     the last one.
     """
-    if "," not in text or Path(text).exists():
+    if "," not in text or os.path.exists(text):
         return None
     commas = [at for at, sign in enumerate(text) if sign == ","]
     depth = [at for at in commas if Path(text[:at]).is_file() or is_in_archive(text[:at])]
@@ -208,7 +209,7 @@ def _named_scene(source: str, rows: int, cols: int, range_m: float) -> Scene:
 
 
 def _is_built_in(source: str) -> bool:
-    return source.partition(":")[0] in NAMES and not Path(source).exists()
+    return source.partition(":")[0] in NAMES and not os.path.exists(source)
 
 
 def _numbers(

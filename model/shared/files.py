@@ -31,6 +31,8 @@ def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
         handle, beside = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+    except ValueError:  # a NUL byte
+        raise InputError(f"{str(path)!r}: is no name of a file") from None
     try:
         with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8") as file:
             yield file

@@ -1,7 +1,78 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m coincid` is the `coincid` command."""
+"""The program `coincid`, and `python -m coincid`: signals, and errors of the operating system.
 
-from coincid.cli import main
+Signals are handled before the command line and its libraries are imported, which takes half a
+second. Once a command has ended, its exit code stands, and signals change nothing.
+"""
+
+import errno
+import os
+import signal
+import sys
+
+BAD_INPUT = 2
+FAILED = 1
+SIGNALS = signal.SIGINT, signal.SIGTERM
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    # A shell starts what runs in the background with SIGINT ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    code = _run()
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    sys.exit(code)
+
+
+def _run() -> int | str | None:
+    """Run the command that was typed, and return its exit code."""
+    try:
+        code = _command()
+        sys.stdout.flush()
+    except KeyboardInterrupt as why:
+        print("coincid: interrupted", file=sys.stderr)
+        return _interrupted(why)
+    except OSError as error:
+        _forget_output()
+        print(f"coincid: {_told(error)}", file=sys.stderr)
+        return BAD_INPUT if error.errno == errno.ENAMETOOLONG else FAILED
+    return code
+
+
+def _interrupted(why: KeyboardInterrupt) -> int:
+    from coincid.model.shared.interrupts import INTERRUPTED, TERMINATED, Terminated
+
+    return TERMINATED if isinstance(why, Terminated) else INTERRUPTED
+
+
+def _command() -> int | str | None:
+    from coincid.model.shared.interrupts import interruptible
+
+    interruptible()
+    from coincid.cli import app
+
+    try:
+        app()
+    except SystemExit as ended:
+        return ended.code
+    return None
+
+
+def _told(error: OSError) -> str:
+    """Return what the operating system refused, in one line."""
+    place = "standard output" if error.filename is None else str(error.filename)
+    return f"{place}: {error.strerror}"
+
+
+def _forget_output() -> None:
+    """Discard what is left for a standard output that takes no more, so that the end of the
+    program does not try again.
+    """
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+
 
 if __name__ == "__main__":
     main()

@@ -23,7 +23,7 @@ from typer.core import TyperGroup
 from coincid.lab.options import OPTIONS
 from coincid.model.contract.preset_files import PRESETS
 from coincid.model.shared.errors import SEED_MAX, InputError, check_integer, extra
-from coincid.model.shared.interrupts import INTERRUPTED, TERMINATED, Terminated, interruptible
+from coincid.model.shared.interrupts import INTERRUPTED, TERMINATED, Terminated
 
 if TYPE_CHECKING:
     from coincid.lab.setup import Setup
@@ -974,7 +974,7 @@ def _config(
 
 def _file(path: Path) -> Path:
     """Return `path` if a file can be written there. Nothing is written yet."""
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError(f"out = {str(path)!r}: is a folder, must be a file")
     _writable(path, path.parent)
     return path
@@ -990,8 +990,8 @@ def _writable(path: Path, folder: Path) -> None:
     nearest = next(
         parent for parent in (folder, *folder.absolute().parents) if os.path.exists(parent)
     )
-    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
-        why = "not writable" if nearest.is_dir() else "no folder"
+    if not os.path.isdir(nearest) or not os.access(nearest, os.W_OK | os.X_OK):
+        why = "not writable" if os.path.isdir(nearest) else "no folder"
         raise InputError(f"out = {str(path)!r}: cannot be written: {nearest} is {why}")
 
 
@@ -1019,12 +1019,3 @@ def _all_met(missed: Iterable[str]) -> None:
     if told:
         print("\n".join(told), file=sys.stderr)
         raise typer.Exit(DIFFERS)
-
-
-def main() -> None:
-    """Entry point of the console script."""
-    interruptible()
-    try:
-        app()
-    except KeyboardInterrupt as why:
-        sys.exit(_code(why))

@@ -86,6 +86,7 @@ def test_page_is_html_with_every_number(tmp_path):
     assert "<td>7 %</td><td>1</td><td>2</td><td></td>" in text
 
 
+@pytest.mark.long
 def test_paper_figures_with_a_second_engine(monkeypatch):
     monkeypatch.setattr(reconstruction, "SEEDS", 1)
     monkeypatch.setattr(reconstruction, "PANELS_6", {"c": reconstruction.PANELS_6["c"]})

@@ -198,6 +198,7 @@ def test_memory_of_a_histogram_is_bounded(wall, monkeypatch):
         SCHEMES["photon counts"](wall)
 
 
+@pytest.mark.long
 def test_files_of_the_comparison(tmp_path, monkeypatch):
     small = {
         "SIDE": 16,

@@ -95,6 +95,7 @@ def test_fixed_threshold_is_named_or_the_best_of_all(tmp_path):
         assert best["wrong_share_fixed"] <= report["wrong_share_fixed"]
 
 
+@pytest.mark.long
 def test_the_controller_wins_on_the_default_scene(tmp_path):
     """Sun beside shade on a link of 8 Gbit/s: the case that the job demonstrates."""
     assert command("sim --engine golden --out", tmp_path).exit_code == 0
@@ -186,7 +187,8 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
     assert (out / "sim.log").exists()
 
 
-@pytest.mark.parametrize("simulator", ["icarus", pytest.param("verilator", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("simulator", ["icarus", "verilator"])
 def test_views_name_signals_of_the_waveform(tmp_path, simulator):
     *_, told = run(tmp_path, SMALL | {"sensor": SMALLEST}, engine=simulator, waves=True)
     fst = tmp_path / f"{TOP}.fst"
