@@ -109,6 +109,11 @@ def _not(share: str) -> Callable[[MeasuredFrame], float | None]:
     return rest
 
 
+def _capacity_share(frame: MeasuredFrame) -> float | None:
+    capacity = frame.config.capacity * frame.config.sensor.streams
+    return _total(frame, "committed") / capacity if capacity else None
+
+
 def _per_s(counter: str) -> Callable[[MeasuredFrame], float]:
     return lambda frame: (
         _total(frame, counter) * frame.config.clock_mhz * 1e6 / frame.config.frame_cycles
@@ -202,9 +207,7 @@ _OTHERS: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
     "capacity_share": (
         float,
         "committed windows as a share of the controller's capacity, all streams",
-        lambda frame: (
-            _total(frame, "committed") / (frame.config.capacity * frame.config.sensor.streams)
-        ),
+        _capacity_share,
     ),
     "events_per_s": (
         float,

@@ -84,7 +84,9 @@ def _normals(
         turn = (unit - ray * ray[:, :, [1 - axis]]) * (step / length)[:, :, None]
         along.append(slope_m[:, :, axis, None] * ray + depth_m[:, :, :1] * turn)
     first = np.cross(*along)
-    first /= np.linalg.norm(first, axis=2, keepdims=True)
+    size = np.linalg.norm(first, axis=2, keepdims=True)
+    # a surface along the ray, or at distance 0, has no normal
+    first = np.divide(first, size, out=np.full_like(first, np.nan), where=size > 0)
     first *= np.where((first * ray).sum(axis=2, keepdims=True) > 0, -1, 1)
     found = np.full((*depth_m.shape, 3), np.nan)
     found[:, :, 0] = first
