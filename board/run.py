@@ -52,6 +52,8 @@ def source_settings(
     most 255/256. The background of a subgroup is the mean of its pixels. Raises `InputError`.
     """
     sensor, timing = config.sensor, Timing.from_config(config)
+    if scene.later:
+        raise InputError(f"scene: has {scene.pictures} pictures, must have one for the emulator")
     light = scene_light(scene, klux, background=BACKGROUNDS[0])
     distance_m = (
         np.asarray(light.distance_m)[:, 0]

@@ -32,8 +32,6 @@ class MeasuredRun(Protocol):
     """What measures read of the run of a frame (`outcomes.Run`)."""
 
     @property
-    def scene(self) -> Scene: ...
-    @property
     def result(self) -> dict[str, np.ndarray]: ...
 
 
@@ -42,6 +40,8 @@ class MeasuredFrame(Protocol):
 
     @property
     def run(self) -> MeasuredRun: ...
+    @property
+    def scene(self) -> Scene: ...
     @property
     def config(self) -> Config: ...
     @property
@@ -93,7 +93,7 @@ def _wrong(tolerance_m: float) -> Callable[[MeasuredFrame], float | None]:
 
 def _off_surface(frame: MeasuredFrame) -> float | None:
     known = _known(frame)
-    off = off_surfaces(frame.depth_m[known], frame.run.scene.surfaces_m[known])
+    off = off_surfaces(frame.depth_m[known], frame.scene.surfaces_m[known])
     return float(off.mean()) if len(off) else None
 
 

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from attrs import frozen
 
-from ..model.scenes.conventions import CONVENTIONS, UNIT_FORMS
+from ..model.scenes.conventions import CONVENTIONS, DEPTH_FILES_TOLD, UNIT_FORMS
 from ..model.shared.errors import SEED_MAX
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -43,8 +43,9 @@ _DATA_SETS = "; ".join(f"{one.name} ({one.files}: {one.told})" for one in CONVEN
 _ALL = (
     Option(
         name="scene", kind="Scene, str or numpy.ndarray", metavar="SCENE", default="five-objects",
-        doc=f"Built in: {_SCENES}; a depth file (PNG, TIFF, PGM, NPY, PFM, EXR; NPZ, HDF5 or MATLAB as FILE:NAME), "
+        doc=f"Built in: {_SCENES}; a depth file ({DEPTH_FILES_TOLD}), "
         "with a colour picture for the reflectivities as DEPTH,COLOUR; "
+        "a folder of them, or a pattern such as depth_%04d.png, for a scene that moves from frame to frame; "
         f"ray-traced: {_RAYS}, or a Mitsuba scene (XML, metres).",
     ),
     Option(

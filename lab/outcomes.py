@@ -116,7 +116,10 @@ class Run:
 
     def alone(self, number: int, **changes: Any) -> Self:
         """Return a run that begins at reset with the photons of one frame, with a changed setup."""
-        setup = self.setup.but(edges=self.frame_edges(number), frame={"frames": 1}).but(**changes)
+        own: dict[str, Any] = {"edges": self.frame_edges(number)}
+        if self.setup.scene is not None:
+            own["scene"] = self.setup.scene.at(number % self.config.frames)
+        setup = self.setup.but(frame={"frames": 1}, **own).but(**changes)
         return type(self)(setup, workers=self.workers, watch=self.watch)
 
     @property
@@ -126,15 +129,20 @@ class Run:
 
     @property
     def scene(self) -> Scene:
-        """What the pixels see."""
+        """What the pixels see; `Frame.scene` is that of one frame, if it moves."""
         return self.setup.seen
 
     @property
     def light(self) -> Light:
-        """Detected signal and background of every pixel."""
-        if self._light is None:
-            self._light = self.setup.photons.light
-        return self._light
+        """Detected signal and background of every pixel, in the first frame."""
+        return self.light_of(0)
+
+    def light_of(self, frame: int) -> Light:
+        """Return the detected signal and background of every pixel in a frame."""
+        if self._light is not None:
+            return self._light
+        lights = self.setup.photons.lights
+        return lights[min(frame, len(lights) - 1)]
 
     @property
     def edges(self) -> Edges:
@@ -283,6 +291,16 @@ class Frame:
         """The golden model's frame."""
         return self.run.traces[self.number]
 
+    @property
+    def scene(self) -> Scene:
+        """What the pixels see in this frame."""
+        return self.run.scene.at(self.number)
+
+    @property
+    def light(self) -> Light:
+        """Detected signal and background of every pixel in this frame."""
+        return self.run.light_of(self.number)
+
     @cached_property
     def edges(self) -> Edges:
         """The frame's edges, with pulses counted from its start."""
@@ -337,7 +355,7 @@ class Frame:
     @property
     def truth_m(self) -> np.ndarray:
         """float64[rows, cols]: the true distance; NaN = none."""
-        return self.run.scene.truth_m
+        return self.scene.truth_m
 
     @cached_property
     def wrong(self) -> np.ndarray:

@@ -3,7 +3,7 @@
 computed here.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache, cached_property
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
@@ -50,26 +50,44 @@ class PhotonInputs:
     light: Light
     spad: Spad
     timing: Timing
-    pulses: int
+    pulses: int  # of all frames
     seed: int
     gate: SpadGate | None
+    later: tuple[Light, ...] = ()  # of the frames after the first one; empty: `light` in all
 
     @property
     def key(self) -> str:
         """Digest of the content: equal keys mean equal edges."""
         return fingerprint(self)
 
+    @property
+    def lights(self) -> tuple[Light, ...]:
+        """The light of each frame, or the one light of all frames."""
+        return (self.light, *self.later)
+
+    def _parts(self) -> Iterator[dict[str, Any]]:
+        """Yield arguments of `edge_chunks`: for each light its pulses. SPADs begin each part ready."""
+        pulses = self.pulses // len(self.lights)
+        shared = _fields(self)
+        del shared["later"]
+        for number, light in enumerate(self.lights):
+            own = {"light": light, "pulses": pulses, "pulse_start": number * pulses}
+            yield shared | own
+
     def check(self) -> None:
         """Raise `InputError` if a value is out of range; generate nothing."""
-        edge_chunks(**_fields(self))
+        for part in self._parts():
+            edge_chunks(**part)
 
     def edges(self, workers: int = 1, watch: Watch = unwatched) -> Edges:
         """Generate the edges. workers: number of threads, which does not change the edges."""
         chunks, made = [], 0
-        for chunk in edge_chunks(**_fields(self), workers=workers):
-            chunks.append(chunk)
-            made += len(chunk)
-            watch("photons", float(chunk.pulse[-1] + 1) / self.pulses if len(chunk) else 0.0, made)
+        for part in self._parts():
+            for chunk in edge_chunks(**part, workers=workers):
+                chunks.append(chunk)
+                made += len(chunk)
+                done = float(chunk.pulse[-1] + 1) / self.pulses if len(chunk) else 0.0
+                watch("photons", done, made)
         return Edges(
             *(
                 np.concatenate([getattr(chunk, name) for chunk in chunks])
@@ -87,7 +105,8 @@ class Setup:
     config : Config
         The sensor, its frames and settings.
     scene : Scene or None
-        The surfaces that the pixels see, and the truth with which depth is compared.
+        The surfaces that the pixels see, and the truth with which depth is compared. If it moves,
+        frame k sees its picture k.
     klux, background
         Ambient light on the scene; see `scene_light`.
     light : Light or None
@@ -171,17 +190,25 @@ class Setup:
     @cached_property
     def photons(self) -> PhotonInputs:
         """The photons of all frames. Raises `InputError`."""
-        light = self.light
-        if light is None:
-            light = scene_light(self.seen, self.klux, background=self.background)
+        frames = self.config.frames
+        if self.light is not None:
+            lights = [self.light]
+        elif self.seen.later:
+            lights = [self._light_of(self.seen.at(frame)) for frame in range(frames)]
+        else:
+            lights = [self._light_of(self.seen)]
         return PhotonInputs(
-            light=light,
+            light=lights[0],
+            later=tuple(lights[1:]),
             spad=self.spad,
             timing=Timing.from_config(self.config),
-            pulses=self.config.frames * self.config.pulses,
+            pulses=frames * self.config.pulses,
             seed=self.seed,
             gate=SpadGate.from_config(self.config) if self.spad_gate else None,
         )
+
+    def _light_of(self, scene: Scene) -> Light:
+        return scene_light(scene, self.klux, background=self.background)
 
     @cached_property
     def key(self) -> str:
@@ -214,6 +241,15 @@ def scene_of(config: Config, source: Scene | str | np.ndarray, **options: Any) -
     return load_scene(
         source, sensor.rows, sensor.cols, range_m=Timing.from_config(config).range_m, **options
     )
+
+
+def for_pictures(config: Config, scene: Scene) -> Config:
+    """Return a configuration with a frame for each picture of a moving scene, unless it gives a
+    number of frames.
+    """
+    if not scene.later or "frame.frames" in config.given:
+        return config
+    return config.with_frame(frames=scene.pictures)
 
 
 def seeded(setup: Setup, seeds: int) -> list[Setup]:

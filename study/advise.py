@@ -169,8 +169,10 @@ def advise(
     klux: ambient light, for the power. The sensor, its clock, period and pulses are those of the
     setup.
     """
+    scene = setup.seen
+    frames = scene.pictures if scene.later else SETTLING + 1
     setup = setup.but(
-        frame={"frames": SETTLING + 1, "format": FORMATS[0], "link_gbps": FIRST_LINK_GBPS},
+        frame={"frames": frames, "format": FORMATS[0], "link_gbps": FIRST_LINK_GBPS},
         estimators=("planes",),
     )
     windows = sorted(

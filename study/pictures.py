@@ -68,17 +68,18 @@ def draw_row(
     *,
     blocks: tuple[str, np.ndarray] | None = None,
     tolerance_m: float = TOLERANCE_M,
+    span_m: tuple[float, float] | None = None,
 ) -> tuple[Figure, list[float]]:
     """Draw the truth and `panels` side by side, at most five per row; return the figure, and each
     panel's wrong share.
 
     blocks: title and small integers [subgroups down, across]; the last panel shows them as numbers
-    on the subgroups. All panels share one colour scale in metres. It spans the truth; depths beyond
-    it have the colour of the nearer end. Pixels without an estimate are grey; pixels without a
+    on the subgroups. All panels share one colour scale in metres. It spans the truth, or `span_m`;
+    depths beyond it have the colour of the nearer end. Pixels without an estimate are grey; pixels without a
     truth also have a cross. Titles give the share of wrong pixels (`wrong_share`).
     """
     shares = [wrong_share(panel.depth_m, truth_m, tolerance_m) for panel in panels]
-    near_m, far_m = np.nanmin(truth_m), np.nanmax(truth_m)
+    near_m, far_m = span_m or (np.nanmin(truth_m), np.nanmax(truth_m))
     margin_m = max(SCALE_MARGIN * (far_m - near_m), tolerance_m)
     rows, cols = truth_m.shape
     height_in = PANEL_IN * rows / cols

@@ -13,10 +13,11 @@ import numpy as np
 
 from ..lab import outcomes
 from ..lab.options import OPTIONS, documented
-from ..lab.setup import Setup, scene_of
+from ..lab.setup import Setup, for_pictures, scene_of
 from ..model.contract.config import SETTINGS, TABLES, Config, load_config
 from ..model.contract.pixels import pixel_number
 from ..model.contract.result import events_table, write_result
+from ..model.depth.depth import write_depths
 from ..model.depth.methods import DEFAULT_METHOD, Method
 from ..model.golden.frame import Golden
 from ..model.light.light import BACKGROUNDS
@@ -123,6 +124,23 @@ class Run(outcomes.Run):
         check_suffix(path, ".npz")  # before the depth is computed
         self.depth(**options).save(path)
 
+    def save_depths(self, path: str | Path, method: Method | None = None) -> None:
+        """Write the depth of all frames as NPZ, with the frames as first axis (`write_depths`)."""
+        check_suffix(path, ".npz")
+        frames = self._all_frames(method)
+        truth_m = [frame.truth_m for frame in frames]
+        write_depths(path, [frame.first for frame in frames], truth_m)
+
+    def animate(self, path: str | Path, method: Method | None = None) -> None:
+        """Write truth and depth of all frames as an animation: GIF, or an animated PNG."""
+        from .animation import check_animation, write_animation
+
+        check_animation(path)
+        write_animation(path, self._all_frames(method), self.scene.name)
+
+    def _all_frames(self, method: Method | None) -> list[outcomes.Frame]:
+        return [self.frame(number, method) for number in range(self.config.frames)]
+
     def save(self, path: str | Path) -> None:
         """Write the result file (NPZ), whole or not at all. Raises `InputError` for another
         suffix.
@@ -168,7 +186,9 @@ def simulate(
         instead of those of `config`.
 
     An array of distances is in metres, has any shape (rows, cols), and may be followed by
-    `reflectivity`, a number or an array of that shape; 0 and NaN are holes.
+    `reflectivity`, a number or an array of that shape; 0 and NaN are holes. With a leading axis
+    it is a scene that moves: frame k sees picture k, and there are as many frames as pictures,
+    unless `frames` says otherwise. So it is with a folder or a pattern of depth files.
 
     Returns
     -------
@@ -198,9 +218,10 @@ def simulate(
             raise InputError(
                 f"{name}: goes with depth files and arrays of distances, not with a Scene"
             )
+    seen = scene_of(config, scene, reflectivity=reflectivity, **meaning)
     setup = Setup(
-        config=config,
-        scene=scene_of(config, scene, reflectivity=reflectivity, **meaning),
+        config=for_pictures(config, seen),
+        scene=seen,
         klux=usual_klux(str(scene) if isinstance(scene, str | os.PathLike) else "")
         if klux is None
         else klux,

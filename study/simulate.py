@@ -31,12 +31,14 @@ from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import subgroup_image
 from ..model.contract.result import ResultBuilder, write_result
 from ..model.contract.settings import SUBGROUP
+from ..model.depth.depth import write_depths
 from ..model.depth.estimate import estimate_depth
 from ..model.depth.methods import DEFAULT_METHOD
 from ..model.golden.frame import Golden, Trace
 from ..model.light.photons import edge_chunks
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import told_klux
+from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError, extra
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import in_background
@@ -51,6 +53,8 @@ if TYPE_CHECKING:
     from ..hdl.front_end_views import View
 
 EVENTS, DEPTH, REPORT, PAGE = "events.npz", "depth.npz", "report.json", "report.html"
+# of a scene that moves: the depth of every frame, as arrays and as an animation
+DEPTHS, ANIMATION = "depth_frames.npz", "depth_frames.gif"
 PICTURES = {  # file: (estimator of `model/depth/estimate.py`, suffix of the report's keys, heading)
     "depth.png": (DEFAULT_METHOD, "", "planes through the likelihood of all events"),
     "depth_peak.png": ("maximum", "_peak", "peak of every pixel's histogram, as in the paper"),
@@ -107,6 +111,14 @@ def schemes_of(sensor: Sensor) -> dict[str, tuple[str, dict[str, bool]]]:
     }
 
 
+def seeing_all(sensor: Sensor, scene: Scene) -> list[str]:
+    """Return the schemes that play all frames: the controller; without it, the last scheme of a
+    scene that moves.
+    """
+    last = list(schemes_of(sensor))[-1]
+    return [last] if last == CONTROLLED or scene.later else []
+
+
 def best_threshold(run: Run) -> int:
     """Return the threshold with the fewest wrong pixels in the last frame of the golden model, the
     lowest among equals.
@@ -120,21 +132,19 @@ def best_threshold(run: Run) -> int:
 
 
 def scheme_runs(run: Run, threshold: ArrayLike) -> dict[str, Run]:
-    """Return the run of each scheme. `auto` sees the photons of all frames; the others only see
-    those of the last frame.
+    """Return the run of each scheme. Those of `seeing_all` see the photons of all frames; the
+    others only see those of the last frame.
     """
     golden, runs = Golden(run.config.sensor), {}
+    all_frames = seeing_all(run.config.sensor, run.scene)
     for name, (_, settings) in schemes_of(run.config.sensor).items():
-        if name == CONTROLLED:
-            own = run.but(subgroup=settings)
+        own_settings = settings | ({"threshold": threshold} if name == "fixed" else {})
+        if name in all_frames:
+            own = run.but(subgroup=own_settings)
         else:
-            own = run.alone(
-                -1, subgroup=settings | ({"threshold": threshold} if name == "fixed" else {})
-            )
+            own = run.alone(-1, subgroup=own_settings)
         traces = [golden.frame(own.config, own.frame_edges(k)) for k in range(own.config.frames)]
-        runs[name] = Run(
-            own.setup, workers=run.workers, light=run.light, edges=own.edges, traces=traces
-        )
+        runs[name] = Run(own.setup, workers=run.workers, edges=own.edges, traces=traces)
     return runs
 
 
@@ -198,7 +208,9 @@ def simulate_to_folder(
 
     threshold: of `fixed`; None: that of the configuration if it gives one, else the best of 1 to 7
     for this scene. settling: number of frames of `auto`, of which the last one counts (None:
-    `SETTLING` + 1); unused without the controller. told: further entries of the report. events.npz
+    `SETTLING` + 1, or one for each picture of a scene that moves); unused without the controller
+    in a still scene. A scene that moves also leaves `DEPTHS` and `ANIMATION`, of the last scheme.
+    told: further entries of the report. events.npz
     is a result file of all frames, in the order of `SCHEMES`; depth.npz is `Depth.save` of the last
     frame. Raises `InputError`, and the errors of `play_schemes`; after a `Mismatch`, only the
     report exists, with `mismatches` = 1.
@@ -208,7 +220,9 @@ def simulate_to_folder(
     config.check_map()
     if threshold is not None:
         config = config.with_settings(threshold=threshold)
-    settling = settling or (SLOW_SETTLING if engine == SLOW_ENGINE else SETTLING + 1)
+    scene = setup.seen
+    usual = SLOW_SETTLING if engine == SLOW_ENGINE else SETTLING + 1
+    settling = settling or (scene.pictures if scene.later else usual)
     timing, ambient = Timing.from_config(config), told_klux(setup.klux)
     golden = setup.but(
         config=config, frame={"frames": settling}, engine="golden", view=DEFAULT_VIEW
@@ -229,6 +243,8 @@ def simulate_to_folder(
         "configuration": settings_of(config),
     }
     results = [out / name for name in (*PICTURES, EVENTS, DEPTH, PAGE)]
+    for path in (out / DEPTHS, out / ANIMATION):  # from an earlier run
+        path.unlink(missing_ok=True)
     compiled = partial(_prepare, engine, config.sensor, waves, shown)
     with Bar(console, lines=True) as bar, in_background(compiled) as preparing:
         bar.stage(first_time("photons", edge_chunks.__module__))
@@ -241,7 +257,8 @@ def simulate_to_folder(
             bar.stage("RTL: emitted and compiled once")
             preparing.result()
         schemes = schemes_of(config.sensor)
-        total = sum(settling if name == CONTROLLED else 1 for name in schemes)
+        all_frames = seeing_all(config.sensor, scene)
+        total = sum(settling if name in all_frames else 1 for name in schemes)
         bar.stage(f"{total} frames on {engine}", total * config.frame_cycles)
         try:
             played = play_schemes(
@@ -259,6 +276,10 @@ def simulate_to_folder(
         ambient_shown = ambient if isinstance(ambient, str) else f"{ambient:g}"
         heading = f"{run.scene.name}, {ambient_shown} klux, {config.pulses} laser pulses"
         shares = _pictures(out, heading, titles, played.frames)
+        if scene.later:
+            bar.stage("depth of all frames")
+            shares |= _write_frames(out, heading, played)
+            results += [out / DEPTHS, out / ANIMATION]
     write_result(out / EVENTS, played.arrays)
     list(played.frames.values())[-1].first.save(out / DEPTH)
     if not _write_report_page(out / PAGE, heading, titles, played.frames):
@@ -310,13 +331,13 @@ def _write_report_page(
 
 def _pictures(
     out: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]
-) -> dict[str, Number]:
+) -> dict[str, Any]:
     """Write `PICTURES`; return the shares of wrong pixels, by the paper's criterion and by 15 cm,
     under the report's keys.
     """
     from .pictures import Panel, depth_row
 
-    shares: dict[str, Number] = {}
+    shares: dict[str, Any] = {}
     last = seen[list(seen)[-1]]
     told = "the controller's thresholds" if CONTROLLED in seen else "the thresholds"
     blocks = told, subgroup_image(last.threshold, last.config.sensor)
@@ -330,6 +351,19 @@ def _pictures(
             key = f"wrong_share_{name}{suffix}"
             shares |= {key: frame["wrong_share"], f"{key}_15cm": frame["wrong_share_15cm"]}
     return shares
+
+
+def _write_frames(out: Path, heading: str, played: Played) -> dict[str, list[Number]]:
+    """Write the depth of all frames of the last scheme; return their shares of wrong pixels under
+    the report's key.
+    """
+    from .animation import write_animation
+
+    run = list(played.runs.values())[-1]
+    frames = [run.frame(number) for number in range(run.config.frames)]
+    write_depths(out / DEPTHS, [frame.first for frame in frames], [one.truth_m for one in frames])
+    write_animation(out / ANIMATION, frames, heading)
+    return {"wrong_share_frames": [frame["wrong_share"] for frame in frames]}
 
 
 def settings_of(config: Config) -> dict[str, Any]:
@@ -390,7 +424,8 @@ def _tell_if_useless(
     wrong = min(1.0 if share is None else share for share in shares)
     if is_useful(wrong):
         return
-    changed = setup.but(config=config, view=DEFAULT_VIEW, estimators=(DEFAULT_METHOD,))
+    last = setup.seen.at(report["frames"] - 1)
+    changed = setup.but(config=config, scene=last, view=DEFAULT_VIEW, estimators=(DEFAULT_METHOD,))
     workers = os.cpu_count() or 1
     told = useless_sentence(wrong, changed, int(config.window.max()), workers)
     console.print(told, markup=False, emoji=False, soft_wrap=True)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.main import get_command
 
@@ -61,6 +62,7 @@ def test_all_python_blocks_are_tested():
     """By this file, `test_extend.py` and `board/test_emulator.py`; a block on another page needs a test, too."""
     tested = {
         "README.md",
+        "advise.md",
         "light.md",
         "explorer.md",
         "experiments.md",
@@ -82,6 +84,13 @@ def test_notebook_block_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _, names = printed(ROOT / "docs" / "explorer.md")
     assert len(names["run"].events()) > 0 and (tmp_path / "points.ply").exists()
+
+
+def test_a_scene_that_moves(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told, _ = printed(ROOT / "docs" / "advise.md")
+    assert np.abs(np.array(ast.literal_eval(told), float) - [4, 4.5, 5]).max() < 0.05
+    assert Path("depths.npz").exists() and Path("depths.gif").exists()
 
 
 def test_a_study_is_one_file(tmp_path):

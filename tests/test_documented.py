@@ -67,6 +67,11 @@ def make_files(folder):
     picture(folder / "room.png", depth_mm)
     picture(folder / "colour.jpg", colours)
     picture(folder / "room.jpg", colours)
+    (folder / "frames").mkdir()
+    (folder / "colours").mkdir()
+    for number in range(2):
+        picture(folder / "frames" / f"depth_{number:04d}.png", depth_mm + 100 * number)
+        picture(folder / "colours" / f"{number}.jpg", colours)
     header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {"Z": depth_mm.astype(np.float32) / 1000}).write(
         str(folder / "street.exr")

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimated depth, as every estimator returns it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from attrs import asdict, frozen
 from numpy.typing import ArrayLike
@@ -72,3 +74,19 @@ class Depth:
         """
         arrays = {name: part for name, part in asdict(self).items() if part is not None}
         write_npz(path, arrays | {"sentences": np.array([SENTENCES[reason] for reason in Reason])})
+
+
+def write_depths(path: FilePath, depths: Sequence[Depth], truth_m: ArrayLike | None = None) -> None:
+    """Write the depth of several frames as NPZ: the arrays of `Depth.save`, with the frames as
+    first axis. Raises `InputError` for another suffix.
+
+    truth_m: float64[frames, rows, cols], the true distances; None: unknown.
+    """
+    arrays = {
+        name: np.stack([getattr(depth, name) for depth in depths])
+        for name, part in asdict(depths[0]).items()
+        if part is not None
+    }
+    if truth_m is not None:
+        arrays["truth_m"] = np.asarray(truth_m)
+    write_npz(path, arrays | {"sentences": np.array([SENTENCES[reason] for reason in Reason])})

@@ -12,8 +12,10 @@ import numpy as np
 
 from ..shared.errors import InputError
 from ..shared.files import FilePath, reading
+from .conventions import ARCHIVES
 
-ARCHIVES = (".npz", ".h5", ".hdf5", ".mat")
+PICTURE = 2  # dimensions of an array: rows, cols
+SEQUENCE = 3  # frames, rows, cols
 
 
 def is_in_archive(source: FilePath) -> bool:
@@ -24,16 +26,29 @@ def is_in_archive(source: FilePath) -> bool:
 
 def read_from_archive(source: FilePath) -> np.ndarray:
     """Return an array of an archive, rows first. Raises `InputError`, which lists the arrays of
-    two dimensions.
+    two and three dimensions.
+
+    Without a name, it is the only array of two dimensions, or else the only one of three.
     """
     path, name = _divided(source)
     with reading(path, "archive"):
-        names, read = _archive(path)
-        wanted = [name] if name else names
-        if len(wanted) != 1 or wanted[0] not in names:
-            has = f"has the arrays of two dimensions {', '.join(names) or 'none'}"
+        dimensions, read = _archive(path)
+        flat = [one for one, count in dimensions.items() if count == PICTURE]
+        deep = [one for one, count in dimensions.items() if count == SEQUENCE]
+        wanted = [name] if name else flat or deep
+        if len(wanted) != 1 or wanted[0] not in (*flat, *deep):
+            has = f"has the arrays of two dimensions {', '.join(flat) or 'none'}"
+            if deep:
+                has += f", of three dimensions {', '.join(deep)}"
             raise InputError(f"{path}: {has}; must name one of them, as {path}:NAME")
         return read(wanted[0])
+
+
+def names_in_archive(path: FilePath) -> list[str]:
+    """Return the names of the arrays that may hold depth. Raises `InputError`."""
+    with reading(path, "archive"):
+        dimensions, _ = _archive(Path(path))
+    return [one for one, count in dimensions.items() if count in (PICTURE, SEQUENCE)]
 
 
 def _divided(source: FilePath) -> tuple[Path, str]:
@@ -45,27 +60,29 @@ def _divided(source: FilePath) -> tuple[Path, str]:
     return Path(path), name
 
 
-def _archive(path: Path) -> tuple[list[str], Callable[[str], np.ndarray]]:
-    """Return the names of an archive's arrays of two dimensions, and a function that reads one."""
+def _archive(path: Path) -> tuple[dict[str, int], Callable[[str], np.ndarray]]:
+    """Return the number of dimensions of an archive's arrays by name, and a function that reads
+    one.
+    """
     if path.suffix.lower() == ".npz":
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-        return [name for name, array in arrays.items() if array.ndim == 2], arrays.__getitem__
+        return {name: array.ndim for name, array in arrays.items()}, arrays.__getitem__
     if h5py.is_hdf5(path):
         return _hdf5(path)
     from scipy.io import loadmat, whosmat
 
-    names = [name for name, shape, kind in whosmat(path) if len(shape) == 2 and kind != "char"]
-    return names, lambda name: np.asarray(loadmat(path, variable_names=[name])[name])
+    dimensions = {name: len(shape) for name, shape, kind in whosmat(path) if kind != "char"}
+    return dimensions, lambda name: np.asarray(loadmat(path, variable_names=[name])[name])
 
 
-def _hdf5(path: Path) -> tuple[list[str], Callable[[str], np.ndarray]]:
+def _hdf5(path: Path) -> tuple[dict[str, int], Callable[[str], np.ndarray]]:
     """As `_archive`, for HDF5; MATLAB writes columns first."""
-    names: list[str] = []
+    dimensions: dict[str, int] = {}
 
     def note(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset) and item.ndim == 2:
-            names.append(name)
+        if isinstance(item, h5py.Dataset):
+            dimensions[name] = item.ndim
 
     with h5py.File(path, "r") as archive:
         archive.visititems(note)
@@ -75,4 +92,4 @@ def _hdf5(path: Path) -> tuple[list[str], Callable[[str], np.ndarray]]:
             samples = np.asarray(archive[name][()])
         return samples.T if path.suffix.lower() == ".mat" else samples
 
-    return names, read
+    return dimensions, read

@@ -15,9 +15,12 @@ from ..shared.errors import InputError, check_integer
 from ..shared.files import FilePath
 from ..shared.quantities import check_real
 from .archives import is_in_archive
+from .conventions import DEPTH_FILES
 from .daylight import SHADE, sun_and_shade, tunnel
-from .depth_file import Meaning, depth_scene
+from .depth_file import depth_scene
+from .depth_pictures import picture_files
 from .flat_scenes import FIVE_OBJECTS, LETTER_F, flat, planes_scene, returns, two_targets
+from .meaning import Meaning
 from .ray_scene import is_ray_scene, ray_scene
 from .scene import REFLECTIVITY, Scene
 
@@ -82,12 +85,13 @@ def load_scene(
         METRES@REFLECTIVITY, `sun-and-shade:SHADE`, `tunnel:SHADE`; distances are in metres, and
         SHADE is the share of the light that reaches the shade); a depth file, `DEPTH` or
         `DEPTH,COLOUR` (see `depth_scene`), or `ARCHIVE:NAME` for an array in a NPZ, HDF5 or
-        MATLAB file; or a scene for the ray tracer, `ray:NAME` or a Mitsuba file that ends with
-        .xml.
+        MATLAB file; a sequence of depth files, of which frame k sees picture k: a folder, a
+        pattern such as `depth_%04d.png` or `depth_*.png`, or an array with a leading axis; or a
+        scene for the ray tracer, `ray:NAME` or a Mitsuba file that ends with .xml.
     rows, cols : int
         Size of the sensor in pixels.
     colour : str, Path or None
-        Picture that gives the reflectivities of a depth file.
+        Picture that gives the reflectivities of a depth file; of a sequence, also a sequence.
     reflectivity : float or numpy.ndarray
         Reflectivity without such a picture, 0 to 1; an array has the shape of the distances.
     scale : float
@@ -147,7 +151,8 @@ def load_scene(
                     f"scene {text!r}: names a colour picture, and another one is given: {colour}"
                 )
             colour = beside
-        if not os.path.exists(source) and not is_in_archive(source):
+        if not _is_depth(source):
+            picture_files(source, DEPTH_FILES)  # tells of a pattern that fits no file
             raise InputError(f"{source}: no such file (built-in scenes: {', '.join(NAMES)})")
     elif not isinstance(source, np.ndarray):
         raise InputError(
@@ -179,12 +184,22 @@ def _depth_and_colour(text: str) -> tuple[str, str] | None:
     if "," not in text or os.path.exists(text):
         return None
     commas = [at for at, sign in enumerate(text) if sign == ","]
-    depth = [at for at in commas if Path(text[:at]).is_file() or is_in_archive(text[:at])]
-    both = [at for at in depth if Path(text[at + 1 :]).exists()]
-    if not both and is_in_archive(text):
+    depth = [at for at in commas if _is_depth(text[:at])]
+    both = [at for at in depth if _is_depth(text[at + 1 :])]
+    if not both and _is_depth(text):
         return None
     at = (both or depth or commas)[-1]
     return text[:at], text[at + 1 :]
+
+
+def _is_depth(text: str) -> bool:
+    """Return whether a text names files that exist: one, a sequence, or an array of an archive."""
+    if Path(text).exists() or is_in_archive(text):
+        return True
+    try:
+        return picture_files(text, DEPTH_FILES) is not None
+    except InputError:
+        return False
 
 
 def _check_no_meaning(source: str, meaning: Meaning) -> None:

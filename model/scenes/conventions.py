@@ -12,6 +12,12 @@ from attrs import frozen
 
 from ..shared.errors import InputError
 
+# depth files, which library, command line and explorer accept alike
+PICTURES = (".png", ".tif", ".tiff", ".pgm", ".pfm", ".exr")
+ARRAYS = (".npy",)
+ARCHIVES = (".npz", ".h5", ".hdf5", ".mat")  # of which FILE:NAME names an array
+DEPTH_FILES = (*PICTURES, *ARRAYS, *ARCHIVES)
+DEPTH_FILES_TOLD = "PNG, TIFF, PGM, PFM, EXR, NPY; NPZ, HDF5 or MATLAB as FILE:NAME"
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 ROTATED = "sun-rgbd"  # millimetres, whose bits are rotated
 KINECT_RAW = "nyu-raw"  # the Kinect's own numbers, with swapped bytes

@@ -1,29 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes from depth files, resampled to the sensor."""
+"""Scenes from depth pictures, resampled to the sensor: still ones, and sequences that move."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from attrs import frozen
+from attrs import evolve
 
 from ..light.light import NEAREST_M
 from ..light.timing import RANGE_M
 from ..shared.errors import InputError
 from ..shared.files import FilePath
 from ..shared.quantities import check_real, real_array
-from .archives import ARCHIVES, is_in_archive, read_from_archive
-from .conventions import RAY, check_unit, convention
+from .conventions import RAY, convention
+from .depth_pictures import ARRAY, Pictures, Stored, picture_files, pictures_of
 from .depth_units import fitting_unit, metres, raw_numbers
-from .image_files import (
-    centre_crop,
-    check_picture_array,
-    depth_channel,
-    open_picture,
-    read_array,
-    read_channels,
-    read_pgm,
-)
+from .image_files import COLOUR_FILES, centre_crop, open_picture
+from .meaning import Meaning
 from .pixel_surface import choose_samples
 from .scene import REFLECTIVITY, Scene
 from .view import View
@@ -33,56 +25,9 @@ WRONG_SHARE_MAX = (
     0.1  # share of a file's samples beyond the range or negative; with more, the unit is wrong
 )
 VALID_SHARE_MIN = 0.1  # lowest share of the sensor's pixels that must have a depth
-# "no depth" of most writers: the largest integer of 16 bits, the largest half float
-MARKS = (65535, 65504)
 NOWHERE_M = 65504.0  # renderers write this and more where there is nothing
-SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".npy", ".pfm", ".exr")
-ARRAY = "array"  # name of distances that are no file
-SCALES = 1e-3, 1e3
 ASPECT_TOLERANCE = 0.02  # relative difference between the shapes of a depth and its colour picture
 WHITE = {"I;16": 65535, "I;16B": 65535, "I": 65535}  # value of white, by the mode of a grey picture
-
-
-@frozen(kw_only=True)
-class Meaning:
-    """What the numbers of a depth file mean, as far as the user says so.
-
-    unit: None = metres for floats, millimetres for integers. scale: factor for all distances,
-    applied last. missing: further numbers of the file that mean "no depth". sky_m: distance
-    before the scale, from which on there is nothing to see. z: distances are along the axis, not
-    along the rays. fov_deg: horizontal field of view of the whole picture;
-    None: the part that the sensor sees has the sensor's. channel: of a picture with several.
-    """
-
-    unit: str | None = None
-    scale: float = 1.0
-    missing: float | Sequence[float] | None = None
-    sky_m: float | None = None
-    z: bool = False
-    fov_deg: float | None = None
-    channel: str | None = None
-
-    def __attrs_post_init__(self) -> None:
-        check_real("scale", self.scale, *SCALES)
-        if self.unit is not None:
-            check_unit(self.unit)
-        if self.sky_m is not None:
-            check_real("sky_m", self.sky_m, NEAREST_M)
-        if self.fov_deg is not None:
-            check_real("fov_deg", self.fov_deg, 1e-3, 179)
-
-    @property
-    def marks(self) -> np.ndarray:
-        """float64[n]: the numbers that mean "no depth", of the user and of the unit's
-        convention.
-        """
-        known = convention(self.unit)
-        given = () if self.missing is None else np.atleast_1d(self.missing)
-        try:
-            numbers = np.asarray([*given, *MARKS, *(known.missing if known else ())], np.float64)
-        except (TypeError, ValueError):
-            raise InputError(f"missing = {self.missing!r}: must be a number, or several") from None
-        return numbers
 
 
 def depth_scene(
@@ -95,21 +40,90 @@ def depth_scene(
     meaning: Meaning | None = None,
     range_m: float = RANGE_M,
 ) -> Scene:
-    """Return a scene from a depth file, or from an array of distances. Raises `InputError`.
+    """Return a scene from a depth file, from a sequence of them, or from an array of distances.
+    Raises `InputError`.
 
-    The file is a picture of 16 bits or floats, or NPY; numbers of an array are metres. The
+    The file is one of `DEPTH_FILES`; numbers of an array are metres. The
     picture is cropped around its centre to the sensor's aspect ratio. `pixel_surface` has the
     rule by which samples stand for a pixel; the reflectivity is that of the very same samples.
     Samples that mean "no depth", are negative, or at or beyond `range_m`, are left out, and noted.
+    In a sequence (`depth_pictures`), the scene of each frame is that of its picture.
 
     colour: a picture of the same view; its luminance (linear light) maps to `DARKEST` to
-    `BRIGHTEST`.
+    `BRIGHTEST`. Of a sequence, it may be a sequence, too. reflectivity: a number, or an array of
+    the shape of a picture or of all.
     """
     meaning = meaning or Meaning()
     if not np.ndim(reflectivity):
         reflectivity = check_real("reflectivity", reflectivity, 0, 1)
-    notes: list[str] = []
-    path, sample_m, better = _samples_in_metres(depth, meaning, range_m, notes)
+    pictures = pictures_of(depth, meaning)
+    shares: list[float | np.ndarray] = [reflectivity] * pictures.count
+    if isinstance(reflectivity, np.ndarray) and reflectivity.ndim == 3:
+        shares = list(reflectivity)
+        if len(shares) != pictures.count:
+            raise InputError(
+                f"reflectivity: has {len(shares)} pictures, must have {pictures.count}"
+            )
+    colours = _colours_of(colour, pictures)
+    scenes: list[Scene] = []
+    shape = None
+    for number in range(pictures.count):
+        stored = pictures.read(number)
+        shape = shape or stored.numbers.shape
+        if stored.numbers.shape != shape:
+            raise InputError(
+                f"{stored.path}: has {_size(stored.numbers.shape)} samples, must have {_size(shape)}"
+                " as the first picture of the sequence"
+            )
+        scenes.append(
+            _picture_scene(
+                stored,
+                rows,
+                cols,
+                colour=colours[number],
+                reflectivity=shares[number],
+                meaning=meaning,
+                range_m=range_m,
+            )
+        )
+    first, *later = scenes
+    if not pictures.moves:
+        return first
+    each = f"{pictures.name}: {pictures.count} pictures, one for each frame; notes are of the first"
+    return evolve(first, name=pictures.name, later=tuple(later), notes=(each, *first.notes))
+
+
+def _colours_of(colour: FilePath | None, pictures: Pictures) -> list[FilePath | None]:
+    """Return the colour picture of each depth picture. Raises `InputError`."""
+    files = None if colour is None else picture_files(str(colour), COLOUR_FILES)
+    if files is None:
+        return [colour] * pictures.count
+    if len(files) != pictures.count:
+        raise InputError(
+            f"{colour}: has {len(files)} pictures, must have one or as many as {pictures.name}:"
+            f" {pictures.count}"
+        )
+    return list(files)
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))
+
+
+def _picture_scene(
+    stored: Stored,
+    rows: int,
+    cols: int,
+    *,
+    colour: FilePath | None,
+    reflectivity: float | np.ndarray,
+    meaning: Meaning,
+    range_m: float,
+) -> Scene:
+    """Return the scene of a single depth picture."""
+    path = stored.path
+    notes = list(stored.notes)
+    sample_m, better = _samples_in_metres(stored, meaning, range_m, notes)
     height, width = sample_m.shape
     top, left, crop_height, crop_width = centre_crop(height, width, rows, cols)
     crop = slice(top, top + crop_height), slice(left, left + crop_width)
@@ -133,7 +147,7 @@ def depth_scene(
     if meaning.z:
         distance_m *= view.ray_per_z(rows, cols)
         distance_m[distance_m >= range_m] = np.nan
-    elif path != ARRAY:
+    elif not path.startswith(ARRAY):
         notes += _ray_note(path, meaning.unit, view)
     notes += _check_valid(path, distance_m)
     if colour is not None:
@@ -155,26 +169,16 @@ def depth_scene(
 
 
 def _samples_in_metres(
-    depth: FilePath | np.ndarray, meaning: Meaning, range_m: float, notes: list[str]
-) -> tuple[str, np.ndarray, str]:
-    """Return the name of a depth file, its samples in metres times the scale, and a sentence.
+    stored: Stored, meaning: Meaning, range_m: float, notes: list[str]
+) -> tuple[np.ndarray, str]:
+    """Return the samples of a depth picture in metres times the scale, and a sentence.
 
     The samples are NaN where they mean "no depth", or lie in the sky. The sentence says which
     other unit fits better, or is empty. What was taken for no depth is added to `notes`.
     """
-    if isinstance(depth, np.ndarray):
-        path = ARRAY
-        usual = "m"
-        samples = _plain_array(depth)
-    else:
-        path = str(depth)
-        samples, read = _read_depth(depth, meaning)
-        usual = "m" if samples.dtype.kind == "f" else "mm"
-        notes += read
-    hidden: np.ndarray | bool = False
-    if isinstance(depth, np.ma.MaskedArray):
-        hidden = np.ma.getmaskarray(depth).reshape(samples.shape)
-    unit = usual if meaning.unit is None else meaning.unit
+    path = stored.path
+    samples = stored.numbers
+    unit = stored.unit if meaning.unit is None else meaning.unit
     sample_m = metres(path, samples, unit)
     marked = _marked(raw_numbers(path, samples, unit), meaning.marks)
     if marked.any():
@@ -182,7 +186,7 @@ def _samples_in_metres(
             f"{path}: {marked.sum()} samples are {_listed(samples[marked])}, which is taken for no depth"
         )
     sky_m = NOWHERE_M if meaning.sky_m is None else min(meaning.sky_m, NOWHERE_M)
-    no_depth = hidden | marked | ~(np.abs(sample_m) < NOWHERE_M) | (sample_m >= sky_m)
+    no_depth = stored.hidden | marked | ~(np.abs(sample_m) < NOWHERE_M) | (sample_m >= sky_m)
     sample_m[no_depth] = np.nan
     sample_m *= meaning.scale
     seen = sample_m > 0
@@ -191,7 +195,7 @@ def _samples_in_metres(
         middle_m = float(np.median(sample_m[seen]))
         named = meaning.unit is not None
         better = fitting_unit(samples[seen], unit, named, middle_m, range_m)
-    return path, sample_m, better
+    return sample_m, better
 
 
 def _check_valid(path: str, distance_m: np.ndarray) -> list[str]:
@@ -205,14 +209,6 @@ def _check_valid(path: str, distance_m: np.ndarray) -> list[str]:
         return []
     holes = np.isnan(distance_m).sum()
     return [f"{path}: {holes} of {distance_m.size} pixels without depth are masked"]
-
-
-def _plain_array(given: np.ndarray) -> np.ndarray:
-    """Return the numbers of an array as they are below its mask, in the order of bytes of this
-    machine.
-    """
-    samples = check_picture_array("scene", np.asarray(np.ma.getdata(given)))
-    return samples.astype(samples.dtype.newbyteorder("="))
 
 
 def _marked(numbers: np.ndarray, marks: np.ndarray) -> np.ndarray:
@@ -287,57 +283,6 @@ def _usable(
     if missing.any():
         notes.append(f"{depth}: {missing.sum()} of {missing.size} samples hold no depth")
     return np.where(usable, sample_m, np.nan), notes
-
-
-def _read_depth(path: FilePath, meaning: Meaning) -> tuple[np.ndarray, list[str]]:
-    """Return number[height, width], the samples of a depth file, and notes about them. Raises
-    `InputError`.
-    """
-    suffix = Path(path).suffix.lower()
-    if is_in_archive(path):
-        return _plain_array(read_from_archive(path)), []
-    if suffix == ".npy":
-        return _plain_array(check_picture_array(path, read_array(path))), []
-    if suffix not in SUFFIXES and not _is_picture(path):
-        raise InputError(
-            f"{path}: is no scene, must be a depth file ({', '.join((*SUFFIXES, *ARCHIVES))}), or a Mitsuba scene (.xml)"
-        )
-    if _is_pgm(path):
-        channels = {"Y": read_pgm(path)}
-    else:
-        channels = read_channels(path)
-    known = convention(meaning.unit)
-    wanted = meaning.channel or (known.channel if known else "")
-    name = depth_channel(path, channels, wanted)
-    samples = check_picture_array(path, channels[name])
-    if samples.dtype == np.uint8 and meaning.unit is None:
-        raise InputError(
-            f"{path}: is a colour or 8 bit picture, must be depth: 16 bits or floats in one channel, or grey of 8 bits with a unit"
-        )
-    notes = []
-    if len(channels) > 1 and not meaning.channel:
-        others = ", ".join(other for other in channels if other != name)
-        notes.append(
-            f"{path}: depth is the channel {name}; --channel NAME takes another one ({others})"
-        )
-    return samples, notes
-
-
-def _is_pgm(path: FilePath) -> bool:
-    try:
-        with open(path, "rb") as file:
-            return file.read(2) in (b"P2", b"P5")
-    except OSError:
-        return False  # reported by the reader
-
-
-def _is_picture(path: FilePath) -> bool:
-    """Return whether some format of pictures fits the content."""
-    try:
-        open_picture(path)
-        return True
-    except InputError:
-        return False
 
 
 def _at_samples(colour: FilePath, albedo: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

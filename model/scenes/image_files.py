@@ -19,6 +19,8 @@ from ..shared.files import FilePath, reading
 _GAP = rb"(?:\s+|#[^\n]*\n)+"
 PGM_HEAD = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d+)") + rb"\s")
 ALPHA = ("a", "alpha")
+# of colour pictures, and of the sun's in the explorer
+COLOUR_FILES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 
 
 def open_picture(path: FilePath) -> Image.Image:

@@ -6,7 +6,7 @@ comes from them.
 from typing import Any
 
 import numpy as np
-from attrs import field, frozen
+from attrs import evolve, field, frozen
 
 from ..light.light import NEAREST_M, Light
 from ..shared.errors import InputError
@@ -30,7 +30,8 @@ class Scene:
     surface, 0 to 1. notes: sentences that the user should read: what was cropped, masked or
     assumed.
     transient: light of a ray-traced scene, in which distance and reflectivity are only the
-    truth. view: field of view that the pixels share.
+    truth. view: field of view that the pixels share. later: what the pixels see in the frames
+    after the first one; empty: the same in all frames.
 
     Raises `InputError` if a distance is below `NEAREST_M`, or a reflectivity or share is outside
     0 to 1.
@@ -44,6 +45,7 @@ class Scene:
     notes: tuple[str, ...] = ()
     transient: Transient | None = None
     view: View = View()
+    later: tuple["Scene", ...] = ()
 
     def __attrs_post_init__(self) -> None:
         distance_m = np.asarray(self.distance_m, np.float64)
@@ -73,7 +75,27 @@ class Scene:
         if not self.valid.any():
             return f"<Scene {self.name}: {size}, no target>"
         span = f"{np.nanmin(self.distance_m):.3g} to {np.nanmax(self.distance_m):.3g} m"
-        return f"<Scene {self.name}: {size}, {span}>"
+        moves = f", picture 1 of {self.pictures}" if self.later else ""
+        return f"<Scene {self.name}: {size}, {span}{moves}>"
+
+    @property
+    def pictures(self) -> int:
+        """Number of frames that this scene has a picture of its own for; 1 if nothing moves."""
+        return 1 + len(self.later)
+
+    def at(self, frame: int) -> "Scene":
+        """Return what the pixels see in a frame, from 0 on. Raises `InputError` if the scene moves,
+        and has no picture for this frame.
+        """
+        if not self.later:
+            return self
+        if not 0 <= frame < self.pictures:
+            raise InputError(
+                f"frames: frame {frame} has no picture: {self.name} has {self.pictures}, one for"
+                f" each frame; must be at most {self.pictures} frames",
+                field="frames",
+            )
+        return self.later[frame - 1] if frame else evolve(self, later=())
 
     @property
     def rows(self) -> int:

@@ -11,9 +11,9 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from inspect import getdoc
+from inspect import Parameter, Signature, getdoc, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 from rich.console import Console
@@ -103,9 +103,38 @@ def argument(help: str, metavar: str) -> Any:
 
 
 def command(function: Callable[..., None]) -> Callable[..., None]:
-    """Make a function a command of its name. Its parameters are options and arguments, its docstring is the help."""
+    """Make a function a command of its name. Its parameters are options and arguments, its docstring is the help.
+
+    A parameter `described` stands for the options of `DESCRIBING`, and gets their values.
+    """
+    parameters = signature(function).parameters
+    if "described" in parameters:
+        function = _with_described(function)
     # square brackets are no markup
     return app.command(help=escape(getdoc(function) or ""))(function)
+
+
+def _with_described(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a function that has the options of `DESCRIBING` in place of the parameter
+    `described`.
+    """
+    options = [
+        Parameter(name, Parameter.KEYWORD_ONLY, default=OPTIONS[name].default, annotation=kind)
+        for name, kind in DESCRIBING.items()
+    ]
+    own = list(signature(function).parameters.values())
+    at = [parameter.name for parameter in own].index("described")
+    own[at : at + 1] = options
+
+    def run(**given: Any) -> None:
+        described = {name: given.pop(name) for name in DESCRIBING}
+        function(described=described, **given)
+
+    run.__name__ = function.__name__
+    run.__doc__ = function.__doc__
+    run.__signature__ = Signature(own)  # type: ignore[attr-defined]  # read by `inspect`
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in own}
+    return run
 
 
 def tabled(name: str, flag: str | None = None, default: str | None = None) -> Any:
@@ -117,14 +146,18 @@ def tabled(name: str, flag: str | None = None, default: str | None = None) -> An
 
 SceneOption = Annotated[str, tabled("scene")]
 SceneArgument = Annotated[str, argument(OPTIONS["scene"].doc, "SCENE")]
-UnitOption = Annotated[str | None, tabled("unit")]
-ScaleOption = Annotated[float, tabled("scale")]
-MissingOption = Annotated[list[float] | None, tabled("missing", "--missing")]
-SkyOption = Annotated[float | None, tabled("sky_m", "--sky")]
-ZOption = Annotated[bool, tabled("z", "--z")]
-FovOption = Annotated[float | None, tabled("fov_deg", "--fov")]
-ChannelOption = Annotated[str | None, tabled("channel")]
-ReflectivityOption = Annotated[float, tabled("reflectivity")]
+# what `load_scene` is told about a file, by the name of its argument
+Described: TypeAlias = dict[str, Any]
+DESCRIBING = {
+    "unit": Annotated[str | None, tabled("unit")],
+    "scale": Annotated[float, tabled("scale")],
+    "missing": Annotated[list[float] | None, tabled("missing", "--missing")],
+    "sky_m": Annotated[float | None, tabled("sky_m", "--sky")],
+    "z": Annotated[bool, tabled("z", "--z")],
+    "fov_deg": Annotated[float | None, tabled("fov_deg", "--fov")],
+    "channel": Annotated[str | None, tabled("channel")],
+    "reflectivity": Annotated[float, tabled("reflectivity")],
+}
 KluxOption = Annotated[str | None, tabled("klux")]
 BackgroundOption = Annotated[str, tabled("background")]
 SeedOption = Annotated[int, tabled("seed")]
@@ -152,14 +185,7 @@ EdgesOutOption = Annotated[
 def sim(
     *,
     scene: SceneOption = "sun-and-shade",
-    unit: UnitOption = None,
-    scale: ScaleOption = 1.0,
-    missing: MissingOption = None,
-    sky_m: SkyOption = None,
-    z: ZOption = False,
-    fov_deg: FovOption = None,
-    channel: ChannelOption = None,
-    reflectivity: ReflectivityOption = 0.4,
+    described: Described,
     klux: KluxOption = None,
     background: BackgroundOption = "reflected",
     pulses: Annotated[
@@ -176,7 +202,11 @@ def sim(
         ),
     ] = None,
     frames: Annotated[
-        int | None, option("Frames of new photons in which the controller settles; default: 8.")
+        int | None,
+        option(
+            "Frames of new photons in which the controller settles; "
+            "default: 8, or one for each picture of a scene that moves."
+        ),
     ] = None,
     link_gbps: Annotated[
         float | None,
@@ -222,14 +252,7 @@ def sim(
             settings,
             scene,
             klux=klux,
-            unit=unit,
-            scale=scale,
-            missing=missing,
-            sky_m=sky_m,
-            z=z,
-            fov_deg=fov_deg,
-            channel=channel,
-            reflectivity=reflectivity,
+            described=described,
             background=background,
             seed=seed,
             spad=_spad(spad),
@@ -242,8 +265,8 @@ def sim(
         settling=frames if frames is None else check_integer("frames", frames, 1, FRAMES_MAX),
         waves=waves,
         console=Console(highlight=False),
-        scale=scale,
-        unit=unit,
+        scale=described["scale"],
+        unit=described["unit"],
     )
 
 
@@ -251,14 +274,7 @@ def sim(
 def advise(
     *,
     scene: SceneArgument,
-    unit: UnitOption = None,
-    scale: ScaleOption = 1.0,
-    missing: MissingOption = None,
-    sky_m: SkyOption = None,
-    z: ZOption = False,
-    fov_deg: FovOption = None,
-    channel: ChannelOption = None,
-    reflectivity: ReflectivityOption = 0.4,
+    described: Described,
     klux: KluxOption = None,
     background: BackgroundOption = "reflected",
     config: ConfigOption = None,
@@ -282,14 +298,7 @@ def advise(
         _config(config, changes),
         scene,
         klux=klux,
-        unit=unit,
-        scale=scale,
-        missing=missing,
-        sky_m=sky_m,
-        z=z,
-        fov_deg=fov_deg,
-        channel=channel,
-        reflectivity=reflectivity,
+        described=described,
         background=background,
         seed=seed,
         spad=_spad(spad),
@@ -480,14 +489,7 @@ def photons(
     *,
     out: EdgesOutOption,
     scene: SceneOption = "five-objects",
-    unit: UnitOption = None,
-    scale: ScaleOption = 1.0,
-    missing: MissingOption = None,
-    sky_m: SkyOption = None,
-    z: ZOption = False,
-    fov_deg: FovOption = None,
-    channel: ChannelOption = None,
-    reflectivity: ReflectivityOption = 0.4,
+    described: Described,
     klux: KluxOption = None,
     background: BackgroundOption = "reflected",
     config: ConfigOption = None,
@@ -506,14 +508,7 @@ def photons(
         settings,
         scene,
         klux=klux,
-        unit=unit,
-        scale=scale,
-        missing=missing,
-        sky_m=sky_m,
-        z=z,
-        fov_deg=fov_deg,
-        channel=channel,
-        reflectivity=reflectivity,
+        described=described,
         background=background,
         seed=seed,
         spad=_spad(spad),
@@ -906,36 +901,17 @@ def _setup(
     scene: str,
     *,
     klux: str | None,
-    unit: str | None = None,
-    scale: float = OPTIONS["scale"].default,
-    missing: list[float] | None = None,
-    sky_m: float | None = None,
-    z: bool = False,
-    fov_deg: float | None = None,
-    channel: str | None = None,
-    reflectivity: float = OPTIONS["reflectivity"].default,
+    described: Described | None = None,
     **fields: Any,
 ) -> "Setup":
-    """Return the `Setup` of a scene, which the options from `unit` on describe (`load_scene`),
-    with further `fields`.
-    """
-    from coincid.lab.setup import Setup, scene_of
+    """Return the `Setup` of a scene, whose file `described` explains, with further `fields`."""
+    from coincid.lab.setup import Setup, for_pictures, scene_of
     from coincid.model.scenes.catalogue import usual_klux
 
-    surfaces = scene_of(
-        config,
-        scene,
-        unit=unit,
-        scale=scale,
-        missing=missing or None,
-        sky_m=sky_m,
-        z=z,
-        fov_deg=fov_deg,
-        channel=channel,
-        reflectivity=reflectivity,
-    )
+    given = {name: value for name, value in (described or {}).items() if value != []}
+    surfaces = scene_of(config, scene, **given)
     ambient = usual_klux(scene) if klux is None else klux
-    return Setup(config=config, scene=surfaces, klux=ambient, **fields)
+    return Setup(config=for_pictures(config, surfaces), scene=surfaces, klux=ambient, **fields)
 
 
 def _spad(given: Iterable[str] | None) -> "Spad":

@@ -11,8 +11,8 @@ import numpy as np
 from attrs import evolve, frozen
 from PIL import Image
 
-from ...model.scenes.depth_file import SUFFIXES
-from ...model.scenes.image_files import picture_shape
+from ...model.scenes.conventions import DEPTH_FILES
+from ...model.scenes.image_files import COLOUR_FILES, picture_shape
 from ...model.shared.errors import InputError
 from ...model.shared.quantities import check_choice
 
@@ -20,9 +20,8 @@ BYTES_MAX = 32 << 20
 SAMPLES_MAX = 16_000_000  # in a picture
 NAME_MAX = 60  # characters; every file system accepts such names
 FORMATS = ("PNG", "TIFF", "JPEG")  # accepted formats; the file's name does not matter
-PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 HEADED = (".pfm", ".exr", ".pgm", ".tif", ".tiff")  # Pillow reads only some of them
-KINDS = {"depth": SUFFIXES, "colour": PICTURES, "sun": PICTURES}
+KINDS = {"depth": DEPTH_FILES, "colour": COLOUR_FILES, "sun": COLOUR_FILES}
 
 
 @frozen

@@ -61,10 +61,10 @@ class FrameView:
     """
 
     def __init__(self, title: str, frame: Frame) -> None:
-        run, config, scene = frame.run, frame.config, frame.run.scene
+        run, config, scene = frame.run, frame.config, frame.scene
         found, light, shape = (
             frame.depth(CANDIDATES),
-            run.light,
+            frame.light,
             (config.sensor.rows, config.sensor.cols),
         )
         sigma_ticks = pulse_sigma_ticks(config, SYSTEM_FWHM_S)

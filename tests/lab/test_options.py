@@ -14,7 +14,7 @@ from coincid.lab.options import OPTIONS
 from coincid.model.depth.methods import DEFAULT_METHOD
 from coincid.model.light.light import BACKGROUNDS
 from coincid.model.scenes.catalogue import NAMES
-from coincid.model.scenes.depth_file import SCALES
+from coincid.model.scenes.meaning import SCALES
 from coincid.model.scenes.ray_scene import SCENES
 from coincid.model.scenes.scene import REFLECTIVITY
 from coincid.study.explore.controls import CONTROL

@@ -22,7 +22,9 @@ from coincid.model.scenes.catalogue import load_scene
 from coincid.study import progress
 from coincid.study import simulate as job
 from coincid.study.simulate import (
+    ANIMATION,
     DEPTH,
+    DEPTHS,
     EVENTS,
     PAGE,
     PICTURES,
@@ -69,6 +71,24 @@ def test_report_agrees_with_the_events(tmp_path):
         assert report[f"events_{name}"] == np.sum(arrays["pulse"] // 4 == k)
     assert f"{report['events_fixed']:,}" in told
     assert {path.name for path in tmp_path.iterdir()} == {*PICTURES, EVENTS, DEPTH, PAGE, REPORT}
+
+
+def test_a_scene_that_moves(tmp_path):
+    """There are as many frames as pictures, and the depth of all of them is written; the schemes
+    are compared in the last one. A still scene leaves no animation of an earlier run.
+    """
+    walls_m = np.stack([np.full((8, 8), wall_m) for wall_m in (3.0, 4.0)])
+    setup = Setup.of(load_scene(walls_m, 8, 8), **SMALL, klux=0.0)
+    told = Console(file=io.StringIO())
+    report = simulate_to_folder(setup, out=tmp_path, console=told)
+    assert report["frames"] == len(report["wrong_share_frames"]) == 2
+    assert report["wrong_share_auto"] == report["wrong_share_frames"][-1]
+    written = np.load(tmp_path / DEPTHS)
+    assert np.array_equal(written["truth_m"], walls_m)
+    assert np.array_equal(np.load(tmp_path / DEPTH)["depth_m"], written["depth_m"][-1])
+    assert (tmp_path / ANIMATION).exists()
+    run(tmp_path)
+    assert not (tmp_path / DEPTHS).exists() and not (tmp_path / ANIMATION).exists()
 
 
 def test_frames_see_the_same_light_under_their_own_thresholds(tmp_path):

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The depth pictures of a source, as they are stored: one, or a sequence.
+
+A sequence is a folder, a pattern of names (`depth_%04d.png`, `depth_*.png`), or an array with
+the frames as its first axis (in MATLAB files the last one, as is usual there). Files are in the
+order of the numbers in their names.
+"""
+
+import re
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from attrs import frozen
+
+from ..shared.errors import InputError
+from ..shared.files import FilePath
+from .archives import is_in_archive, read_from_archive
+from .conventions import ARRAYS, DEPTH_FILES, convention
+from .image_files import (
+    check_picture_array,
+    depth_channel,
+    open_picture,
+    read_array,
+    read_channels,
+    read_pgm,
+)
+from .meaning import Meaning
+
+ARRAY = "array"  # name of distances that are no file
+MATLAB = ".mat"
+COLOURS_MAX = 4  # length of a last axis that holds colours
+NUMBER = re.compile(r"%\d*d")  # of a picture, in a pattern of names
+WILD = re.compile(r"[*?\[]")
+
+
+@frozen(eq=False, kw_only=True)
+class Stored:
+    """A depth picture as it is stored."""
+
+    path: str  # for messages; a calib.txt stands beside it
+    numbers: np.ndarray  # number[height, width]
+    hidden: np.ndarray | bool = False  # bool[height, width]: no depth, by the mask of an array
+    unit: str  # of the numbers, unless the user names another one
+    notes: tuple[str, ...] = ()
+
+
+@frozen(eq=False, kw_only=True)
+class Pictures:
+    """The pictures of a source. read: returns one of them, from 0 on."""
+
+    name: str
+    count: int
+    read: Callable[[int], Stored]
+    moves: bool  # whether they are a sequence, which may have a single picture
+
+
+def pictures_of(source: FilePath | np.ndarray, meaning: Meaning) -> Pictures:
+    """Return the depth pictures of a file, a sequence or an array. Raises `InputError`."""
+    if isinstance(source, np.ndarray):
+        return _in_array(ARRAY, source, "m")
+    path = str(source)
+    files = picture_files(path, DEPTH_FILES)
+    if files is not None:
+
+        def read(number: int) -> Stored:
+            return pictures_of(files[number], meaning).read(0)
+
+        return Pictures(name=Path(path).name, count=len(files), read=read, moves=True)
+    samples = array_in_file(path)
+    if samples is not None:
+        return _in_array(path, samples, "")
+    alone = partial(_stored_picture, path, meaning)
+    return Pictures(name=Path(path).name, count=1, read=lambda number: alone(), moves=False)
+
+
+def picture_files(source: str, suffixes: tuple[str, ...]) -> list[Path] | None:
+    """Return the files of a folder or a pattern in order; None if `source` is neither.
+
+    suffixes: of the files of a folder. Raises `InputError` if there is none.
+    """
+    path = Path(source)
+    if path.is_dir():
+        found = [one for one in path.iterdir() if one.suffix.lower() in suffixes]
+        wanted = f"files that end with {', '.join(suffixes)}"
+    elif path.exists() or not path.parent.is_dir():
+        return None
+    elif NUMBER.search(path.name):
+        parts = NUMBER.split(path.name)
+        name = re.compile(r"\d+".join(re.escape(part) for part in parts))
+        found = [one for one in path.parent.iterdir() if name.fullmatch(one.name)]
+        wanted = "files with a number in place of the %d"
+    elif WILD.search(path.name):
+        found = list(path.parent.glob(path.name))
+        wanted = "files that the pattern fits"
+    else:
+        return None
+    if not found:
+        raise InputError(f"{source}: has no pictures, must have {wanted}")
+    return sorted(found, key=_in_order)
+
+
+def _in_order(path: Path) -> list[str | int]:
+    """Return the name with its numbers as numbers."""
+    parts = re.split(r"(\d+)", path.name)
+    return [int(part) if part.isdecimal() else part for part in parts]
+
+
+def array_in_file(path: str) -> np.ndarray | None:
+    """Return the array of an NPY file or an archive as it is stored; None for other files. Raises
+    `InputError`.
+    """
+    if is_in_archive(path):
+        return read_from_archive(path)
+    if Path(path).suffix.lower() in ARRAYS:
+        return read_array(path)
+    return None
+
+
+def _in_array(path: str, samples: np.ndarray, unit: str) -> Pictures:
+    """Return the pictures of an array. unit: of its numbers; empty: by their type."""
+    hidden = np.ma.getmaskarray(samples) if isinstance(samples, np.ma.MaskedArray) else None
+    numbers = np.asarray(np.ma.getdata(samples))
+    moves = numbers.ndim == 3 and numbers.shape[2] != 1
+    if moves and is_in_archive(path) and MATLAB in path.lower():
+        numbers = np.moveaxis(numbers, 2, 0)
+    if moves and (numbers.shape[2] <= COLOURS_MAX < min(numbers.shape[:2])):
+        raise InputError(
+            f"{path}: holds {numbers.dtype}{list(numbers.shape)}, must hold numbers in two dimensions"
+            " (rows, cols), or in three (frames, rows, cols); the last axis looks like colours"
+        )
+    count = len(numbers) if moves else 1
+
+    def read(number: int) -> Stored:
+        name = f"{path}[{number}]" if moves else path
+        picture = check_picture_array(name, numbers[number] if moves else numbers)
+        below: np.ndarray | bool = False
+        if hidden is not None:
+            below = (hidden[number] if moves else hidden).reshape(picture.shape)
+        return Stored(
+            path=name,
+            numbers=picture.astype(picture.dtype.newbyteorder("=")),
+            hidden=below,
+            unit=unit or _usual_unit(picture),
+        )
+
+    return Pictures(name=Path(path).name, count=count, read=read, moves=moves)
+
+
+def _usual_unit(numbers: np.ndarray) -> str:
+    return "m" if numbers.dtype.kind == "f" else "mm"
+
+
+def _stored_picture(path: str, meaning: Meaning) -> Stored:
+    """Return the depth of a picture. Raises `InputError`."""
+    if Path(path).suffix.lower() not in DEPTH_FILES and not _is_picture(path):
+        raise InputError(
+            f"{path}: is no scene, must be a depth file ({', '.join(DEPTH_FILES)}), or a Mitsuba scene (.xml)"
+        )
+    if _is_pgm(path):
+        channels = {"Y": read_pgm(path)}
+    else:
+        channels = read_channels(path)
+    known = convention(meaning.unit)
+    wanted = meaning.channel or (known.channel if known else "")
+    name = depth_channel(path, channels, wanted)
+    samples = check_picture_array(path, channels[name])
+    if samples.dtype == np.uint8 and meaning.unit is None:
+        raise InputError(
+            f"{path}: is a colour or 8 bit picture, must be depth: 16 bits or floats in one channel, or grey of 8 bits with a unit"
+        )
+    notes = []
+    if len(channels) > 1 and not meaning.channel:
+        others = ", ".join(other for other in channels if other != name)
+        notes.append(
+            f"{path}: depth is the channel {name}; --channel NAME takes another one ({others})"
+        )
+    return Stored(path=path, numbers=samples, unit=_usual_unit(samples), notes=tuple(notes))
+
+
+def _is_pgm(path: FilePath) -> bool:
+    try:
+        with open(path, "rb") as file:
+            return file.read(2) in (b"P2", b"P5")
+    except OSError:
+        return False  # reported by the reader
+
+
+def _is_picture(path: FilePath) -> bool:
+    """Return whether some format of pictures fits the content."""
+    try:
+        open_picture(path)
+        return True
+    except InputError:
+        return False

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the numbers of a depth file mean, as far as the user says so."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from attrs import frozen
+
+from ..light.light import NEAREST_M
+from ..shared.errors import InputError
+from ..shared.quantities import check_real
+from .conventions import check_unit, convention
+
+# "no depth" of most writers: the largest integer of 16 bits, the largest half float
+MARKS = (65535, 65504)
+SCALES = 1e-3, 1e3
+
+
+@frozen(kw_only=True)
+class Meaning:
+    """What the numbers of a depth file mean, as far as the user says so.
+
+    unit: None = metres for floats, millimetres for integers. scale: factor for all distances,
+    applied last. missing: further numbers of the file that mean "no depth". sky_m: distance
+    before the scale, from which on there is nothing to see. z: distances are along the axis, not
+    along the rays. fov_deg: horizontal field of view of the whole picture;
+    None: the part that the sensor sees has the sensor's. channel: of a picture with several.
+    """
+
+    unit: str | None = None
+    scale: float = 1.0
+    missing: float | Sequence[float] | None = None
+    sky_m: float | None = None
+    z: bool = False
+    fov_deg: float | None = None
+    channel: str | None = None
+
+    def __attrs_post_init__(self) -> None:
+        check_real("scale", self.scale, *SCALES)
+        if self.unit is not None:
+            check_unit(self.unit)
+        if self.sky_m is not None:
+            check_real("sky_m", self.sky_m, NEAREST_M)
+        if self.fov_deg is not None:
+            check_real("fov_deg", self.fov_deg, 1e-3, 179)
+
+    @property
+    def marks(self) -> np.ndarray:
+        """float64[n]: the numbers that mean "no depth", of the user and of the unit's
+        convention.
+        """
+        known = convention(self.unit)
+        given = () if self.missing is None else np.atleast_1d(self.missing)
+        try:
+            numbers = np.asarray([*given, *MARKS, *(known.missing if known else ())], np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"missing = {self.missing!r}: must be a number, or several") from None
+        return numbers

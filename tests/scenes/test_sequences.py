@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth pictures in sequence: frame k sees picture k, from files to the result of the sensor."""
+
+import h5py
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.io import savemat
+
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
+from coincid.model.contract.config import parse_config
+from coincid.model.scenes.catalogue import load_scene
+from coincid.model.shared.errors import InputError
+from coincid.study.run import simulate
+
+SHAPE = (8, 8)
+WALLS_M = (3.0, 4.0, 5.0)
+CONFIG = parse_config({"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 40, "period": 40}})
+
+
+def pictures():
+    return np.stack([np.full(SHAPE, wall_m) for wall_m in WALLS_M])
+
+
+def png(path, depth_m):
+    Image.fromarray(np.round(depth_m * 1000).astype(np.uint16)).save(path)
+
+
+def folder_of(at):
+    """Return a folder with numbers of different widths, in which names and numbers disagree."""
+    folder = at / "frames"
+    folder.mkdir()
+    for name, picture in zip(("d_9.png", "d_10.png", "d_100.png"), pictures(), strict=True):
+        png(folder / name, picture)
+    (folder / "times.txt").write_text("no picture", encoding="utf-8")
+    return str(folder)
+
+
+def npz_of(at):
+    np.savez(at / "a.npz", depth=pictures(), times=np.arange(3))
+    return str(at / "a.npz")
+
+
+def hdf5_of(at):
+    with h5py.File(at / "a.h5", "w") as archive:
+        archive["run/depth"] = pictures()
+    return f"{at / 'a.h5'}:run/depth"
+
+
+def mat_of(at):
+    savemat(at / "a.mat", {"depth": np.moveaxis(pictures(), 0, 2)})  # as MATLAB's users stack
+    return f"{at / 'a.mat'}:depth"
+
+
+def npy_of(at):
+    np.save(at / "a.npy", (pictures() * 1000).astype(">u2"))
+    return str(at / "a.npy")
+
+
+SOURCES = {
+    "a folder": folder_of,
+    "a numbered pattern": lambda at: f"{folder_of(at)}/d_%03d.png",
+    "a pattern of names": lambda at: f"{folder_of(at)}/d_*.png",
+    "an array": lambda at: pictures(),
+    "NPY": npy_of,
+    "NPZ": npz_of,
+    "HDF5": hdf5_of,
+    "MATLAB": mat_of,
+}
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_frame_k_sees_picture_k(tmp_path, source):
+    scene = load_scene(SOURCES[source](tmp_path), *SHAPE)
+    assert scene.pictures == 3
+    for frame, wall_m in enumerate(WALLS_M):
+        assert np.all(scene.at(frame).truth_m == wall_m)
+
+
+def test_the_sensor_measures_what_moves():
+    """The photons of each frame come from its picture, and so does the truth."""
+    run = simulate(CONFIG, pictures(), klux=0, seed=3)
+    assert run.config.frames == 3
+    for number, wall_m in enumerate(WALLS_M):
+        frame = run.frame(number)
+        assert np.all(frame.truth_m == wall_m)
+        assert np.nanmedian(frame.depth_m) == pytest.approx(wall_m, abs=0.02)
+    assert run.frame(-1)["wrong_share"] == run.alone(-1)["wrong_share"]
+
+
+def test_a_scene_that_stands_still_needs_no_sequence():
+    """The random numbers are those of the pulses, so equal pictures give the photons of one."""
+    still = Run(Setup(config=CONFIG.with_frame(frames=2), scene=load_scene(pictures()[0], *SHAPE)))
+    same = load_scene(np.stack([pictures()[0]] * 2), *SHAPE)
+    moving = Run(Setup(config=CONFIG.with_frame(frames=2), scene=same))
+    for name in ("pulse", "pixel", "tick"):
+        assert np.array_equal(
+            getattr(still.frame_edges(0), name), getattr(moving.frame_edges(0), name)
+        )
+
+
+def test_the_number_of_frames_may_be_given():
+    assert simulate(CONFIG, pictures(), frames=2).config.frames == 2
+    with pytest.raises(InputError, match="array has 3, one for each frame; must be at most 3"):
+        simulate(CONFIG, pictures(), frames=4)
+
+
+def test_colours_of_each_picture(tmp_path):
+    folder = folder_of(tmp_path)
+    for number in range(3):
+        Image.new("L", SHAPE, 255 * (number == 1)).save(tmp_path / f"c{number}.png")
+    scene = load_scene(f"{folder},{tmp_path}/c%d.png", *SHAPE)
+    assert [scene.at(frame).reflectivity.max() for frame in range(3)] == pytest.approx(
+        [0.05, 0.8, 0.05]
+    )
+    one = load_scene(f"{folder},{tmp_path / 'c1.png'}", *SHAPE)
+    assert all(np.all(one.at(frame).reflectivity == 0.8) for frame in range(3))
+    (tmp_path / "c2.png").unlink()
+    with pytest.raises(InputError, match="has 2 pictures, must have one or as many as frames: 3"):
+        load_scene(f"{folder},{tmp_path}/c*.png", *SHAPE)
+
+
+def test_messages_name_the_picture(tmp_path):
+    folder = folder_of(tmp_path)
+    png(f"{folder}/d_11.png", np.full((4, 8), 4.0))
+    with pytest.raises(InputError, match="d_11.png: has 4 x 8 samples, must have 8 x 8 as"):
+        load_scene(folder, *SHAPE)
+    with pytest.raises(InputError, match=r"x_\*.png: has no pictures, must have files that the"):
+        load_scene(f"{folder}/x_*.png", *SHAPE)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="empty: has no pictures, must have files that end with"):
+        load_scene(str(tmp_path / "empty"), *SHAPE)
+    hole = pictures()
+    hole[1] = 0
+    with pytest.raises(InputError, match=r"array\[1\]: every sample is 0"):
+        load_scene(hole, *SHAPE)
+    with pytest.raises(InputError, match="the last axis looks like colours"):
+        load_scene(np.ones((8, 8, 3)), *SHAPE)
+
+
+def test_depth_comes_out_as_a_sequence(tmp_path):
+    run = simulate(CONFIG, pictures(), klux=0)
+    run.save_depths(tmp_path / "d.npz")
+    written = np.load(tmp_path / "d.npz")
+    assert written["depth_m"].shape == (3, *SHAPE, 1)
+    assert np.array_equal(written["truth_m"], pictures())
+    run.animate(tmp_path / "d.gif")
+    with Image.open(tmp_path / "d.gif") as animation:
+        assert animation.n_frames == 3
+    with pytest.raises(InputError, match=r"d.mp4: must end with .gif or .png"):
+        run.animate(tmp_path / "d.mp4")
