@@ -43,7 +43,7 @@ _DATA_SETS = "; ".join(f"{one.name} ({one.files}: {one.told})" for one in CONVEN
 _ALL = (
     Option(
         name="scene", kind="Scene, str or numpy.ndarray", metavar="SCENE", default="five-objects",
-        doc=f"Built in: {_SCENES}; a depth file ({DEPTH_FILES_TOLD}), "
+        doc=f"Built in: {_SCENES}; a depth file ({DEPTH_FILES_TOLD}; FILE:NAME for an array of the last three), "
         "with a colour picture for the reflectivities as DEPTH,COLOUR; "
         "a folder of them, or a pattern such as depth_%04d.png, for a scene that moves from frame to frame; "
         f"ray-traced: {_RAYS}, or a Mitsuba scene (XML, metres).",

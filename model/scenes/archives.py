@@ -4,8 +4,10 @@ FILE alone the only one.
 """
 
 import os
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeAlias
 
 import h5py
 import numpy as np
@@ -16,6 +18,12 @@ from .conventions import ARCHIVES
 
 PICTURE = 2  # dimensions of an array: rows, cols
 SEQUENCE = 3  # frames, rows, cols
+# by the version of the NPY format, of which later ones hold no plain numbers
+HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+Shapes: TypeAlias = dict[str, tuple[int, ...]]
 
 
 def is_in_archive(source: FilePath) -> bool:
@@ -32,9 +40,9 @@ def read_from_archive(source: FilePath) -> np.ndarray:
     """
     path, name = _divided(source)
     with reading(path, "archive"):
-        dimensions, read = _archive(path)
-        flat = [one for one, count in dimensions.items() if count == PICTURE]
-        deep = [one for one, count in dimensions.items() if count == SEQUENCE]
+        shapes, read = _archive(path)
+        flat = [one for one, shape in shapes.items() if len(shape) == PICTURE]
+        deep = [one for one, shape in shapes.items() if len(shape) == SEQUENCE]
         wanted = [name] if name else flat or deep
         if len(wanted) != 1 or wanted[0] not in (*flat, *deep):
             has = f"has the arrays of two dimensions {', '.join(flat) or 'none'}"
@@ -44,11 +52,13 @@ def read_from_archive(source: FilePath) -> np.ndarray:
         return read(wanted[0])
 
 
-def names_in_archive(path: FilePath) -> list[str]:
-    """Return the names of the arrays that may hold depth. Raises `InputError`."""
+def shapes_in_archive(path: FilePath) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the arrays that may hold depth, by name; no array is read. Raises
+    `InputError`.
+    """
     with reading(path, "archive"):
-        dimensions, _ = _archive(Path(path))
-    return [one for one, count in dimensions.items() if count in (PICTURE, SEQUENCE)]
+        shapes, _ = _archive(Path(path))
+    return {one: shape for one, shape in shapes.items() if len(shape) in (PICTURE, SEQUENCE)}
 
 
 def _divided(source: FilePath) -> tuple[Path, str]:
@@ -60,29 +70,43 @@ def _divided(source: FilePath) -> tuple[Path, str]:
     return Path(path), name
 
 
-def _archive(path: Path) -> tuple[dict[str, int], Callable[[str], np.ndarray]]:
-    """Return the number of dimensions of an archive's arrays by name, and a function that reads
-    one.
-    """
+def _archive(path: Path) -> tuple[Shapes, Callable[[str], np.ndarray]]:
+    """Return the shapes of an archive's arrays by name, and a function that reads one."""
     if path.suffix.lower() == ".npz":
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        return {name: array.ndim for name, array in arrays.items()}, arrays.__getitem__
+        return _npz(path)
     if h5py.is_hdf5(path):
         return _hdf5(path)
     from scipy.io import loadmat, whosmat
 
-    dimensions = {name: len(shape) for name, shape, kind in whosmat(path) if kind != "char"}
-    return dimensions, lambda name: np.asarray(loadmat(path, variable_names=[name])[name])
+    shapes = {name: shape for name, shape, kind in whosmat(path) if kind != "char"}
+    return shapes, lambda name: np.asarray(loadmat(path, variable_names=[name])[name])
 
 
-def _hdf5(path: Path) -> tuple[dict[str, int], Callable[[str], np.ndarray]]:
+def _npz(path: Path) -> tuple[Shapes, Callable[[str], np.ndarray]]:
+    """As `_archive`, for NPZ."""
+    shapes: Shapes = {}
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.namelist():
+            with archive.open(member) as file:
+                version = np.lib.format.read_magic(file)
+                read_header = HEADERS.get(version)
+                if read_header is not None:
+                    shapes[member.removesuffix(".npy")] = read_header(file)[0]
+
+    def read(name: str) -> np.ndarray:
+        with np.load(path, allow_pickle=False) as archive:
+            return np.asarray(archive[name])
+
+    return shapes, read
+
+
+def _hdf5(path: Path) -> tuple[Shapes, Callable[[str], np.ndarray]]:
     """As `_archive`, for HDF5; MATLAB writes columns first."""
-    dimensions: dict[str, int] = {}
+    shapes: Shapes = {}
 
     def note(name: str, item: object) -> None:
         if isinstance(item, h5py.Dataset):
-            dimensions[name] = item.ndim
+            shapes[name] = item.shape
 
     with h5py.File(path, "r") as archive:
         archive.visititems(note)
@@ -92,4 +116,4 @@ def _hdf5(path: Path) -> tuple[dict[str, int], Callable[[str], np.ndarray]]:
             samples = np.asarray(archive[name][()])
         return samples.T if path.suffix.lower() == ".mat" else samples
 
-    return dimensions, read
+    return shapes, read

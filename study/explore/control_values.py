@@ -27,6 +27,7 @@ from ...model.light.light import NEAREST_M, Light
 from ...model.light.spad import Spad
 from ...model.light.timing import Timing
 from ...model.scenes.catalogue import load_scene
+from ...model.scenes.conventions import ARCHIVES, DEPTH_FILES_TOLD
 from ...model.scenes.scene import REFLECTIVITY, Scene, scene_light
 from ...model.shared.errors import InputError, check_integer, out_of_range, wrong_value
 from ...model.shared.quantities import check_choice, check_real
@@ -80,7 +81,8 @@ class Settings:
         return Setup(
             config=self.config,
             scene=scene,
-            light=self.light(scene),
+            klux=self.klux(),
+            background=self.values["background"],
             spad=self.spad,
             spad_gate=self.values["spad_gate"],
             seed=self.values["seed"],
@@ -93,9 +95,11 @@ class Settings:
         name = values["scene"]
         if name == "upload":
             if self.uploads.depth is None:
-                message = "scene = 'upload': choose a depth picture (PNG, TIFF or PGM of 16 bits, NPY, PFM or EXR)"
+                message = f"scene = 'upload': choose a depth picture ({DEPTH_FILES_TOLD})"
                 raise InputError(message, field="scene")
             source = str(self.uploads.depth)
+            if values["channel"] and self._is_archive:
+                source = f"{source}:{values['channel']}"
         else:
             given = ",".join(f"{values[key]:g}" for key in SCENES[name])
             source = f"{name}:{given}" if given else name
@@ -111,12 +115,13 @@ class Settings:
             )
         except InputError as error:
             raise InputError(self.uploads.named(str(error)), field="scene") from None
-        scaled_m = scene.distance_m * values["scale"]
-        if np.nanmax(scaled_m) >= self.timing.range_m or np.nanmin(scaled_m) < NEAREST_M:
-            low, high = (
-                NEAREST_M / np.nanmin(scene.distance_m),
-                self.timing.range_m / np.nanmax(scene.distance_m),
-            )
+        pictures = [scene.at(frame) for frame in range(scene.pictures)]
+        nearest_m = min(np.nanmin(one.distance_m) for one in pictures)
+        farthest_m = max(np.nanmax(one.distance_m) for one in pictures)
+        scale = values["scale"]
+        if scale * farthest_m >= self.timing.range_m or scale * nearest_m < NEAREST_M:
+            low = NEAREST_M / nearest_m
+            high = self.timing.range_m / farthest_m
             raise InputError(
                 f"scale = {values['scale']:g}: must be a number from {low:.3g} to {high:.3g} with this scene"
                 f" (the laser period holds {self.timing.range_m:.4g} m)",
@@ -124,7 +129,12 @@ class Settings:
                 low=low,
                 high=high,
             )
-        return evolve(scene, distance_m=scaled_m)
+        first, *later = [evolve(one, distance_m=one.distance_m * scale) for one in pictures]
+        return evolve(first, later=tuple(later))
+
+    @property
+    def _is_archive(self) -> bool:
+        return self.uploads.depth is not None and self.uploads.depth.suffix.lower() in ARCHIVES
 
     def _meaning(self) -> dict[str, Any]:
         """Return what the controls say about an uploaded depth file, as arguments of
@@ -135,25 +145,32 @@ class Settings:
             return {}
         return {
             "unit": None if values["unit"] == UNITS[0] else values["unit"],
+            "channel": None if self._is_archive else values["channel"] or None,
+            "missing": values["missing"],
+            "fov_deg": values["fov_deg"],
             "z": values["z"],
             "sky_m": values["sky_m"],
         }
 
-    def light(self, scene: Scene) -> Light:
-        """Return the light of `scene`, including sun and shade. Raises `InputError`."""
-        values = self.values
-        share = np.ones((scene.rows, scene.cols))
+    def klux(self) -> np.ndarray:
+        """float64[rows, cols]: the light of sun and shade. Raises `InputError`."""
+        values, sensor = self.values, self.config.sensor
+        share = np.ones((sensor.rows, sensor.cols))
         if values["sun"] == "left half":
-            share[:, scene.cols // 2 :] = 0
+            share[:, sensor.cols // 2 :] = 0
         elif values["sun"] == "picture":
             if self.uploads.sun is None:
                 message = (
                     "sun = 'picture': choose a picture of the sun (white) and the shade (black)"
                 )
                 raise InputError(message, field="sun")
-            share = self.uploads.sun_share(scene.rows, scene.cols)
-        klux = share * values["klux"] + (1 - share) * values["shade_klux"]
-        return scene_light(scene, klux, background=values["background"])
+            share = self.uploads.sun_share(sensor.rows, sensor.cols)
+        klux: np.ndarray = share * values["klux"] + (1 - share) * values["shade_klux"]
+        return klux
+
+    def light(self, scene: Scene) -> Light:
+        """Return the light of `scene` in the first frame. Raises `InputError`."""
+        return scene_light(scene, self.klux(), background=self.values["background"])
 
 
 def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Settings:
@@ -193,6 +210,10 @@ def _checked(control: Control, value: Any) -> Any:
         return check_choice(control.name, value, control.choices)
     if control.kind == "switch":
         return check_choice(control.name, value, (True, False))
+    if control.kind == "text":
+        return str(value or "").strip()
+    if value is None and control.where is None and control.default is None:
+        return None
     if value is None and control.default is not None:
         message = (
             f"{control.name}: is empty, must be a number from {control.low:g} to {control.high:g}"
@@ -337,7 +358,7 @@ def values_of_text(given: dict[str, str]) -> dict[str, Any]:
 def _from_text(control: Control, text: str) -> Value | None:
     if not text.strip():
         return None
-    if control.kind == "choice":
+    if control.kind in ("choice", "text"):
         return text
     if control.kind == "switch":
         return {"true": True, "false": False}.get(text.lower(), text)

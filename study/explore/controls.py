@@ -40,6 +40,7 @@ SCENES = {  # name: controls that are the scene's parameters
     for name, (parameters, _) in BUILT_IN.items()
 } | {"upload": ("reflectivity",)}
 UNITS = ("of its kind", *PER_METRE, *DATA_SETS)
+NUMBER_MAX = 1e10  # in a depth file
 SKY_MAX_M = 10_000.0  # beyond the range of every laser period
 SUN = ("everywhere", "left half", "picture")
 SLIDERS = {"klux": 100, "threshold": 16, "window": 64}  # control: upper end of its slider
@@ -60,6 +61,9 @@ NEEDS: dict[str, "Needs"] = {  # conditions under which a control has an effect
     "far_m": ({"scene": ("two-targets", "two-returns")},),
     "reflectivity": ({"scene": (*_OWN, "upload")},),
     "unit": ({"scene": ("upload",)},),
+    "channel": ({"scene": ("upload",)},),
+    "missing": ({"scene": ("upload",)},),
+    "fov_deg": ({"scene": ("upload",)},),
     "z": ({"scene": ("upload",)},),
     "sky_m": ({"scene": ("upload",)},),
     "shade": ({"scene": ("sun-and-shade", "tunnel")},),
@@ -106,7 +110,7 @@ class Control:
     group: str  # under which it stands on the page
     label: str  # what a user calls it
     sentence: str  # what it does
-    kind: str  # "integer", "real", "choice" or "switch"
+    kind: str  # "integer", "real", "choice", "switch" or "text"
     default: Value | None  # None: the field may be empty
     unit: str = ""
     low: float = 0  # legal range; for a key of the file, that of the default sensor
@@ -296,6 +300,33 @@ _DESCRIBED: tuple[Control, ...] = (
     ),
     _choice(
         name="unit", group="Scene", label="Unit of the file", choices=UNITS, sentence=_told("unit")
+    ),
+    Control(
+        name="channel",
+        group="Scene",
+        label="Channel or array",
+        default="",
+        kind="text",
+        sentence=f"{_told('channel')} Of an NPZ, HDF5 or MATLAB file: the name of the array.",
+    ),
+    _real(
+        name="missing",
+        group="Scene",
+        label="No depth",
+        default=None,
+        low=-NUMBER_MAX,
+        high=NUMBER_MAX,
+        sentence=_told("missing"),
+    ),
+    _real(
+        name="fov_deg",
+        group="Scene",
+        label="Field of view of the file",
+        default=None,
+        low=1e-3,
+        high=179,
+        unit="degrees",
+        sentence=_told("fov_deg"),
     ),
     Control(
         name="z",

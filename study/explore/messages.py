@@ -131,6 +131,13 @@ class LookRefusal:
 
 
 @frozen(kw_only=True)
+class Parts:
+    """Server to page: what can be chosen in the uploaded depth file."""
+
+    names: list[str]  # of its channels or arrays; empty: nothing
+
+
+@frozen(kw_only=True)
 class Download:
     """Server to page: a file that the browser saves."""
 
@@ -151,6 +158,7 @@ MESSAGES: dict[str, type] = {
     "rtl_check": RtlCheck,
     "command_line": CommandLine,
     "look_refusal": LookRefusal,
+    "parts": Parts,
     "download": Download,
 }
 

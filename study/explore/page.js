@@ -170,6 +170,12 @@ function lookRefused() {
   $("#looked").textContent = text;
 }
 
+// The names of the file's parts are suggested where one of them is chosen.
+function partsTold() {
+  const {names} = link.parts;
+  $("#parts").replaceChildren(...names.map((value) => Object.assign(document.createElement("option"), {value})));
+}
+
 function saved() {
   const {name, type, base64} = link.download;
   const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
@@ -239,6 +245,8 @@ function explorer(model) {
   on("command_line", showCommand);
   on("look_refusal", lookRefused);
   on("download", saved);
+  on("parts", partsTold);
+  partsTold();
   $("#controls").addEventListener("input", (event) => {
     const slides = event.target.dataset.slides;
     if (slides) field(slides).value = event.target.value;

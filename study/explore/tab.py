@@ -23,6 +23,7 @@ from bokeh.models import CustomJS
 from jinja2 import Environment, FileSystemLoader, Template
 
 from ...model.contract.parameters import Sensor
+from ...model.scenes.conventions import DEPTH_FILES, DEPTH_FILES_TOLD
 from ...model.shared.errors import InputError, check_integer
 from ..explain import meaning, warnings
 from ..show.assets import FILES, SHOW
@@ -42,7 +43,7 @@ from .control_values import (
 from .controls import CONTROL, CONTROLS, DEFAULTS, GROUPS
 from .messages import LookedAt, Words, sent
 from .stages import Explored, Explorer, Runner, check_on_rtl
-from .uploads import Kept, Uploads
+from .uploads import Kept, Uploads, parts_of
 
 UPLOADS = "uploads"  # in the address of a page: number of its uploads (`Kept`)
 FIRST_LOOK = LookedAt(row=14, col=10, pulse=0, frame=0, which="B")
@@ -71,6 +72,7 @@ class Link(DataModel):  # type: ignore[misc]  # Bokeh comes with an extra
     rtl_check = Dict(String, AnyValue)
     command_line = Dict(String, AnyValue)
     look_refusal = Dict(String, AnyValue)
+    parts = Dict(String, AnyValue)
     download = Dict(String, AnyValue)
 
 
@@ -103,6 +105,7 @@ class Page:
         opened = messages.Opened(values=DEFAULTS | start, defaults=DEFAULTS, ignored=ignored)
         self.link = Link(opened=sent(opened))
         self.uploads = uploads
+        self._tell_parts()
         self._kept = kept
         self.bad_uploads: dict[str, str] = {}  # error of each bad file, by kind
         self.look = FIRST_LOOK
@@ -281,14 +284,17 @@ class Page:
         match order:
             case messages.Upload():
                 self._upload(order)
+                self._tell_parts()
                 return
             case messages.Forget():
                 self.uploads = Uploads()
                 self.bad_uploads = {}
+                self._tell_parts()
                 return
             case messages.Recall(number=number):
                 self.uploads = self._kept.get(number)
                 self.bad_uploads = {}
+                self._tell_parts()
                 return
         if self._shown is None:
             return  # what follows needs a result
@@ -315,6 +321,9 @@ class Page:
             )
         except InputError as error:
             self.bad_uploads[upload.kind] = str(error)
+
+    def _tell_parts(self) -> None:
+        self.link.parts = sent(messages.Parts(names=parts_of(self.uploads.depth)))
 
     def _keep_a(self) -> None:
         self.a = self.shown
@@ -424,6 +433,8 @@ def _variables(views: Views) -> dict[str, Any]:
         "sensor": Sensor(),
         "groups": {group: [c for c in CONTROLS if c.group == group] for group in GROUPS},
         "tries": [(name, json.dumps(values), sentence) for name, values, sentence in TRIES],
+        "depth_suffixes": ",".join(DEPTH_FILES),
+        "depth_files": DEPTH_FILES_TOLD,
         "saves": {name: one.label for name, one in out.SAVES.items()}
         | {"command": "command that repeats it"},
     }

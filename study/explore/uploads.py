@@ -11,8 +11,9 @@ import numpy as np
 from attrs import evolve, frozen
 from PIL import Image
 
-from ...model.scenes.conventions import DEPTH_FILES
-from ...model.scenes.image_files import COLOUR_FILES, picture_shape
+from ...model.scenes.archives import shapes_in_archive
+from ...model.scenes.conventions import ARCHIVES, ARRAYS, DEPTH_FILES
+from ...model.scenes.image_files import COLOUR_FILES, picture_shape, read_channels
 from ...model.shared.errors import InputError
 from ...model.shared.quantities import check_choice
 
@@ -84,6 +85,20 @@ class Uploads:
         return np.asarray(grey, np.float64) / 255
 
 
+def parts_of(path: Path | None) -> list[str]:
+    """Return the names of the arrays or channels of a depth file among which one is chosen; none
+    if there is only one.
+    """
+    if path is None or path.suffix.lower() in ARRAYS:
+        return []
+    try:
+        archive = path.suffix.lower() in ARCHIVES
+        names = list(shapes_in_archive(path) if archive else read_channels(path))
+    except InputError:  # told when the file is read for its depth
+        return []
+    return names if len(names) > 1 else []
+
+
 class Kept:
     """The uploads of all pages of a server, by number, so that a page that is loaded again finds
     its own; their files go when the server ends.
@@ -116,7 +131,10 @@ def _check_samples(path: Path) -> None:
     decoded here.
     """
     try:
-        if path.suffix.lower() == ".npy":
+        if path.suffix.lower() in ARCHIVES:
+            shapes = list(shapes_in_archive(path).values())
+            shape = max(shapes, key=lambda one: np.prod(one, dtype=np.float64), default=(1,))
+        elif path.suffix.lower() in ARRAYS:
             shape = np.lib.format.open_memmap(path, mode="r").shape
         elif path.suffix.lower() in HEADED:
             shape = picture_shape(path)

@@ -296,6 +296,17 @@ def test_uploads(tabs, address, tmp_path):
         "[...document.querySelectorAll('.numbers')].map((one) => one.scrollWidth - one.clientWidth)"
     )
     assert tab.evaluate(right) == [0, 0]  # nothing is cut
+    np.savez(tmp_path / "two.npz", near=np.full((8, 8), 2.0), far=np.full((8, 8), 6.0))
+    tab.set_input_files("#u-depth", tmp_path / "two.npz")
+    assert "two.npz: has the arrays of two dimensions near, far" in refused(tab)
+    suggested = "[...document.querySelectorAll('#parts option')].map((one) => one.value)"
+    assert tab.evaluate(suggested) == ["near", "far"]
+    put(tab, "channel", "far")
+    shown(tab)
+    assert "truth 6.00 m" in figure_title(tab, "histogram")
+    put(tab, "channel", "")
+    tab.set_input_files("#u-depth", depth)
+    shown(tab)
     opacity = "getComputedStyle(document.querySelector('[data-upload=sun]')).opacity"
     assert tab.evaluate(opacity) == "1"  # a file can be chosen
     tab.reload()

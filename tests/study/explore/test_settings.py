@@ -35,6 +35,9 @@ OTHER = dict(
     minigroup="4x4",
     format="full",
     method="maximum",
+    channel="Z",
+    missing=7.5,
+    fov_deg=60.5,
 )
 
 
