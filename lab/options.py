@@ -77,13 +77,21 @@ _ALL = (
         doc="Channel of a depth picture that has several, such as an EXR file; by default the one that is called depth or Z.",
     ),
     Option(
+        name="bin_ps", kind="float or None", metavar="PS",
+        doc="The file holds no depth but histograms of photons, rows x cols x bins (NPY, NPZ, HDF5, MATLAB), with bins of this width in ps.",
+    ),
+    Option(
+        name="recorded_pulses", kind="int or None", metavar="N",
+        doc="Laser pulses whose photons these histograms count; default: they are scaled to the light for which the sensor is made.",
+    ),
+    Option(
         name="reflectivity", kind="float or numpy.ndarray", metavar="SHARE", default=0.4,
         doc="Reflectivity of all surfaces of a depth file without a colour picture, 0 to 1.",
     ),
     Option(
         name="klux", kind="float, numpy.ndarray, str or None", metavar="KLUX",
         doc="Ambient light in klux: a number; LEFT|RIGHT for the two halves of the picture; or a map, FILE.npy or PICTURE,WHITE_KLUX (grey). "
-        "Default: 100 for sun-and-shade and tunnel, otherwise 50.",
+        "Default: 100 for sun-and-shade and tunnel, 0 for histograms, otherwise 50.",
     ),
     Option(
         name="background", kind="str", metavar="LAW", default="reflected",

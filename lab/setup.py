@@ -23,6 +23,7 @@ from ..model.light.spad import Spad, SpadGate
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import Ambient
 from ..model.scenes.catalogue import load_scene
+from ..model.scenes.recorded_light import RecordedLight
 from ..model.scenes.scene import Scene, scene_light
 from ..model.shared.errors import InputError
 from ..model.shared.own_part import OwnPart
@@ -208,7 +209,10 @@ class Setup:
         )
 
     def _light_of(self, scene: Scene) -> Light:
-        return scene_light(scene, self.klux, background=self.background)
+        shape: dict[str, Any] = {}
+        if isinstance(scene.transient, RecordedLight):  # their shape is that of the recording
+            shape["system_fwhm_s"] = self.spad.jitter_fwhm_s
+        return scene_light(scene, self.klux, background=self.background, **shape)
 
     @cached_property
     def key(self) -> str:

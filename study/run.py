@@ -160,6 +160,8 @@ def simulate(
     z: bool = False,
     fov_deg: float | None = None,
     channel: str | None = None,
+    bin_ps: float | None = None,
+    recorded_pulses: int | None = None,
     reflectivity: float | np.ndarray = REFLECTIVITY,
     klux: Ambient | None = None,
     background: str = BACKGROUNDS[0],
@@ -210,6 +212,8 @@ def simulate(
         "z": z,
         "fov_deg": fov_deg,
         "channel": channel,
+        "bin_ps": bin_ps,
+        "recorded_pulses": recorded_pulses,
     }
     if isinstance(scene, Scene):
         given = {"reflectivity": np.any(reflectivity != REFLECTIVITY)}
@@ -222,7 +226,7 @@ def simulate(
     setup = Setup(
         config=for_pictures(config, seen),
         scene=seen,
-        klux=usual_klux(str(scene) if isinstance(scene, str | os.PathLike) else "")
+        klux=usual_klux(str(scene) if isinstance(scene, str | os.PathLike) else "", bin_ps)
         if klux is None
         else klux,
         background=background,

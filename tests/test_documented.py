@@ -67,6 +67,9 @@ def make_files(folder):
     picture(folder / "room.png", depth_mm)
     picture(folder / "colour.jpg", colours)
     picture(folder / "room.jpg", colours)
+    arrived = np.zeros((8, 8, 200))
+    arrived[:, :, 100:105] = 200
+    np.savez(folder / "counts.npz", counts=arrived)
     (folder / "frames").mkdir()
     (folder / "colours").mkdir()
     for number in range(2):

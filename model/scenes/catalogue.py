@@ -15,13 +15,14 @@ from ..shared.errors import InputError, check_integer
 from ..shared.files import FilePath
 from ..shared.quantities import check_real
 from .archives import is_in_archive
-from .conventions import DEPTH_FILES
+from .conventions import ARCHIVES, ARRAYS, DEPTH_FILES
 from .daylight import SHADE, sun_and_shade, tunnel
 from .depth_file import depth_scene
-from .depth_pictures import picture_files
+from .depth_pictures import ARRAY, array_in_file, picture_files
 from .flat_scenes import FIVE_OBJECTS, LETTER_F, flat, planes_scene, returns, two_targets
 from .meaning import Meaning
 from .ray_scene import is_ray_scene, ray_scene
+from .recorded_light import histogram_scene
 from .scene import REFLECTIVITY, Scene
 
 DISTANCES = ("DISTANCE", "NEAR", "FAR")  # parameters in metres; the others are shares
@@ -50,10 +51,12 @@ NAMES = (*BUILT_IN, RETURNS)
 USUAL_KLUX, DAYLIGHT_KLUX = 50.0, {"sun-and-shade": 100.0, "tunnel": 100.0}
 
 
-def usual_klux(source: str) -> float:
+def usual_klux(source: str, bin_ps: float | None = None) -> float:
     """Return the ambient light of a scene if none is given: full sun in scenes about sun and
-    shade.
+    shade, and nothing besides the background of recorded histograms.
     """
+    if bin_ps is not None:
+        return 0.0
     return DAYLIGHT_KLUX.get(str(source).partition(":")[0], USUAL_KLUX)
 
 
@@ -71,6 +74,8 @@ def load_scene(
     z: bool = False,
     fov_deg: float | None = None,
     channel: str | None = None,
+    bin_ps: float | None = None,
+    recorded_pulses: int | None = None,
     range_m: float = RANGE_M,
 ) -> Scene:
     """Return the scene that a name or a file describes, for rows x cols pixels.
@@ -114,6 +119,12 @@ def load_scene(
         that the sensor sees fills its field of view.
     channel : str or None
         Channel of a picture that has several; None: the one that is called depth or Z.
+    bin_ps : float or None
+        Width in picoseconds of the bins of histograms, rows x cols x bins, which the source holds
+        instead of depth: an array, NPY, NPZ, HDF5 or MATLAB (see `histogram_scene`).
+    recorded_pulses : int or None
+        Laser pulses whose photons these histograms count. None: they are scaled to the light for
+        which the sensor is made.
     range_m : float
         Range of the laser period in metres; surfaces beyond it are left out.
 
@@ -129,7 +140,15 @@ def load_scene(
     check_integer("rows", rows, 1, 4096)
     check_integer("cols", cols, 1, 4096)
     meaning = Meaning(
-        unit=unit, scale=scale, missing=missing, sky_m=sky_m, z=z, fov_deg=fov_deg, channel=channel
+        unit=unit,
+        scale=scale,
+        missing=missing,
+        sky_m=sky_m,
+        z=z,
+        fov_deg=fov_deg,
+        channel=channel,
+        bin_ps=bin_ps,
+        recorded_pulses=recorded_pulses,
     )
     if isinstance(source, str | PathLike):
         text = source = str(source)
@@ -159,6 +178,9 @@ def load_scene(
             f"scene = {_told(source)}: must be a Scene, a name or file of one, or an array of"
             " distances in metres"
         )
+    if meaning.bin_ps is not None:
+        _check_only_histograms(meaning, colour)
+        return _histograms(source, rows, cols, meaning, range_m)
     return depth_scene(
         source,
         rows,
@@ -168,6 +190,29 @@ def load_scene(
         meaning=meaning,
         range_m=range_m,
     )
+
+
+def _check_only_histograms(meaning: Meaning, colour: FilePath | None) -> None:
+    """Raise `InputError` if something was said about depth, and the file holds histograms."""
+    if colour is not None:
+        raise InputError(f"colour = {str(colour)!r}: goes with depth files only, not with bin_ps")
+    for one in fields(Meaning):
+        value = getattr(meaning, one.name)
+        if one.name not in ("bin_ps", "recorded_pulses") and value != one.default:
+            raise InputError(f"{one.name} = {value!r}: goes with depth files only, not with bin_ps")
+
+
+def _histograms(
+    source: str | np.ndarray, rows: int, cols: int, meaning: Meaning, range_m: float
+) -> Scene:
+    """Return the scene of histograms in an array or a file. Raises `InputError`."""
+    if isinstance(source, np.ndarray):
+        return histogram_scene(ARRAY, source, rows, cols, meaning, range_m)
+    path = str(source)
+    counts = array_in_file(path)
+    if counts is None:
+        raise InputError(f"{path}: must be {', '.join((*ARRAYS, *ARCHIVES))} to hold histograms")
+    return histogram_scene(path, counts, rows, cols, meaning, range_m)
 
 
 def _told(source: object) -> str:

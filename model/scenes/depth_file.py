@@ -26,6 +26,8 @@ WRONG_SHARE_MAX = (
 )
 VALID_SHARE_MIN = 0.1  # lowest share of the sensor's pixels that must have a depth
 NOWHERE_M = 65504.0  # renderers write this and more where there is nothing
+# width by height of a picture in a sequence, from which on it may be no picture
+HISTOGRAM_SHAPE = 4
 ASPECT_TOLERANCE = 0.02  # relative difference between the shapes of a depth and its colour picture
 WHITE = {"I;16": 65535, "I;16B": 65535, "I": 65535}  # value of white, by the mode of a grey picture
 
@@ -90,6 +92,8 @@ def depth_scene(
     if not pictures.moves:
         return first
     each = f"{pictures.name}: {pictures.count} pictures, one for each frame; notes are of the first"
+    if shape is not None and shape[1] > HISTOGRAM_SHAPE * shape[0]:
+        each += "; histograms, rows x cols x bins, need the width of their bins (--bin-ps)"
     return evolve(first, name=pictures.name, later=tuple(later), notes=(each, *first.notes))
 
 

@@ -25,6 +25,8 @@ class Meaning:
     before the scale, from which on there is nothing to see. z: distances are along the axis, not
     along the rays. fov_deg: horizontal field of view of the whole picture;
     None: the part that the sensor sees has the sensor's. channel: of a picture with several.
+    bin_ps: the file holds histograms with bins of this width (`recorded_light`), and no depth.
+    recorded_pulses: laser pulses whose photons the histograms count; None = unknown.
     """
 
     unit: str | None = None
@@ -34,6 +36,8 @@ class Meaning:
     z: bool = False
     fov_deg: float | None = None
     channel: str | None = None
+    bin_ps: float | None = None
+    recorded_pulses: int | None = None
 
     def __attrs_post_init__(self) -> None:
         check_real("scale", self.scale, *SCALES)
@@ -43,6 +47,11 @@ class Meaning:
             check_real("sky_m", self.sky_m, NEAREST_M)
         if self.fov_deg is not None:
             check_real("fov_deg", self.fov_deg, 1e-3, 179)
+        if self.bin_ps is None and self.recorded_pulses is not None:
+            raise InputError(
+                f"recorded_pulses = {self.recorded_pulses}: goes with histograms, whose bins need"
+                " their width (bin_ps)"
+            )
 
     @property
     def marks(self) -> np.ndarray:

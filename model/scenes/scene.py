@@ -3,17 +3,24 @@
 comes from them.
 """
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from attrs import evolve, field, frozen
 
 from ..light.light import NEAREST_M, Light
 from ..shared.errors import InputError
-from ..shared.quantities import given, real_array
+from ..shared.quantities import Numbers, given, real_array
 from .ambient import Ambient, ambient_klux, told_klux
-from .transient import Transient
 from .view import View
+
+
+class ShapedLight(Protocol):
+    """Light of any shape in time: `Transient` and `RecordedLight`."""
+
+    def depth_m(self) -> np.ndarray: ...
+    def light(self, klux: Numbers, *, background: str = ..., **others: Any) -> Light: ...
+
 
 NO_OBJECT = 0
 REFLECTIVITY = 0.4  # default: the reflectivity of the paper's flat target
@@ -29,8 +36,8 @@ class Scene:
     `NO_OBJECT`. sunlit: float64[rows, cols], share of the ambient light that reaches the
     surface, 0 to 1. notes: sentences that the user should read: what was cropped, masked or
     assumed.
-    transient: light of a ray-traced scene, in which distance and reflectivity are only the
-    truth. view: field of view that the pixels share. later: what the pixels see in the frames
+    transient: light of a ray-traced scene or of recorded histograms, in which distance and
+    reflectivity are only the truth. view: field of view that the pixels share. later: what the pixels see in the frames
     after the first one; empty: the same in all frames.
 
     Raises `InputError` if a distance is below `NEAREST_M`, or a reflectivity or share is outside
@@ -43,7 +50,7 @@ class Scene:
     labels: np.ndarray = field(default=NO_OBJECT, converter=given)
     sunlit: np.ndarray = field(default=1.0, converter=given)
     notes: tuple[str, ...] = ()
-    transient: Transient | None = None
+    transient: ShapedLight | None = None
     view: View = View()
     later: tuple["Scene", ...] = ()
 

@@ -156,6 +156,8 @@ DESCRIBING = {
     "z": Annotated[bool, tabled("z", "--z")],
     "fov_deg": Annotated[float | None, tabled("fov_deg", "--fov")],
     "channel": Annotated[str | None, tabled("channel")],
+    "bin_ps": Annotated[float | None, tabled("bin_ps")],
+    "recorded_pulses": Annotated[int | None, tabled("recorded_pulses")],
     "reflectivity": Annotated[float, tabled("reflectivity")],
 }
 KluxOption = Annotated[str | None, tabled("klux")]
@@ -910,7 +912,7 @@ def _setup(
 
     given = {name: value for name, value in (described or {}).items() if value != []}
     surfaces = scene_of(config, scene, **given)
-    ambient = usual_klux(scene) if klux is None else klux
+    ambient = usual_klux(scene, given.get("bin_ps")) if klux is None else klux
     return Setup(config=for_pictures(config, surfaces), scene=surfaces, klux=ambient, **fields)
 
 

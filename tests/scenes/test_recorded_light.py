@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Histograms of another sensor as light: photons at the recorded times, from every kind of file."""
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from coincid.lab.setup import Setup
+from coincid.model.contract.config import parse_config
+from coincid.model.scenes.catalogue import load_scene
+from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+from coincid.model.shared.errors import InputError
+from coincid.study.run import simulate
+
+SHAPE = (8, 8)
+BIN_PS = 100.0
+BINS = 640  # 64 ns
+PULSES = 2000
+WALL_M = np.where(np.arange(8) < 4, 3.0, 6.0) * np.ones(SHAPE)
+CONFIG = parse_config({"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 200, "period": 40}})
+
+
+def mean_counts():
+    """float64[8, 8, bins]: a wall in two halves, 0.5 photons per pulse, and 0.1 of background."""
+    time_ps = (np.arange(BINS) + 0.5) * BIN_PS
+    flight_ps = 2 * WALL_M / SPEED_OF_LIGHT_M_S * 1e12
+    shape = np.exp(-0.5 * ((time_ps - flight_ps[:, :, None]) / 200) ** 2)
+    return PULSES * (0.5 * shape / shape.sum(axis=2, keepdims=True) + 0.1 / BINS)
+
+
+def counts():
+    return np.random.default_rng(5).poisson(mean_counts())
+
+
+def hdf5(at):
+    with h5py.File(at / "h.h5", "w") as archive:
+        archive["counts"] = counts()
+        archive["mask"] = np.ones(SHAPE)
+    return f"{at / 'h.h5'}:counts"
+
+
+def npz(at):
+    np.savez(at / "h.npz", counts=counts())
+    return str(at / "h.npz")
+
+
+def npy(at):
+    np.save(at / "h.npy", counts().astype(np.uint16))
+    return str(at / "h.npy")
+
+
+def mat(at):
+    savemat(at / "h.mat", {"counts": counts()})
+    return f"{at / 'h.mat'}:counts"
+
+
+@pytest.mark.parametrize("source", [lambda at: counts(), npy, npz, hdf5, mat])
+def test_the_truth_is_the_peak_of_each_histogram(tmp_path, source):
+    scene = load_scene(source(tmp_path), *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES)
+    assert scene.truth_m == pytest.approx(WALL_M, abs=0.01)
+
+
+def test_the_photons_are_those_of_the_histograms():
+    """As many per pulse, and the sensor measures the same distances."""
+    run = simulate(CONFIG, counts(), bin_ps=BIN_PS, recorded_pulses=PULSES, seed=2)
+    per_pulse = run.light.total_signal.reshape(SHAPE)
+    assert per_pulse == pytest.approx(np.full(SHAPE, 0.6), rel=0.1)
+    assert np.all(run.light.background_cps == 0)
+    assert np.nanmedian(np.abs(run.depth().depth_m[:, :, 0] - WALL_M)) < 0.02
+
+
+def test_unknown_pulses_are_scaled_to_the_light_of_the_sensor():
+    for factor in (1, 7):
+        scene = load_scene(factor * counts(), *SHAPE, bin_ps=BIN_PS)
+        light = Setup(config=CONFIG, scene=scene, klux=0.0).photons.light
+        assert np.median(light.total_signal) == pytest.approx(0.613 * 0.6 / 0.5, rel=0.05)
+        assert any("--recorded-pulses" in note for note in scene.notes)
+
+
+def test_background_can_be_added():
+    scene = load_scene(counts(), *SHAPE, bin_ps=BIN_PS)
+    assert np.all(Setup(config=CONFIG, scene=scene, klux=50.0).photons.light.background_cps > 0)
+    assert any("--klux adds more" in note for note in scene.notes)
+
+
+def test_what_is_no_histogram_is_refused():
+    for values, options, words in (
+        (counts()[:4], {}, "has 4 x 8 histograms, must have 8 x 8.*--set rows=4"),
+        (counts()[0], {}, "in three dimensions"),
+        (-counts(), {}, "counts.*must be of at least 0|counts.*must be at least 0"),
+        (np.zeros((*SHAPE, 40)), {}, "no histogram has a peak"),
+        (counts(), {"bin_ps": 0}, "bin_ps = 0"),
+        (counts(), {"recorded_pulses": 0}, "recorded_pulses = 0"),
+        (counts(), {"unit": "mm"}, "unit = 'mm': goes with depth files only"),
+        (counts(), {"bin_ps": None, "recorded_pulses": 4}, "recorded_pulses = 4: goes with hist"),
+    ):
+        with pytest.raises(InputError, match=words):
+            load_scene(values, *SHAPE, **{"bin_ps": BIN_PS} | options)
+
+
+def test_histograms_without_their_width_are_told_apart_from_a_sequence():
+    scene = load_scene(np.full((3, 8, 64), 4.0), *SHAPE)
+    assert any("--bin-ps" in note for note in scene.notes)
+    assert not any("--bin-ps" in note for note in load_scene(np.full((3, 8, 8), 4.0), *SHAPE).notes)
