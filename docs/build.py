@@ -28,9 +28,12 @@ MODULES = {  # page: title, modules
         "Light",
         ("light", "spad", "timing", "photons", "link_budget", "spectrum", "analytic", "code_density"),
     ),
-    "model.scenes": ("Scenes", ("catalogue", "scene", "flat_scenes", "depth_file", "recorded_light", "ambient", "daylight", "transient", "ray_scene")),
+    "model.scenes": (
+        "Scenes",
+        ("catalogue", "scene", "flat_scenes", "depth_file", "recorded_light", "ambient", "daylight", "transient", "ray_scene"),
+    ),
     "model.depth": ("Depth", ("estimate", "histograms", "arrivals", "quality", "peaks", "planes")),
-    "model.recorded": ("Recorded photons", ("exchange", "recordings", "ptu")),
+    "model.recorded": ("Recorded photons", ("exchange", "recordings", "ptu", "photon_hdf5")),
     "hdl": (
         "RTL",
         (

@@ -8,6 +8,8 @@ with their unit: `time_ps`, `time_ns`, `time_us`, `time_s`. A table holds one of
 * `pulse, pixel, tick`: edges, as this project writes them;
 * `sync, channel, time_ps`: time since the laser's trigger number `sync`;
 * `channel, time_ps`: absolute times, with the triggers as events on a channel of their own.
+
+HDF5 files may also be Photon-HDF5 (`photon_hdf5.py`).
 """
 
 import io
@@ -22,29 +24,44 @@ import numpy as np
 
 from ..contract.edges import NAMES, Edges
 from ..light.timing import Timing
-from ..shared.errors import InputError
+from ..shared.errors import InputError, check_integer
 from ..shared.files import FilePath, read_npz, reading, whole_file
+from .photon_hdf5 import is_photon_hdf5, read_photon_hdf5
 from .ptu import read_ptu, write_ptu
-from .recordings import SYNC_MAX, Recording, since_sync
+from .recordings import SYNC_MAX, Recording, since_sync, undivided
 
 INTEGER_MAX = (1 << 63) - 1
 UNITS_PS = {"time_ps": 1, "time_ns": 1000, "time_us": 1_000_000, "time_s": 1_000_000_000_000}
-SUFFIXES = (".npz", ".csv", ".h5", ".hdf5", ".ptu")
+HDF5 = (".h5", ".hdf5")
+SUFFIXES = (".npz", ".csv", *HDF5, ".ptu")
+DIVIDER_MAX = 1 << 16
 # int64 where all numbers are written as integers, else float64; of one length
 Columns: TypeAlias = Sequence[np.ndarray]
 Read: TypeAlias = Callable[[tuple[str, ...]], Columns]
 EXPECTED = "pulse, pixel, tick; or sync, channel, time_ps; or channel, time_ps (or time_ns, time_us, time_s)"
 
 
-def read_recording(path: FilePath, sync_channel: int | None = None) -> Recording:
+def read_recording(
+    path: FilePath, sync_channel: int | None = None, sync_divider: int | None = None
+) -> Recording:
     """Return the photons of a file. Raises `InputError` with the file's name and its fault.
 
     sync_channel: channel of the laser's trigger among absolute times (T2: by default the sync
-    input).
+    input). sync_divider: laser pulses per recorded trigger; None: as the file says, or 1.
     """
+    recording = _read(path, sync_channel)
+    divider = recording.divider
+    if sync_divider is not None:
+        divider = check_integer("sync-divider", sync_divider, 1, DIVIDER_MAX)
+    return recording if divider == 1 else undivided(recording, divider)
+
+
+def _read(path: FilePath, sync_channel: int | None) -> Recording:
     suffix = check_suffix(path)
     if suffix == ".ptu":
         return read_ptu(path, sync_channel)
+    if suffix in HDF5 and is_photon_hdf5(path):
+        return read_photon_hdf5(path, sync_channel)
     names, read = {".npz": _npz, ".csv": _csv}.get(suffix, _hdf5)(path)
     if set(NAMES) <= set(names):
         return _of_syncs(path, NAMES, read(NAMES), "edges", sync_channel)

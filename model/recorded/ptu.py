@@ -16,14 +16,16 @@ import struct
 
 import numpy as np
 import ptufile
+from attrs import evolve
 
 from ..contract.edges import Edges
 from ..light.timing import Timing
 from ..shared.errors import InputError
 from ..shared.files import FilePath, reading, whole_file
-from .recordings import NO_SYNC, Recording, since_sync
+from .recordings import NO_SYNC, Recording, folded, since_sync
 
 PS_PER_S = 1e12
+DIVIDER = "HWSync_Divider"  # tag of the header: laser pulses per sync of the device
 T2_SYNC = 1 << 6  # upper 7 bits of a sync's record: the special bit, and input 0
 # widths in a written record, below the special bit
 CHANNEL_BITS, DTIME_BITS, NSYNC_BITS = (6, 15, 10)
@@ -41,7 +43,8 @@ def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
     sync_channel: in T2, the input that carries the laser's trigger (None: the sync input). In an
     image recorded point by point, the photons' channels are positions, row by row. Syncs then
     count from the beginning of each position's dwell, and continue through the further frames of
-    the image.
+    the image. A sync divider of the header counts in T2, whose syncs are divided. In T3, syncs
+    are numbered as the laser's pulses, and times beyond their period belong to later ones.
     """
     logging.getLogger("ptufile").setLevel(logging.CRITICAL)  # the errors below report the fault
     with reading(path, "PTU file"), ptufile.PtuFile(path) as file:
@@ -56,8 +59,10 @@ def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
             raise InputError(
                 f"{path}: MeasDesc_GlobalResolution = {unit_ps / PS_PER_S:g}: must be above 0"
             )
+        divider = int(file.tags.get(DIVIDER, 1) or 1)
         if not file.is_t3:
-            return _t2(path, raw, photons, unit_ps, file.record_type, sync_channel)
+            found = _t2(path, raw, photons, unit_ps, file.record_type, sync_channel)
+            return evolve(found, divider=divider) if sync_channel is None else found
         if sync_channel is not None:
             raise InputError(
                 f"sync-channel = {sync_channel}: {path} is a T3 recording, whose syncs are counted"
@@ -77,7 +82,10 @@ def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
         period_ps=unit_ps,
         kind=f"T3, bins of {bin_ps:.6g} ps",
     )
-    return scan.place(recording, time, photons["marker"]) if scan else recording
+    placed = scan.place(recording, time, photons["marker"]) if scan else recording
+    if divider > 1 and np.any(placed.time_ps >= unit_ps):
+        return folded(evolve(placed, kind=f"{placed.kind}, sync divider {divider}"))
+    return placed
 
 
 def _t2(

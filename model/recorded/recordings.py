@@ -4,7 +4,7 @@ pixel, time to tick.
 """
 
 import numpy as np
-from attrs import frozen
+from attrs import evolve, frozen
 
 from ..contract.config import Config
 from ..contract.edges import Edges
@@ -26,7 +26,7 @@ class Recording:
     sync: int64[n], number of the last laser trigger before each photon, `NO_SYNC` if there is
     none. channel: int64[n], input of the tagger; with `grid` (rows, cols), the position in an
     image, row * cols + col. time_ps: float64[n] since the trigger. period_ps: between triggers,
-    None = unknown. kind: description of the recording. outside: meaning of `NO_SYNC`. in_ticks:
+    None = unknown. divider: laser pulses per recorded trigger. kind: description of the recording. outside: meaning of `NO_SYNC`. in_ticks:
     the times already are ticks.
     """
 
@@ -35,6 +35,7 @@ class Recording:
     time_ps: np.ndarray
     kind: str
     period_ps: float | None = None
+    divider: int = 1
     grid: tuple[int, int] | None = None
     outside: str = "before the first sync"
     in_ticks: bool = False
@@ -57,6 +58,40 @@ def since_sync(
         time_ps=(time - triggers[sync]) * unit_ps,
         period_ps=period,
         kind=kind,
+    )
+
+
+def undivided(recording: Recording, divider: int) -> Recording:
+    """Return a recording with every trigger of a laser, of which a sync divider has recorded every
+    `divider`-th one: each photon belongs to the last pulse before it. Raises `InputError`.
+    """
+    if recording.period_ps is None or recording.in_ticks:
+        raise InputError(
+            f"sync-divider = {divider}: goes with T2, T3, Photon-HDF5 and absolute times, whose period"
+            " of triggers is known"
+        )
+    triggers = np.where(recording.sync == NO_SYNC, NO_SYNC, recording.sync * divider)
+    return folded(
+        evolve(
+            recording,
+            sync=triggers,
+            period_ps=recording.period_ps / divider,
+            divider=1,
+            kind=f"{recording.kind}, sync divider {divider}",
+        )
+    )
+
+
+def folded(recording: Recording) -> Recording:
+    """Return a recording whose times are below its period: later ones belong to later triggers."""
+    period_ps = recording.period_ps
+    assert period_ps is not None, "a recording without a period cannot be folded"
+    is_placed = recording.sync != NO_SYNC
+    passed = np.where(is_placed, np.floor(recording.time_ps / period_ps), 0).astype(np.int64)
+    return evolve(
+        recording,
+        sync=recording.sync + passed,
+        time_ps=recording.time_ps - passed * period_ps,
     )
 
 

@@ -7,6 +7,7 @@ Poisson numbers here, so the noise of the recording is seen as light, too. The r
 our choice.
 """
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -108,7 +109,7 @@ def histogram_scene(
         notes.append(f"{path}: {np.sum(~found)} of {found.size} histograms have no peak")
     light = RecordedLight(photons=counts / per_pulse, bin_s=bin_s, surface_m=surface_m)
     return Scene(
-        name=path,
+        name=Path(path).name,
         distance_m=surface_m,
         reflectivity=np.full((rows, cols), REFLECTIVITY),
         transient=light,

@@ -541,6 +541,10 @@ def edges(
     sync_channel: Annotated[
         int | None, option("Channel of the laser trigger, for recordings with absolute times.", "N")
     ] = None,
+    sync_divider: Annotated[
+        int | None,
+        option("Laser pulses per recorded trigger; default: as the file says, or 1.", "N"),
+    ] = None,
     first_sync: Annotated[int, option("The trigger that becomes pulse 0.", "N")] = 0,
     delay_ps: Annotated[
         float, option("Delay between trigger and light; it is subtracted from every time.", "PS")
@@ -561,7 +565,7 @@ def edges(
     check_suffix(_file(out))
     timing = Timing.from_config(settings)
     pixel_of = None if channels is None else parse_channels(channels)
-    recorded = read_recording(recording, sync_channel)
+    recorded = read_recording(recording, sync_channel, sync_divider)
     try:
         converted, lost = recorded_edges(
             recorded, settings, timing, channels=pixel_of, first_sync=first_sync, delay_ps=delay_ps

@@ -447,3 +447,113 @@ def test_tables_of_other_programs(tmp_path):
     path.write_bytes(path.read_bytes() + bytes(2))
     assert edges_of(path)[0] == [(1, 3, 1)]
     assert parse_channels("-2:0, 2:1") == {-2: 0, 2: 1}
+
+
+# A laser of 25 ns whose triggers are divided by 4: photons in its pulses 4, 5, 7 and 8.
+DIVIDED_PS = np.array([100_000, 200_000])
+PHOTONS_PS = np.array([103_000, 128_000, 178_000, 203_000])
+
+
+def divided_table(path):
+    channel = np.r_[np.zeros(2), np.full(4, 3)].astype(int)
+    np.savez(path, channel=channel, time_ps=np.r_[DIVIDED_PS, PHOTONS_PS])
+    return path
+
+
+def test_a_divided_sync_among_absolute_times(tmp_path):
+    path = divided_table(tmp_path / "a.npz")
+    found = read_recording(path, 0, 4)
+    assert found.sync.tolist() == [0, 1, 3, 4]
+    assert found.time_ps.tolist() == [3000] * 4 and found.period_ps == 25_000
+    whole = read_recording(path, 0)
+    assert whole.time_ps.tolist() == [3000, 28_000, 78_000, 3000]
+
+
+def test_a_divided_sync_in_the_header_of_t2(tmp_path):
+    """A divider in T2 removes syncs (MultiHarp 150, manual, WARNING_DIVIDER_GREATER_ONE)."""
+    events = sorted(
+        [(time, t2(1, 0, time)) for time in DIVIDED_PS.tolist()]
+        + [(time, t2(0, 3, time)) for time in PHOTONS_PS.tolist()]
+    )
+    path = ptu(tmp_path / "a.ptu", [record for _, record in events], HWSync_Divider=4)
+    found = read_recording(path)
+    assert found.sync.tolist() == [0, 1, 3, 4] and "sync divider 4" in found.kind
+    assert read_recording(path, sync_divider=1).sync.tolist() == [0, 0, 0, 1]
+
+
+def test_a_divided_sync_in_the_header_of_t3(tmp_path):
+    """The device numbers the laser's pulses; times may go beyond the period of the laser."""
+    records = [t3(0, 3, 3, 4), t3(0, 3, 28, 4), t3(0, 3, 78, 4), t3(0, 3, 3, 8)]
+    form = {"mode": 3, "kind": 0x00010307, "clock_s": 25e-9, "bin_s": 1e-9}
+    divided = read_recording(ptu(tmp_path / "a.ptu", records, HWSync_Divider=4, **form))
+    assert divided.sync.tolist() == [4, 5, 7, 8]
+    assert divided.time_ps == pytest.approx([3500] * 4)
+    plain = read_recording(ptu(tmp_path / "b.ptu", records, **form))
+    assert plain.sync.tolist() == [4, 4, 4, 8]
+    halved = read_recording(tmp_path / "b.ptu", sync_divider=2)
+    assert halved.period_ps == pytest.approx(12_500) and halved.sync.tolist() == [8, 10, 14, 16]
+
+
+def test_a_divider_needs_a_period(tmp_path):
+    np.savez(tmp_path / "a.npz", sync=[0, 1], channel=[3, 3], time_ps=[5, 6])
+    with pytest.raises(InputError, match="sync-divider = 4: goes with T2, T3"):
+        read_recording(tmp_path / "a.npz", sync_divider=4)
+    with pytest.raises(InputError, match="sync-divider = 0"):
+        read_recording(divided_table(tmp_path / "b.npz"), 0, 0)
+
+
+def photon_hdf5(path, **datasets):
+    with h5py.File(path, "w") as archive:
+        for name, values in datasets.items():
+            archive[f"photon_data/{name.replace('__', '/')}"] = values
+    return path
+
+
+SYNCED = {
+    "timestamps": np.array([4, 5, 7]),
+    "detectors": np.array([3, 3, 2], np.uint8),
+    "nanotimes": np.array([10, 20, 30], np.uint16),
+    "timestamps_specs__timestamps_unit": 25e-9,
+    "nanotimes_specs__tcspc_unit": 100e-12,
+}
+
+
+def test_photon_hdf5(tmp_path):
+    found = read_recording(photon_hdf5(tmp_path / "a.h5", **SYNCED))
+    assert found.sync.tolist() == [4, 5, 7] and found.channel.tolist() == [3, 3, 2]
+    assert found.time_ps == pytest.approx([1050, 2050, 3050])
+    assert found.period_ps == pytest.approx(25_000)
+
+
+def test_photon_hdf5_of_a_laser_with_another_rate(tmp_path):
+    """Whole ratios are a sync divider; otherwise the number of a pulse follows from its time."""
+    rate = "measurement_specs__laser_repetition_rate"
+    four = read_recording(photon_hdf5(tmp_path / "a.h5", **SYNCED, **{rate: 160e6}))
+    assert four.sync.tolist() == [16, 20, 28] and four.period_ps == pytest.approx(6250)
+    slow = read_recording(photon_hdf5(tmp_path / "b.h5", **SYNCED, **{rate: 10e6}))
+    assert slow.sync.tolist() == [1, 1, 1] and slow.period_ps == pytest.approx(100_000)
+
+
+def test_photon_hdf5_without_nanotimes(tmp_path):
+    absolute = {
+        "timestamps": np.r_[DIVIDED_PS, PHOTONS_PS],
+        "detectors": np.array([0, 0, 3, 3, 3, 3]),
+        "timestamps_specs__timestamps_unit": 1e-12,
+    }
+    path = photon_hdf5(tmp_path / "a.h5", **absolute)
+    assert read_recording(path, 0, 4).sync.tolist() == [0, 1, 3, 4]
+    with pytest.raises(InputError, match=r"--sync-channel must name it .*: 0, 3\)"):
+        read_recording(path)
+
+
+def test_photon_hdf5_that_cannot_be_used(tmp_path):
+    lacking = {name: values for name, values in SYNCED.items() if "tcspc" not in name}
+    with pytest.raises(InputError, match="has no photon_data/nanotimes_specs/tcspc_unit"):
+        read_recording(photon_hdf5(tmp_path / "a.h5", **lacking))
+    with h5py.File(tmp_path / "b.h5", "w") as archive:
+        archive["photon_data0/timestamps"] = [1]
+        archive["photon_data1/timestamps"] = [1]
+    with pytest.raises(InputError, match="has photon_data0, photon_data1, must have one"):
+        read_recording(tmp_path / "b.h5")
+    with pytest.raises(InputError, match="sync-channel = 3"):
+        read_recording(photon_hdf5(tmp_path / "c.h5", **SYNCED), 3)
