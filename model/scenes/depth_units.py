@@ -26,8 +26,11 @@ KINECT_BITS = 11
 KINECT_NUMERATOR, KINECT_END = 351.3, 1092.5  # NYU's toolbox: metres = 351.3 / (1092.5 - number)
 KITTI_FORM = f"{DISPARITY}/256"
 NEAR_M = 0.2  # smallest usual median
-# divisor of all samples -> the data set that writes such samples
-MULTIPLES = {5: "tum", 1 << ROTATED_BITS: ROTATED}
+# data set -> divisor of its samples, and the lowest share of them that are such multiples: the
+# strays of TUM come from its registration, those of SUN RGB-D lie beyond 8.19 m
+MULTIPLES = {"tum": (5, 0.99), ROTATED: (1 << ROTATED_BITS, 0.9)}
+SWAPPED_SHARE_MIN = 0.99  # of the samples, below `KINECT_BITS` with their bytes swapped
+MANY_VALUES = 50  # so many different numbers are multiples by no accident
 
 
 def metres(path: FilePath, samples: np.ndarray, unit: str) -> np.ndarray:
@@ -111,8 +114,8 @@ def _stereo(path: FilePath, unit: str) -> tuple[float, float, float]:
 def fitting_unit(
     samples: np.ndarray, unit: str, given: bool, median_m: float, range_m: float
 ) -> str:
-    """Return a sentence with the unit that would fit better, if the median distance is unusual;
-    else nothing.
+    """Return a sentence with the unit that would fit better, if the median distance is unusual,
+    or the samples are those of another data set; else nothing.
 
     samples: of the file; unit: the one that was assumed or given.
     """
@@ -122,10 +125,21 @@ def fitting_unit(
         far_m = known.far_m
     else:
         far_m = INDOORS_M if whole and not given else range_m
-    if NEAR_M <= median_m <= far_m:
-        return ""
-    unusual = f"the median distance is {median_m:.3g} m"
     stored = stored_unit(unit)
+    seen = samples[samples > 0] if whole else samples[:0]
+    if NEAR_M <= median_m <= far_m:
+        likely = _likely(seen, MANY_VALUES)
+        if not likely or DATA_SETS[likely].stored == stored:
+            return ""
+        fits_m = float(np.median(metres("", seen, likely)))
+        if not NEAR_M <= fits_m <= INDOORS_M:
+            return ""
+        looks = f"the samples look like {DATA_SETS[likely].files} ({DATA_SETS[likely].told})"
+        return (
+            f"{looks}; with the unit {likely} the median distance is {fits_m:.3g} m, not"
+            f" {median_m:.3g} m"
+        )
+    unusual = f"the median distance is {median_m:.3g} m"
     if stored == DISPARITY:
         _, _, numbers = unit.partition(":")
         there = f"{KITTI_FORM}:{numbers}" if numbers else "kitti-disparity"
@@ -134,9 +148,8 @@ def fitting_unit(
             if median_m < NEAR_M
             else ""
         )
-    seen = samples[samples > 0] if whole else samples[:0]
-    likely = _likely(seen)
-    if likely and likely != stored:
+    likely = _likely(seen, 1)
+    if likely and DATA_SETS[likely].stored != stored:
         fits_m = float(np.median(metres("", seen, likely)))
         looks = f"the samples look like {DATA_SETS[likely].files} ({DATA_SETS[likely].told})"
         return f"{unusual}, and {looks}; with the unit {likely} it is {fits_m:.3g} m"
@@ -151,14 +164,20 @@ def fitting_unit(
     return ""
 
 
-def _likely(seen: np.ndarray) -> str:
-    """Return the data set that writes such integers, or nothing."""
+def _likely(seen: np.ndarray, values_min: int) -> str:
+    """Return the data set that writes such integers, or nothing.
+
+    values_min: so many different ones there must be.
+    """
     if not len(seen) or seen.max() > 0xFFFF:
         return ""
-    if len(np.unique(seen)) > 1 and np.all(seen.astype(np.uint16).byteswap() < 1 << KINECT_BITS):
+    values = len(np.unique(seen))
+    if values < values_min:
+        return ""
+    swapped = seen.astype(np.uint16).byteswap()
+    if values > 1 and np.mean(swapped < 1 << KINECT_BITS) >= SWAPPED_SHARE_MIN:
         return KINECT_RAW
-    divisor = int(np.gcd.reduce(seen))
-    for step, name in MULTIPLES.items():
-        if divisor % step == 0:
+    for name, (divisor, share_min) in MULTIPLES.items():
+        if np.mean(seen % divisor == 0) >= share_min:
             return name
     return ""

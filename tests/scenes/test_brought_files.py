@@ -220,6 +220,32 @@ def test_nyus_raw_files_are_recognized(tmp_path):
     assert "with the unit nyu-raw it is 4" in told
 
 
+def of_a_room(millimetres_max):
+    """uint16[64, 64]: a floor of as many distances in millimetres as a room has."""
+    return np.linspace(900, millimetres_max, 64 * 64).reshape(64, 64).astype(np.uint16)
+
+
+HINTS = {  # samples, options, unit of the hint; "": none
+    "TUM: 0.05 % of a real picture are no multiples of 5": (of_a_room(1500) * 5, {}, "tum"),
+    "TUM, whose unit is given wrongly": (of_a_room(1500) * 5, {"unit": "realsense"}, "tum"),
+    "TUM with its unit": (of_a_room(1500) * 5, {"unit": "tum"}, ""),
+    "SUN RGB-D: 3 % of a real picture are no multiples of 8": (of_a_room(950) << 3, {}, "sun-rgbd"),
+    "SUN RGB-D with its unit": (of_a_room(950) << 3, {"unit": "sun-rgbd"}, ""),
+    "millimetres": (of_a_room(7900), {}, ""),
+    "a wall, which is a multiple of 5 by accident": (np.full((64, 64), 4000, np.uint16), {}, ""),
+}
+
+
+@pytest.mark.parametrize("case", HINTS)
+def test_samples_of_another_data_set_are_told(tmp_path, case):
+    """Also if their median is usual: 1.2 m of TUM are 6 m as millimetres."""
+    samples, options, unit = HINTS[case]
+    strays = samples.copy()
+    strays[0, :2] += 1
+    notes = " ".join(load_scene(png(tmp_path / "d.png", strays), 8, 8, **options).notes)
+    assert re.findall(r"with the unit ([\w-]+)", notes) == ([unit] if unit else [])
+
+
 def test_a_wall_of_z_is_flat_in_space(tmp_path):
     """Depth cameras and renderers store z (librealsense's projection, Blender's Z pass)."""
     path = npy(tmp_path / "d.npy", np.full((8, 12), 4.0))
