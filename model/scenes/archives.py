@@ -16,6 +16,7 @@ from ..shared.errors import InputError
 from ..shared.files import FilePath, reading
 from .conventions import ARCHIVES
 
+MATLAB = ".mat"  # of which only later versions are HDF5
 PICTURE = 2  # dimensions of an array: rows, cols
 SEQUENCE = 3  # frames, rows, cols
 # by the version of the NPY format, of which later ones hold no plain numbers
@@ -74,7 +75,7 @@ def _archive(path: Path) -> tuple[Shapes, Callable[[str], np.ndarray]]:
     """Return the shapes of an archive's arrays by name, and a function that reads one."""
     if path.suffix.lower() == ".npz":
         return _npz(path)
-    if h5py.is_hdf5(path):
+    if path.suffix.lower() != MATLAB or h5py.is_hdf5(path):
         return _hdf5(path)
     from scipy.io import loadmat, whosmat
 
@@ -114,6 +115,6 @@ def _hdf5(path: Path) -> tuple[Shapes, Callable[[str], np.ndarray]]:
     def read(name: str) -> np.ndarray:
         with h5py.File(path, "r") as archive:
             samples = np.asarray(archive[name][()])
-        return samples.T if path.suffix.lower() == ".mat" else samples
+        return samples.T if path.suffix.lower() == MATLAB else samples
 
     return shapes, read

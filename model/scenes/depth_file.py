@@ -184,7 +184,8 @@ def _samples_in_metres(
     samples = stored.numbers
     unit = stored.unit if meaning.unit is None else meaning.unit
     sample_m = metres(path, samples, unit)
-    marked = _marked(raw_numbers(path, samples, unit), meaning.marks)
+    marks = np.concatenate([meaning.marks, stored.missing])
+    marked = _marked(raw_numbers(path, samples, unit), marks)
     if marked.any():
         notes.append(
             f"{path}: {marked.sum()} samples are {_listed(samples[marked])}, which is taken for no depth"

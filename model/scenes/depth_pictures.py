@@ -16,7 +16,7 @@ from attrs import frozen
 
 from ..shared.errors import InputError
 from ..shared.files import FilePath
-from .archives import is_in_archive, read_from_archive
+from .archives import MATLAB, is_in_archive, read_from_archive
 from .conventions import ARRAYS, DEPTH_FILES, convention
 from .image_files import (
     check_picture_array,
@@ -25,11 +25,11 @@ from .image_files import (
     read_array,
     read_channels,
     read_pgm,
+    read_tags,
 )
 from .meaning import Meaning
 
 ARRAY = "array"  # name of distances that are no file
-MATLAB = ".mat"
 COLOURS_MAX = 4  # length of a last axis that holds colours
 NUMBER = re.compile(r"%\d*d")  # of a picture, in a pattern of names
 WILD = re.compile(r"[*?\[]")
@@ -43,6 +43,7 @@ class Stored:
     numbers: np.ndarray  # number[height, width]
     hidden: np.ndarray | bool = False  # bool[height, width]: no depth, by the mask of an array
     unit: str  # of the numbers, unless the user names another one
+    missing: tuple[float, ...] = ()  # numbers that mean "no depth", by the file
     notes: tuple[str, ...] = ()
 
 
@@ -70,6 +71,7 @@ def pictures_of(source: FilePath | np.ndarray, meaning: Meaning) -> Pictures:
         return Pictures(name=Path(path).name, count=len(files), read=read, moves=True)
     samples = array_in_file(path)
     if samples is not None:
+        _check_bits(path, samples, meaning)
         return _in_array(path, samples, "")
     alone = partial(_stored_picture, path, meaning)
     return Pictures(name=Path(path).name, count=1, read=lambda number: alone(), moves=False)
@@ -148,6 +150,14 @@ def _in_array(path: str, samples: np.ndarray, unit: str) -> Pictures:
     return Pictures(name=Path(path).name, count=count, read=read, moves=moves)
 
 
+def _check_bits(path: str, numbers: np.ndarray, meaning: Meaning) -> None:
+    """Raise `InputError` for numbers of 8 bits without a unit, which are hardly millimetres."""
+    if numbers.dtype == np.uint8 and meaning.unit is None:
+        raise InputError(
+            f"{path}: is a colour or 8 bit picture, must be depth: 16 bits or floats in one channel, or grey of 8 bits with a unit"
+        )
+
+
 def _usual_unit(numbers: np.ndarray) -> str:
     return "m" if numbers.dtype.kind == "f" else "mm"
 
@@ -166,17 +176,25 @@ def _stored_picture(path: str, meaning: Meaning) -> Stored:
     wanted = meaning.channel or (known.channel if known else "")
     name = depth_channel(path, channels, wanted)
     samples = check_picture_array(path, channels[name])
-    if samples.dtype == np.uint8 and meaning.unit is None:
-        raise InputError(
-            f"{path}: is a colour or 8 bit picture, must be depth: 16 bits or floats in one channel, or grey of 8 bits with a unit"
-        )
+    _check_bits(path, samples, meaning)
     notes = []
     if len(channels) > 1 and not meaning.channel:
         others = ", ".join(other for other in channels if other != name)
         notes.append(
             f"{path}: depth is the channel {name}; --channel NAME takes another one ({others})"
         )
-    return Stored(path=path, numbers=samples, unit=_usual_unit(samples), notes=tuple(notes))
+    tags = read_tags(path)
+    if tags.pages > 1:
+        notes.append(f"{path}: is the first of {tags.pages} pictures in the file")
+    if tags.is_lossy:
+        notes.append(f"{path}: is a JPEG, whose compression changes distances")
+    return Stored(
+        path=path,
+        numbers=samples,
+        unit=_usual_unit(samples),
+        missing=() if tags.no_data is None else (tags.no_data,),
+        notes=tuple(notes),
+    )
 
 
 def _is_pgm(path: FilePath) -> bool:

@@ -149,8 +149,8 @@ def fitting_unit(
             else ""
         )
     likely = _likely(seen, 1)
-    if likely and DATA_SETS[likely].stored != stored:
-        fits_m = float(np.median(metres("", seen, likely)))
+    fits_m = float(np.median(metres("", seen, likely))) if likely else 0.0
+    if likely and DATA_SETS[likely].stored != stored and NEAR_M <= fits_m <= range_m:
         looks = f"the samples look like {DATA_SETS[likely].files} ({DATA_SETS[likely].told})"
         return f"{unusual}, and {looks}; with the unit {likely} it is {fits_m:.3g} m"
     if stored.startswith(DISPARITY) or stored in (ROTATED, KINECT_RAW):

@@ -4,31 +4,79 @@ ratio.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import OpenImageIO
-from PIL import Image
+from attrs import frozen
+from PIL import Image, ImageOps
 
 from ..shared.errors import InputError
 from ..shared.files import FilePath, reading
 
 _GAP = rb"(?:\s+|#[^\n]*\n)+"
 PGM_HEAD = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d+)") + rb"\s")
+PFM_HEAD = re.compile(rb"P[Ff]" + 2 * (_GAP + rb"\d+") + _GAP + rb"([-+.\deE]+)\s")
+GDAL_NO_DATA = 42113  # tag of TIFF
+LOSSY = ("JPEG", "MPO")
 ALPHA = ("a", "alpha")
+
+
+def _transposed(samples: np.ndarray) -> np.ndarray:
+    return np.swapaxes(samples, 0, 1)
+
+
+# orientation of TIFF and EXIF -> what puts the top row first
+UPRIGHT: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    2: np.fliplr,
+    3: partial(np.rot90, k=2),
+    4: np.flipud,
+    5: _transposed,
+    6: partial(np.rot90, k=-1),
+    7: lambda samples: _transposed(np.rot90(samples, k=2)),
+    8: np.rot90,
+}
 # of colour pictures, and of the sun's in the explorer
 COLOUR_FILES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 
 
+@frozen(kw_only=True)
+class Tags:
+    """What a picture says about itself, besides its samples."""
+
+    pages: int = 1  # or frames of an animation
+    no_data: float | None = None  # number that means "no depth" (tag of GDAL)
+    is_lossy: bool = False
+
+
 def open_picture(path: FilePath) -> Image.Image:
-    """Return an opened and decoded picture. Raises `InputError`."""
+    """Return an opened and decoded picture, turned as its orientation says. Raises
+    `InputError`.
+    """
     with reading(path, "picture"):
         picture = Image.open(path)
         picture.load()
+        ImageOps.exif_transpose(picture, in_place=True)
         return picture
+
+
+def read_tags(path: FilePath) -> Tags:
+    """Return what a picture says about itself, as far as Pillow knows its format."""
+    try:
+        with Image.open(path) as picture:
+            tags = getattr(picture, "tag_v2", {})
+            told = str(tags.get(GDAL_NO_DATA, "")).strip("\0 ")
+            return Tags(
+                pages=getattr(picture, "n_frames", 1),
+                no_data=float(told) if told else None,
+                is_lossy=picture.format in LOSSY,
+            )
+    except (OSError, ValueError, SyntaxError):
+        return Tags()  # the reader of the samples knows more formats, and tells what is wrong
 
 
 def read_array(path: FilePath) -> np.ndarray:
@@ -81,6 +129,12 @@ def read_channels(path: FilePath) -> dict[str, np.ndarray]:
                 samples = _in_display(samples, spec)
             elif part:
                 break  # further pages
+            turn = UPRIGHT.get(spec.getattribute("Orientation"))
+            if turn is not None:
+                samples = turn(samples)
+            scale = _pfm_scale(path)
+            if scale != 1:
+                samples = samples / scale
             for name, plane in zip(spec.channelnames, np.moveaxis(samples, 2, 0), strict=True):
                 title = (
                     name if name not in channels else f"{spec.getattribute('name') or part}.{name}"
@@ -95,6 +149,16 @@ def picture_shape(path: FilePath) -> tuple[int, int]:
     with reading(path, "picture"), _opened(path) as file:
         spec = file.spec()
         return max(spec.height, spec.full_height), max(spec.width, spec.full_width)
+
+
+def _pfm_scale(path: FilePath) -> float:
+    """Return the factor by which the library has multiplied the numbers of a PFM file; 1 for others.
+
+    Middlebury writes 1/255 there, and means its numbers as they are.
+    """
+    with open(path, "rb") as file:
+        head = PFM_HEAD.match(file.read(4096))
+    return abs(float(head[1])) or 1.0 if head else 1.0
 
 
 @contextmanager
@@ -155,6 +219,7 @@ def depth_channel(path: FilePath, channels: dict[str, np.ndarray], wanted: str) 
         (*_parts(name)[:-1], axis) for name in names for axis in "xy" if _parts(name)[-1] == axis
     }
     scalars = [name for name in names if not layers & {(*_parts(name)[:-1], axis) for axis in "xy"}]
+    scalars = [name for name in scalars if not _is_colour(name, channels)]
     ranked = (
         *(name for name in scalars if len(_parts(name)) == 1 and _is_depth(_parts(name)[0])),
         *(name for name in scalars if _is_depth(_parts(name)[-1])),
@@ -168,6 +233,17 @@ def depth_channel(path: FilePath, channels: dict[str, np.ndarray], wanted: str) 
     ):
         return "R"
     raise InputError(f"{told}, none of which is called depth or Z; --channel NAME chooses one")
+
+
+def _is_colour(name: str, channels: dict[str, np.ndarray]) -> bool:
+    """Return whether a channel is one of three colours of a layer that differ."""
+    layer, dot, last = name.rpartition(".")
+    others = [f"{layer}{dot}{colour}" for colour in "RGB"]
+    if last not in ("R", "G", "B") or not dot or not all(one in channels for one in others):
+        return False
+    own = channels[name]
+    is_float = own.dtype.kind == "f"
+    return not all(np.array_equal(own, channels[one], equal_nan=is_float) for one in others)
 
 
 def _parts(name: str) -> list[str]:
