@@ -7,6 +7,7 @@
 import subprocess
 import sys
 from importlib.metadata import files
+from pathlib import Path
 
 import numpy as np
 
@@ -92,8 +93,8 @@ def _z_m(depth: Depth, scene: Scene) -> np.ndarray:
 
 
 def _megabytes() -> float:
-    installed = files(LIBRARY) or []
-    return sum(part.locate().stat().st_size for part in installed if part.locate().exists()) / 1e6
+    installed = [Path(str(part.locate())) for part in files(LIBRARY) or []]
+    return sum(path.stat().st_size for path in installed if path.exists()) / 1e6
 
 
 def _import_s() -> float:

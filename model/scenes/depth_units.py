@@ -30,6 +30,7 @@ NEAR_M = 0.2  # smallest usual median
 # strays of TUM come from its registration, those of SUN RGB-D lie beyond 8.19 m
 MULTIPLES = {"tum": (5, 0.99), ROTATED: (1 << ROTATED_BITS, 0.9)}
 SWAPPED_SHARE_MIN = 0.99  # of the samples, below `KINECT_BITS` with their bytes swapped
+ODD_SHARE_MAX = 0.5  # share of multiples up to which samples are not those of a data set
 MANY_VALUES = 50  # so many different numbers are multiples by no accident
 
 
@@ -130,7 +131,7 @@ def fitting_unit(
     if NEAR_M <= median_m <= far_m:
         likely = _likely(seen, MANY_VALUES)
         if not likely or DATA_SETS[likely].stored == stored:
-            return ""
+            return _unlike(seen, stored)
         fits_m = float(np.median(metres("", seen, likely)))
         if not NEAR_M <= fits_m <= INDOORS_M:
             return ""
@@ -154,13 +155,30 @@ def fitting_unit(
         looks = f"the samples look like {DATA_SETS[likely].files} ({DATA_SETS[likely].told})"
         return f"{unusual}, and {looks}; with the unit {likely} it is {fits_m:.3g} m"
     if stored.startswith(DISPARITY) or stored in (ROTATED, KINECT_RAW):
-        return ""
+        return _unlike(seen, stored)
     number = median_m * (
         PER_METRE[stored] if stored in PER_METRE else int(stored.removeprefix("1/"))
     )
     for other, per_metre in PER_METRE.items():
         if NEAR_M <= number / per_metre <= INDOORS_M and other != stored:
             return f"{unusual}; with the unit {other} it is {number / per_metre:.3g} m"
+    return ""
+
+
+def _unlike(seen: np.ndarray, stored: str) -> str:
+    """Return a sentence if samples are no such multiples as the data set of their unit has, and
+    would be usual as millimetres; else nothing.
+    """
+    for name, (divisor, _) in MULTIPLES.items():
+        if DATA_SETS[name].stored != stored or len(np.unique(seen)) < MANY_VALUES:
+            continue
+        share = np.mean(seen % divisor == 0)
+        as_millimetres_m = float(np.median(seen)) / PER_METRE["mm"]
+        if share < ODD_SHARE_MAX and NEAR_M <= as_millimetres_m <= INDOORS_M:
+            return (
+                f"only {share:.0%} of the samples are multiples of {divisor}, as {name} writes them;"
+                f" with the unit mm the median distance is {as_millimetres_m:.3g} m"
+            )
     return ""
 
 

@@ -232,6 +232,8 @@ HINTS = {  # samples, options, unit of the hint; "": none
     "SUN RGB-D: 3 % of a real picture are no multiples of 8": (of_a_room(950) << 3, {}, "sun-rgbd"),
     "SUN RGB-D with its unit": (of_a_room(950) << 3, {"unit": "sun-rgbd"}, ""),
     "millimetres": (of_a_room(7900), {}, ""),
+    "millimetres, with the unit of TUM": (of_a_room(4000), {"unit": "tum"}, "mm"),
+    "millimetres of 1 m, with that of SUN RGB-D": (of_a_room(1100), {"unit": "sun-rgbd"}, "mm"),
     "a wall, which is a multiple of 5 by accident": (np.full((64, 64), 4000, np.uint16), {}, ""),
 }
 
