@@ -158,11 +158,10 @@ class Setup:
         config = parse_config(
             {"sensor": sensor or {}, "frame": frame or {}, "subgroup": subgroup or {}}
         )
-        return cls(
-            config=config,
-            scene=scene_of(config, scene) if isinstance(scene, str) else scene,
-            **fields,
-        )
+        seen = scene_of(config, scene) if isinstance(scene, str) else scene
+        if seen is not None:
+            config = for_pictures(config, seen)
+        return cls(config=config, scene=seen, **fields)
 
     def but(
         self,

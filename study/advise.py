@@ -205,7 +205,8 @@ def advise(
     useless = ""
     if not is_useful(best.wrong):
         progress("what would help", 0, 1)
-        useless = useless_sentence(best.wrong, setup, int(best.config.window[0]), workers)
+        last = setup.but(scene=scene.at(frames - 1))
+        useless = useless_sentence(best.wrong, last, int(best.config.window[0]), workers)
     return Advice(
         settings=settings, chosen=chosen, links=links, best=best, klux=klux, useless=useless
     )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from attrs import frozen
 
-from ..lab.setup import Setup
+from ..lab.setup import Setup, for_pictures
 from ..model.contract.config import parse_config, read_toml
 from ..model.contract.preset_files import PRESETS
 from ..model.depth.methods import DEFAULT_METHOD, method_names
@@ -225,6 +225,7 @@ def _point(
         config.check_map()
         range_m = Timing.from_config(config).range_m
         scene = scenes(settings["scene"], config.sensor.rows, config.sensor.cols, range_m=range_m)
+        config = for_pictures(config, scene)
         setup = Setup(
             config=config,
             scene=scene,

@@ -100,6 +100,11 @@ def test_a_scene_that_stands_still_needs_no_sequence():
         )
 
 
+def test_there_are_as_many_frames_as_pictures(tmp_path):
+    setup = Setup.of(npy_of(tmp_path), sensor={"rows": 8, "cols": 8})
+    assert setup.config.frames == 3
+
+
 def test_the_number_of_frames_may_be_given():
     assert simulate(CONFIG, pictures(), frames=2).config.frames == 2
     with pytest.raises(InputError, match="array has 3, one for each frame; must be at most 3"):
