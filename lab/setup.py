@@ -67,7 +67,9 @@ class PhotonInputs:
         return (self.light, *self.later)
 
     def _parts(self) -> Iterator[dict[str, Any]]:
-        """Yield arguments of `edge_chunks`: for each light its pulses. SPADs begin each part ready."""
+        """Yield arguments of `edge_chunks`: for each light its pulses. SPADs begin each part
+        ready.
+        """
         pulses = self.pulses // len(self.lights)
         shared = _fields(self)
         del shared["later"]

@@ -75,8 +75,8 @@ def draw_row(
 
     blocks: title and small integers [subgroups down, across]; the last panel shows them as numbers
     on the subgroups. All panels share one colour scale in metres. It spans the truth, or `span_m`;
-    depths beyond it have the colour of the nearer end. Pixels without an estimate are grey; pixels without a
-    truth also have a cross. Titles give the share of wrong pixels (`wrong_share`).
+    depths beyond it have the colour of the nearer end. Pixels without an estimate are grey; pixels
+    without a truth also have a cross. Titles give the share of wrong pixels (`wrong_share`).
     """
     shares = [wrong_share(panel.depth_m, truth_m, tolerance_m) for panel in panels]
     near_m, far_m = span_m or (np.nanmin(truth_m), np.nanmax(truth_m))

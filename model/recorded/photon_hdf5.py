@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Photon-HDF5 files: photons of a time tagger in the group `photon_data`.
 
-Ref: Photon-HDF5 reference documentation, version 0.5. With `nanotimes`, `timestamps` count the laser's
-triggers, or a clock if `measurement_specs/laser_repetition_rate` says that the laser has another
-rate. Without `nanotimes`, `timestamps` are absolute times.
+Ref: Photon-HDF5 reference documentation, version 0.5. With `nanotimes`, `timestamps` count the
+laser's triggers, or a clock if `measurement_specs/laser_repetition_rate` says that the laser has
+another rate. Without `nanotimes`, `timestamps` are absolute times.
 """
 
 from typing import Any

@@ -26,8 +26,8 @@ class Recording:
     sync: int64[n], number of the last laser trigger before each photon, `NO_SYNC` if there is
     none. channel: int64[n], input of the tagger; with `grid` (rows, cols), the position in an
     image, row * cols + col. time_ps: float64[n] since the trigger. period_ps: between triggers,
-    None = unknown. divider: laser pulses per recorded trigger. kind: description of the recording. outside: meaning of `NO_SYNC`. in_ticks:
-    the times already are ticks.
+    None = unknown. divider: laser pulses per recorded trigger. kind: description of the recording.
+    outside: meaning of `NO_SYNC`. in_ticks: the times already are ticks.
     """
 
     sync: np.ndarray

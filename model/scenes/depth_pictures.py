@@ -8,7 +8,6 @@ order of the numbers in their names.
 
 import re
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -73,8 +72,11 @@ def pictures_of(source: FilePath | np.ndarray, meaning: Meaning) -> Pictures:
     if samples is not None:
         _check_bits(path, samples, meaning)
         return _in_array(path, samples, "")
-    alone = partial(_stored_picture, path, meaning)
-    return Pictures(name=Path(path).name, count=1, read=lambda number: alone(), moves=False)
+
+    def read_alone(number: int) -> Stored:
+        return _stored_picture(path, meaning)
+
+    return Pictures(name=Path(path).name, count=1, read=read_alone, moves=False)
 
 
 def picture_files(source: str, suffixes: tuple[str, ...]) -> list[Path] | None:

@@ -30,6 +30,10 @@ def _transposed(samples: np.ndarray) -> np.ndarray:
     return np.swapaxes(samples, 0, 1)
 
 
+def _transverse(samples: np.ndarray) -> np.ndarray:
+    return _transposed(np.rot90(samples, k=2))
+
+
 # orientation of TIFF and EXIF -> what puts the top row first
 UPRIGHT: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     2: np.fliplr,
@@ -37,7 +41,7 @@ UPRIGHT: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     4: np.flipud,
     5: _transposed,
     6: partial(np.rot90, k=-1),
-    7: lambda samples: _transposed(np.rot90(samples, k=2)),
+    7: _transverse,
     8: np.rot90,
 }
 # of colour pictures, and of the sun's in the explorer
@@ -152,7 +156,8 @@ def picture_shape(path: FilePath) -> tuple[int, int]:
 
 
 def _pfm_scale(path: FilePath) -> float:
-    """Return the factor by which the library has multiplied the numbers of a PFM file; 1 for others.
+    """Return the factor by which the library has multiplied the numbers of a PFM file; 1 for
+    others.
 
     Middlebury writes 1/255 there, and means its numbers as they are.
     """

@@ -37,8 +37,8 @@ class Scene:
     surface, 0 to 1. notes: sentences that the user should read: what was cropped, masked or
     assumed.
     transient: light of a ray-traced scene or of recorded histograms, in which distance and
-    reflectivity are only the truth. view: field of view that the pixels share. later: what the pixels see in the frames
-    after the first one; empty: the same in all frames.
+    reflectivity are only the truth. view: field of view that the pixels share. later: what the
+    pixels see in the frames after the first one; empty: the same in all frames.
 
     Raises `InputError` if a distance is below `NEAREST_M`, or a reflectivity or share is outside
     0 to 1.
