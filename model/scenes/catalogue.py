@@ -4,7 +4,6 @@
 import os
 from collections.abc import Callable, Sequence
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 from attrs import fields
@@ -239,7 +238,7 @@ def _depth_and_colour(text: str) -> tuple[str, str] | None:
 
 def _is_depth(text: str) -> bool:
     """Return whether a text names files that exist: one, a sequence, or an array of an archive."""
-    if Path(text).exists() or is_in_archive(text):
+    if os.path.exists(text) or is_in_archive(text):
         return True
     try:
         return picture_files(text, DEPTH_FILES) is not None

@@ -6,6 +6,7 @@ the frames as its first axis (in MATLAB files the last one, as is usual there). 
 order of the numbers in their names.
 """
 
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -85,10 +86,10 @@ def picture_files(source: str, suffixes: tuple[str, ...]) -> list[Path] | None:
     suffixes: of the files of a folder. Raises `InputError` if there is none.
     """
     path = Path(source)
-    if path.is_dir():
+    if os.path.isdir(path):
         found = [one for one in path.iterdir() if one.suffix.lower() in suffixes]
         wanted = f"files that end with {', '.join(suffixes)}"
-    elif path.exists() or not path.parent.is_dir():
+    elif os.path.exists(path) or not os.path.isdir(path.parent):
         return None
     elif NUMBER.search(path.name):
         parts = NUMBER.split(path.name)
