@@ -1,6 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 #include "coincid.h"
 
+#include <string.h>
+
 #include "coincid_regs.h"
 
 #define KIND_LSB (64u - COINCID_KIND_BITS)
@@ -73,6 +75,10 @@ int coincid_abort(const coincid_bus *bus) {
     return bus->write(bus->context, COINCID_CONTROL, COINCID_CONTROL_ABORT) ? COINCID_REFUSED : COINCID_OK;
 }
 
+int coincid_reset(const coincid_bus *bus) {
+    return bus->write(bus->context, COINCID_CONTROL, COINCID_CONTROL_RESET) ? COINCID_REFUSED : COINCID_OK;
+}
+
 int coincid_wait(const coincid_bus *bus, uint32_t polls) {
     uint32_t status;
     while (polls--) {
@@ -81,6 +87,12 @@ int coincid_wait(const coincid_bus *bus, uint32_t polls) {
             return bus->write(bus->context, COINCID_STATUS, COINCID_STATUS_DONE) ? COINCID_REFUSED : COINCID_OK;
     }
     return COINCID_TIMEOUT;
+}
+
+static coincid_packet no_packet(void) {
+    coincid_packet packet;
+    memset(&packet, 0, sizeof packet);
+    return packet;
 }
 
 static int begins_group(uint64_t beat) { return beat >> KIND_LSB == COINCID_GROUP && (beat >> COINCID_FIRST_LSB & 1u); }
@@ -125,7 +137,7 @@ static uint32_t next(const uint64_t *beats, uint32_t n, uint32_t *bit, uint32_t 
 
 /* Decode a group, or the damaged beats up to where a packet can begin; result as of coincid_decode. */
 static int decode_group(const uint64_t *beats, size_t n, coincid_packet *packet) {
-    coincid_packet found = {0};
+    coincid_packet found = no_packet();
     uint32_t k = 1, bit = 0;
     found.kind = COINCID_DAMAGED;
     if (begins_group(beats[0])) {
@@ -152,7 +164,7 @@ static int decode_group(const uint64_t *beats, size_t n, coincid_packet *packet)
 }
 
 int coincid_decode(const coincid_sensor_info *info, uint32_t subgroups, const uint64_t *beats, size_t n, coincid_packet *packet) {
-    coincid_packet found = {0};
+    coincid_packet found = no_packet();
     uint32_t length = 0, bit = 0, times = 1;
     if (!n) return 0;
     if (info->grouped && (begins_group(beats[0]) || is_damaged(beats[0]))) return decode_group(beats, n, packet);
@@ -209,12 +221,12 @@ int coincid_group_event(const coincid_sensor_info *info, coincid_group *group, c
     const uint64_t *beats = group->beats;
     const uint32_t n = group->n, end = n * COINCID_PAYLOAD_BITS - (COINCID_PAYLOAD_BITS - COINCID_CHECK_LSB);
     uint32_t listed, pixel, k;
-    coincid_packet found = {0};
+    coincid_packet found = no_packet();
     if (group->bit + COINCID_LISTED_BITS > end) return 0;
     listed = next(beats, n, &group->bit, COINCID_LISTED_BITS);
     if (!listed) return group->bit = end, 0;
     found.kind = COINCID_GROUP;
-    found.overrun = (int)next(beats, n, &group->bit, 1u);
+    found.overrun = next(beats, n, &group->bit, 1u);
     found.subgroup = next(beats, n, &group->bit, info->subgroup_bits);
     if (!next(beats, n, &group->bit, 1u)) group->event_pulse = group->pulse - next(beats, n, &group->bit, COINCID_AGE_BITS);
     found.pulse = group->event_pulse;

@@ -33,13 +33,15 @@ typedef struct {
 int coincid_probe(const coincid_bus *bus, coincid_sensor_info *info);
 int coincid_start(const coincid_bus *bus);
 int coincid_abort(const coincid_bus *bus);
+/* Reset the sensor, whatever it is doing. Its settings have their reset values; a frame in progress ends without a last beat. */
+int coincid_reset(const coincid_bus *bus);
 /* Poll the status up to `polls` times until the frame has been delivered, then clear the `done` bit. */
 int coincid_wait(const coincid_bus *bus, uint32_t polls);
 
 /* A packet of the stream, of a kind of coincid_packets.h. map, offsets, entries and counters point to beats of the stream, or are 0 if the kind has none. */
 typedef struct {
-    int kind, overrun;
-    uint32_t subgroup, pulse, count, winner, stamp; /* pulse: in the frame; for frame start and end, the frame number */
+    int kind;
+    uint32_t overrun, subgroup, pulse, count, winner, stamp; /* pulse: in the frame; for frame start and end, the frame number */
     const uint64_t *map, *offsets, *entries, *counters;
     const uint64_t *group; /* of a group of events: its beats */
     uint32_t group_beats, bit, number, stamp_bits, with_offsets; /* number: of groups before it in the frame, modulo 256 */

@@ -50,7 +50,7 @@ module coincid_ecp5 (
 
   coincid_fpga sensor (
     .clk(clk), .rst(reset[1]), .phase_clocks(phase_clocks), .line_0(spad[63:0]), .line_1(spad[127:64]),
-    .laser(laser), .spad_gate(spad_gate),
+    .laser(laser), .spad_gate(spad_gate), .test_enable(1'b0),
     .s_axi_awaddr(s_axi_awaddr), .s_axi_awprot(3'd0), .s_axi_awvalid(s_axi_awvalid), .s_axi_awready(s_axi_awready),
     .s_axi_wdata(s_axi_wdata), .s_axi_wstrb(s_axi_wstrb), .s_axi_wvalid(s_axi_wvalid), .s_axi_wready(s_axi_wready),
     .s_axi_bresp(s_axi_bresp), .s_axi_bvalid(s_axi_bvalid), .s_axi_bready(s_axi_bready),

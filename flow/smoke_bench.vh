@@ -26,6 +26,7 @@
   wire [STREAMS-1:0] tvalid;
   reg [STREAMS-1:0] tready = 0;
   wire [STREAMS-1:0] tlast;
+  wire test_enable = 1'b0;
   wire laser;
   wire [SUBGROUPS-1:0] spad_gate;
 

@@ -21,10 +21,11 @@ ENABLES = Path(__file__).with_name("enables.v")
 GATED_MIN = 3  # fewer flip-flops with the same enable cost less without a clock gate
 # the smallest clock gate, and the number of flip-flops that it can drive
 GATE, GATED_MAX = ("CLKGATE_X1", 63)
-BOUND = {ClockGate().unit_name: "CLKGATE_X8", ClockGate(small=True).unit_name: "CLKGATE_X1"}
+BOUND = {ClockGate().unit_name: "CLKGATETST_X8", ClockGate(small=True).unit_name: "CLKGATETST_X1"}
 # buffer of a clock tree, and the largest number of pins or buffers below it
 CLOCK_BUFFER, SINKS_MAX = ("BUF_X4", 16)
-SCANNED_GATES = "CLKGATETST_X*"  # not used: there is no scan chain
+# Not used for the gates that Yosys adds: a flow with a scan chain adds its own.
+SCANNED_GATES = "CLKGATETST_X*"
 # goal of abc between registers: the cycle of the preset `silicon` minus flip-flop, clock and wires
 MAPPED_PS = 1400
 
@@ -76,8 +77,8 @@ def _of_library(name: str, cell: str) -> str:
     """
     return f"""\
 // {SPDX}
-module {name} (input clk, input rst, input enable, output gated);
-  {cell} gate (.CK(clk), .E(enable), .GCK(gated));
+module {name} (input clk, input rst, input enable, input test_enable, output gated);
+  {cell} gate (.CK(clk), .E(enable), .SE(test_enable), .GCK(gated));
 endmodule
 """
 

@@ -9,7 +9,6 @@ clock never stops. Some blocks have a gate of their own. As elsewhere, a proof a
 the state at power-on.
 """
 
-from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -25,32 +24,12 @@ from ..hdl.minigroup import Minigroup
 from ..hdl.settings import SubgroupRegisters
 from ..hdl.subgroup import AWAKE_CYCLES, Subgroup
 from ..hdl.tree import CoincidenceTree
-from .proof_bench import Bench, proof
+from .proof_bench import Bench, parts_of, proof, registers_in
 from .sensors import SMALL
 
 # How the names of registers begin that hold edges before the gate, or data that go with them.
 EDGE_DATA = ("valid_1", "phases_", "step", "root", "coarse_")
 TREE_CYCLES = 12  # without a strobe; then a tree shows nothing
-
-
-def _parts(fragment: Fragment) -> Iterator[Fragment]:
-    yield fragment
-    for inner, _, _ in fragment.subfragments:
-        yield from _parts(inner)
-
-
-def _registers(fragment: Fragment) -> list[Signal]:
-    """Return the registers of an elaborated block, in an order that depends on its source only."""
-    found: dict[int, Signal] = {}
-    for part in _parts(fragment):
-        for domain, statements in part.statements.items():
-            if domain != "comb":
-                found |= {
-                    id(signal): signal
-                    for statement in statements
-                    for signal in statement._lhs_signals()
-                }
-    return list(found.values())
 
 
 def _driven(b: Bench, unit: Any) -> Fragment:
@@ -66,9 +45,9 @@ def _rests(b: Bench, unit: Any) -> Signal:
     """
     dut = _driven(b, unit)
     closed = b.same("closed", ~unit.clock_gate.enable)
-    for register in _registers(dut):
+    for register in registers_in(dut):
         b.stable(register, where=closed)
-    for part in _parts(dut):
+    for part in parts_of(dut):
         if isinstance(part, MemoryInstance):
             b.always(Cat(port._en for port in part._write_ports) == 0, where=closed)
     b.cover(closed)
@@ -183,7 +162,7 @@ def tree_rests(b: Bench):
         b.always(~getattr(free, name), where=calm == TREE_CYCLES)
     # Registers are equal, as at power-on, except data that edges outside of frames have left:
     # nothing there is valid.
-    for one, other in zip(*map(_registers, bodies), strict=True):
+    for one, other in zip(*map(registers_in, bodies), strict=True):
         m.d.comb += Assume(b.started | (one == other))
         if not one.name.startswith(EDGE_DATA):
             b.always(one == other)

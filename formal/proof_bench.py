@@ -7,11 +7,11 @@ reset in any cycle. About the state at power-on, the only assumption is that res
 the first cycle, so a missing reset shows as well.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from amaranth.hdl import Assert, Assume, Cover, Module, ResetSignal, Signal, Value
+from amaranth.hdl import Assert, Assume, Cover, Fragment, Module, ResetSignal, Signal, Value
 from amaranth.hdl._ast import AnyConst, AnySeq  # Amaranth has no other names for free values
 from attrs import field, frozen
 
@@ -169,3 +169,24 @@ def elaborated(component) -> Module:
     body = component.elaborate(None)
     component.elaborate = lambda platform: body
     return body
+
+
+def parts_of(fragment: Fragment) -> Iterator[Fragment]:
+    """Yield a part of an elaborated design and all parts inside it."""
+    yield fragment
+    for inner, _, _ in fragment.subfragments:
+        yield from parts_of(inner)
+
+
+def registers_in(fragment: Fragment) -> list[Signal]:
+    """Return the registers of an elaborated block, in an order that depends on its source only."""
+    found: dict[int, Signal] = {}
+    for part in parts_of(fragment):
+        for domain, statements in part.statements.items():
+            if domain != "comb":
+                found |= {
+                    id(signal): signal
+                    for statement in statements
+                    for signal in statement._lhs_signals()
+                }
+    return list(found.values())

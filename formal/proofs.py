@@ -9,5 +9,6 @@ from . import fifo as fifo
 from . import groups as groups
 from . import readout as readout
 from . import registers as registers
+from . import soft_reset as soft_reset
 from . import timing as timing
 from . import tree as tree

@@ -5,7 +5,7 @@ The proof names its parts in order: the specification of what waits, what is pro
 invariants that only help the induction.
 """
 
-from amaranth.hdl import Cat, Const, Mux, ResetSignal, Signal
+from amaranth.hdl import Cat, Const, Fragment, Mux, ResetSignal, Signal
 from attrs import frozen
 
 from ..hdl import bus
@@ -18,18 +18,16 @@ from ..hdl.registers import (
     READ_CYCLES,
     STATUS,
     Registers,
+    read_cycles_max,
+    write_cycles_max,
 )
 from ..model.contract import registers
 from ..model.contract.registers import WRITABLE
 from ..model.contract.settings import AUTO_BOUNDS
-from .proof_bench import Bench, proof
+from .proof_bench import Bench, proof, registers_in
 from .sensors import SMALL
 
 SENT = 2 * SMALL.streams + AUTO_BOUNDS  # words for the thresholds: budgets, limits and bounds
-# After a read in progress: decode, checks, words for the thresholds.
-WRITE_MAX = 1 + (READ_CYCLES + 2) + 3 + CHECK_CYCLES + SENT + 2
-# After a write in progress, which may be the longest.
-READ_MAX = (CHECK_CYCLES + 2) + SENT + 1 + (READ_CYCLES + 2)
 
 
 def _asks(unit, name, bit):
@@ -61,7 +59,8 @@ class Waiting:
 def register_front(b: Bench):
     """AXI4-Lite with any master: one answer each, in order, in bounded time; not ready in a reset;
     a refusal changes nothing; a write without strobes is granted and changes nothing; a read
-    returns the word around its address; a frame's settings stay.
+    returns the word around its address; a frame's settings stay. A soft reset comes when it is
+    asked for, in any state, and no access is lost in it.
     """
     unit = b.place(Registers(SMALL))
     _sequencer_obeys(b, unit)
@@ -77,6 +76,7 @@ def register_front(b: Bench):
     _frame_keeps_its_settings(b, unit)
     _bus_tells_settings(b, unit)
     _only_writes_abort_and_clear(b, unit)
+    _only_a_write_resets(b, unit, waiting)
     _refusals_set_an_error(b, unit, waiting)
 
     _parities_are_right(b, unit, waiting)
@@ -88,6 +88,7 @@ def register_front(b: Bench):
     b.cover(axi.rvalid & (axi.rresp == OKAY) & waiting.address & waiting.data)
     b.cover(axi.rvalid & (axi.rresp == OKAY) & waiting.read_address[:2].all())
     b.cover(_granted(unit) & (waiting.strobe == 0))
+    b.cover(unit.soft_reset & waiting.reading)
 
 
 def _sequencer_obeys(b: Bench, unit: Registers) -> None:
@@ -159,8 +160,8 @@ def _port_obeys_axi(b: Bench, unit: Registers, waiting: Waiting) -> None:
 
 def _answers_come_in_time(b: Bench, waiting: Waiting) -> None:
     """State that an answer comes in time, independent of the other channel."""
-    b.always(waiting.write_cycles <= WRITE_MAX)
-    b.always(waiting.read_cycles <= READ_MAX)
+    b.always(waiting.write_cycles <= write_cycles_max(SMALL))
+    b.always(waiting.read_cycles <= read_cycles_max(SMALL))
 
 
 def _settings_are_legal_and_change_by_writes(b: Bench, unit: Registers) -> None:
@@ -169,7 +170,8 @@ def _settings_are_legal_and_change_by_writes(b: Bench, unit: Registers) -> None:
     operation = unit.command.operation
     for (name, _), setting in unit.setting.items():
         register = registers.BY_NAME[name]
-        b.always((setting == b.last(setting)) | granted, where=b.past(1))
+        was_reset = b.past(unit.soft_reset)
+        b.always((setting == b.last(setting)) | granted | was_reset, where=b.past(1))
         b.always((setting >= register.low(SMALL)) & (setting <= register.high(SMALL)))
     b.always(granted, where=operation == bus.Operation.WRITE)
     b.always(granted & unit.flag["busy"], where=unit.start_frame)
@@ -197,7 +199,8 @@ def _table_decides_what_is_written(b: Bench, unit: Registers) -> None:
                 below_high = unit.value <= register.high(SMALL)
                 allowed.append(here & above_low & below_high)
     fits = b.same("fits", unit.empty | (Cat(allowed).any() & unit.whole))
-    starts = _asks(unit, "control", CONTROL.bit("start")) & ~unit.empty
+    resets = _asks(unit, "control", CONTROL.bit("reset"))
+    starts = _asks(unit, "control", CONTROL.bit("start")) & ~resets & ~unit.empty
     refused = unit.s_axi.bvalid & (unit.s_axi.bresp == SLVERR)
     b.always(_granted(unit), where=b.past(state("write") & fits & ~starts))
     b.always(refused, where=b.past(state("write") & ~fits))
@@ -245,7 +248,7 @@ def _frame_keeps_its_settings(b: Bench, unit: Registers) -> None:
     """State that a frame's settings are taken while none is running, and stay until it is done."""
     busy = unit.flag["busy"]
     plan = unit.plan
-    b.stable(Cat(unit.frame.as_value(), plan.as_value()), where=busy)
+    b.stable(Cat(unit.frame.as_value(), plan.as_value()), where=busy & ~unit.soft_reset)
     begins = ~b.past(busy) & busy & ~b.past(unit.done)
     b.always(begins, where=unit.command.operation == bus.Operation.TAKE)
     b.always((plan.period > SMALL.guard) & (plan.period <= SMALL.period_max), where=busy)
@@ -277,7 +280,24 @@ def _only_writes_abort_and_clear(b: Bench, unit: Registers) -> None:
         if bits.clears:
             flag = unit.flag[bits.name]
             clears = _asks(unit, "status", bits.lsb)
-            b.always(flag, where=b.past(flag & ~(writes & clears) & ~ResetSignal()))
+            resets = unit.soft_reset | ResetSignal()
+            b.always(flag, where=b.past(flag & ~(writes & clears) & ~resets))
+
+
+def _only_a_write_resets(b: Bench, unit: Registers, waiting: Waiting) -> None:
+    """State that a write to `control` resets, and nothing else; and that everything behind the
+    port then has its value after a reset.
+
+    Answers come in time whatever the other blocks do, so a reset can be asked for in any state.
+    """
+    state = unit.machine.ongoing
+    asks = _asks(unit, "control", CONTROL.bit("reset"))
+    granted = b.same("reset_granted", state("write") & asks & waiting.strobe.all())
+    fits = unit.value <= CONTROL.high(SMALL)
+    b.always(unit.soft_reset == b.past(granted & fits))
+    b.always(_granted(unit) & state("idle"), where=unit.soft_reset)
+    for register in registers_in(Fragment.get(unit.behind_port, None)):
+        b.always(register == register.init, where=b.past(unit.soft_reset))
 
 
 def _refusals_set_an_error(b: Bench, unit: Registers, waiting: Waiting) -> None:
@@ -351,7 +371,8 @@ def _progress_bounds_the_wait(b: Bench, unit: Registers, waiting: Waiting) -> No
     b.always(read_cycles <= unit.wait + 1, where=until_checked)
     b.always(read_cycles <= CHECK_CYCLES + 2 + unit.sent, where=state("thresholds"))
     b.always(read_cycles <= CHECK_CYCLES + 2 + SENT, where=state("begin"))
-    behind_write = Mux(axi.bvalid, CHECK_CYCLES + 3 + SENT, 0)
+    after_write = axi.bvalid | b.past(unit.soft_reset)
+    behind_write = Mux(after_write, CHECK_CYCLES + 3 + SENT, 0)
     b.always(read_cycles <= behind_write, where=waiting.reading & state("idle"))
     b.always(read_cycles <= CHECK_CYCLES + 4 + SENT + unit.wait, where=state("read"))
 

@@ -33,12 +33,13 @@ class ClockGate(Unit):
     -----
     enable : in, the clock's next edge is needed; it may come from logic that settles before the end
         of the cycle
+    test_enable : in, every edge passes, for a test of the chip
     gated : out, the clock behind the gate
     """
 
     def __init__(self, small: bool = False) -> None:
         self.unit_name = "coincid_clock_gate_small" if small else "coincid_clock_gate"
-        super().__init__(enable=In(1), gated=Out(1))
+        super().__init__(enable=In(1), test_enable=In(1), gated=Out(1))
 
     def elaborate(self, platform):
         m = Module()
@@ -50,20 +51,22 @@ class ClockGate(Unit):
         cycle.
         """
         return f"""\
-module {self.unit_name} (clk, rst, enable, gated);
-  input clk, rst, enable;
+module {self.unit_name} (clk, rst, enable, test_enable, gated);
+  input clk, rst, enable, test_enable;
   output gated;
   reg opens;
-  always @* if (~clk) opens = enable;
+  always @* if (~clk) opens = enable | test_enable;
   assign gated = clk & opens;
 endmodule
 """
 
 
-def stopped(m: Module, platform, gate: ClockGate, enable: Value, domain: str = "sync") -> str:
+def stopped(
+    m: Module, platform, gate: ClockGate, enable: Value, test_enable: Value, domain: str = "sync"
+) -> str:
     """Put a gate of a domain's clock into `m`, and return the domain behind it.
 
-    A reset opens the gate.
+    A reset and `test_enable` open the gate.
 
     Amaranth's own simulator sees the edges of a clock behind a gate later than the others, so there
     both domains are `sync`.
@@ -72,7 +75,15 @@ def stopped(m: Module, platform, gate: ClockGate, enable: Value, domain: str = "
     domain = domain if exported else "sync"
     needed = Signal()
     m.d.comb += needed.eq(enable | ResetSignal(domain))
-    place(m, "clock_gate", gate, platform, domain=domain, enable=needed)
+    place(
+        m,
+        "clock_gate",
+        gate,
+        platform,
+        domain=domain,
+        enable=needed,
+        test_enable=test_enable,
+    )
     if not exported:
         return domain
     gated = ClockDomain(GATED, local=True)
@@ -81,7 +92,7 @@ def stopped(m: Module, platform, gate: ClockGate, enable: Value, domain: str = "
     return GATED
 
 
-def behind(m: Module, platform, gate: ClockGate, enable: Value) -> Elaboratable:
+def behind(m: Module, platform, gate: ClockGate, enable: Value, test_enable: Value) -> Elaboratable:
     """Return the block `m`, with a gate in front of its whole clock, as in `stopped`."""
-    stopped(m, platform, gate, enable, FREE)
+    stopped(m, platform, gate, enable, test_enable, FREE)
     return DomainRenamer({"sync": GATED, FREE: "sync"})(m) if isinstance(platform, Export) else m

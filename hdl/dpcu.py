@@ -84,6 +84,7 @@ class Dpcu(Unit):
             pulse=Out(bus.PULSE_BITS),
             counters=Out(COUNTER_BITS * len(COUNTER_NAMES)),
             controlled=Out(1),
+            test_enable=In(1),
         )
         # The counters, by name.
         self.count = {name: Signal(counter_bits(name, sensor), name=name) for name in COUNTER_NAMES}
@@ -124,7 +125,7 @@ class Dpcu(Unit):
         )
         records = Cat(self.mg_stored, self.mg_dropped)
         awake = self.awake | self.start | self.coming.any() | events.any() | records.any()
-        return behind(m, platform, self.clock_gate, awake)
+        return behind(m, platform, self.clock_gate, awake, self.test_enable)
 
     def _told(self, m):
         """Wake threshold and window after an operation of the bus.

@@ -23,6 +23,7 @@ class EventFifo(Unit):
     stored, dropped : out, the fate of the event, one cycle later
     head : out, the oldest event, read from its row in the same cycle; take : in, frees its place
     frame_begin : in, clears the overrun memory
+    test_enable : in, opens the latches for a test of the chip
 
     The first event after a drop carries `overrun`. The FIFO is empty when a frame begins, because
     the previous frame was read out completely; `frame_begin` also clears anything that an upset
@@ -43,6 +44,7 @@ class EventFifo(Unit):
             dropped=Out(1),
             head=Out(bus.event_layout(sensor)),
             take=In(1),
+            test_enable=In(1),
         )
         depth = sensor.fifo_depth
         self.rows = Memory(depth, bus.event_layout(sensor).size)
@@ -65,6 +67,7 @@ class EventFifo(Unit):
             platform,
             write=write,
             data=event,
+            test_enable=self.test_enable,
             **rows.at(to=self.to, row=self.row),
         )
         m.d.comb += [
@@ -101,6 +104,7 @@ class RecordBuffer(Unit):
         number
     stored, dropped : out, the fate of the record, one cycle later
     record : out, valid from one cycle after it was stored; take, frame_begin : in, free the buffer
+    test_enable : in, opens the latches for a test of the chip
 
     Reset frees the buffer.
     """
@@ -120,6 +124,7 @@ class RecordBuffer(Unit):
             record=Out(bus.record_layout(sensor)),
             take=In(1),
             frame_begin=In(1),
+            test_enable=In(1),
         )
         self.waiting = Signal()  # whether a record waits to be read
 
@@ -131,7 +136,15 @@ class RecordBuffer(Unit):
         row = Memory(1, layout.size)
         write = Signal()
         record = Signal(layout)
-        place(m, "row", row, platform, write=write, data=record)
+        place(
+            m,
+            "row",
+            row,
+            platform,
+            write=write,
+            data=record,
+            test_enable=self.test_enable,
+        )
         m.d.comb += [
             comes.eq(self.due & self.latched.any()),
             record.pulse.eq(self.pulse),

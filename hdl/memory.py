@@ -24,6 +24,8 @@ class Memory(Unit):
     write : in, data goes into row `to` at the cycle's end; data : in
     row : in, number of the row to read; value : out, that row, combinational (no `to` and `row` if
         there is one row)
+    test_enable : in, for a test of the chip: latches are transparent, so every row shows `data`;
+        other forms of the memory ignore it
 
     `write`, `to` and `data` come from registers, through at most half a cycle of logic: the latches
     are open in the second half of the cycle. A row must therefore not be used in the cycle in which
@@ -36,6 +38,7 @@ class Memory(Unit):
         bits = bits_for(depth - 1)
         super().__init__(
             write=In(1),
+            test_enable=In(1),
             data=In(width),
             value=Out(width),
             **self.at(to=In(bits), row=In(bits)),
@@ -67,8 +70,8 @@ class Memory(Unit):
         )
         ranges = {"data": self.width} | ports
         lines = [
-            f"module {self.unit_name} (clk, rst, write, value, {', '.join(ranges)});",
-            "  input clk, rst, write;",
+            f"module {self.unit_name} (clk, rst, write, test_enable, value, {', '.join(ranges)});",
+            "  input clk, rst, write, test_enable;",
         ]
         lines += [f"  input [{width - 1}:0] {name};" for name, width in ranges.items()]
         lines += [f"  output [{self.width - 1}:0] value;"]
@@ -77,7 +80,7 @@ class Memory(Unit):
             written = "write" if self.depth == 1 else f"write & to == {r}"
             lines += [
                 f"  reg [{self.width - 1}:0] row_{r};",
-                f"  wire open_{r} = ~clk & ({written});",
+                f"  wire open_{r} = test_enable | ~clk & ({written});",
                 f"  always @* if (open_{r}) row_{r} = data;",
             ]
             read.append(

@@ -44,6 +44,7 @@ class Recorder(Unit):
             coarse=In(sensor.coarse_bits),
             latched=Out(1),
             entry=Out(bus.entry_layout(sensor)),
+            test_enable=In(1),
         )
         # The record collection.
         self.left = Signal(2)  # its cycles after the present one
@@ -106,6 +107,7 @@ class Recorder(Unit):
             platform,
             write=self.started,
             data=Cat(step_4[-2:], self.coarse),  # quarter of the cycle
+            test_enable=self.test_enable,
         )
         starts = Signal()
         runs = Signal()
@@ -163,6 +165,7 @@ class Minigroup(Recorder):
     frame : in, settings; may_open, wrap : in (stage 3); coarse : in, coarse count of the TDC (stage
         4)
     latched, entry : out, the record of the period, to be taken during `wrap` (stage 3)
+    test_enable : in, opens clock gate and latches for a test of the chip
 
     Reset clears the record circuit. The rest needs no reset, because nothing is accepted outside a
     frame and every window starts from an empty map. All stages load in a reset. Otherwise those
@@ -220,7 +223,7 @@ class Minigroup(Recorder):
             self.awake_3,
             *self._map(m, platform),
         ]
-        return behind(m, platform, self.clock_gate, Cat(awake).any())
+        return behind(m, platform, self.clock_gate, Cat(awake).any(), self.test_enable)
 
     def _edges(self, m):
         """Stages 1 and 2: encode each pixel's word at the port: is there an edge, and at which

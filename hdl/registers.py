@@ -6,7 +6,7 @@
 from itertools import pairwise
 from typing import Any
 
-from amaranth.hdl import Cat, Const, Module, Mux, Signal
+from amaranth.hdl import Cat, Const, Module, Mux, ResetInserter, Signal
 from amaranth.lib import data
 from amaranth.lib.wiring import In, Out
 
@@ -42,6 +42,26 @@ RESTING_CYCLES = (
 CONTROL, STATUS = BY_NAME["control"], BY_NAME["status"]
 
 
+def _sent_words(sensor: Sensor) -> int:
+    """Return the number of words that a start sends for the thresholds."""
+    return 2 * sensor.streams + AUTO_BOUNDS if sensor.controller else 0
+
+
+def write_cycles_max(sensor: Sensor) -> int:
+    """Return the most cycles from a write's address and data to its answer: those of a start, after
+    a read in progress.
+    """
+    read_in_progress = READ_CYCLES + 2
+    decoding = 3
+    return 1 + read_in_progress + decoding + CHECK_CYCLES + _sent_words(sensor) + 2
+
+
+def read_cycles_max(sensor: Sensor) -> int:
+    """Return the most cycles from a read's address to its answer, after a start in progress."""
+    start_in_progress = CHECK_CYCLES + 2 + _sent_words(sensor) + 1
+    return start_in_progress + READ_CYCLES + 2
+
+
 def _controller_ports(sensor: Sensor) -> dict[str, Any]:
     per_stream = data.ArrayLayout(DATA_BITS, sensor.streams)
     return {
@@ -69,13 +89,15 @@ class Registers(Unit):
         the sequencer
     start_frame, abort_frame : out, strobes; done : in, strobe; resting : in, the sequencer has no
         frame
+    soft_reset : out, strobe: the software resets the sensor. It resets everything here except the
+        port, too, so the write that asks for it is answered, and a read that waits is not lost
     capacity, share : out, as programmed, to the threshold controllers; budget, limit : in, from
         them; one word per stream; only if the controllers are built
 
     Reset loads the reset values of the table and drops accesses in progress. An upset may delay or
     refuse an access, but none makes it wait for ever; the handshake with the master is voted. Each
     setting keeps the parity that its value had at the port, and a start is refused if a parity does
-    not match.
+    not match. Two registers of opposite polarity must agree on a soft reset.
     """
 
     unit_name = "coincid_registers"
@@ -93,6 +115,7 @@ class Registers(Unit):
             plan=Out(bus.plan_layout(sensor)),
             start_frame=Out(1),
             abort_frame=Out(1),
+            soft_reset=Out(1),
             done=In(1),
             resting=In(1),
             **(_controller_ports(sensor) if sensor.controller else {}),
@@ -111,6 +134,11 @@ class Registers(Unit):
         # No byte is. With a bit for each case, an upset of one of them never drops a write silently.
         self.empty = Signal()
         self.wait = Signal(range(max(READ_CYCLES, CHECK_CYCLES) + 1))  # cycles so far
+        # Its end.
+        self.grants = Signal()  # the write is answered with OKAY
+        self.refuses = Signal()  # the write is answered with SLVERR
+        self.answers_read = Signal()
+        self.asks_reset = Signal()  # the write asks for a soft reset
         # The word at the address.
         self.in_subgroup = Signal()  # it is in a subgroup's block
         self.mapped = Signal()
@@ -148,11 +176,14 @@ class Registers(Unit):
         m = Module()
         self._write_channel(m)
         self._read_channel(m)
-        self._global_settings(m)
-        self._decode(m)
-        self._select(m)
-        self._start_checks(m)
-        self._accesses(m)
+        self._soft_reset(m)
+        self.behind_port = behind = Module()
+        self._global_settings(behind)
+        self._decode(behind)
+        self._select(behind)
+        self._start_checks(behind)
+        self._accesses(behind)
+        m.submodules.behind_port = ResetInserter(self.soft_reset)(behind)
         return m
 
     def _write_channel(self, m):
@@ -194,6 +225,9 @@ class Registers(Unit):
                 held_address.next.eq(0),
                 held_data.next.eq(0),
             ]
+        with m.If(self.grants | self.refuses):
+            m.d.comb += self.answered_write.next.eq(1)
+            m.d.sync += axi.bresp.eq(Mux(self.refuses, SLVERR, OKAY))
 
     def _read_channel(self, m):
         """Hold the address of a read until the read is answered."""
@@ -207,6 +241,19 @@ class Registers(Unit):
             m.d.sync += self.read_word.eq(axi.araddr[2:])
         with m.If(axi.rvalid & axi.rready):
             m.d.comb += [self.answered_read.next.eq(0), self.held_read.next.eq(0)]
+        with m.If(self.answers_read):
+            m.d.comb += self.answered_read.next.eq(1)
+            m.d.sync += [
+                axi.rresp.eq(Mux(self.mapped, OKAY, SLVERR)),
+                axi.rdata.eq(Mux(self.mapped, Mux(self.in_subgroup, self.data_in, self.found), 0)),
+            ]
+
+    def _soft_reset(self, m):
+        """Reset the sensor in the cycle in which the write that asks for it is answered."""
+        resets = Signal()
+        rests = Signal(init=1)
+        m.d.sync += [resets.eq(self.asks_reset), rests.eq(~self.asks_reset)]
+        m.d.comb += self.soft_reset.eq(resets & ~rests)
 
     def _global_settings(self, m):
         """Drive the outputs that show programmed settings at once, without a frame."""
@@ -353,14 +400,12 @@ class Registers(Unit):
                 with m.If(~(self.held_write & self.same_address & (self.wait == DECODE_CYCLES))):
                     pass  # only after an upset; the access that is held starts again
                 with m.Elif(self.empty & ~self.whole):
-                    self._respond(m, OKAY)
+                    m.d.comb += self.grants.eq(1)
                 with m.Elif(
                     self.writable & self.whole & ~self.empty & self.legal & self.same_value
                 ):
-                    self._respond(m, OKAY)
                     self._write(m)
                 with m.Else():
-                    self._respond(m, SLVERR)
                     self._refuse_write(m)
             with m.State("check"):
                 with m.If(~self.held_write):
@@ -383,7 +428,7 @@ class Registers(Unit):
                     ]
                     if self.sensor.controller:
                         m.d.sync += self.command.data.eq(self.setting["threshold_floor", 0])
-                    self._respond(m, OKAY)
+                    m.d.comb += self.grants.eq(1)
             with m.State(
                 "lost"
             ):  # a code that is not a state: after an upset, the bus must not hang
@@ -403,10 +448,6 @@ class Registers(Unit):
         ):  # `resting`: an upset took the frame or the strobe
             m.d.sync += [self.flag["busy"].eq(0), self.flag["done"].eq(1)]
 
-    def _respond(self, m, response):
-        m.d.comb += self.answered_write.next.eq(1)
-        m.d.sync += self.s_axi.bresp.eq(response)
-
     def _name_word(self):
         """Ask the subgroups for the word at the address."""
         word, block = self.address[2:], self.address[BLOCK_BITS:]
@@ -416,17 +457,13 @@ class Registers(Unit):
         ]
 
     def _answer_read(self, m):
-        axi = self.s_axi
-        m.d.comb += self.answered_read.next.eq(1)
-        m.d.sync += [
-            axi.rresp.eq(Mux(self.mapped, OKAY, SLVERR)),
-            axi.rdata.eq(Mux(self.mapped, Mux(self.in_subgroup, self.data_in, self.found), 0)),
-        ]
+        m.d.comb += self.answers_read.eq(1)
         with m.If(~self.mapped):
             m.d.sync += self.flag["bad_address"].eq(1)
 
     def _refuse_write(self, m):
-        """Report the reason for the refusal by a sticky flag."""
+        """Refuse a write, and report the reason by a sticky flag."""
+        m.d.comb += self.refuses.eq(1)
         with m.If(~self.writable):
             m.d.sync += self.flag["bad_address"].eq(1)
         with m.Elif(~self.whole):
@@ -436,9 +473,10 @@ class Registers(Unit):
 
     def _write(self, m):
         """Carry out a write: pass it to the subgroups, or change a global setting. A start waits
-        for its checks.
+        for its checks, unless the same write resets the sensor.
         """
         value = self.value
+        m.d.comb += self.grants.eq(1)
         with m.If(self.in_subgroup):
             m.d.sync += [
                 self.command.operation.eq(bus.Operation.WRITE),
@@ -456,20 +494,22 @@ class Registers(Unit):
                         m.d.sync += self.flag[bits.name].eq(0)
         with m.If(self.named["control", 0]):
             m.d.sync += self.abort_frame.eq(value[CONTROL.bit("abort")])
-            with m.If(value[CONTROL.bit("start")]):
-                m.d.comb += self.answered_write.next.eq(0)
+            with m.If(value[CONTROL.bit("reset")]):
+                m.d.comb += self.asks_reset.eq(1)
+            with m.Elif(value[CONTROL.bit("start")]):
+                m.d.comb += self.grants.eq(0)
                 m.next = "check"
 
     def _start_or_refuse(self, m):
         """Take the settings, or report by a sticky flag what is wrong with them."""
         with m.If(self.flag["busy"]):
             m.d.sync += self.flag["start_busy"].eq(1)
-            self._respond(m, SLVERR)
+            m.d.comb += self.refuses.eq(1)
         with m.Elif(Cat(self.failed.values()).any()):
             m.d.sync += [
                 self.flag[name].eq(self.flag[name] | bad) for name, bad in self.failed.items()
             ]
-            self._respond(m, SLVERR)
+            m.d.comb += self.refuses.eq(1)
         with m.Else():
             m.d.sync += [
                 self.flag["busy"].eq(1),

@@ -41,14 +41,16 @@ def outer_ports(sensor: Sensor) -> dict[str, Any]:
 def inner_ports(sensor: Sensor) -> dict[str, Any]:
     """Ports of the core towards the modules.
 
-    `shared_ports`, as outputs; data, gate_late, settings_upset : in, OR of all subgroups'; and for
-    every stream k, of its subgroups:
+    `shared_ports`, as outputs; data, gate_late, settings_upset : in, OR of all subgroups';
+    soft_reset : out, resets the modules, in addition to `rst`; and for every stream k, of its
+    subgroups:
     stored_of_k, record_stored_of_k : in, one bit per subgroup
     valid_of_k, beat_of_k, beat_controlled_of_k : in, OR of the subgroups'
     grant_of_k : out, one bit per subgroup; send_of_k : out
     """
     ports = {name: Out(member.shape) for name, member in shared_ports(sensor).items()}
     ports |= {"data": In(DATA_BITS), "gate_late": In(1), "settings_upset": In(1)}
+    ports |= {"soft_reset": Out(1)}
     for k in range(sensor.streams):
         subgroups = len(sensor.stream_subgroups(k))
         ports |= {
@@ -96,7 +98,8 @@ class SensorTop(Unit):
     """The sensor.
 
     Ports: `outer_ports`; spad_gate : out, bit s is the gate of subgroup s; spad_s : in, SPADs of
-    subgroup s in the view's form.
+    subgroup s in the view's form; test_enable : in, opens clock gates and latches for a test of the
+    chip, 0 otherwise.
 
     levels: instead of spad_s, line_s : in, levels of the SPADs of subgroup s, which has a
     deserialiser, and
@@ -116,7 +119,13 @@ class SensorTop(Unit):
         }
         clocks = {"phase_clocks": In(sensor.phases // 2 - 1)} if levels else {}
         spads = {name: In(bits) for name, bits in self.spads.items()}
-        super().__init__(**outer_ports(sensor), spad_gate=Out(sensor.subgroups), **clocks, **spads)
+        super().__init__(
+            **outer_ports(sensor),
+            test_enable=In(1),
+            spad_gate=Out(sensor.subgroups),
+            **clocks,
+            **spads,
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -135,7 +144,7 @@ class SensorTop(Unit):
                 ).words
                 for s, lines in enumerate(words)
             ]
-        _, gates = wire_sensor(m, put, self.sensor, self, words, self.view)
+        _, gates = wire_sensor(m, put, self.sensor, self, words, self.test_enable, self.view)
         m.d.comb += self.spad_gate.eq(gates)
         return m
 
@@ -173,6 +182,7 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
     put(
         "sequencer",
         sequencer,
+        soft_reset=registers.soft_reset,
         plan=registers.plan,
         start_frame=registers.start_frame,
         abort_frame=registers.abort_frame,
@@ -185,11 +195,13 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
         inner.period.eq(registers.period),
         inner.frame.eq(registers.frame),
         inner.timing.eq(sequencer.timing),
+        inner.soft_reset.eq(registers.soft_reset),
     ]
     for k, controller in enumerate(controllers):
         put(
             f"controller_{k}",
             controller,
+            soft_reset=registers.soft_reset,
             command=registers.command,
             capacity=registers.capacity,
             share=registers.share[k],
@@ -201,6 +213,7 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
         put(
             f"readout_{k}",
             readout,
+            soft_reset=registers.soft_reset,
             stored=stream.stored,
             record_stored=stream.record_stored,
             valid=stream.valid,
@@ -221,7 +234,13 @@ def wire_core(m: Module, put: Put, sensor: Sensor, outer: Any, inner: Any) -> Se
 
 
 def wire_sensor(
-    m: Module, put: Put, sensor: Sensor, outer: Any, words: list[ValueLike], view=POLYPHASE
+    m: Module,
+    put: Put,
+    sensor: Sensor,
+    outer: Any,
+    words: list[ValueLike],
+    test_enable: ValueLike,
+    view=POLYPHASE,
 ) -> tuple[Sequencer, Cat]:
     """Put the blocks of the sensor into `m`, behind `outer_ports`.
 
@@ -237,11 +256,13 @@ def wire_sensor(
         put(
             f"module_{k // 2}",
             module,
+            soft_reset=inner.soft_reset,
             number=Const(k // 2, module.number.shape()),
             command=inner.command,
             period=inner.period,
             frame=inner.frame,
             timing=inner.timing,
+            test_enable=test_enable,
             **_of_line(sensor, inner, words, 0, lines[0]),
             **(_of_line(sensor, inner, words, 1, lines[1]) if len(lines) > 1 else {}),
         )

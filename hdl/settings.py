@@ -49,6 +49,7 @@ class SubgroupRegisters(Unit):
             data=Out(DATA_BITS),
             gate_late=Out(1),
             upset=Out(1),
+            test_enable=In(1),
         )
         self.programmed = Signal(bus.settings_layout(sensor), init=_reset(sensor))  # the settings
         # One bit per word, so that no decoder is in the path of a read.
@@ -94,9 +95,8 @@ class SubgroupRegisters(Unit):
             m.d.sync += named.eq(Cat(selected & (self.command.word == number) for number in shown))
         with m.If(accessed):
             m.d.sync += self.data.eq(any_of(m, values, "shown"))
-        return behind(
-            m, platform, self.clock_gate, (self.command.operation != bus.Operation.IDLE) | accessed
-        )
+        awake = (self.command.operation != bus.Operation.IDLE) | accessed
+        return behind(m, platform, self.clock_gate, awake, self.test_enable)
 
     def _field(self, settings, register, index):
         if register is registers.MODE:

@@ -82,7 +82,8 @@ class Subgroup(Unit):
     after them. So the clock stops in between, and the inputs that wake it also go to the clock
     gate.
 
-    Ports: `shared_ports`, `own_ports`, `subgroup` (in, its number), `line` (its TDC sampling line).
+    Ports: `shared_ports`, `own_ports`, `subgroup` (in, its number), `line` (its TDC sampling line),
+    `test_enable` (in, opens clock gates and latches for a test of the chip; constant otherwise).
     view: view of the front end, from `front_end_views.py`. Latency: `model/contract/latency.py`.
     Reset is registered here, so it acts one cycle later, as stated by each part.
     """
@@ -94,6 +95,7 @@ class Subgroup(Unit):
             **shared_ports(sensor),
             **own_ports(sensor, view),
             subgroup=In(bus.SUBGROUP_BITS),
+            test_enable=In(1),
             line=Out(view.line_signature(sensor)),
         )
         self.clock_gate = ClockGate()
@@ -169,6 +171,7 @@ class Subgroup(Unit):
                 pulse=dpcu.pulse,
                 take=packetizer.take_record,
                 frame_begin=frame_begin,
+                test_enable=self.test_enable,
             )
             record = records.record
             record_stored = records.stored
@@ -180,6 +183,7 @@ class Subgroup(Unit):
             subgroup=self.subgroup,
             period=self.period_taken,
             counters=dpcu.counters,
+            test_enable=self.test_enable,
         )
         put(
             "gating",
@@ -195,6 +199,7 @@ class Subgroup(Unit):
             window_ticks=dpcu.window_ticks,
             frame=self.frame_taken,
             timing=self.timing_taken,
+            test_enable=self.test_enable,
             **self.view.from_spads(self.words, gating),
         )
         put(
@@ -212,6 +217,7 @@ class Subgroup(Unit):
             dropped=fifo.dropped,
             mg_stored=record_stored,
             mg_dropped=record_dropped,
+            test_enable=self.test_enable,
         )
         put(
             "fifo",
@@ -222,6 +228,7 @@ class Subgroup(Unit):
             pulse=dpcu.pulse,
             frame_begin=frame_begin,
             take=packetizer.take_event,
+            test_enable=self.test_enable,
         )
         put(
             "packetizer",
@@ -261,7 +268,7 @@ class Subgroup(Unit):
             | reset
             | ResetSignal()
         )
-        domain = stopped(m, platform, self.clock_gate, asked | (left != 0))
+        domain = stopped(m, platform, self.clock_gate, asked | (left != 0), self.test_enable)
         with m.If(ResetSignal() | ~asked | (left != AWAKE_CYCLES)):
             m.d[domain] += left.eq(Mux(asked, AWAKE_CYCLES, left - (left != 0)))
         return domain

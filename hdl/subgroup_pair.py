@@ -21,7 +21,8 @@ class SensorModule(Unit):
     Ports
     -----
     `shared_ports` of the subgroups; for line k `own_ports` with the suffix _k; number : in, the
-    module's number. Every input goes straight into a register, and every output comes from one.
+    module's number; test_enable : in, opens clock gates and latches for a test of the chip. Every
+    other input goes straight into a register, and every output comes from one.
 
     view: view of the front end, from `front_end_views.py`. `lines` = 1: the last module of an odd
     number of subgroups. Reset is registered, here and in each subgroup, so it acts one cycle later.
@@ -35,7 +36,12 @@ class SensorModule(Unit):
             for k in range(lines)
             for name, member in own_ports(sensor, view).items()
         }
-        super().__init__(**shared_ports(sensor), **own, number=In(bus.SUBGROUP_BITS - 1))
+        super().__init__(
+            **shared_ports(sensor),
+            **own,
+            number=In(bus.SUBGROUP_BITS - 1),
+            test_enable=In(1),
+        )
 
     def elaborate(self, platform):
         m = Module()
@@ -49,8 +55,8 @@ class Slice(Unit):
     """One subgroup with its line of the TDC, which a bit-sliced simulation plays once for all
     subgroups of the array.
 
-    Ports: `shared_ports` and `own_ports` of the subgroup; number : in, the subgroup's. The lines of
-    a module's TDC are independent, and both use the same registered start and reset. So an array of
+    Ports: `shared_ports` and `own_ports` of the subgroup; number : in, the subgroup's; test_enable :
+    in. The lines of a module's TDC are independent, and both use the same registered start and reset. So an array of
     slices equals an array of modules.
     """
 
@@ -59,7 +65,10 @@ class Slice(Unit):
     def __init__(self, sensor: Sensor, view=POLYPHASE):
         self.sensor, self.view = sensor, view
         super().__init__(
-            **shared_ports(sensor), **own_ports(sensor, view), number=In(bus.SUBGROUP_BITS)
+            **shared_ports(sensor),
+            **own_ports(sensor, view),
+            number=In(bus.SUBGROUP_BITS),
+            test_enable=In(1),
         )
 
     def elaborate(self, platform):
@@ -96,6 +105,7 @@ def _put_lines(
             words=ports.words,
             grant=ports.grant,
             send=ports.send,
+            test_enable=unit.test_enable,
         )
         wiring.connect(m, subgroup.line, getattr(tdc, f"line_{k}"))
         m.d.comb += [

@@ -44,6 +44,7 @@ class FrontEnd(Unit):
             record_due=Out(1),
             latched=Out(sensor.minigroups),
             entries=Out(bus.record_layout(sensor)["entries"].shape),
+            test_enable=In(1),
         )
         self.elapsed = Signal(sensor.elapsed_bits)  # cycles since the window opened, saturated
         self.hits = Signal(sensor.pixels)  # map of the window, collected by the leaves
@@ -117,6 +118,7 @@ class CoincidenceTree(FrontEnd):
         minigroups' offsets (stage 8)
     blind : out, a cycle with an edge while the tree was not armed (stage 5)
     record_due : out, a period has ended; latched, entries : out, its minigroups' records (stage 3)
+    test_enable : in, opens clock gates and latches for a test of the chip
 
     Reset arms the tree. Two windows of one subgroup may follow each other without a gap: the
     pipeline takes one per cycle.
@@ -195,7 +197,7 @@ class CoincidenceTree(FrontEnd):
             | (Cat(self.timing.may_open, self.may_open[:-1]) != self.may_open)
             | Cat(self.closed, self.blind).any()
         )
-        self.clock = stopped(m, platform, self.clock_gate, moving)
+        self.clock = stopped(m, platform, self.clock_gate, moving, self.test_enable)
         self._strobes(m)
         self._window(m)
         self._opened(m)
@@ -290,6 +292,7 @@ class CoincidenceTree(FrontEnd):
                 may_open=self.may_open[-1],
                 wrap=self.wrap[-1],
                 coarse=self.coarse_4,
+                test_enable=self.test_enable,
             )
             self._leaf(m, g, leaf)
             for i, here in zip(self.sensor.members(g), leaf.at_first, strict=True):

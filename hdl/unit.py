@@ -106,13 +106,14 @@ def place(
     platform,
     reset=None,
     domain: str = "sync",
+    soft_reset: Value | None = None,
     **inputs: ValueLike | IOPort,
 ) -> Unit:
     """Put `unit` into `m`, as a submodule or, under an `Export` platform, as an instance.
 
-    reset: instead of the domain's; domain: of the unit's clock. inputs: a driver, in full width,
-    for every input. The caller connects interfaces with `wiring.connect` and reads outputs as
-    attributes of the unit. Raises `ConnectionError` for an input that does not exist or has no
+    reset: instead of the domain's; domain: of the unit's clock. soft_reset: resets the unit, too.
+    inputs: a driver, in full width, for every input. The caller connects interfaces with
+    `wiring.connect` and reads outputs as attributes of the unit. Raises `ConnectionError` for an input that does not exist or has no
     driver.
     """
     ports = unit.flat_ports()
@@ -121,9 +122,15 @@ def place(
     if isinstance(platform, Export):
         platform.units.setdefault(unit.unit_name, unit)
         platform.placed[name] = unit
-        m.submodules[name] = _instance(unit, given, reset, domain)
+        resets = ResetSignal(domain) if reset is None else reset
+        if soft_reset is not None:
+            resets |= soft_reset
+        m.submodules[name] = _instance(unit, given, resets, domain)
         return unit
-    inner = unit if reset is None else ResetInserter(reset)(unit)
+    inner = unit
+    for given_reset in (reset, soft_reset):
+        if given_reset is not None:
+            inner = ResetInserter(given_reset)(inner)
     m.submodules[name] = inner if domain == "sync" else DomainRenamer(domain)(inner)
     m.d.comb += [ports[port][1].eq(value) for port, value in given.items()]
     return unit
@@ -158,7 +165,7 @@ def _instance(unit: Unit, given: dict[str, Value | IOValue], reset, domain: str)
             connected[f"o_{port}"] = signal
     if unit.clocked:
         connected["i_clk"] = ClockSignal(domain)
-        connected["i_rst"] = ResetSignal(domain) if reset is None else reset
+        connected["i_rst"] = reset
     return Instance(unit.unit_name, **connected)
 
 

@@ -197,6 +197,15 @@ class Driver:
         """Make the running period the last one of the frame."""
         self._write(*registers.control("abort"))
 
+    def reset(self) -> None:
+        """Reset the sensor, whatever it is doing: its frame ends at once, and its settings have
+        their first values. Beats of an unfinished frame that come later are the caller's to drop.
+        """
+        self._write(*registers.control("reset"))
+        self.programmed = registers.reset_values(self.sensor)
+        for assembler in self._assemblers:
+            assembler.forget()
+
     def status(self) -> Status:
         """Read the status without clearing anything."""
         word = self["status"]

@@ -67,6 +67,7 @@ class SensorBench:
         """
         for line in (*self.spad, *self.tready):
             line.value = 0
+        self.dut.test_enable.value = 0
         self.dut.rst.value = 1
         Clock(self.dut.clk, self.cycle_fs, "fs").start()
         for _ in range(4):

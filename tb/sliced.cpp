@@ -103,8 +103,8 @@ public:
                     if (subgroup >> k & 1) lanes.slice->chunk(IN_number[k], lanes.chunk) |= rest & -rest;
         core_->rst = 1;
     }
-    // A reset, from the next edge on, whatever the sensor is doing; the host starts anew.
-    void reset() {
+    // The host gives up whatever it is doing, and starts anew.
+    void give_up() {
         host_.handle.destroy();
         todo_.clear();
         during_.clear();
@@ -113,10 +113,14 @@ public:
         cycle_ = -1;
         outcome_ = FINE;
         idle_ = write_busy_ = false;
-        core_->rst = 1;
         core_->s_axi_awvalid = core_->s_axi_wvalid = core_->s_axi_bready = core_->s_axi_arvalid = core_->s_axi_rready = 0;
         for_each_stream(*core_, [&](int, auto&, auto&, auto& tready, auto&...) { tready = 0; });
         host_ = play();
+    }
+    // A reset, from the next edge on, whatever the sensor is doing.
+    void reset() {
+        give_up();
+        core_->rst = 1;
     }
     ~Sensor() { host_.handle.destroy(); }
     Sensor(const Sensor&) = delete;
@@ -144,7 +148,8 @@ public:
         ship(core_->period, IN_period, 1);
         ship(core_->frame, IN_frame, 2);
         ship(core_->timing, IN_timing, 3);
-        ship(core_->rst, IN_rst, 4);
+        uint8_t reset = core_->rst | core_->soft_reset;
+        ship(reset, IN_rst, 4);
         for_each_stream(*core_, [&](int s, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto&, auto& grant, auto& send) {
             if (send != send_[s]) {
                 for (int k = 0; k < int(std::size(IN_send)); k++)
@@ -457,6 +462,7 @@ void sliced_write_during_frame(Engine* engine, int sensor, uint32_t address, uin
     engine->sensor(sensor).post_during_frame(address, value);
 }
 void sliced_reset(Engine* engine, int sensor) { engine->sensor(sensor).reset(); }
+void sliced_give_up(Engine* engine, int sensor) { engine->sensor(sensor).give_up(); }
 int sliced_outcome(Engine* engine, int sensor) { return engine->sensor(sensor).outcome(); }
 uint32_t sliced_value(Engine* engine, int sensor) { return engine->sensor(sensor).value(); }
 int64_t sliced_cycle(Engine* engine, int sensor) { return engine->sensor(sensor).cycle(); }

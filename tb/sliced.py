@@ -50,6 +50,7 @@ SOURCE = Path(__file__).with_name("sliced.cpp")
 STREAM_NETS = "stored", "record_stored", "valid", "beat", "beat_controlled", "grant", "send"
 CHUNK_CYCLES = 20_000  # between two checks of progress and Ctrl-C
 RESET_CYCLES = 4
+SOFT_RESET_CYCLES = 30  # after which a write to `control` has had its effect
 # the core is a sixth of the time of a frame; with -O2 it takes half as long again to compile
 CORE_OPTIMISE = "-O1"
 FINE, REFUSED, HANGS = range(3)
@@ -137,6 +138,7 @@ def _library(sensor: Sensor, width: int, root: Path) -> ctypes.CDLL:
         ),
         "write_during_frame": (None, [pointer, i32, u32, u32]),
         "reset": (None, [pointer, i32]),
+        "give_up": (None, [pointer, i32]),
         "outcome": (i32, [pointer, i32]),
         "value": (u32, [pointer, i32]),
         "cycle": (i64, [pointer, i32]),
@@ -262,6 +264,15 @@ class SlicedSensor:
     def reset(self) -> None:
         """Reset the sensor, whatever it is doing. Its settings and the frame are gone."""
         self._call("reset")
+        self.driver = Driver(self, self.sensor, fresh=True)
+
+    def soft_reset(self) -> None:
+        """Reset the sensor by its register during the frame that `begin` has started, and forget
+        the frame.
+        """
+        self._call("write_during_frame", *registers.control("reset"))
+        self.step(SOFT_RESET_CYCLES)
+        self._call("give_up")
         self.driver = Driver(self, self.sensor, fresh=True)
 
     def end(self, progress: Callable[[int], None] = lambda cycle: None) -> Recorded:

@@ -158,7 +158,8 @@ class EmulatorTop(Unit):
         sensor = self.emulator.sensor
         outer: Any = Signature(outer_ports(sensor)).create(path=())
         sources = [PhotonSource(self.emulator) for _ in range(sensor.subgroups)]
-        sequencer, _ = wire_sensor(m, put, sensor, outer, [source.words for source in sources])
+        words = [source.words for source in sources]
+        sequencer, _ = wire_sensor(m, put, sensor, outer, words, test_enable=Const(0))
         link, errors = self._link(m, put)
         control = EmulatorControl(self.emulator)
         put(

@@ -298,6 +298,7 @@ class AsyncFrontEnd(FrontEnd):
                 may_open=may_open,
                 wrap=wrap,
                 coarse=coarse_4,
+                test_enable=self.test_enable,
             )
             self._leaf(m, g, leaf)
         m.d.sync += self.blind.eq(any_of(m, [leaf.blind for leaf in leaves], "blind_or"))

@@ -26,7 +26,7 @@ SUBGROUP_BASE = 0x1000
 SUBGROUP_STRIDE = 0x80
 ID_VALUE = 0x434F494E  # "COIN"
 VERSION_VALUE = (
-    0x00020003  # 16 bits each for major and minor; every change that software can see raises it
+    0x00020004  # 16 bits each for major and minor; every change that software can see raises it
 )
 
 Value = Callable[[Sensor], int]
@@ -142,11 +142,17 @@ GLOBAL: tuple[Register, ...] = (
         "control",
         0x40,
         PULSE,
-        "Starts and ends a frame. A start that the checks refuse is answered with SLVERR and has no effect.",
-        high=3,
+        "Starts and ends a frame, and resets the sensor. A start that the checks refuse is answered "
+        "with SLVERR and has no effect.",
+        high=7,
         bits=(
             Bits("start", 0, "Begins a frame."),
             Bits("abort", 1, "Makes the running period the last of the frame."),
+            Bits(
+                "reset",
+                2,
+                "Resets everything except the register bus, as rst does; start and abort are ignored.",
+            ),
         ),
     ),
     Register(
@@ -224,7 +230,9 @@ def address(name: str, subgroup: int = 0, index: int = 0) -> int:
 
 
 def control(bit: str) -> tuple[int, int]:
-    """Return (address, value) of the write that sets a bit of `control`: `start` or `abort`."""
+    """Return (address, value) of the write that sets a bit of `control`: `start`, `abort` or
+    `reset`.
+    """
     return address("control"), 1 << BY_NAME["control"].bit(bit)
 
 

@@ -60,9 +60,13 @@ class Golden:
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        self.frames = 0
-        self.controller = Controller(sensor)
         self._pixel = pixel_table(sensor)
+        self.reset()
+
+    def reset(self) -> None:
+        """Reset the sensor, by its pin or by its register: the next frame is like the first one."""
+        self.frames = 0
+        self.controller = Controller(self.sensor)
 
     def frame(
         self,

@@ -408,6 +408,56 @@ async def abort_ends_the_running_period(dut):
 
 
 @cocotb.test()
+async def soft_reset_with_a_dead_receiver(dut):
+    """In a frame whose receiver has taken nothing, with a read that waits: the sensor is as after
+    `rst`, and the next frame is that of a new one.
+    """
+    bench = await fresh(dut)
+    of = config(
+        frame={"period": 100, "pulses": 3, "format": "full", "minigroup_records": True},
+        subgroup={"threshold": 1, "auto": bool(bench.sensor.controller)},
+    )
+    edges = some_edges(of, 17, 1000)
+    words = port_words(of, edges)
+    await bench.program(of)
+    dut.m_axis_tready.value = 0
+    await bench.write("control", 1)
+    await laser_fires(dut)
+    for cycle in range(of.period * of.pulses + 100):
+        now = dict(words.get(cycle, ()))
+        for s, line in enumerate(bench.spad):
+            line.value = now.get(s, 0)
+        await FallingEdge(dut.clk)
+    await bench.write("control", 2)
+    assert await bench.read("status") == 1, "busy for ever"
+    assert dut.m_axis_tvalid.value == 1
+
+    start_and_reset = 0b101
+    waiting = cocotb.start_soon(bench.read("pulses"))
+    await bench.write("control", start_and_reset)
+    assert await waiting in (of.pulses, config().pulses)
+    assert dut.m_axis_tvalid.value == 0
+    bench.programmed.clear()
+    await check_reset_values(bench)
+    assert await bench.read("status") == 0
+    trace = Golden(of.sensor).frame(of, edges)
+    await bench.play(of, edges, np.zeros(0, np.uint8), Scoreboard(of.sensor, trace))
+
+
+@cocotb.test()
+async def control_resets_only_if_it_is_written_whole(dut):
+    bench = await fresh(dut)
+    where, reset = registers.control("reset")
+    await bench.write("pulses", 0x1234)
+    await bench.axi.write(where, reset, byte_enable=0)
+    await refused(bench.axi.write(where, reset, byte_enable=1), bench, "bad_strobe")
+    await refused(bench.axi.write(where, reset | 8), bench, "bad_value")
+    assert await bench.read("pulses") == 0x1234
+    await bench.axi.write(where, reset)
+    await check_reset_values(bench)
+
+
+@cocotb.test()
 async def gate_output_leads_the_spads(dut):
     """`spad_gate` is high exactly in the cycles whose edges the gate accepts, and always if gating
     is off.

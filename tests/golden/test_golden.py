@@ -230,6 +230,24 @@ def test_laws(sensor, data):
     assert np.array_equal(lowest["photons"], result["photons"])
 
 
+def test_after_a_reset_the_sensor_is_a_new_one():
+    config = parse_config(
+        {
+            "sensor": SENSORS["default"],
+            "frame": {"pulses": 6, "capacity": 20, "auto_bounds": [0] * 6},
+            "subgroup": {"threshold": 1, "auto": True},
+        }
+    )
+    edges = trouble(config, 3, 10)
+    golden = Golden(config.sensor)
+    first, second = (golden.frame(config, edges) for _ in range(2))
+    assert not np.array_equal(first.beats[0], second.beats[0])
+    golden.reset()
+    again = golden.frame(config, edges)
+    assert np.array_equal(first.beats[0], again.beats[0])
+    assert np.array_equal(first.budget, again.budget)
+
+
 def test_abort_is_a_shorter_frame():
     """A frame that is aborted in period k equals a frame of k + 1 pulses."""
     config = parse_config({"sensor": SENSORS["default"], "frame": {"pulses": 6}})

@@ -21,8 +21,8 @@ module bench;
   reg [{width}-1:0] data = 0;
   wire [{width}-1:0] plain, cells;
   integer n, seen = 0;
-  {name} one (.clk(clk), .rst(1'b0), .write(write), .data(data), .value(plain){ports});
-  {name}_cells other (.clk(clk), .rst(1'b0), .write(write), .data(data), .value(cells){ports});
+  {name} one (.clk(clk), .rst(1'b0), .test_enable(1'b0), .write(write), .data(data), .value(plain){ports});
+  {name}_cells other (.clk(clk), .rst(1'b0), .test_enable(1'b0), .write(write), .data(data), .value(cells){ports});
   initial begin
     for (n = 0; n < {cycles}; n = n + 1) begin
       #5 clk = 1;
@@ -42,10 +42,10 @@ endmodule
 """
 GATE = """
 module bench;
-  reg clk = 0, enable = 0;
+  reg clk = 0, enable = 0, test_enable = {test_enable};
   wire gated;
   integer n, wanted = 0, passed = 0;
-  coincid_clock_gate gate (.clk(clk), .rst(1'b0), .enable(enable), .gated(gated));
+  coincid_clock_gate gate (.clk(clk), .rst(1'b0), .enable(enable), .test_enable(test_enable), .gated(gated));
   always @(posedge gated) passed = passed + 1;
   initial begin
     for (n = 0; n < 2000; n = n + 1) begin
@@ -55,10 +55,30 @@ module bench;
       #3 clk = 0;
       if (n == 0) passed = 0;  // what came before the latch was known
       #1 enable = $random;
-      #1 wanted = wanted + enable;
+      #1 wanted = wanted + (enable || test_enable);
     end
     #5 clk = 1;
-    #1 $display("%0s: %0d of %0d", passed == wanted && wanted > 500 && wanted < 1500 ? "PASS" : "FAIL", passed, wanted);
+    #1 $display("%0s: %0d of %0d", passed == wanted ? "PASS" : "FAIL", passed, wanted);
+  end
+endmodule
+"""
+# In every cycle there are new data, and nobody writes.
+TRANSPARENT = """
+module bench;
+  reg clk = 0;
+  reg [1:0] row = 0;
+  reg [4:0] data = 0;
+  wire [4:0] value;
+  integer n, wrong = 0;
+  {name} memory (.clk(clk), .rst(1'b0), .test_enable(1'b1), .write(1'b0), .data(data), .value(value), .to(2'd0), .row(row));
+  initial begin
+    for (n = 0; n < 200; n = n + 1) begin
+      #5 clk = ~clk;
+      #1 data = $random;
+      row = $unsigned($random) % 3;
+      #1 wrong = wrong + (value !== data);
+    end
+    $display("%0s", wrong ? "FAIL" : "PASS");
   end
 endmodule
 """
@@ -96,7 +116,20 @@ def test_latches_hold_what_the_memory_holds(tmp_path, depth, width):
     assert int(said.split()[1]) > CYCLES / 4
 
 
-def test_a_clock_gate_lets_whole_wanted_edges_pass(tmp_path):
-    """One edge for each cycle at whose end the enable was high, whatever it did before."""
+def test_latches_are_transparent_in_a_test_of_the_chip(tmp_path):
+    unit = Memory(3, 5)
+    cells = units_files([unit], cells=True)[f"{unit.unit_name}.v"]
+    said = simulated(tmp_path, cells, TRANSPARENT.format(name=unit.unit_name))
+    assert said.startswith("PASS")
+
+
+@pytest.mark.parametrize("test_enable", [0, 1])
+def test_a_clock_gate_lets_whole_wanted_edges_pass(tmp_path, test_enable):
+    """One edge for each cycle at whose end the enable was high, whatever it did before; in a test
+    of the chip, all edges.
+    """
     gate = units_files([ClockGate()], cells=True)["coincid_clock_gate.v"]
-    assert simulated(tmp_path, gate, GATE).startswith("PASS")
+    said = simulated(tmp_path, gate, GATE.format(test_enable=test_enable))
+    assert said.startswith("PASS")
+    wanted = int(said.split()[-1])
+    assert wanted == 2000 if test_enable else 500 < wanted < 1500

@@ -86,7 +86,7 @@ def missing_connections(file: Path) -> Iterator[Cut]:
         if not isinstance(call.func, ast.Name) or call.func.id not in PLACING:
             continue
         for word in call.keywords:
-            if word.arg in (None, "domain", "platform"):
+            if word.arg in (None, "domain", "platform", "soft_reset"):
                 continue
             begin = lines[word.lineno - 1][: word.col_offset]
             end = lines[word.end_lineno - 1][word.end_col_offset :].lstrip(",")

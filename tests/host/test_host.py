@@ -147,6 +147,26 @@ def test_a_sensor_in_use():
             driver.receive(seconds=0.05)
 
 
+def test_a_reset_forgets_settings_and_beats():
+    """Of the sensor, and in the driver: it programs all that differs from the reset's values."""
+    of = configured(ODD, {"period": 80, "pulses": 6})
+    reset = registers.reset_values(ODD)
+    edges = random_edges(of, 600, 1)
+    with SlicedSensor(ODD) as rtl:
+        driver = rtl.driver
+        trace = Golden(ODD).frame(of, edges)
+        rtl.frame(of, edges)
+        driver.receive()
+        driver["threshold", 1] = 5
+        driver.reset()
+        assert driver.programmed == reset
+        assert [driver["threshold", 1], driver["period"]] == [
+            BY_NAME[name].reset(ODD) for name in ("threshold", "period")
+        ]
+        rtl.frame(of, edges)
+        assert all(map(np.array_equal, driver.receive(), trace.beats))
+
+
 def test_frames_cut_anywhere():
     golden, rng = Golden(ODD), np.random.default_rng(1)
     of = configured(

@@ -101,6 +101,21 @@ def test_reset_in_any_cycle():
             )
 
 
+def test_soft_reset_with_a_dead_receiver():
+    """The receiver takes no beat, and the sensor stays busy until software resets it."""
+    config = running()
+    golden = job(Golden(config.sensor), config, 3)
+    dead = np.zeros(100_000, np.uint8)
+    with SlicedSensor(config.sensor) as rtl:
+        for cycle in (90, 400, 2000):
+            rtl.begin(config, golden.edges, dead)
+            rtl.step(cycle)
+            rtl.soft_reset()
+            assert not rtl.driver.status().busy
+            record = rtl.frame(config, golden.edges, golden.ready)
+            assert check(config.sensor, golden.expected, record) > 50
+
+
 @pytest.mark.parametrize("cycle", [100, 130, 290])
 def test_abort_makes_a_shorter_frame(cycle):
     """The frame equals one of as many pulses as have begun when the command arrives."""
