@@ -9,6 +9,7 @@ docs/contract.md and docs/files.md.
 
 import re
 from itertools import groupby
+from pathlib import Path
 
 from attrs import frozen
 
@@ -34,6 +35,7 @@ from ..model.shared import markdown
 from ..tools.pages import put
 from .contract_tables import header_table, settings_tables
 
+GROUPS = Path(__file__).with_name("groups.md")
 EXAMPLE = Sensor(rows=8, cols=16)  # for docs/integrate.md: two subgroups, one module
 
 UNDEFINED = "any"  # value after a reset of what comes from a memory
@@ -65,6 +67,10 @@ _MEANINGS = {  # pattern of a port's name -> value after a reset (outputs only),
     r"m_axis\d*_tlast": (
         UNDEFINED,
         "last beat of the frame on this stream; means something only while `tvalid` is high",
+    ),
+    r"test_enable": (
+        "",
+        "0; 1 for a test of the chip: clock gates pass every edge, memories of latches are transparent",
     ),
     r"laser": ("0", "high in cycle 0 of every laser period"),
     r"spad_gate": (
@@ -160,8 +166,11 @@ def instantiation(sensor: Sensor, top: str = TOP, view: View = POLYPHASE) -> str
     return "\n".join([*wires, "", f"{top} sensor (", ",\n".join(ports), ");"]) + "\n"
 
 
-def stream_words(sensor: Sensor) -> str:
-    """Return a description of the beats of every packet of a sensor, as Markdown."""
+def stream_words(sensor: Sensor, groups_link: str = "contract.md#groups-of-events") -> str:
+    """Return a description of the beats of every packet of a sensor, as Markdown.
+
+    groups_link: to the page that describes groups of events.
+    """
     lengths = layout(sensor)
     fields = ", ".join(
         f"[{low + width - 1}:{low}] {'type' if name == 'kind' else name}"
@@ -199,13 +208,18 @@ def stream_words(sensor: Sensor) -> str:
     coded = ((packet.code, name, length, after) for packet, name, length, after in rows)
     table = markdown.table(("type", "packet", "beats", "after the header"), coded, left=(1, 3))
     groups_told = "In the formats `compact` and `compact-full`, events leave in groups, whose beats have type 5"
-    told += f"\n{groups_told} ([contract.md](contract.md#groups-of-events)).\n"
+    told += f"\n{groups_told} ([{groups_link.partition('#')[0]}]({groups_link})).\n"
     return (
         f"The first beat of every packet is a header: {fields}.\n\n"
         + "\n".join(table)
         + "\n"
         + told
     )
+
+
+def groups_page() -> str:
+    """Return the rule of the formats with groups of events, as Markdown."""
+    return GROUPS.read_text(encoding="utf-8")
 
 
 def pages() -> dict[str, dict[str, str]]:
@@ -216,7 +230,7 @@ def pages() -> dict[str, dict[str, str]]:
             "instance": f"```verilog\n{instantiation(EXAMPLE)}```\n",
             "words": stream_words(EXAMPLE),
         },
-        "docs/contract.md": {"header": header_table()},
+        "docs/contract.md": {"header": header_table(), "groups": groups_page()},
         "docs/files.md": settings_tables(),
     }
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 import shutil
 import tempfile
+from importlib.metadata import files as files_of
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 from ..hdl import deserialiser
 from ..hdl.export import FILE_LIST, cell_files, fpga_files, verilog_files
 from ..hdl.front_end_views import POLYPHASE, View, view_at
+from ..hdl.registers import read_cycles_max, write_cycles_max
 from ..hdl.sensor import FPGA_TOP, SensorTop, has_fpga_top
 from ..hdl.unit import Port
 from ..model.contract import latency
@@ -23,13 +25,25 @@ from ..model.shared.errors import InputError
 from .async_constraints import async_constraints
 from .c_driver import c_driver
 from .captured import captured_files
-from .ports import instantiation, port_table, stream_words
+from .ip_xact import with_interfaces
+from .limits import beats_beside_cycles, largest_frame
+from .plain_names import plain_verilog
+from .ports import groups_page, instantiation, port_table, stream_words
 from .prefix import checked_prefix, prefixed_files, prefixed_name
-from .register_files import register_files
+from .register_files import HEADER, IP_XACT, register_files
 from .smoke import FPGA_SMOKE, SMOKE, smoke_test
 from .waivers import CONTROL_FILE, OLDEST_VERILATOR, control_file
 
 MANIFEST, CORE, README = "manifest.json", f"{TOP}.core", "README.md"
+LICENCE = "LICENSE"
+GROUPS = "groups.md"  # rule of the formats in which events leave in groups
+GROUPS_HEAD = """\
+# Groups of events
+
+In a frame of the format `compact` or `compact-full`, `count` of the frame start is 1, and events leave
+in groups.
+
+"""
 # Parts of the README: the page, and a sentence about each top: with edge words, with SPAD lines,
 # and for FPGAs.
 README_TEXT = Path(__file__).with_name("release_readme.md")
@@ -57,10 +71,12 @@ def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str
     sensor, clock_mhz, view = config.sensor, config.clock_mhz, view_at(view, config.clock_mhz)
     rtl = verilog_files(sensor, view)
     lists = {TOP: rtl.pop(FILE_LIST).split()}
-    files = rtl | register_files(sensor) | {CONTROL_FILE: control_file(view)}
-    files |= c_driver()
+    registers = register_files(sensor)
+    registers[IP_XACT] = with_interfaces(registers[IP_XACT], sensor, view)
+    files = plain_verilog(rtl) | registers | {CONTROL_FILE: control_file(view)}
+    files |= c_driver() | {LICENCE: _licence(), GROUPS: GROUPS_HEAD + groups_page()}
     if view.is_default and has_fpga_top(sensor):
-        fpga = fpga_files(sensor)
+        fpga = plain_verilog(fpga_files(sensor))
         files |= fpga
         lists[FPGA_TOP] = [*(name for name in lists[TOP] if name != f"{TOP}.v"), *fpga]
     for top, names in lists.items():
@@ -81,8 +97,14 @@ def release_files(config: Config, view: str | View = POLYPHASE) -> dict[str, str
     files |= dict(cells.values()) | {
         CELLS_LIST: _list([*names, *(path.name for path in view.macros)])
     }
-    files |= {CORE: _core(lists, view), README: _readme(sensor, clock_mhz, lists, view)}
+    files |= {CORE: _core(lists, names, view), README: _readme(config, lists, view)}
     return dict(sorted(files.items()))
+
+
+def _licence() -> str:
+    """Return the text of the licence, as it is installed."""
+    (path,) = (path for path in files_of("coincid") or () if path.name == LICENCE)
+    return path.read_text(encoding="utf-8")
 
 
 def _list(names: list[str]) -> str:
@@ -178,17 +200,25 @@ def tool_options(view: View) -> dict[str, list[str]]:
     }
 
 
-def _core(lists: dict[str, list[str]], view: View) -> str:
-    """Return the core file of FuseSoC: for every top the RTL, lint, and the smoke test on Icarus
-    and Verilator.
+def _core(lists: dict[str, list[str]], of_cells: list[str], view: View) -> str:
+    """Return the core file of FuseSoC: for every top the RTL, its constraints, lint, and the smoke
+    test on Icarus and Verilator; the RTL for standard cells; and the driver in C.
+
+    of_cells: files of the RTL for standard cells.
     """
     options, boxes = tool_options(view), [path.name for path in view.macros]
     sets: dict[str, Any] = {"waivers": {"files": [CONTROL_FILE], "file_type": "vlt"}}
-    targets: dict[str, Any] = {}
+    sets |= {"cells": _verilog(of_cells), "driver": _driver()}
+    targets: dict[str, Any] = {
+        "cells": {"filesets": ["cells", "constraints"], "toplevel": TOP},
+        "driver": {"filesets": ["driver"]},
+    }
     for top, names in lists.items():
         smoke, suffix = PER_TOP[top], _suffix(top)
         rtl, bench = f"rtl{suffix}", f"smoke{suffix}"
+        timing = f"constraints{suffix}"
         sets |= {rtl: _verilog(names), bench: _verilog([f"{smoke}.v"])}
+        sets |= {timing: {"files": [f"{top}.sdc"], "file_type": "SDC"}}
         linted = ["waivers", rtl, *(["boxes"] if boxes else [])]
         icarus = {"tool": "icarus", "iverilog_options": options["icarus"]}
         verilator = {
@@ -198,7 +228,7 @@ def _core(lists: dict[str, list[str]], view: View) -> str:
         }
         lint = {"tool": "verilator", "verilator_options": options["lint"]}
         targets |= {
-            "default" if top == TOP else "fpga": {"filesets": [rtl], "toplevel": top},
+            "default" if top == TOP else "fpga": {"filesets": [rtl, timing], "toplevel": top},
             f"lint{suffix}": {
                 "flow": "lint",
                 "flow_options": lint,
@@ -242,7 +272,16 @@ def _verilog(names: list[str]) -> dict[str, Any]:
     return {"files": names, "file_type": "verilogSource"}
 
 
-def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view: View) -> str:
+def _driver() -> dict[str, Any]:
+    """Return the file set of the driver in C for FuseSoC."""
+    sources = ["coincid.c"]
+    headers = [name for name in (*c_driver(), HEADER) if name not in sources]
+    included = [{name: {"is_include_file": True}} for name in headers]
+    return {"files": [*sources, *included], "file_type": "cSource"}
+
+
+def _readme(config: Config, lists: dict[str, list[str]], view: View) -> str:
+    sensor = config.sensor
     options = {tool: " ".join(given) for tool, given in tool_options(view).items()}
     linted = {
         top: SYNTHESIS_LIST if view.macros else FILE_LIST if top == TOP else f"{top}.f"
@@ -280,12 +319,19 @@ def _readme(sensor: Sensor, clock_mhz: float, lists: dict[str, list[str]], view:
         rows=sensor.rows,
         cols=sensor.cols,
         tops="".join(tops).rstrip().format(**numbers),
-        clock_mhz=clock_mhz,
+        clock_mhz=config.clock_mhz,
         commands="\n".join(f"    {command}" for command in commands),
         oldest=OLDEST_VERILATOR,
         fusesoc="\n".join(f"    {command}" for command in fusesoc),
         ports="\n".join(f"## Ports of `{top}`\n\n{port_table(sensor, top, view)}" for top in lists),
-        words=stream_words(sensor),
+        words=stream_words(sensor, GROUPS),
+        delays=", except in `async_cells.v`" if view.macros else "",
+        write_cycles=write_cycles_max(sensor),
+        read_cycles=read_cycles_max(sensor),
+        beside_cycles=max(beats_beside_cycles(sensor, k) for k in range(sensor.streams)),
+        largest_frame=max(largest_frame(config, k) for k in range(sensor.streams)),
+        pulses=config.pulses,
+        period=config.period,
         instances="\n\n".join(instances),
     )
 

@@ -20,7 +20,7 @@ from coincid.host.transport import RefusedError
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.packet import FRAME_END, FRAME_START, GROUP_KIND, header_field, layout
 from coincid.model.contract.parameters import Sensor
-from coincid.model.contract.registers import GLOBAL, Access
+from coincid.model.contract.registers import BY_NAME, GLOBAL, Access
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.tb.sliced import SlicedSensor
@@ -29,7 +29,8 @@ from .. import random_cases
 from ..random_cases import configured, random_edges
 
 SENSOR = Sensor(rows=8, cols=16)
-FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"]
+WARNINGS = ["-Wall", "-Wextra", "-Wconversion", "-Wsign-conversion", "-pedantic", "-Werror"]
+FLAGS = ["-std=c99", *WARNINGS, "-O1"]
 U32 = ctypes.c_uint32
 READ = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, U32, ctypes.POINTER(U32))
 WRITE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, U32, U32)
@@ -70,6 +71,13 @@ def compiled_driver(sensor) -> ctypes.CDLL:
         loaded = ctypes.CDLL(str(folder / "driver.so"))
     loaded.coincid_counter.restype = loaded.coincid_offset.restype = ctypes.c_uint32
     return loaded
+
+
+def test_the_driver_is_also_cpp_without_warnings(tmp_path):
+    for file, text in (c_driver() | {HEADER: register_files(SENSOR)[HEADER]}).items():
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    command = ["c++", "-x", "c++", "-std=c++17", *WARNINGS, "-fsyntax-only", "coincid.c"]
+    subprocess.run(command, cwd=tmp_path, check=True)
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +162,9 @@ def test_the_driver_drives_and_decodes(library):
         edges = random_edges(of, 700, seed=1)
         rtl.frame(of, edges)
         (beats,) = rtl.driver.receive()
+        assert library.coincid_reset(ctypes.byref(bus)) == 0
+        assert rtl.driver["period"] == BY_NAME["period"].reset(SENSOR)
+        assert rtl.driver["pulses"] == BY_NAME["pulses"].reset(SENSOR)
     assert np.array_equal(beats, golden.frame(of, edges).beats[0])
     frame = decode_frame(beats, SENSOR, SENSOR.subgroups)
     events, records, counters = [], [], []

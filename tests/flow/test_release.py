@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ from peakrdl_ipxact import IPXACTImporter
 from systemrdl import RDLCompiler
 from systemrdl.node import RegNode
 
+from coincid.flow.limits import largest_frame
+from coincid.flow.plain_names import plain_verilog
 from coincid.flow.register_files import IP_XACT, RDL
 from coincid.flow.release import CELLS_LIST, MANIFEST, write_release
 from coincid.flow.smoke import FPGA_SMOKE, SMOKE
@@ -29,6 +32,7 @@ from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import BY_NAME, SUBGROUP, WRITABLE, Access, address
 from coincid.model.contract.stream import COLUMN, decode_frame
+from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.files import read_npz
 from coincid.tb import toolchain
@@ -36,7 +40,7 @@ from coincid.tb.rtl import rtl
 from coincid.tools.wheels import run_yosys
 
 from ..exports import EXPORTS, PASSED, complaint, readme_commands, write_export
-from ..random_cases import LEAN, SENSORS
+from ..random_cases import LEAN, SENSORS, random_edges
 from ..releases import CLOCK_MHZ, SMALL, config, small_releases
 
 TOPS = [
@@ -60,6 +64,16 @@ def releases(tmp_path_factory):
 def files(folder):
     """Return the files of a folder and of the folders in it, by their names from there."""
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+PHYSICAL = ".//ipxact:physicalPort/ipxact:name"
+# Verilog with names of the generator, and with plain ones.
+PLAIN_NAMES = [
+    (r"wire \$1 ;", "wire net_1;"),
+    (r"assign \a.b  = a_b & \a[b] ;", "assign a_b_ = a_b & a_b__;"),
+    (r"input \end ; reg \m.end ;", r"input \end ; reg m_end;"),
+    ("  (* init = 4'h0 *)\n  wire a;", "  wire a;"),
+]
 
 
 def line_of_readme(folder, pattern):
@@ -421,10 +435,92 @@ def test_manifest(releases, preset):
 
 
 def test_exported_verilog_is_what_the_other_tests_simulate(releases):
-    for path in rtl(config("silicon").sensor):
-        assert (releases / "silicon" / path.name).read_text(encoding="utf-8") == path.read_text(
-            encoding="utf-8"
-        )
+    """With plain names."""
+    paths = rtl(config("silicon").sensor)
+    simulated_files = {path.name: path.read_text(encoding="utf-8") for path in paths}
+    for name, text in plain_verilog(simulated_files).items():
+        assert (releases / "silicon" / name).read_text(encoding="utf-8") == text
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_names_in_the_verilog_are_plain(releases, preset):
+    """No dollar sign, dot or bracket in a name, and no initial value of a wire."""
+    of_the_project = {path.name for path in view_at(preset_view(preset), CLOCK_MHZ[preset]).cells}
+    for path in sorted((releases / preset).glob("coincid_*.v")):
+        text = path.read_text(encoding="utf-8")
+        if path.name in of_the_project or path.stem in (SMOKE, FPGA_SMOKE):
+            continue
+        escaped = set(re.findall(r"\\(\S+)", text))
+        assert all(name.isidentifier() for name in escaped), path.name
+        assert not re.search(r"\(\* init", text), path.name
+        assert set(re.findall(r"\$\w+", text)) <= {"$signed"}, path.name
+
+
+def preset_view(preset):
+    return "async" if preset == "async" else "polyphase"
+
+
+@pytest.mark.parametrize(("text", "plain"), PLAIN_NAMES)
+def test_plain_names_are_of_one_thing_each(text, plain):
+    assert plain_verilog({"a.v": text}) == {"a.v": plain}
+
+
+def test_the_folder_has_licence_and_rule_of_groups(releases):
+    for preset in SMALL:
+        folder = releases / preset
+        assert (folder / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
+        assert "A group is a packet of kind 5" in (folder / "groups.md").read_text("utf-8")
+
+
+def test_core_has_constraints_cells_and_driver(releases):
+    text = (releases / "fpga" / f"{TOP}.core").read_text(encoding="utf-8")
+    sets = json.loads(re.search(r"^filesets: (\{.*?^\})$", text, re.M | re.S)[1])
+    assert sets["constraints"] == {"files": [f"{TOP}.sdc"], "file_type": "SDC"}
+    assert sets["constraints_fpga"]["files"] == [f"{FPGA_TOP}.sdc"]
+    listed = (releases / "fpga" / CELLS_LIST).read_text(encoding="utf-8").split()
+    assert sets["cells"]["files"] == listed
+    assert sets["driver"]["file_type"] == "cSource"
+    for files_of_set in sets.values():
+        for file in files_of_set["files"]:
+            name = file if isinstance(file, str) else next(iter(file))
+            assert (releases / "fpga" / name).exists(), name
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_ip_xact_has_the_ports_and_bus_interfaces_of_the_top(releases, preset):
+    root = ElementTree.parse(releases / preset / IP_XACT).getroot()
+    names = {"ipxact": root.tag.partition("}")[0].strip("{")}
+    verilog = (releases / preset / f"{TOP}.v").read_text(encoding="utf-8")
+    declared = re.findall(r"^  (input|output) (?:\[(\d+):0\] )?(\w+);", verilog, re.M)
+    found = {}
+    for port in root.findall("ipxact:model/ipxact:ports/ipxact:port", names):
+        wire = port.find("ipxact:wire", names)
+        left = wire.findtext("ipxact:vectors/ipxact:vector/ipxact:left", "0", names)
+        direction = wire.findtext("ipxact:direction", "", names)
+        found[port.findtext("ipxact:name", "", names)] = (f"{direction}put", int(left))
+    assert found == {name: (kind, int(high or 0)) for kind, high, name in declared}
+    interfaces = root.findall("ipxact:busInterfaces/ipxact:busInterface", names)
+    connected = [name.text for one in interfaces for name in one.iterfind(PHYSICAL, names)]
+    buses = [name for name in found if re.match(r"s_axi_|m_axis", name)]
+    assert sorted(connected) == sorted([*buses, "clk", "rst"])
+
+
+def test_limits_hold_where_every_edge_is_an_event():
+    of = parse_config(
+        {
+            "sensor": EXPORTS["smallest"][0]["sensor"],
+            "frame": {"period": 60, "pulses": 20, "format": "full", "minigroup_records": True},
+            "subgroup": {"threshold": 1, "coincidence": False},
+        }
+    )
+    edges = random_edges(of, 20_000, seed=1)
+    beats_of = {}
+    for form in ("full", "compact-full"):
+        config_of_form = of.with_frame(format=form)
+        (beats,) = Golden(of.sensor).frame(config_of_form, edges).beats
+        beats_of[form] = len(beats)
+        assert len(beats) <= largest_frame(config_of_form)
+    assert beats_of["full"] > largest_frame(of) / 2
 
 
 def registers(compiler):
