@@ -88,6 +88,12 @@ def read_cells(path: Path, names: Collection[str]) -> dict[str, Cell]:
     return cells
 
 
+def cell_areas(text: str) -> dict[str, float]:
+    """Return the area of every cell of a liberty file, in its unit."""
+    found = re.finditer(r"^\s*cell \((\w+)\) \{.*?^\s*area\s*:\s*([\d.]+)", text, re.M | re.S)
+    return {match[1]: float(match[2]) for match in found}
+
+
 def supply_v(path: Path) -> float:
     found = re.search(r"nom_voltage\s*:\s*([\d.]+)", path.read_text(encoding="utf-8"))
     if found is None:

@@ -31,6 +31,7 @@ from ..model.shared.folders import build_root
 from ..tb.rtl import sensor_key
 from ..tools.pages import put_page
 from ..tools.wheels import YOSYS, yosys_once
+from .liberty import cell_areas
 from .logic_depth import depths
 from .mapped import FLOP, GATE, LATCH, map_block, slacks_ns
 from .yosys import LIBERTY, bound, cells_script, generic_script, library_files
@@ -40,6 +41,8 @@ from .yosys import LIBERTY, bound, cells_script, generic_script, library_files
 SPEED = "+strash;ifraig;scorr;dc2;strash;if,-g,-K,6;strash;dch,-f;map,-B,0.9"
 PREFIX = "coincid_"
 FLOPS = re.compile(r"\$_DFF|DFF|TRELLIS_FF")
+# Beginnings of the names of cells that have another form with a scan input.
+SCANNED = re.compile(r"^(?:DFF|CLKGATE_)")
 GATES, CELLS, ECP5 = "gates", "nangate45", "ecp5"
 # Texts of the page, and above its table of whole blocks.
 PAGE, WHOLE = (Path(__file__).with_name(name) for name in ("cost_page.md", "cost_whole_blocks.md"))
@@ -298,12 +301,41 @@ def whole_blocks(config: Config, sensor_netlist: Netlist) -> list[str]:
         if name != module
     ]
     return [
+        scan_chain(sensor_netlist),
+        "",
         WHOLE.read_text(encoding="utf-8").format(clock=clock_ns),
         *markdown.table(head, rows),
         *("", "Outside the modules, with their sub-blocks:", ""),
         *markdown.table(["block", "slack ns"], outside),
         "",
     ]
+
+
+def scan_chain(netlist: Netlist) -> str:
+    """Return what a scan chain through all flip-flops of a sensor in standard cells would cost.
+
+    The library has another cell with a scan input for each kind of flip-flop and clock gate.
+    """
+    areas = cell_areas(library_files()[LIBERTY])
+    replaced: Counter[str] = Counter()
+    more = 0.0
+    for block in netlist.blocks.values():
+        for kind, number in block.cells.items():
+            scanned = SCANNED.sub(_with_scan, kind)
+            if scanned != kind:
+                replaced[f"{kind} by {scanned}"] += number * block.instances
+                more += number * block.instances * (areas[scanned] - areas[kind])
+    area = netlist.total(lambda block: block.area_um2)
+    cells = ", ".join(f"{number} {kind}" for kind, number in sorted(replaced.items()))
+    return (
+        f"A scan chain would replace cells by those of the library with a scan input ({cells}):"
+        f" {round(more)} um2 more, {more / area:.1%} of the area, without its wires."
+    )
+
+
+def _with_scan(kind: re.Match[str]) -> str:
+    """Return the beginning of the name of a cell with a scan input."""
+    return "CLKGATETST_" if kind[0] == "CLKGATE_" else f"S{kind[0]}"
 
 
 def view_blocks(sensor: Sensor, view: View) -> list[tuple[Unit, int]]:

@@ -21,11 +21,10 @@ ENABLES = Path(__file__).with_name("enables.v")
 GATED_MIN = 3  # fewer flip-flops with the same enable cost less without a clock gate
 # the smallest clock gate, and the number of flip-flops that it can drive
 GATE, GATED_MAX = ("CLKGATE_X1", 63)
-BOUND = {ClockGate().unit_name: "CLKGATETST_X8", ClockGate(small=True).unit_name: "CLKGATETST_X1"}
+BOUND = {ClockGate().unit_name: "CLKGATE_X8", ClockGate(small=True).unit_name: "CLKGATE_X1"}
 # buffer of a clock tree, and the largest number of pins or buffers below it
 CLOCK_BUFFER, SINKS_MAX = ("BUF_X4", 16)
-# Not used for the gates that Yosys adds: a flow with a scan chain adds its own.
-SCANNED_GATES = "CLKGATETST_X*"
+SCANNED_GATES = "CLKGATETST_X*"  # not used: there is no scan chain
 # goal of abc between registers: the cycle of the preset `silicon` minus flip-flop, clock and wires
 MAPPED_PS = 1400
 
@@ -73,12 +72,12 @@ def bound(files: Mapping[str, str], gated: bool = True) -> dict[str, str]:
 
 def _of_library(name: str, cell: str) -> str:
     """Return the Verilog of a clock gate of `hdl/clock_gate.py` that consists of a cell of the
-    library.
+    library. Without a scan chain it needs no `test_enable`.
     """
     return f"""\
 // {SPDX}
 module {name} (input clk, input rst, input enable, input test_enable, output gated);
-  {cell} gate (.CK(clk), .E(enable), .SE(test_enable), .GCK(gated));
+  {cell} gate (.CK(clk), .E(enable), .GCK(gated));
 endmodule
 """
 

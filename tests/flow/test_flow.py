@@ -7,9 +7,11 @@ import pytest
 
 from coincid.flow import pnr
 from coincid.flow.gls import gate_level
+from coincid.flow.liberty import cell_areas
 from coincid.flow.logic_depth import depths
 from coincid.flow.silicon_report import CLOCKS, timing, write
-from coincid.flow.synth import CELLS, ECP5, GATES, synthesize
+from coincid.flow.synth import CELLS, ECP5, GATES, Block, Netlist, scan_chain, synthesize
+from coincid.flow.yosys import LIBERTY, cells_folder
 from coincid.hdl.silicon.circuit import Circuit
 from coincid.model.contract.parameters import Sensor
 from coincid.tools.build import ToolchainError
@@ -88,6 +90,19 @@ def test_blocks_of_a_small_sensor():
     assert set(fpga.blocks) == set(gates.blocks)
     assert fpga.total(lambda block: block.count("LUT4")) > 500
     assert fpga.total(lambda block: block.flops) < flops  # memories are RAM there
+
+
+@pytest.mark.needs("cells")
+def test_cost_of_a_scan_chain(tmp_path):
+    cells = {"DFF_X1": 100, "NAND2_X1": 7, "CLKGATE_X8": 2, "DLH_X1": 50}
+    block = Block(name="block", instances=3, cells=cells, area_um2=1000.0)
+    told = scan_chain(Netlist(CELLS, tmp_path, [], {"top": block}))
+    areas = cell_areas((cells_folder() / LIBERTY).read_text(encoding="utf-8"))
+    more = 300 * (areas["SDFF_X1"] - areas["DFF_X1"])
+    more += 6 * (areas["CLKGATETST_X8"] - areas["CLKGATE_X8"])
+    assert "300 DFF_X1 by SDFF_X1" in told and "6 CLKGATE_X8 by CLKGATETST_X8" in told
+    assert f"{round(more)} um2 more, {more / 3000:.1%} of the area" in told
+    assert more > 400
 
 
 @pytest.mark.long
