@@ -43,6 +43,8 @@ def fpga_module() -> Board:
         pins=_along_the_edge(),
         device=("--um5g-85k", "--package", PACKAGE, "--speed", "8"),
         goal_mhz=preset.clock_mhz,
+        sampled="spad",
+        tick_ns=1000 / preset.clock_mhz / sensor.phases,
     )
 
 

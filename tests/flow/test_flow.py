@@ -139,6 +139,12 @@ def test_a_timing_tool_takes_the_constraints_of_the_asynchronous_view(tmp_path):
 
 @pytest.mark.long
 def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path):
+    """The clock, or the delays from a SPAD's line to its samplers: a tick of the preset is 1 ns."""
+
+    def sampled(line, delays):
+        endpoints = [{"delay": [delay, delay]} for delay in delays]
+        return {"driver": f"{line}$tr_io", "event": pnr.ASYNCHRONOUS, "endpoints": endpoints}
+
     def placed(board, netlist, seed):
         folder = tmp_path / str(seed)
         folder.mkdir(exist_ok=True)
@@ -148,17 +154,27 @@ def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path):
             "$glbnet$clk": {"achieved": reached_mhz if seed == 3 else 130.0, "constraint": 125.0}
         }
         path = {"from": "posedge clk", "to": "posedge clk", "path": [hop]}
+        nets = [
+            sampled("spad[0]", [2.0, 2.5, 2.9]),
+            sampled("spad[1]", [3.0, 3.0 + (skew if seed == 2 else 0.1)]),
+            sampled("rst_in", [1.0, 9.0]),
+        ]
         report = {"fmax": fmax, "utilization": used, "critical_paths": [path]}
+        report["detailed_net_timings"] = nets
         (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
         (folder / pnr.BITSTREAM).write_bytes(b"bits")
         return pnr.Placement(seed, folder)
 
     monkeypatch.setattr(pnr, "synthesize", lambda board: tmp_path)
     monkeypatch.setattr(pnr, "place_and_route", placed)
-    for reached_mhz, code in ((125.1, 0), (124.9, 1)):
+    for reached_mhz, skew, complaint in (
+        (125.1, 0.5, ""),
+        (124.9, 0.5, "seed 3: clk reaches 124.9 MHz"),
+        (125.1, 1.2, "seed 2: the delays of spad[1] to its samplers differ by 1.20 ns"),
+    ):
         result = command("pnr --out", tmp_path / "page.md")
-        assert result.exit_code == code
-        assert ("seed 3: clk reaches 124.9 MHz" in result.stderr) == bool(code)
-        assert f"| clk | 130.0 | 130.0 | {reached_mhz} | 130.0 | 130.0 |" in (
-            tmp_path / "page.md"
-        ).read_text(encoding="utf-8")
+        assert result.exit_code == bool(complaint)
+        assert complaint in result.stderr and bool(result.stderr) == bool(complaint)
+        page = (tmp_path / "page.md").read_text(encoding="utf-8")
+        assert f"| clk | 130.0 | 130.0 | {reached_mhz} | 130.0 | 130.0 |" in page
+        assert f"differ by at most {max(skew, 0.9):.2f} ns" in " ".join(page.split())

@@ -24,9 +24,11 @@ from coincid.flow.plain_names import plain_verilog
 from coincid.flow.register_files import IP_XACT, RDL
 from coincid.flow.release import CELLS_LIST, MANIFEST, write_release
 from coincid.flow.smoke import FPGA_SMOKE, SMOKE
+from coincid.flow.yosys import LIBERTY, cells_folder
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.front_end_views import view_at
 from coincid.hdl.sensor import FPGA_TOP, SensorTop
+from coincid.hdl.unit import Port
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import TOP
@@ -37,7 +39,7 @@ from coincid.model.shared.errors import InputError
 from coincid.model.shared.files import read_npz
 from coincid.tb import toolchain
 from coincid.tb.rtl import rtl
-from coincid.tools.wheels import run_yosys
+from coincid.tools.wheels import run_program, run_yosys
 
 from ..exports import EXPORTS, PASSED, complaint, readme_commands, write_export
 from ..random_cases import LEAN, SENSORS, random_edges
@@ -344,6 +346,53 @@ def test_constraints_have_minimum_and_maximum(releases, preset, top):
         }
         assert ports["min"] == ports["max"] and len(ports["min"]) >= 8
     assert not re.search(r"^set_(input|output)_delay \[", text, re.M)
+
+
+def registered_ports(sensor, top):
+    """Return a netlist with the ports of a top, in which a flip-flop takes each bit of an input and
+    drives each bit of an output.
+    """
+    ports = [Port("clk", 1, True), Port("rst", 1, True)]
+    ports += SensorTop(sensor, levels=top == FPGA_TOP).ports()
+    names = ", ".join(port.name for port in ports)
+    lines = [f"module {top} ({names});"]
+    for port in ports:
+        bits = f"[{port.width - 1}:0] " if port.width > 1 else ""
+        lines.append(f"  {'input' if port.is_input else 'output'} {bits}{port.name};")
+    for port in ports[1:]:
+        for k in range(port.width):
+            bit = f"{port.name}[{k}]" if port.width > 1 else port.name
+            pin = f".D({bit})" if port.is_input else f".D(rst), .Q({bit})"
+            lines.append(f"  DFF_X1 {port.name}_{k} (.CK(clk), {pin});")
+    return "\n".join([*lines, "endmodule", ""])
+
+
+@pytest.mark.needs("cells")
+@pytest.mark.parametrize(("preset", "top"), [("silicon", TOP), ("fpga", TOP), ("fpga", FPGA_TOP)])
+def test_a_timing_tool_takes_the_constraints(releases, tmp_path, preset, top):
+    """OpenSTA complains about nothing: every object exists, and every port has a constraint, but the
+    lines of SPADs, which know no clock.
+    """
+    (tmp_path / "netlist.v").write_text(
+        registered_ports(config(preset).sensor, top), encoding="utf-8"
+    )
+    shutil.copy(releases / preset / f"{top}.sdc", tmp_path / "top.sdc")
+    commands = [
+        f"read_liberty {cells_folder() / LIBERTY}",
+        "read_verilog netlist.v",
+        f"link_design {top}",
+        "read_sdc top.sdc",
+        "check_setup -no_clock -loops",
+        "" if top == FPGA_TOP else "check_setup -no_input_delay -unconstrained_endpoints",
+        'puts "PATHS"',
+        "report_checks -path_delay max",
+        "report_checks -path_delay min",
+    ]
+    (tmp_path / "check.tcl").write_text("\n".join([*commands, ""]), encoding="utf-8")
+    told = run_program(["sta", "-exit", "check.tcl"], tmp_path, "sta")
+    complaints, found, paths = told.partition("PATHS\n")
+    assert found and not re.search(r"Warning|Error", complaints), complaints
+    assert len(re.findall(r" slack \(", paths)) == 2, paths
 
 
 def test_constraints_of_the_fpga_top_bound_the_skew_of_the_lines(releases):
