@@ -37,8 +37,9 @@ class BusAccess(Unit):
     -----
     s_axi : AXI4-Lite slave, 32-bit data, 24-bit addresses; access : out, to the control
 
-    One access at a time; if both wait, reads and writes take turns. A write of less than a whole
-    word is answered with SLVERR. Reset drops accesses in progress.
+    One access at a time; if both wait, reads and writes take turns. A write of no byte asks for
+    nothing and is answered with OKAY, because adapters of the bus's width send such writes; a write
+    of some bytes of a word is answered with SLVERR. Reset drops accesses in progress.
     """
 
     unit_name = "coincid_bus_access"
@@ -53,6 +54,7 @@ class BusAccess(Unit):
         held_data = Signal()  # the value to write is there
         held_read = Signal()  # the address of a read is there
         whole = Signal()  # all bytes of the word are to be written
+        empty = Signal()  # none is
         to_write = Signal(ADDRESS_BITS)
         to_read = Signal(ADDRESS_BITS)
         m.d.comb += [
@@ -63,7 +65,12 @@ class BusAccess(Unit):
         with m.If(axi.awvalid & axi.awready):
             m.d.sync += [held_address.eq(1), to_write.eq(axi.awaddr)]
         with m.If(axi.wvalid & axi.wready):
-            m.d.sync += [held_data.eq(1), access.data.eq(axi.wdata), whole.eq(axi.wstrb.all())]
+            m.d.sync += [
+                held_data.eq(1),
+                access.data.eq(axi.wdata),
+                whole.eq(axi.wstrb.all()),
+                empty.eq(~axi.wstrb.any()),
+            ]
         with m.If(axi.arvalid & axi.arready):
             m.d.sync += [held_read.eq(1), to_read.eq(axi.araddr)]
         with m.If(axi.bvalid & axi.bready):
@@ -81,7 +88,7 @@ class BusAccess(Unit):
             with m.State("idle"):
                 m.d.sync += access.valid.eq(0)
                 with m.If(can_write & ~whole):
-                    m.d.sync += [axi.bvalid.eq(1), axi.bresp.eq(SLVERR)]
+                    m.d.sync += [axi.bvalid.eq(1), axi.bresp.eq(Mux(empty, OKAY, SLVERR))]
                 with m.Elif(can_write | can_read):
                     write = can_write & ~(can_read & wrote)
                     m.d.sync += [

@@ -66,8 +66,8 @@ def test_seeder(size):
 
 
 def test_bus_slave():
-    """Accesses take turns and are answered once; refusals and partial writes get SLVERR, and the
-    latter have no effect.
+    """Accesses take turns and are answered once; refusals and partial writes get SLVERR, writes
+    without strobes OKAY, and neither has an effect.
     """
     dut = BusAccess()
     memory, seen = {}, []
@@ -125,6 +125,7 @@ def test_bus_slave():
         assert (await read(ctx, 0x1000))[0] == SLVERR
         before = len(seen)
         assert await write(ctx, 0, 7, strobe=0b0111) == SLVERR
+        assert await write(ctx, 0, 7, strobe=0) == OKAY
         assert len(seen) == before and await read(ctx, 0) == (OKAY, 100)
         assert len(seen) == 15
 
