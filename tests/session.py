@@ -62,6 +62,7 @@ REFUSAL_CYCLES = 30  # of a start that is refused, with reading and clearing the
 WIDE_BITS = 9  # of a register whose values a short frame does not reach
 COPIES = ("_plain", "_inverse", "_by_turns", "_turn")  # ends of names of a voted register's parts
 CONTROL = ("registers", "sequencer", "readout", "controller")
+FRONT = ("registers", "registers.behind_port")  # units of the register front
 
 RESET_ALL = Access(0, 0, RESET, 0, 0)
 STATUS = registers.address("status")
@@ -413,7 +414,8 @@ def _upset_frames(script: Script) -> Iterator[Part]:
 def _upset_accesses(script: Script) -> Iterator[Part]:
     """Accesses between which flip-flops of the register front flip."""
     rng = script.rng
-    front = [_units(script.emission)["registers"]]
+    units = _units(script.emission)
+    front = [[register for name in FRONT for register in units[name]]]
     first = script.shortest
     begin = _after_frame(first)
     addresses = [access.address for access in script.reads]
@@ -444,7 +446,7 @@ def _upset_settings(script: Script) -> Iterator[Part]:
     begin = _after_frame(first)
     bits = []
     for name, unit in _units(script.emission).items():
-        if name == "registers" or ".settings" in name:
+        if name in FRONT or ".settings" in name:
             for register in unit:
                 bits += register
     for k in range(0, len(bits), UPSET_BITS):
