@@ -30,6 +30,7 @@ async def one_event(dut):
     registers = AxiLiteMaster(AxiLiteBus.from_prefix(dut, "s_axi"), dut.clk, dut.rst)
     stream = AxiStreamSink(AxiStreamBus.from_prefix(dut, "m_axis"), dut.clk, dut.rst)
     dut.spad_0.value = 0
+    dut.test_enable.value = 0
     dut.rst.value = 1
     for _ in range(4):
         await RisingEdge(dut.clk)
