@@ -669,6 +669,8 @@ def pnr(
     placements = pnr.place(board)
     pnr.write_placement_page(board, placements, out)
     print(out or board.page)
+    for line in pnr.skewed(board, placements):
+        print(f"coincid: warning: {line}", file=sys.stderr)
     _all_met(pnr.missed(board, placements))
 
 
