@@ -5,6 +5,8 @@ The events of a pulse constrain the firing time of each pixel of the subgroup:
 
 - The winner fired at the stamp.
 - A pixel in the map fired inside the window, and not before its minigroup's offset (format full).
+  Of the pixels that fire in one tick, the one with the lowest number wins. So a pixel with a lower
+  number than the winner's fired after the stamp.
   It fired at that offset if it was the first of its minigroup. The probability of this follows from
   the approximate surface times of the other pixels (`first_shares`).
 - A pixel outside the map did not fire inside the window, nor while the tree waited for its first
@@ -33,6 +35,10 @@ from .vector_math import fast_log
 
 REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
 RARE = 1e-6  # lowest probability: effects that the law does not include happen, too
+WON = 0  # how an event hit a pixel: it won,
+LOWER = 1  # or its number is lower than the winner's,
+HIGHER = 2  # or higher
+WAYS = 3
 KEPT = 32  # tables of F, at most: those of the next frame are mostly the same
 ALIKE = 0.2  # pixels of a minigroup are treated alike if their shares differ by less
 
@@ -72,7 +78,7 @@ class Pixels(NamedTuple):
     total: np.ndarray  # float32[pixels, bins * lights], log likelihoods; only where `touched`
     touched: np.ndarray  # bool[pixels, bins]
     counted: np.ndarray  # int64[pixels], event in which the pixel was hit last
-    number: np.ndarray  # int64[2, pixels], of `_count`
+    number: np.ndarray  # int64[WAYS, pixels], of `_count`
     hit: np.ndarray  # int64[pixels], of `_count`
 
 
@@ -307,15 +313,17 @@ def _add_hits(
     groups = 1
     if len(events.shares):
         groups = events.offset.shape[1]
-    for group in range(-1, groups):  # one at a time, because its pixels share rows; -1: the winner
-        hit = _hit_of(law, events, e, group, pixels.minigroup)
+    for turn in range(1 + 2 * groups):  # one at a time, because its pixels share rows
+        way = WON if turn == 0 else LOWER + (turn - 1) % 2
+        group = (turn - 1) // 2  # no minigroup for the winner
+        hit = _hit_of(law, events, e, way, group, pixels.minigroup)
         of_row = np.float32(-1.0)  # share for which the row holds; negative: for no other pixel
         for n in range(hit_pixels):
             i = pixels.hit[n]
-            number = pixels.number[np.int64(group < 0), i]
+            number = pixels.number[way, i]
             if number == 0 or not pixels.mask[i] or cluster.begin <= pixels.counted[i] < e:
                 continue
-            if groups > 1 and group >= 0 and pixels.minigroup[i] != group:
+            if groups > 1 and way != WON and pixels.minigroup[i] != group:
                 continue
             pixels.counted[i] = e
             share = np.float32(0.0)
@@ -324,7 +332,7 @@ def _add_hits(
             usual = pixels.activity[i] == 1
             low = k0
             high = k1
-            if not usual or (group < 0 and len(cluster.alike) == 1):  # no pixel shares this row
+            if not usual or (way == WON and len(cluster.alike) == 1):  # no pixel shares this row
                 low = max(k0, pixels.first[i])
                 high = min(k1, pixels.first[i] + pixels.touched.shape[1])
                 of_row = np.float32(-1.0)
@@ -337,22 +345,23 @@ def _add_hits(
 
 
 @part
-def _hit_of(law: Law, events: SubgroupEvents, e: int, group: int, minigroup: np.ndarray) -> _Hit:
-    """Return when the pixels of a minigroup in the map of event e fired.
-
-    Group -1 is the winner alone.
-    """
+def _hit_of(
+    law: Law, events: SubgroupEvents, e: int, way: int, group: int, minigroup: np.ndarray
+) -> _Hit:
+    """Return when the pixels of a minigroup that event e hit in one of the `WAYS` fired."""
     stamp = events.stamp[e]
+    if way == WON:
+        return _Hit(stamp, stamp, stamp + 1)
     begin = stamp
     own = stamp
-    until = stamp + law.window
-    if group < 0:
-        until = stamp + 1
-    elif len(events.shares) and group != minigroup[events.winner[e]]:
+    if len(events.shares) and group != minigroup[events.winner[e]]:
         offset = events.offset[e, group]
         if offset != OFFSET_NONE:
             begin, own = _ticks_of(law, stamp, offset)
-    return _Hit(begin, own, until)
+    if way == LOWER:
+        begin = max(begin, stamp + 1)
+        own = max(begin, own)
+    return _Hit(begin, own, stamp + law.window)
 
 
 @part
@@ -366,27 +375,26 @@ def _ticks_of(law: Law, stamp: int, offset: int) -> tuple[int, int]:
 
 @part
 def _count(events: SubgroupEvents, e: int, alike: np.ndarray, pixels: Pixels) -> int:
-    """Count how often each pixel was hit without winning, and won, in event e and those alike.
+    """Count how often each pixel was hit, in event e and those alike, in each of the `WAYS`.
 
-    `number` of `pixels` gets both, and `hit` the pixels with a hit. Return how many these are.
+    `number` of `pixels` gets the counts, and `hit` the pixels with a hit. Return how many these
+    are.
     """
-    hits = events.hits
-    winner = events.winner
     number = pixels.number
-    hit = pixels.hit
-    for i in range(number.shape[1]):
-        number[0, i] = 0
-        number[1, i] = 0
+    number[:] = 0
+    pixels_of_subgroup = number.shape[1]
     for k in range(len(alike)):
         x = alike[k] if k else e
-        for i in range(number.shape[1]):
-            number[0, i] += np.int64(is_hit(hits, x, i))
-        number[0, winner[x]] -= 1
-        number[1, winner[x]] += 1
+        winner = events.winner[x]
+        for i in range(winner):
+            number[LOWER, i] += np.int64(is_hit(events.hits, x, i))
+        number[WON, winner] += 1
+        for i in range(winner + 1, pixels_of_subgroup):
+            number[HIGHER, i] += np.int64(is_hit(events.hits, x, i))
     n = 0
-    for i in range(number.shape[1]):
-        if number[0, i] or number[1, i]:
-            hit[n] = i
+    for i in range(pixels_of_subgroup):
+        if number[WON, i] or number[LOWER, i] or number[HIGHER, i]:
+            pixels.hit[n] = i
             n += 1
     return n
 
@@ -539,33 +547,35 @@ def fired_table(
     return margin, fired[np.clip(half_ticks, 0, 4 * reach)].ravel()
 
 
-@njit
-def chances_to_be_heard(
-    silent: np.ndarray,
-    every: int,
-    origin: int,
-    span: int,
-    step: int,
-    lights: int,
-    alive: np.float32,
-) -> np.ndarray:
-    """float32[kinds, span * lights]: `Law.heard` or `Law.sharp`.
+@njit(error_model="numpy")
+def chances_to_be_heard(law: Law, silent: np.ndarray, every: int, span: int) -> np.ndarray:
+    """float32[kinds, span * lights]: `Law.heard` or `Law.sharp`: means over the times at which a
+    pixel fires.
 
-    silent: float32[kinds, points], as in `Unheard`, a point for every `every` ticks. The others are
-    fields of `Law`; span: number of times.
+    silent: float32[kinds, points], as in `Unheard`, a point for every `every` ticks. span: number
+    of times.
     """
-    heard = np.empty((len(silent), span * lights), np.float32)
-    last = silent.shape[1] - 1
-    for k in range(span):
-        middle = (origin + k) * step + step // 2 + 0.5
-        place = min(max(middle / every - 0.5, 0.0), float(last))
-        before = int(place)
-        after = min(before + 1, last)
-        part = np.float32(place - before)
+    heard = np.zeros((len(silent), span * law.lights), np.float32)
+    fired = np.zeros(span * law.lights, np.float32)
+    points = silent.shape[1]
+    for p in range(points):
+        begin = p * every
+        k0, k1 = reached(law, begin, begin + every, span)
+        if k0 >= k1:
+            continue
+        by_begin = law.fired[_by_tick(law, begin if p else NEVER, k0, k1)]
+        by_end = law.fired[_by_tick(law, begin + every if p < points - 1 else -NEVER, k0, k1)]
+        here = fired[k0 * law.lights : k1 * law.lights]
+        for j in range(len(here)):
+            here[j] += by_end[j] - by_begin[j]
         for kind in range(len(silent)):
-            share = silent[kind, before] + part * (silent[kind, after] - silent[kind, before])
-            for j in range(k * lights, (k + 1) * lights):
-                heard[kind, j] = alive * (np.float32(1) - share)
+            chance = np.float32(1) - silent[kind, p]
+            line = heard[kind, k0 * law.lights : k1 * law.lights]
+            for j in range(len(line)):
+                line[j] += chance * (by_end[j] - by_begin[j])
+    for kind in range(len(silent)):
+        for j in range(len(fired)):
+            heard[kind, j] *= law.alive / max(fired[j], np.float32(RARE))
     return heard
 
 

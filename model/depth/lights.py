@@ -17,6 +17,8 @@ LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pi
 LEARNING_ROUNDS = 30  # in which the shares of the lights converge
 LIGHT_SPAN = 4.0  # lights more than so many times from those of a subgroup's seeds are left out
 NEGLIGIBLE = -1.0  # log likelihood ratio, below which a mean is not worth its exponentials
+NARROW = np.float32(4.0)  # second difference from which on the steps of the lights are too coarse
+TURN = np.float32(2 * np.pi)
 BLOCK = 32  # times that are averaged together
 
 
@@ -78,6 +80,8 @@ class _Work(NamedTuple):
     ratio: np.ndarray  # float32[BLOCK], logarithm of the mean over the highest
     best: np.ndarray  # int32[BLOCK], number of the likeliest light
     line: np.ndarray  # float32[BLOCK * lights], log likelihoods of a pixel
+    prior: np.ndarray  # float32[lights]
+    step: np.float32  # logarithm of the factor from light to light
 
 
 class _Levels(NamedTuple):
@@ -141,6 +145,7 @@ def mean_over_lights(
     common: np.ndarray,
     pixels: Pixels,
     prior: np.ndarray,
+    step: np.float32,
     lightest: int,
     place: np.ndarray,
     level: np.ndarray,
@@ -149,7 +154,7 @@ def mean_over_lights(
     """Compute the logarithm of the mean over the lights, and the likeliest light.
 
     A masked pixel favours no time. common, pixels: from `add_events`; `common` is used up. prior:
-    float32[lights]. lightest: index of the first light in the grid. place: int64[pixels], row of
+    float32[lights]. step: logarithm of the factor from light to light. lightest: index of the first light in the grid. place: int64[pixels], row of
     each pixel in the results, level and light.
     """
     lights = len(prior)
@@ -160,6 +165,8 @@ def mean_over_lights(
         ratio=np.zeros(BLOCK, np.float32),
         best=np.zeros(BLOCK, np.int32),
         line=np.empty(BLOCK * lights, np.float32),
+        prior=prior,
+        step=step,
     )
     of_all = _Levels(np.empty(times, np.float32), np.empty(times, np.uint8))
     _mean_of_all(common, prior, lightest, work, of_all)
@@ -274,5 +281,41 @@ def _mean(line: np.ndarray, lightest: int, work: _Work, out: _Levels) -> None:
                 ratio[k] += fast_exp(values[x, k] - top[k])
         for k in range(BLOCK):
             ratio[k] = fast_log(ratio[k])
+        _look_between(work, n)
         for k in range(n):
             out.level[k] = top[k] + (ratio[k] if top[k] > NEGLIGIBLE else np.float32(0))
+
+
+@part(error_model="numpy")
+def _look_between(work: _Work, n: int) -> None:
+    """Where the lights are too coarse for the likelihood, replace the mean over them, relative to
+    the likeliest, by that over the lights between them, for n times.
+
+    Between three lights, the log likelihood is a log(light) - b light + c, as that of a number of
+    hits. It is highest at a / b; its mean is that of a Gaussian in log(light).
+    """
+    values = work.values
+    prior = work.prior
+    lights = len(values)
+    one = np.float32(1)
+    grow = np.exp(work.step)
+    bend_of_unit = grow + one / grow - np.float32(2)
+    for k in range(n):
+        x = work.best[k]
+        if x == 0 or x == lights - 1:
+            continue
+        below = values[x - 1, k] - values[x, k] - prior[x - 1] + prior[x]
+        above = values[x + 1, k] - values[x, k] - prior[x + 1] + prior[x]
+        bend = -(below + above)
+        if bend < NARROW:
+            continue
+        b = bend / bend_of_unit  # times the middle light
+        a = (above + b * (grow - one)) / work.step
+        if a <= 0:
+            continue
+        off = min(work.step, max(-work.step, fast_log(a / b)))  # to the highest, logarithm
+        light = np.exp(off)
+        side = x + 1 if off > 0 else x - 1
+        between = abs(off) / work.step * (prior[side] - prior[x])
+        spread = fast_log(TURN / (a * work.step * work.step))
+        work.ratio[k] = a * off - b * (light - one) + between + np.float32(0.5) * spread

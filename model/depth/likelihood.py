@@ -23,6 +23,7 @@ from ..contract.pixels import pixel_table
 from .clusters import SubgroupEvents, cluster_events
 from .evidence import (
     REACH_SIGMAS,
+    WAYS,
     Law,
     Pixels,
     add_events,
@@ -32,7 +33,7 @@ from .evidence import (
 )
 from .histograms import Events, by_subgroup
 from .lights import add_light_chances, learned_prior, lights_near, mean_over_lights, prior_of_met
-from .unheard import BLIND_MAX, Spread, Unheard
+from .unheard import BLIND_MAX, Guess, Spread, Unheard
 
 DEAD_S = 8e-9  # dead time of a SPAD (paper II)
 QUIET_RATE = 1e-7  # photons per tick and pixel, at least: some background is everywhere
@@ -52,13 +53,6 @@ class Levels(NamedTuple):
     level: np.ndarray  # float32, log likelihood ratio
     light: np.ndarray  # uint8, index of the likeliest light
     prior: np.ndarray  # float32[L], log probability of each light
-
-
-class Guess(NamedTuple):
-    """Prior knowledge of the pixels, [subgroups, pixels]."""
-
-    time: np.ndarray  # float64, ticks; NaN = unknown
-    light: np.ndarray  # float64, photons per pulse
 
 
 class _Frame(NamedTuple):
@@ -148,13 +142,14 @@ def log_likelihood(
     level = np.empty((sensor.array_pixels, bins), np.float32)
     light = np.empty((sensor.array_pixels, bins), np.uint8)
     place = by_subgroup(np.arange(sensor.array_pixels), sensor)
+    ratio = np.float32(math.log(grid.lights[-1] / grid.lights[0]) / max(1, len(grid.lights) - 1))
 
     def average(s: int, prior: np.ndarray, evidence: _Evidence) -> None:
         own_prior = prior_of_met(prior) if events.threshold[s] > 1 else prior
         own_prior = np.ascontiguousarray(own_prior[lights[s]])
         lightest = lights[s].start
         common, pixels = evidence
-        mean_over_lights(common, pixels, own_prior, lightest, place[s], level, light)
+        mean_over_lights(common, pixels, own_prior, ratio, lightest, place[s], level, light)
 
     if grid.prior is not None:
         prior = grid.prior
@@ -192,7 +187,7 @@ def _evidence(frame: _Frame, s: int) -> _Evidence:
         total=np.empty((number, frame.bins * law.lights), np.float32),
         touched=np.zeros((number, frame.bins), np.bool_),
         counted=np.full(number, -1),
-        number=np.empty((2, number), np.int64),
+        number=np.empty((WAYS, number), np.int64),
         hit=np.empty(number, np.int64),
     )
     return _Evidence(add_events(law, own, pixels), pixels)
@@ -216,11 +211,8 @@ def _law(frame: _Frame, s: int) -> Law:
     alive = np.float32(1 - min(BLIND_MAX, noise * DEAD_S / config.tick_s))
     kinds = 1 + int(frame.clusters[s].overrun.any())
 
-    def chances(silent: np.ndarray) -> np.ndarray:
-        own = silent[:kinds, s]
-        return chances_to_be_heard(own, never.every, origin, span, step, len(lights), alive)
-
-    return Law(
+    none = np.empty((0, 0), np.float32)
+    law = Law(
         window=window,
         told=window if events.mapped else 1,
         phases=config.sensor.phases,
@@ -232,10 +224,14 @@ def _law(frame: _Frame, s: int) -> Law:
         noise=noise,
         alive=alive,
         pulses=frame.pulses,
-        heard=chances(never.missed),
-        sharp=chances(never.blind),
+        heard=none,
+        sharp=none,
         margin=margin,
         fired=fired,
+    )
+    return law._replace(
+        heard=chances_to_be_heard(law, never.missed[:kinds, s], never.every, span),
+        sharp=chances_to_be_heard(law, never.blind[:kinds, s], never.every, span),
     )
 
 

@@ -369,6 +369,32 @@ def _plane_of(field: Field, planes: Planes, rr: int, cc: int, r: int, c: int) ->
 
 
 @part
+def plane_at(field: Field, planes: Planes, r: int, c: int, down: float, right: float) -> float:
+    """Return the time of the plane of pixel (r, c) so many pixels down and right."""
+    by = planes.down[r, c] * down + planes.right[r, c] * right
+    return _along(field, planes.time[r, c], by)
+
+
+@part
+def own_level(
+    field: Field, planes: Planes, r: int, c: int, steps: int
+) -> tuple[float, float, np.float32]:
+    """Return what a pixel itself says about the time some steps from the one nearest to its plane.
+
+    That is, the length of a step in ticks, the nearest time, and the log likelihood; steps are those
+    of the wider one of the pulses of this plane.
+    """
+    width = _width(field, planes.down[r, c], planes.right[r, c])
+    place = _place(field.best.shape[1], r, c)
+    k = int(np.ceil(width))
+    step = 1 / field.scale[k]
+    middle = field.first[k, place] + step * (
+        np.rint(_bin(field, k, place, planes.time[r, c])) + 0.5
+    )
+    return step, middle, _level(field, field.own, width, place, middle + steps * step)
+
+
+@part
 def _slope_cost(down: float, right: float) -> np.float32:
     """Return by how much a plane's slopes, in ticks per pixel, lower its score (a logarithm)."""
     rarity = (1 + (down / SLOPE) ** 2) * (1 + (right / SLOPE) ** 2)

@@ -19,16 +19,18 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from attrs import evolve
 
 from ..contract.config import Config
 from ..shared.threads import Threads
 from . import portable
 from .histograms import Events, by_subgroup, hits_away
-from .likelihood import Grid, Guess, Levels, log_likelihood
+from .likelihood import Grid, Levels, log_likelihood
 from .patchmatch import Field, fit_planes, level_on, posterior, widened
 from .portable import geometric_steps
+from .refine import refine
 from .seeds import LEAST, Blocks, find_seeds, seed_scores
-from .unheard import unheard
+from .unheard import Guess, unheard
 
 COARSE_SIGMAS = 1.4  # step of the first grid
 COARSE_LIGHTS = geometric_steps(0.02, 40, 7).astype(np.float32)  # photons per pulse
@@ -50,6 +52,7 @@ HOT = 2.0  # background relative to the mean from which on a pixel's own value i
 ACTIVITY_HITS = 10.0  # weight of the prior, in hits
 NEAR_SIGMAS = 3.0  # from a seed to stamps that may be its light
 BLOCK_ROWS = 4
+BEND_MIN = 0.1  # of a log likelihood at a peak, per squared bin: less has no peak
 RETURN_SCORE = (
     12.0  # score of a further return with its neighbours: reached by accident once in a hundred,
 )
@@ -102,17 +105,20 @@ def find_surfaces(
     light = np.take_along_axis(lights, chosen, 2)[:, :, 0]
     seed = found.time(step)
     guess = Guess(
-        time=by_subgroup(seed, sensor),
+        time=by_subgroup(seed + step * _peak_offset(level, found.bin), sensor),
         light=coarse_lights[by_subgroup(light, sensor)].astype(np.float64),
     )
+    never = unheard(events, config, pulses, sigma_ticks, threads.map, guess)
     activity = _activity(events, guess.time, sigma_ticks)
     bins = round(BINS_SIGMAS * sigma_ticks)
     middle = np.nan_to_num(seed)
     first = _first(middle, 1, bins)
 
+    told = evolve(events, offset=events.offset[:, :0])
+
     def around(width: int, first: np.ndarray, prior: np.ndarray | None = None) -> Levels:
         return log_likelihood(
-            events,
+            told,
             config,
             width * sigma_ticks,
             pulses,
@@ -129,13 +135,27 @@ def find_surfaces(
     again = partial(around, prior=levels.prior)
     field = Field.of([levels.level], [first], sigma_ticks, blocks)
     planes = fit_planes(field, blocks)
+    if events.offset.shape[1]:  # what an offset says depends on the other pixels' surfaces
+        sharper = refine(field, planes, blocks).planes.time
+        inside = np.clip(np.floor(sharper) - first, 0, bins - 1).astype(np.int64)[:, :, None]
+        own_light = fine_lights[np.take_along_axis(levels.light, inside, 2)[:, :, 0]]
+        guess = Guess(
+            time=np.where(np.isnan(guess.time), np.nan, by_subgroup(sharper, sensor)),
+            light=by_subgroup(own_light, sensor).astype(np.float64),
+        )
+        told = events
+        levels = around(1, first, levels.prior)
+        field = Field.of([levels.level], [first], sigma_ticks, blocks)
+        planes = fit_planes(field, blocks)
     slanted = widened(planes.down, planes.right, sigma_ticks) > 4**SLANTED
     if np.mean(slanted) > SLANTED_SHARE:
         wide = _in_perspective(levels.level, middle, again, sigma_ticks, blocks)
         in_space = fit_planes(wide, blocks)
         if np.mean(level_on(wide, in_space) - level_on(field, planes)) > SPREAD_GAIN:
             field, planes = wide, in_space
+    planes, fine_error = refine(field, planes, blocks)
     confidence, error = posterior(field, planes, tolerance_ticks, blocks)
+    error = np.where(np.isnan(fine_error), error, fine_error)
     seen = found.bin >= 0
     time = np.where(seen, np.clip(planes.time, 0, config.period_ticks), np.nan)
     confidence = np.where(seen, confidence * found.chance(bins // 2 // step), 0.0)
@@ -185,6 +205,20 @@ def _first(middle: np.ndarray, width: int, bins: int) -> np.ndarray:
     `width` ticks before it.
     """
     return np.floor(middle / width).astype(np.int64) - bins // 2
+
+
+def _peak_offset(level: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """float64[rows, cols]: from the middle of the chosen bin to the peak of the parabola through it
+    and the bins beside it, in bins; at most half a bin.
+
+    level: float32[rows, cols, bins]. chosen: int64[rows, cols].
+    """
+    inner = np.clip(chosen, 1, level.shape[2] - 2)[:, :, None]
+    before = np.take_along_axis(level, inner - 1, 2)[:, :, 0].astype(np.float64)
+    here = np.take_along_axis(level, inner, 2)[:, :, 0].astype(np.float64)
+    after = np.take_along_axis(level, inner + 1, 2)[:, :, 0].astype(np.float64)
+    bend = np.maximum(2 * here - before - after, BEND_MIN)
+    return np.clip((after - before) / 2 / bend, -0.5, 0.5)
 
 
 def _in_perspective(

@@ -7,6 +7,9 @@ from the share of pulses with an event at that time. Drops come in bursts: the f
 pulse fill the FIFO, and the following ones are lost until there is room again. So if the later of
 two events carries `overrun`, the silence between them is informative only from the time at which
 there was room; this time follows from the rate of windows.
+
+Where surfaces and lights of the pixels are roughly known, the frequencies follow from these instead
+(`tree.py`).
 """
 
 import math
@@ -24,10 +27,12 @@ from . import portable
 from .clusters import armed_ticks, gate_moved
 from .evidence import RARE, REACH_SIGMAS
 from .histograms import Events
+from .tree import Tree, kept_shares, light_by_tick, light_scale, unheard_in
 from .vector_math import fast_log
 
 BLIND_MAX = 0.95
 DROPPING_ROUNDS = 3  # rounds in which the rate of windows and the stored share of them converge
+TRUST_MAX = 0.97  # in the light of a subgroup: from there on, shares of windows are not asked
 RATE_MIN = 1e-3  # photons per subgroup and window, at least
 SHARES = 512  # shares of events for which the number of photons is tabulated
 PHOTONS_MAX = 1e3  # in a window, and number of steps up to it: for a rule of a user's own
@@ -40,8 +45,8 @@ Spread = Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]
 class Unheard(NamedTuple):
     """Probabilities that a firing pixel leaves no trace in a pulse without an event nearby.
 
-    Both are float32[2, subgroups, points], by the time of the pixel's surface. Index 1 holds
-    between two events of which the later one carries `overrun`; only there are windows dropped.
+    Both are float32[2, subgroups, points], by the tick of the photon. Index 1 holds between two
+    events of which the later one carries `overrun`; only there are windows dropped.
     """
 
     missed: np.ndarray  # its window misses the threshold, finds the tree not armed, or is dropped
@@ -49,48 +54,76 @@ class Unheard(NamedTuple):
     every: int  # ticks from point to point
 
 
-class _Pulse(NamedTuple):
-    """How the photons of a surface are spread."""
+class Guess(NamedTuple):
+    """Prior knowledge of the pixels, [subgroups, pixels]."""
 
-    every: int  # ticks from point to point
-    reach: int  # ticks from the centre of the pulse to its beginning and end
-    shape: np.ndarray  # float32[n], in steps of `every` ticks; the sum is 1
+    time: np.ndarray  # float64, ticks; NaN = unknown
+    light: np.ndarray  # float64, photons per pulse
 
 
 def unheard(
-    events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map
+    events: Events,
+    config: Config,
+    pulses: int,
+    sigma_ticks: float,
+    spread: Spread = map,
+    guess: Guess | None = None,
 ) -> Unheard:
-    """Estimate from the subgroups' events how often photons leave no trace.
+    """Estimate how often photons leave no trace: from the subgroups' events, or from a guess of the
+    light.
 
     pulses: number of pulses in which the events came; spread: as in `log_likelihood`.
     """
     sensor = config.sensor
-    pulse = _pulse_of(sigma_ticks)
-    points = -(-config.period_ticks // pulse.every)
+    every = max(1, int(sigma_ticks))
+    reach = math.ceil(REACH_SIGMAS * sigma_ticks)
+    points = -(-config.period_ticks // every)
     missed = np.empty((2, sensor.subgroups, points), np.float32)
     blind = np.empty((2, sensor.subgroups, points), np.float32)
+    before = special.ndtr(np.arange(-2 * reach, 2 * reach + 1) / 2 / sigma_ticks)
 
     def of_subgroup(s: int) -> None:
-        of_ticks, dropping = _ticks_of(events, config, pulses, pulse.reach, s)
+        of_ticks, dropping = _ticks_of(events, config, pulses, reach, s)
         law = rises(sensor.rule, sensor.subgroup, int(events.threshold[s]))
-        least = np.float32(_event_share(law, events.photon_rate[s] * int(events.window[s])))
         kinds = 1 + dropping
-        _leave_no_trace(of_ticks, least, _shares(law), pulse, kinds, missed[:, s], blind[:, s])
+        tree = Tree(
+            window=int(events.window[s]),
+            phases=sensor.phases,
+            rearm=sensor.rearm,
+            kept=kept_shares(law, sensor.pixels),
+        )
+        signal = np.empty(0)
+        scale = 1.0
+        trust = 0.0
+        noise = float(events.photon_rate[s]) * (1 - 1 / sensor.pixels)
+        if guess is not None:
+            time = np.where(config.mask[s], guess.time[s], np.nan)
+            signal = light_by_tick(time, guess.light[s], before, config.period_ticks)
+            seen = float(of_ticks.committed[signal > 0].sum())
+            scale, trust = light_scale(signal, noise, tree, of_ticks.seen, seen, pulses)
+        if trust < TRUST_MAX:
+            least = np.float32(_event_share(law, events.photon_rate[s] * int(events.window[s])))
+            _leave_no_trace(of_ticks, least, _shares(law), every, kinds, missed[:, s], blind[:, s])
+        if trust > 0:
+            lit = np.empty((2, 2, points), np.float32)
+            _leave_no_trace_in(of_ticks, signal * scale, noise, tree, every, kinds, lit[0], lit[1])
+            share = np.float32(trust if trust < TRUST_MAX else 1)
+            for kind in range(kinds):
+                missed[kind, s] = _mixed(missed[kind, s], lit[0, kind], share)
+                blind[kind, s] = _mixed(blind[kind, s], lit[1, kind], share)
         if not dropping:
             missed[1, s] = missed[0, s]
             blind[1, s] = blind[0, s]
 
     list(spread(of_subgroup, range(sensor.subgroups)))
-    return Unheard(missed, blind, pulse.every)
+    return Unheard(missed, blind, every)
 
 
-def _pulse_of(sigma_ticks: float) -> _Pulse:
-    """Return a Gaussian pulse; each point is a mean over its ticks already."""
-    every = max(1, int(sigma_ticks))
-    reach = math.ceil(REACH_SIGMAS * sigma_ticks)
-    taps = np.arange(-(reach // every), reach // every + 1) * every
-    chances = portable.exp(-0.5 * taps**2 / (sigma_ticks**2 - (every**2 - 1) / 12))
-    return _Pulse(every, reach, (chances / chances.sum()).astype(np.float32))
+def _mixed(rough: np.ndarray, lit: np.ndarray, share: np.float32) -> np.ndarray:
+    """Return a mean of two lines. share: the weight of the second; at 1, the first may be empty."""
+    if share == 1:
+        return lit
+    return rough + share * (lit - rough)
 
 
 def _ticks_of(
@@ -127,6 +160,7 @@ def _ticks_of(
     if config.gating[s]:
         seen = np.repeat(_gate_share(config, s), sensor.phases).astype(np.float32)
     of_ticks = _Ticks(
+        committed=np.bincount(stamp, minlength=ticks) * dropped,
         covered=_share_between(stamp, stamp + window, dropped, pulses),
         nearby=nearby,
         busy=busy,
@@ -254,6 +288,7 @@ def _share_between(
 class _Ticks(NamedTuple):
     """What is known of the ticks of a subgroup's period, float32[ticks], each per pulse."""
 
+    committed: np.ndarray  # float64[ticks], windows that opened at a tick, in all pulses
     covered: np.ndarray  # windows over a tick
     nearby: np.ndarray  # the same for windows with their surroundings; 0 if nothing is dropped
     busy: np.ndarray  # windows from their stamp until the tree is armed; 0 if nothing is dropped
@@ -315,21 +350,19 @@ def _leave_no_trace(
     of_ticks: _Ticks,
     least: np.float32,
     shares: _Shares,
-    pulse: _Pulse,
+    every: int,
     kinds: int,
     missed: np.ndarray,
     blind: np.ndarray,
 ) -> None:
     """Compute missed and blind, float32[2, points], of `Unheard` for one subgroup.
 
-    They are means over the arrival times of a surface's photons. least: share of the windows that
-    become events by background alone. kinds: 2 if windows are dropped, else 1.
+    least: share of the windows that become events by background alone. kinds: 2 if windows are
+    dropped, else 1.
     """
     covered = of_ticks.covered
     deaf = of_ticks.deaf
     ticks = len(covered)
-    points = missed.shape[1]
-    reach = len(pulse.shape) // 2
     one = np.float32(1)
     highest_place = np.float32(SHARES - 1.001)
     share = np.empty(ticks, np.float32)
@@ -338,7 +371,6 @@ def _leave_no_trace(
     dark = np.empty(ticks, np.float32)
     lost = np.empty(ticks, np.float32)
     unarmed = np.empty(ticks, np.float32)
-    line = np.empty(points + 2 * reach, np.float32)
     for kind in range(kinds):
         for t in range(ticks):
             share[t] = max(covered[t] / (one - deaf[t]), least)
@@ -355,32 +387,56 @@ def _leave_no_trace(
             lost[t] = one - of_ticks.seen[t] * (one - min(one, (one - awake * met[t]) / silent))
             off = min(np.float32(BLIND_MAX), deaf[t] + of_ticks.busy[t]) if kind else deaf[t]
             unarmed[t] = off / (off + (one - off) * dark[t])
-        _mean_over_pulse(lost, pulse, line, missed[kind])
-        _mean_over_pulse(unarmed, pulse, line, blind[kind])
+        _mean_over_ticks(lost, every, missed[kind])
+        _mean_over_ticks(unarmed, every, blind[kind])
 
 
-@part(error_model="numpy")
-def _mean_over_pulse(
-    values: np.ndarray, pulse: _Pulse, line: np.ndarray, means: np.ndarray
+@njit(error_model="numpy")
+def _leave_no_trace_in(
+    of_ticks: _Ticks,
+    signal: np.ndarray,
+    noise: float,
+    tree: Tree,
+    every: int,
+    kinds: int,
+    missed: np.ndarray,
+    blind: np.ndarray,
 ) -> None:
-    """Compute the mean of values by tick, over each point's ticks and the pulse.
+    """Compute missed and blind, float32[2, points], of `Unheard` for one subgroup with known light.
 
-    line: workspace, float32[points + 2 * reach].
+    signal, noise: of `unheard_in`. kinds: 2 if windows are dropped, else 1.
     """
-    points = len(means)
-    reach = len(pulse.shape) // 2
-    for j in range(points):
-        begin = j * pulse.every
-        end = min(len(values), (j + 1) * pulse.every)
+    ticks = len(signal)
+    one = np.float32(1)
+    lost = np.empty(ticks, np.float32)
+    unarmed = np.empty(ticks, np.float32)
+    kept = np.empty(ticks, np.float32)
+    unheard_in(signal, noise, tree, lost, unarmed)
+    for t in range(ticks):
+        kept[t] = of_ticks.seen[t] * (one - lost[t])
+        lost[t] = one - kept[t]
+    _mean_over_ticks(lost, every, missed[0])
+    _mean_over_ticks(unarmed, every, blind[0])
+    if kinds == 1:
+        return
+    for t in range(ticks):
+        share = min(one, of_ticks.covered[t])
+        met = one - (one - kept[t]) * (one - share)
+        noticed = min(one, max(share, of_ticks.nearby[t]))
+        silent = max(one - of_ticks.room[t] * noticed, np.float32(RARE))
+        lost[t] = min(one, (one - of_ticks.room[t] * met) / silent)
+        unarmed[t] = max(unarmed[t], min(np.float32(BLIND_MAX), of_ticks.busy[t]))
+    _mean_over_ticks(lost, every, missed[1])
+    _mean_over_ticks(unarmed, every, blind[1])
+
+
+@part
+def _mean_over_ticks(values: np.ndarray, every: int, means: np.ndarray) -> None:
+    """Compute the mean of values by tick, over each point's ticks."""
+    for j in range(len(means)):
+        begin = j * every
+        end = min(len(values), (j + 1) * every)
         total = np.float32(0)
         for t in range(begin, end):
             total += values[t]
-        line[reach + j] = total / np.float32(end - begin)
-    for i in range(reach):
-        line[i] = line[reach]
-        line[reach + points + i] = line[reach + points - 1]
-    for j in range(points):
-        means[j] = 0
-    for i in range(len(pulse.shape)):
-        for j in range(points):
-            means[j] += pulse.shape[i] * line[i + j]
+        means[j] = total / np.float32(end - begin)

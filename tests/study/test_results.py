@@ -114,21 +114,21 @@ INTERFERENCE = dict(
     PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "f1b6a1bd02092015"),
-    "sim": (sim, "93dd64531ae48f70"),
-    "sweep": (sweep, "c722601e9ccfee6d"),
-    "explorer": (explorer, "3f36b05e10e88d56"),
+    "library": (library, "067d6f1248b5da39"),
+    "sim": (sim, "aa73dafec03e0bda"),
+    "sweep": (sweep, "b7e5db9a8c08f85c"),
+    "explorer": (explorer, "6fb7551f7abad570"),
     "surfaces": (surface, "56076c599e3d1736"),
-    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "84c6b4b042f08787"),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "6db44219d69e7d12"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "cb2fe70284e73fa9",
+        "f2236f01fc11194d",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
-        "34aedca1bc290ba7",
+        "542e570b81fc02a1",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "4e34141db1efdaba"),
+    "interference": (section(interference.interference, **INTERFERENCE), "c0932bbc09759d8e"),
 }
 
 
