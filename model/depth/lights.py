@@ -67,6 +67,8 @@ def _gain(chance: np.ndarray, share: np.ndarray) -> np.ndarray:
         mean = 0.0
         for x in range(len(share)):
             mean += chance[i, x] * share[x]
+        if mean == 0:  # the pixel's likelihoods are too small for a number: it tells nothing
+            continue
         for x in range(len(share)):
             gain[x] += chance[i, x] / mean
     return gain

@@ -38,6 +38,7 @@ LIGHTS = geometric_steps(0.015, 60, 12).astype(np.float32)
 COARSE_HITS = 2.0  # of the faintest light in all pulses, at most: of the first grid,
 HITS = 1.5  # and of the second
 BINS_SIGMAS = 16.0  # width of the bins around a seed
+BINS_LEAST = 16  # where a pulse is shorter than a tick
 WIDTHS = (
     4  # of pulses: the laser's, and those of slanted surfaces, each twice as wide as the one before
 )
@@ -110,7 +111,7 @@ def find_surfaces(
     )
     never = unheard(events, config, pulses, sigma_ticks, threads.map, guess)
     activity = _activity(events, guess.time, sigma_ticks)
-    bins = round(BINS_SIGMAS * sigma_ticks)
+    bins = max(BINS_LEAST, round(BINS_SIGMAS * sigma_ticks))
     middle = np.nan_to_num(seed)
     first = _first(middle, 1, bins)
 
