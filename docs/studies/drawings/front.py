@@ -40,9 +40,9 @@ def caption(report: dict[str, Any]) -> str:
     return markdown.paragraph(
         f"*A dark gateway in the shade beside a facade in the sun: {report['klux']:g} klux, {frame['pulses']} laser pulses, a "
         f"link of {frame['link_gbps']:g} Gbit/s, and the depth of each pixel. With coincidence off, sunlight fills the link and "
-        f"{wrong[0]} of the pixels are wrong. The best threshold for the whole array leaves {wrong[1]}. A controller on the "
-        f"chip gives every subgroup its own threshold, leaves {wrong[2]}, and takes {100 * report['load_auto']:.0f} % of the "
-        f"link. With the simple estimator of the paper, these shares of wrong pixels are {peaks[0]}, {peaks[1]} and {peaks[2]}.*"
+        f"{wrong[0]} of the pixels are wrong. The best threshold for the whole array, which only the truth can tell, leaves "
+        f"{wrong[1]} and takes {100 * report['load_fixed']:.0f} % of the link. A controller on the chip gives every subgroup its "
+        f"own threshold without the truth, leaves {wrong[2]}, and takes {100 * report['load_auto']:.0f} % of the link. With the simple estimator of the paper, these shares of wrong pixels are {peaks[0]}, {peaks[1]} and {peaks[2]}.*"
     )
 
 
