@@ -38,11 +38,14 @@ def caption(report: dict[str, Any]) -> str:
     wrong = [f"{100 * report[f'wrong_share_{name}']:.1f} %" for name in schemes]
     peaks = [f"{100 * report[f'wrong_share_{name}_peak']:.0f} %" for name in schemes]
     return markdown.paragraph(
-        f"*A dark gateway in the shade beside a facade in the sun: {report['klux']:g} klux, {frame['pulses']} laser pulses, a "
-        f"link of {frame['link_gbps']:g} Gbit/s, and the depth of each pixel. With coincidence off, sunlight fills the link and "
-        f"{wrong[0]} of the pixels are wrong. The best threshold for the whole array, which only the truth can tell, leaves "
-        f"{wrong[1]} and takes {100 * report['load_fixed']:.0f} % of the link. A controller on the chip gives every subgroup its "
-        f"own threshold without the truth, leaves {wrong[2]}, and takes {100 * report['load_auto']:.0f} % of the link. With the simple estimator of the paper, these shares of wrong pixels are {peaks[0]}, {peaks[1]} and {peaks[2]}.*"
+        f"*A dark gateway in the shade beside a facade in the sun: {report['klux']:g} klux, "
+        f"{frame['pulses']} laser pulses, a link of {frame['link_gbps']:g} Gbit/s, and the depth "
+        f"of each pixel. With coincidence off, sunlight fills the link and {wrong[0]} of the pixels "
+        f"are wrong. The best threshold for the whole array, which only the truth can tell, leaves "
+        f"{wrong[1]} and takes {100 * report['load_fixed']:.0f} % of the link. A controller on the "
+        f"chip gives every subgroup its own threshold without the truth, leaves {wrong[2]}, and "
+        f"takes {100 * report['load_auto']:.0f} % of the link. With the simple estimator of the "
+        f"paper, these shares of wrong pixels are {peaks[0]}, {peaks[1]} and {peaks[2]}.*"
     )
 
 
