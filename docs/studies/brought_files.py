@@ -102,7 +102,11 @@ def _import_s() -> float:
     seconds = []
     for _ in range(IMPORTS):
         done = subprocess.run(
-            [sys.executable, "-c", IMPORT], capture_output=True, text=True, check=True
+            [sys.executable, "-c", IMPORT],
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            check=True,
         )
         seconds.append(float(done.stdout))
     return float(np.median(seconds))

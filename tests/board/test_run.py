@@ -44,7 +44,7 @@ def test_the_picture_is_drawn_while_frames_come(driver, tmp_path, monkeypatch):
     titles = []
     monkeypatch.setattr(run, "REDRAW_S", 0.0)
     monkeypatch.setattr(
-        run, "depth_row", lambda path, panels, truth_m: titles.append(panels[0].title)
+        run, "depth_row", lambda path, panels, truth_m, **_: titles.append(panels[0].title)
     )
     run.emulate(driver, CONFIG, scene_of(CONFIG, "flat:5"), tmp_path, klux=50.0, frames=3)
     assert titles == [f"{n} frames of the emulator" for n in (1, 2, 3)]

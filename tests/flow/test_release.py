@@ -518,7 +518,7 @@ def test_the_folder_has_licence_and_rule_of_groups(releases):
     for preset in SMALL:
         folder = releases / preset
         assert (folder / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
-        assert "A group is a packet of kind 5" in (folder / "groups.md").read_text("utf-8")
+        assert "A group is a packet of kind 5" in (folder / "groups.md").read_text(encoding="utf-8")
 
 
 def test_core_has_constraints_cells_and_driver(releases):

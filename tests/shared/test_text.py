@@ -13,7 +13,14 @@ from coincid.study.simulate import PAGE, REPORT
 ROOT = Path(__file__).parents[2]
 OUTSIDE = {".venv", "build", ".git"}
 # no text files
-OTHER_OPENERS = {"Image.open", "OpenImageIO.ImageInput.open", "os.open", "webbrowser.open"}
+# what does not open a file of text, such as a member of a ZIP archive
+OTHER_OPENERS = {
+    "Image.open",
+    "OpenImageIO.ImageInput.open",
+    "archive.open",
+    "os.open",
+    "webbrowser.open",
+}
 PROCESSES = {"run", "Popen", "check_output", "program"}
 ASCII_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
