@@ -11,7 +11,8 @@ from ..model.contract.packet import FRAME_END, GROUP_KIND, KIND_BITS, PACKETS, U
 from ..model.contract.table import Limit
 from ..model.shared.licence import SPDX
 
-SOURCES = tuple(Path(__file__).with_name(name) for name in ("coincid.h", "coincid.c"))
+EXAMPLE = "coincid_decode.c"  # has a `main`
+SOURCES = tuple(Path(__file__).with_name(name) for name in ("coincid.h", "coincid.c", EXAMPLE))
 PACKETS_HEADER = "coincid_packets.h"
 _GROUPS = {  # places and widths in groups of events
     "FIRST_LSB": groups.FIRST_LSB,

@@ -27,7 +27,7 @@ typedef struct {
     uint32_t record_bits, record_stamp_bits; /* of a minigroup's entry */
     uint32_t subgroup_bits, pixel_bits, offset_bits; /* of the fields in groups of events */
     uint32_t minigroup_rows, minigroup_cols, subgroup_cols; /* in pixels */
-    uint32_t grouped; /* whether the frame's events come in groups: set it from the `count` of the frame start */
+    uint32_t grouped; /* whether the frame's events come in groups: set it to the `count` of the frame start, 1 or 0 */
 } coincid_sensor_info;
 
 int coincid_probe(const coincid_bus *bus, coincid_sensor_info *info);

@@ -275,7 +275,7 @@ def _verilog(names: list[str]) -> dict[str, Any]:
 def _driver() -> dict[str, Any]:
     """Return the file set of the driver in C for FuseSoC."""
     sources = ["coincid.c"]
-    headers = [name for name in (*c_driver(), HEADER) if name not in sources]
+    headers = [name for name in (*c_driver(), HEADER) if name.endswith(".h")]
     included = [{name: {"is_include_file": True}} for name in headers]
     return {"files": [*sources, *included], "file_type": "cSource"}
 

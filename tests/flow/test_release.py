@@ -521,6 +521,25 @@ def test_the_folder_has_licence_and_rule_of_groups(releases):
         assert "A group is a packet of kind 5" in (folder / "groups.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("preset", SMALL)
+def test_the_example_in_c_prints_the_captured_events(releases, tmp_path, preset):
+    shutil.copytree(releases / preset, tmp_path / "export")
+    here = {"cwd": tmp_path / "export", "check": True}
+    told = (tmp_path / "export" / "README.md").read_text(encoding="utf-8")
+    build = "cc -o coincid_decode coincid_decode.c coincid.c"
+    assert f"`{build}`" in told
+    subprocess.run(build.split(), **here)
+    streams = sorted((tmp_path / "export" / "captured").glob("*.txt"))
+    for stream in streams:
+        command = ["./coincid_decode", f"captured/{stream.name}"]
+        printed = subprocess.run(
+            command, **here, capture_output=True, text=True, encoding="utf-8"
+        ).stdout
+        rows = stream.with_suffix(".csv").read_text(encoding="utf-8").splitlines()[1:]
+        assert printed.splitlines() == rows, stream.name
+    assert streams
+
+
 def test_core_has_constraints_cells_and_driver(releases):
     text = (releases / "fpga" / f"{TOP}.core").read_text(encoding="utf-8")
     sets = json.loads(re.search(r"^filesets: (\{.*?^\})$", text, re.M | re.S)[1])
