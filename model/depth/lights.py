@@ -156,8 +156,8 @@ def mean_over_lights(
     """Compute the logarithm of the mean over the lights, and the likeliest light.
 
     A masked pixel favours no time. common, pixels: from `add_events`; `common` is used up. prior:
-    float32[lights]. step: logarithm of the factor from light to light. lightest: index of the first light in the grid. place: int64[pixels], row of
-    each pixel in the results, level and light.
+    float32[lights]. step: logarithm of the factor from light to light. lightest: index of the first
+    light in the grid. place: int64[pixels], row of each pixel in the results, level and light.
     """
     lights = len(prior)
     times = len(common) // lights

@@ -30,7 +30,7 @@ from .patchmatch import Field, fit_planes, level_on, posterior, widened
 from .portable import geometric_steps
 from .refine import refine
 from .seeds import LEAST, Blocks, find_seeds, seed_scores
-from .unheard import Guess, unheard
+from .unheard import Guess, unheard, unheard_in_light, windows_of
 
 COARSE_SIGMAS = 1.4  # step of the first grid
 COARSE_LIGHTS = geometric_steps(0.02, 40, 7).astype(np.float32)  # photons per pulse
@@ -88,7 +88,8 @@ def find_surfaces(
     fine_lights = down_to(LIGHTS, HITS / pulses)
     even = np.full(len(coarse_lights), -math.log(len(coarse_lights)), np.float32)
     coarse = Grid(step, coarse_lights, even)
-    never = unheard(events, config, pulses, sigma_ticks, threads.map)
+    windows = windows_of(events, config, pulses, sigma_ticks, threads.map)
+    never = unheard(windows, config, sigma_ticks, threads.map)
     everywhere = np.zeros((sensor.subgroups, sensor.pixels), np.int64)
     level, lights, _ = log_likelihood(
         events,
@@ -109,7 +110,7 @@ def find_surfaces(
         time=by_subgroup(seed + step * _peak_offset(level, found.bin), sensor),
         light=coarse_lights[by_subgroup(light, sensor)].astype(np.float64),
     )
-    never = unheard(events, config, pulses, sigma_ticks, threads.map, guess)
+    never = unheard_in_light(windows, never, guess, config, pulses, sigma_ticks, threads.map)
     activity = _activity(events, guess.time, sigma_ticks)
     bins = max(BINS_LEAST, round(BINS_SIGMAS * sigma_ticks))
     middle = np.nan_to_num(seed)

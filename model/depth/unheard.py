@@ -61,69 +61,119 @@ class Guess(NamedTuple):
     light: np.ndarray  # float64, photons per pulse
 
 
-def unheard(
-    events: Events,
-    config: Config,
-    pulses: int,
-    sigma_ticks: float,
-    spread: Spread = map,
-    guess: Guess | None = None,
-) -> Unheard:
-    """Estimate how often photons leave no trace: from the subgroups' events, or from a guess of the
-    light.
+class SubgroupWindows(NamedTuple):
+    """What the events of a subgroup tell of its windows."""
+
+    of_ticks: "_Ticks"
+    dropping: bool  # windows were dropped
+    law: tuple[Rise, ...]  # what the threshold means
+    tree: Tree
+    photon_rate: float  # of the background, photons per tick
+
+
+def windows_of(
+    events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map
+) -> list[SubgroupWindows]:
+    """Return what the events of each subgroup tell of its windows.
 
     pulses: number of pulses in which the events came; spread: as in `log_likelihood`.
     """
     sensor = config.sensor
-    every = max(1, int(sigma_ticks))
-    reach = math.ceil(REACH_SIGMAS * sigma_ticks)
-    points = -(-config.period_ticks // every)
-    missed = np.empty((2, sensor.subgroups, points), np.float32)
-    blind = np.empty((2, sensor.subgroups, points), np.float32)
-    before = special.ndtr(np.arange(-2 * reach, 2 * reach + 1) / 2 / sigma_ticks)
+    reach = _reach_ticks(sigma_ticks)
 
-    def of_subgroup(s: int) -> None:
+    def of_subgroup(s: int) -> SubgroupWindows:
         of_ticks, dropping = _ticks_of(events, config, pulses, reach, s)
         law = rises(sensor.rule, sensor.subgroup, int(events.threshold[s]))
-        kinds = 1 + dropping
         tree = Tree(
             window=int(events.window[s]),
             phases=sensor.phases,
             rearm=sensor.rearm,
             kept=kept_shares(law, sensor.pixels),
         )
-        signal = np.empty(0)
-        scale = 1.0
-        trust = 0.0
-        noise = float(events.photon_rate[s]) * (1 - 1 / sensor.pixels)
-        if guess is not None:
-            time = np.where(config.mask[s], guess.time[s], np.nan)
-            signal = light_by_tick(time, guess.light[s], before, config.period_ticks)
-            seen = float(of_ticks.committed[signal > 0].sum())
-            scale, trust = light_scale(signal, noise, tree, of_ticks.seen, seen, pulses)
-        if trust < TRUST_MAX:
-            least = np.float32(_event_share(law, events.photon_rate[s] * int(events.window[s])))
-            _leave_no_trace(of_ticks, least, _shares(law), every, kinds, missed[:, s], blind[:, s])
-        if trust > 0:
-            lit = np.empty((2, 2, points), np.float32)
-            _leave_no_trace_in(of_ticks, signal * scale, noise, tree, every, kinds, lit[0], lit[1])
-            share = np.float32(trust if trust < TRUST_MAX else 1)
-            for kind in range(kinds):
-                missed[kind, s] = _mixed(missed[kind, s], lit[0, kind], share)
-                blind[kind, s] = _mixed(blind[kind, s], lit[1, kind], share)
-        if not dropping:
-            missed[1, s] = missed[0, s]
-            blind[1, s] = blind[0, s]
+        return SubgroupWindows(of_ticks, dropping, law, tree, events.photon_rate[s])
 
-    list(spread(of_subgroup, range(sensor.subgroups)))
-    return Unheard(missed, blind, every)
+    return list(spread(of_subgroup, range(sensor.subgroups)))
+
+
+def unheard(
+    windows: list[SubgroupWindows], config: Config, sigma_ticks: float, spread: Spread = map
+) -> Unheard:
+    """Estimate how often photons leave no trace, from the shares of the windows. windows: of
+    `windows_of`.
+    """
+    never = _none_yet(config, sigma_ticks)
+
+    def of_subgroup(s: int) -> None:
+        one = windows[s]
+        kinds = 1 + one.dropping
+        missed = never.missed[:, s]
+        blind = never.blind[:, s]
+        least = np.float32(_event_share(one.law, one.photon_rate * one.tree.window))
+        _leave_no_trace(one.of_ticks, least, _shares(one.law), never.every, kinds, missed, blind)
+        missed[kinds:] = missed[0]
+        blind[kinds:] = blind[0]
+
+    list(spread(of_subgroup, range(len(windows))))
+    return never
+
+
+def unheard_in_light(
+    windows: list[SubgroupWindows],
+    rough: Unheard,
+    guess: Guess,
+    config: Config,
+    pulses: int,
+    sigma_ticks: float,
+    spread: Spread = map,
+) -> Unheard:
+    """Estimate how often photons leave no trace, from a guess of the light.
+
+    Where the guess cannot be trusted, the estimate is near to that from the shares of the windows.
+    rough: the latter, of `unheard`; the others are as in `windows_of`.
+    """
+    never = _none_yet(config, sigma_ticks)
+    reach = _reach_ticks(sigma_ticks)
+    before = special.ndtr(np.arange(-2 * reach, 2 * reach + 1) / 2 / sigma_ticks)
+
+    def of_subgroup(s: int) -> None:
+        of_ticks, dropping, _, tree, photon_rate = windows[s]
+        kinds = 1 + dropping
+        missed = never.missed[:, s]
+        blind = never.blind[:, s]
+        noise = float(photon_rate) * (1 - 1 / config.sensor.pixels)
+        time = np.where(config.mask[s], guess.time[s], np.nan)
+        signal = light_by_tick(time, guess.light[s], before, config.period_ticks)
+        seen = float(of_ticks.committed[signal > 0].sum())
+        scale, trust = light_scale(signal, noise, tree, of_ticks.seen, seen, pulses)
+        if trust > 0:
+            lit = signal * scale
+            _leave_no_trace_in(of_ticks, lit, noise, tree, never.every, kinds, missed, blind)
+        if trust < TRUST_MAX:
+            share = np.float32(trust)
+            missed[:kinds] = _mixed(rough.missed[:kinds, s], missed[:kinds], share)
+            blind[:kinds] = _mixed(rough.blind[:kinds, s], blind[:kinds], share)
+        missed[kinds:] = missed[0]
+        blind[kinds:] = blind[0]
+
+    list(spread(of_subgroup, range(len(windows))))
+    return never
+
+
+def _reach_ticks(sigma_ticks: float) -> int:
+    """Return the ticks from the middle of a pulse to its beginning and end."""
+    return math.ceil(REACH_SIGMAS * sigma_ticks)
+
+
+def _none_yet(config: Config, sigma_ticks: float) -> Unheard:
+    """Return probabilities to be filled."""
+    every = max(1, int(sigma_ticks))
+    shape = 2, config.sensor.subgroups, -(-config.period_ticks // every)
+    return Unheard(np.empty(shape, np.float32), np.empty(shape, np.float32), every)
 
 
 def _mixed(rough: np.ndarray, lit: np.ndarray, share: np.float32) -> np.ndarray:
-    """Return a mean of two lines. share: the weight of the second; at 1, the first may be empty."""
-    if share == 1:
-        return lit
-    return rough + share * (lit - rough)
+    """Return a mean of two lines. share: the weight of the second; at 0, it may be empty."""
+    return rough + share * (lit - rough) if share > 0 else rough
 
 
 def _ticks_of(

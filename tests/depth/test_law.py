@@ -10,7 +10,7 @@ from coincid.model.contract.config import Config
 from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.histograms import Events, frame_events
 from coincid.model.depth.likelihood import Grid, log_likelihood
-from coincid.model.depth.unheard import Guess, unheard
+from coincid.model.depth.unheard import Guess, unheard, unheard_in_light, windows_of
 from coincid.model.light.light import signal_per_pulse
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
@@ -61,7 +61,9 @@ def test_the_likeliest_time_of_a_wall_is_the_true_one(distance_m, reflectivity, 
     light = signal_per_pulse(one_m, np.full((1, 1), reflectivity))[0, 0]
     shape = (1, config.sensor.pixels)
     guess = Guess(np.full(shape, true_ticks), np.full(shape, light))
-    never = unheard(events, config, pulses, sigma_ticks, guess=guess)
+    windows = windows_of(events, config, pulses, sigma_ticks)
+    rough = unheard(windows, config, sigma_ticks)
+    never = unheard_in_light(windows, rough, guess, config, pulses, sigma_ticks)
     first = int(true_ticks) - BINS // 2
     levels = log_likelihood(
         events,

@@ -15,7 +15,7 @@ from coincid.model.depth.likelihood import Grid, Guess, log_likelihood
 from coincid.model.depth.planes import LIGHTS
 from coincid.model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, wrong_share
 from coincid.model.depth.seeds import find_seeds
-from coincid.model.depth.unheard import unheard
+from coincid.model.depth.unheard import unheard, windows_of
 from coincid.model.light.light import Light, signal_per_pulse
 from coincid.model.light.spad import Spad
 from coincid.model.scenes.catalogue import load_scene
@@ -92,8 +92,9 @@ def test_the_light_is_learned_from_the_frame(link_gbps):
     events = frame_events(result, config, sigma_ticks)
     time = by_subgroup(scene.truth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2), config.sensor)
     light = by_subgroup(signal_per_pulse(scene.truth_m, scene.reflectivity[:, :, 0]), config.sensor)
+    never = unheard(windows_of(events, config, config.pulses, sigma_ticks), config, sigma_ticks)
     levels = log_likelihood(
-        events, config, sigma_ticks, config.pulses, Grid(1, LIGHTS, None), unheard(events, config, config.pulses, sigma_ticks),
+        events, config, sigma_ticks, config.pulses, Grid(1, LIGHTS, None), never,
         np.rint(time).astype(np.int64) - 8, 16, guess=Guess(time, light),
     )  # fmt: skip
     share = np.exp(levels.prior)
