@@ -241,7 +241,7 @@ def test_a_full_standard_output_is_told_in_one_line(words):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_after_the_last_word_changes_nothing(number, monkeypatch):
+def test_a_signal_after_the_last_word_changes_nothing(number):
     """The work is done, so the exit code says how."""
     code = "import os, signal, atexit; from coincid import __main__; "
     code += f"atexit.register(os.kill, os.getpid(), {int(number)}); __main__.main()"

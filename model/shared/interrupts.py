@@ -24,6 +24,11 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM. Code that cleans up after Ctrl-C also cleans up after this."""
 
 
+def exit_code(why: KeyboardInterrupt) -> int:
+    """Return the exit code of a program that a signal ended."""
+    return TERMINATED if isinstance(why, Terminated) else INTERRUPTED
+
+
 def interruptible() -> None:
     """Make SIGINT and SIGTERM raise in this process, even if its parent ignored them, as `nohup`
     and background shells do.

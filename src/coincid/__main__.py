@@ -31,19 +31,15 @@ def _run() -> int | str | None:
         code = _command()
         sys.stdout.flush()
     except KeyboardInterrupt as why:
+        from coincid.model.shared.interrupts import exit_code
+
         print("coincid: interrupted", file=sys.stderr)
-        return _interrupted(why)
+        return exit_code(why)
     except OSError as error:
         _forget_output()
         print(f"coincid: {_told(error)}", file=sys.stderr)
         return BAD_INPUT if error.errno == errno.ENAMETOOLONG else FAILED
     return code
-
-
-def _interrupted(why: KeyboardInterrupt) -> int:
-    from coincid.model.shared.interrupts import INTERRUPTED, TERMINATED, Terminated
-
-    return TERMINATED if isinstance(why, Terminated) else INTERRUPTED
 
 
 def _command() -> int | str | None:

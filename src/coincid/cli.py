@@ -23,7 +23,7 @@ from typer.core import TyperGroup
 from coincid.lab.options import OPTIONS
 from coincid.model.contract.preset_files import PRESETS
 from coincid.model.shared.errors import SEED_MAX, InputError, check_integer, extra
-from coincid.model.shared.interrupts import INTERRUPTED, TERMINATED, Terminated
+from coincid.model.shared.interrupts import exit_code
 
 if TYPE_CHECKING:
     from coincid.lab.setup import Setup
@@ -54,7 +54,7 @@ class Commands(TyperGroup):
         except InputError as error:
             raise _failed(error, BAD_INPUT) from None
         except KeyboardInterrupt as why:
-            raise _failed("interrupted", _code(why)) from None
+            raise _failed("interrupted", exit_code(why)) from None
         except (AssertionError, RuntimeError) as error:
             if not _is_simulation(error):
                 raise
@@ -66,10 +66,6 @@ def _is_simulation(error: Exception) -> bool:
     from coincid.tb.rtl_errors import Mismatch, SimulationError
 
     return isinstance(error, (HostError, Mismatch, SimulationError))
-
-
-def _code(why: KeyboardInterrupt) -> int:
-    return TERMINATED if isinstance(why, Terminated) else INTERRUPTED
 
 
 def _failed(message: object, code: int) -> typer.Exit:
