@@ -13,21 +13,13 @@ from typing import Any
 import numpy as np
 from attrs import frozen
 
-from ..light.light import (
-    BACKGROUNDS,
-    SIGNAL_MAX,
-    SIGNAL_REFERENCE,
-    Arrivals,
-    Light,
-    ambient_reflectivity,
-    background_cps,
-)
+from ..light.light import BACKGROUNDS, SIGNAL_MAX, SIGNAL_REFERENCE, Arrivals, Light
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import Numbers, check_real, real_array
 from .meaning import Meaning
 from .scene import REFLECTIVITY, Scene
-from .transient import SURFACE_GAP_M
+from .transient import SURFACE_GAP_M, arriving_light, sparse
 
 PS_PER_S = 1e12
 BIN_PS_MAX = 1e6
@@ -58,19 +50,15 @@ class RecordedLight:
         others: fields of `Light`.
         """
         rows, cols, bins = self.photons.shape
-        table = self.photons.reshape(rows * cols, bins)
-        pixel, index = np.nonzero(table)
-        per_pixel = np.bincount(pixel, minlength=rows * cols)
+        per_pixel, index, photons = sparse(self.photons.reshape(rows * cols, bins))
         arrivals = Arrivals(
             first=np.concatenate([[0], np.cumsum(per_pixel)]),
             start_s=index * self.bin_s,
-            photons=np.minimum(table[pixel, index], SIGNAL_MAX),
+            photons=np.minimum(photons, SIGNAL_MAX),
             width_s=self.bin_s,
         )
-        reflectivity = ambient_reflectivity(np.full(rows * cols, np.nan), background)
-        noise_cps = background_cps(real_array("klux", klux, (rows, cols), 0).ravel(), reflectivity)
-        light = {"arrivals": arrivals, "background_cps": noise_cps} | others
-        return Light(rows=rows, cols=cols, distance_m=np.nan, signal_per_pulse=0.0, **light)
+        ambient = np.full((rows, cols), np.nan)
+        return arriving_light(arrivals, ambient, klux, background, **others)
 
 
 def histogram_scene(

@@ -104,17 +104,28 @@ class Transient:
         others: fields of `Light`.
         """
         photons = self.strength_per_m2 * photons_per_strength(optics or Optics(), laser or Laser())
-        rows, cols = self.surface_m.shape
         arrivals = Arrivals(
             first=self.first,
             start_s=self.index * BIN_S,
             photons=np.minimum(photons, SIGNAL_MAX),
             width_s=BIN_S,
         )
-        reflectivity = ambient_reflectivity(self.ambient.ravel(), background)
-        noise_cps = background_cps(real_array("klux", klux, (rows, cols), 0).ravel(), reflectivity)
-        light = {"arrivals": arrivals, "background_cps": noise_cps} | others
-        return Light(rows=rows, cols=cols, distance_m=np.nan, signal_per_pulse=0.0, **light)
+        return arriving_light(arrivals, self.ambient, klux, background, **others)
+
+
+def arriving_light(
+    arrivals: Arrivals, ambient: np.ndarray, klux: Numbers, background: str, **others: Any
+) -> Light:
+    """Return the light of arrivals, with the background of the preset.
+
+    ambient: float64[rows, cols], reflectivity of the pixels under even light, NaN = the usual one;
+    the others are those of `Transient.light`.
+    """
+    rows, cols = ambient.shape
+    reflectivity = ambient_reflectivity(ambient.ravel(), background)
+    noise_cps = background_cps(real_array("klux", klux, (rows, cols), 0).ravel(), reflectivity)
+    light = {"arrivals": arrivals, "background_cps": noise_cps} | others
+    return Light(rows=rows, cols=cols, distance_m=np.nan, signal_per_pulse=0.0, **light)
 
 
 @cache
