@@ -12,7 +12,7 @@ from ..shared.errors import InputError
 from ..shared.files import FilePath
 from ..shared.quantities import check_real, real_array
 from .conventions import RAY, convention
-from .depth_pictures import ARRAY, Pictures, Stored, picture_files, pictures_of
+from .depth_pictures import Pictures, Stored, picture_files, pictures_of
 from .depth_units import fitting_unit, metres, raw_numbers
 from .image_files import COLOUR_FILES, centre_crop, open_picture
 from .meaning import Meaning
@@ -151,7 +151,7 @@ def _picture_scene(
     if meaning.z:
         distance_m *= view.ray_per_z(rows, cols)
         distance_m[distance_m >= range_m] = np.nan
-    elif not path.startswith(ARRAY):
+    elif stored.is_file:
         notes += _ray_note(path, meaning.unit, view)
     notes += _check_valid(path, distance_m)
     if colour is not None:

@@ -45,6 +45,7 @@ class Stored:
     unit: str  # of the numbers, unless the user names another one
     missing: tuple[float, ...] = ()  # numbers that mean "no depth", by the file
     notes: tuple[str, ...] = ()
+    is_file: bool = True
 
 
 @frozen(eq=False, kw_only=True)
@@ -60,7 +61,7 @@ class Pictures:
 def pictures_of(source: FilePath | np.ndarray, meaning: Meaning) -> Pictures:
     """Return the depth pictures of a file, a sequence or an array. Raises `InputError`."""
     if isinstance(source, np.ndarray):
-        return _in_array(ARRAY, source, "m")
+        return _in_array(ARRAY, source, is_file=False)
     path = str(source)
     files = picture_files(path, DEPTH_FILES)
     if files is not None:
@@ -72,7 +73,7 @@ def pictures_of(source: FilePath | np.ndarray, meaning: Meaning) -> Pictures:
     samples = array_in_file(path)
     if samples is not None:
         _check_bits(path, samples, meaning)
-        return _in_array(path, samples, "")
+        return _in_array(path, samples, is_file=True)
 
     def read_alone(number: int) -> Stored:
         return _stored_picture(path, meaning)
@@ -123,8 +124,8 @@ def array_in_file(path: str) -> np.ndarray | None:
     return None
 
 
-def _in_array(path: str, samples: np.ndarray, unit: str) -> Pictures:
-    """Return the pictures of an array. unit: of its numbers; empty: by their type."""
+def _in_array(path: str, samples: np.ndarray, *, is_file: bool) -> Pictures:
+    """Return the pictures of an array. is_file: it was read; the numbers of others are metres."""
     hidden = np.ma.getmaskarray(samples) if isinstance(samples, np.ma.MaskedArray) else None
     numbers = np.asarray(np.ma.getdata(samples))
     moves = numbers.ndim == 3 and numbers.shape[2] != 1
@@ -147,7 +148,8 @@ def _in_array(path: str, samples: np.ndarray, unit: str) -> Pictures:
             path=name,
             numbers=picture.astype(picture.dtype.newbyteorder("=")),
             hidden=below,
-            unit=unit or _usual_unit(picture),
+            unit=_usual_unit(picture) if is_file else "m",
+            is_file=is_file,
         )
 
     return Pictures(name=Path(path).name, count=count, read=read, moves=moves)

@@ -241,3 +241,14 @@ def test_damaged_files_of_every_kind(tmp_path):
             content(tmp_path / path.rpartition("/")[2], whole[: int(share * len(whole))])
             with pytest.raises(InputError, match=re.escape(path)):
                 load_scene(path, *SHAPE)
+
+
+def test_a_file_is_a_file_whatever_its_name(tmp_path, monkeypatch):
+    """`array` is the name of distances in memory, of which nothing is assumed."""
+    monkeypatch.chdir(tmp_path)
+    depth_mm = np.full((8, 8), 4000, np.uint16)
+    Image.fromarray(depth_mm).save("array.png")
+    of_file = load_scene("array.png", 8, 8)
+    in_memory = load_scene(depth_mm / 1000, 8, 8)
+    assert any("along the rays" in note for note in of_file.notes)
+    assert not any("along the rays" in note for note in in_memory.notes)
