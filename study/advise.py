@@ -154,9 +154,10 @@ class Advice:
                 f"Everything that was tried overloads its link ({dropped}). More laser pulses per"
                 " frame or more streams help."
             )
+        least = min(one.wrong for one in self.tried if not one.overloaded)
         return (
-            f"The link is overloaded ({dropped}); what was tried without an overload leaves more"
-            f" than {OVERLOAD_GAIN} times as many pixels wrong."
+            f"The link is overloaded ({dropped}); what was tried without an overload leaves"
+            f" {least:.1%} of the pixels wrong."
         )
 
 
@@ -203,10 +204,11 @@ def advise(
     links = tell("links and formats", _links(run, chosen.config), len(LINKS_GBPS) * len(FORMATS))
     best = cheapest(links, lambda one: (one.link_gbps, one.bits))
     useless = ""
-    if not is_useful(best.wrong):
+    least_wrong = min(one.wrong for one in (*settings, *links))
+    if not is_useful(least_wrong):
         progress("what would help", 0, 1)
         last = setup.but(scene=scene.at(frames - 1))
-        useless = useless_sentence(best.wrong, last, int(best.config.window[0]), workers)
+        useless = useless_sentence(least_wrong, last, int(best.config.window[0]), workers)
     return Advice(
         settings=settings, chosen=chosen, links=links, best=best, klux=klux, useless=useless
     )
@@ -258,14 +260,15 @@ def _tried(run: Run) -> Tried:
 def cheapest(tried: list[Tried], price: Callable[[Tried], Any]) -> Tried:
     """Return the one with the lowest price among those that are about as good as the best one.
 
-    One that is not overloaded comes first, unless all of them leave more than `OVERLOAD_GAIN` times
-    as many pixels wrong. Among overloaded ones, the fewest drops come first, not the price.
+    One that is not overloaded comes first, unless all of them leave no useful picture, or more than
+    `OVERLOAD_GAIN` times as many pixels wrong. Among overloaded ones, the fewest drops come first,
+    not the price.
     """
     absolute, relative = WORSE_MAX
     least = min(one.wrong for one in tried)
     fitting = [one for one in tried if not one.overloaded]
     least_fitting = min((one.wrong for one in fitting), default=math.inf)
-    if least_fitting <= OVERLOAD_GAIN * least + absolute:
+    if is_useful(least_fitting) and least_fitting <= OVERLOAD_GAIN * least + absolute:
         good = least_fitting + max(absolute, relative * least_fitting)
         return min((one for one in fitting if one.wrong <= good), key=price)
     good = least + max(absolute, relative * least)

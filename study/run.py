@@ -5,6 +5,7 @@ usual next steps.
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -197,6 +198,12 @@ def simulate(
     Run
         Inputs and result, with methods for depth, events, histograms and point clouds.
 
+    Warns
+    -----
+    UserWarning
+        If the numbers of a depth file or an array seem to mean something else than what they are
+        taken for, or to be no distances.
+
     Raises
     ------
     InputError
@@ -223,6 +230,8 @@ def simulate(
                 f"{name}: goes with depth files and arrays of distances, not with a Scene"
             )
     seen = scene_of(config, scene, reflectivity=reflectivity, **meaning)
+    for doubt in seen.doubts:
+        warnings.warn(doubt, stacklevel=2)
     setup = Setup(
         config=for_pictures(config, seen),
         scene=seen,

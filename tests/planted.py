@@ -4,7 +4,8 @@ regression or by a proof.
 
 `python -m tests.planted [--all] [NAMES]` plants each bug in a copy of the sources and runs the
 proofs and tests that must notice it, all of them part of `make test` or `make formal`, until one
-does; with `--all`, every one must. `test_planted.py` keeps the list in step with the sources.
+does; with `--all`, every one must. All of them must pass without a bug first, since a check that
+always fails notices everything. `test_planted.py` keeps the list in step with the sources.
 """
 
 import os
@@ -13,7 +14,9 @@ import subprocess
 import sys
 import tempfile
 import tomllib
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 from attrs import frozen
@@ -21,6 +24,8 @@ from attrs import frozen
 from coincid.tb.toolchain import build_root
 
 ROOT = Path(__file__).parents[1]
+WORKERS = os.cpu_count() or 1
+FAILED = 1  # exit code of pytest and of `coincid formal` when something does not hold
 PACKAGES = (
     "model",
     "tools",
@@ -85,57 +90,82 @@ def plant(bug: Bug, folder: Path) -> None:
     path.write_text(text.replace(bug.old, bug.new), encoding="utf-8")
 
 
-def caught_by(bug: Bug, thorough: bool) -> dict[str, bool]:
-    """Return proof or test -> whether it noticed a bug; up to the first that does, unless
-    `thorough`.
-    """
+def checks_of(bug: Bug) -> dict[str, list[str]]:
+    """Return name -> arguments of Python for the proofs and tests that must notice a bug."""
+    checks = {f"proof {name}": ["-m", "coincid", "formal", name] for name in bug.proofs}
+    for test in bug.tests:
+        checks[" ".join(test)] = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *test]
+    return checks
+
+
+def exit_code(check: list[str], folder: Path, environment: dict[str, str]) -> int:
+    """Run a check in a copy of the sources."""
+    done = subprocess.run(
+        [sys.executable, *check], cwd=folder, env=environment, capture_output=True, check=False
+    )
+    return done.returncode
+
+
+@contextmanager
+def copy_with(bug: Bug | None) -> Iterator[tuple[Path, dict[str, str]]]:
+    """Give a copy of the sources with a bug (None: without one), and its environment."""
+    name = bug.name if bug else "no-bug"
+    builds = build_root() / "planted" / name
     with tempfile.TemporaryDirectory(prefix="coincid-planted-") as scratch:
         folder = Path(scratch)
-        builds = build_root() / "planted" / bug.name
         environment = copy_of_sources(folder) | {
             "COINCID_BUILD": str(builds),
             "NUMBA_DISABLE_JIT": "1",
         }
-        plant(bug, folder)
-        checks = [(f"proof {name}", ["coincid", "formal", name]) for name in bug.proofs]
-        checks += [
-            (" ".join(test), ["pytest", "-x", "-q", "-p", "no:cacheprovider", *test])
-            for test in bug.tests
-        ]
-        result = {}
-        for name, command in checks:
-            done = subprocess.run(
-                [sys.executable, "-m", *command],
-                cwd=folder,
-                env=environment,
-                capture_output=True,
-                check=False,
-            )
-            result[name] = done.returncode == 1
+        if bug:
+            plant(bug, folder)
+        yield folder, environment
+    shutil.rmtree(builds, ignore_errors=True)
+
+
+def failing_without_a_bug(checks: dict[str, list[str]]) -> list[str]:
+    """Return the names of checks that do not pass in an unplanted copy: they prove nothing."""
+    with copy_with(None) as (folder, environment), ThreadPoolExecutor(WORKERS) as pool:
+        codes = pool.map(lambda check: exit_code(check, folder, environment), checks.values())
+        return [name for name, code in zip(checks, codes, strict=True) if code != 0]
+
+
+def caught_by(bug: Bug, thorough: bool) -> dict[str, bool]:
+    """Return proof or test -> whether it noticed a bug; up to the first that does, unless
+    `thorough`.
+    """
+    result: dict[str, bool] = {}
+    with copy_with(bug) as (folder, environment):
+        for name, check in checks_of(bug).items():
+            result[name] = exit_code(check, folder, environment) == FAILED
             if result[name] and not thorough:
                 break
-        shutil.rmtree(builds, ignore_errors=True)
     return result
 
 
 def main() -> None:
-    thorough, names = "--all" in sys.argv, [name for name in sys.argv[1:] if name != "--all"]
+    thorough = "--all" in sys.argv
+    names = [name for name in sys.argv[1:] if name != "--all"]
     bugs = [bug for bug in BUGS if not names or bug.name in names]
+    checks: dict[str, list[str]] = {}
+    for bug in bugs:
+        checks |= checks_of(bug)
+    print(f"{len(checks)} proofs and tests must pass without a bug", flush=True)
+    worthless = failing_without_a_bug(checks)
+    if worthless:
+        sys.exit("These fail without a bug, so they show nothing: " + "; ".join(worthless))
     missed = 0
 
     def run(bug: Bug) -> None:
         nonlocal missed
         result = caught_by(bug, thorough)
         missed += not (all if thorough else any)(result.values())
-        print(
-            f"{bug.name:26}",
-            ", ".join(
-                f"{what}: {'caught' if caught else 'MISSED'}" for what, caught in result.items()
-            ),
-            flush=True,
-        )
+        verdicts = [
+            f"{what}: {'caught' if caught else 'MISSED'}" for what, caught in result.items()
+        ]
+        print(f"{bug.name:26}", ", ".join(verdicts), flush=True)
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(WORKERS) as pool:
         list(pool.map(run, bugs))
     print(f"{len(bugs) - missed} of {len(bugs)} planted bugs are caught")
     sys.exit(missed > 0)

@@ -13,7 +13,8 @@ from ..shared.files import FilePath
 from ..shared.quantities import check_real, real_array
 from .conventions import RAY, convention
 from .depth_pictures import Pictures, Stored, picture_files, pictures_of
-from .depth_units import fitting_unit, metres, raw_numbers
+from .depth_units import metres, raw_numbers
+from .doubts import fitting_unit, no_picture
 from .image_files import COLOUR_FILES, centre_crop, open_picture
 from .meaning import Meaning
 from .pixel_surface import choose_samples
@@ -128,6 +129,7 @@ def _picture_scene(
     path = stored.path
     notes = list(stored.notes)
     sample_m, better = _samples_in_metres(stored, meaning, range_m, notes)
+    doubts = _doubts(stored, sample_m, better)
     height, width = sample_m.shape
     top, left, crop_height, crop_width = centre_crop(height, width, rows, cols)
     crop = slice(top, top + crop_height), slice(left, left + crop_width)
@@ -140,8 +142,6 @@ def _picture_scene(
         )
     sample_m, masked = _usable(path, sample_m, range_m, better)
     notes += masked
-    if better:
-        notes.append(f"{path}: {better}")
 
     view = View()
     if meaning.fov_deg is not None:
@@ -168,8 +168,17 @@ def _picture_scene(
         distance_m=distance_m,
         reflectivity=chosen.middle(albedo[crop]),
         view=view,
+        doubts=doubts,
         notes=tuple(notes),
     )
+
+
+def _doubts(stored: Stored, sample_m: np.ndarray, better: str) -> tuple[str, ...]:
+    """Return sentences about samples that may not be what they are taken for. better: which unit
+    fits better, or nothing.
+    """
+    told = better or no_picture(stored.numbers, sample_m)
+    return (f"{stored.path}: {told}",) if told else ()
 
 
 def _samples_in_metres(

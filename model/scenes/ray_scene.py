@@ -78,7 +78,7 @@ def ray_scene(
     if not cached.exists():
         tracer.render(scene, rows, cols, **view).save(cached)
     transient = Transient.load(cached)
-    distance_m, notes = _surfaces(name, transient, range_m)
+    distance_m, doubts, notes = _surfaces(name, transient, range_m)
     if path.parent != SCENES:
         notes = _about(name, scene, rows, cols, optics) + notes
     return Scene(
@@ -86,6 +86,7 @@ def ray_scene(
         distance_m=distance_m,
         reflectivity=np.clip(transient.ambient, 0, 1),
         transient=transient,
+        doubts=tuple(doubts),
         notes=tuple(notes),
     )
 
@@ -150,8 +151,10 @@ def _key(scene: "RayScene", rows: int, cols: int, view: dict[str, float]) -> str
     )
 
 
-def _surfaces(name: str, transient: Transient, range_m: float) -> tuple[np.ndarray, list[str]]:
-    """Return distance_m, with NaN where there is no truth, and notes about it."""
+def _surfaces(
+    name: str, transient: Transient, range_m: float
+) -> tuple[np.ndarray, list[str], list[str]]:
+    """Return distance_m, with NaN where there is no truth, and doubts and notes about it."""
     surface_m = transient.surface_m
     there = np.isfinite(surface_m)
     near, far = there & (surface_m < NEAREST_M), there & (surface_m >= range_m)
@@ -166,9 +169,12 @@ def _surfaces(name: str, transient: Transient, range_m: float) -> tuple[np.ndarr
             f"{span}: all are below {NEAREST_M:g} m or at or beyond the laser period's range of {range_m:.4g} m"
         )
     median_m = np.median(surface_m[there])
+    doubts = []
+    notes = []
     if median_m < DOUBTFUL_NEAR_M or median_m > DOUBTFUL_FAR_SHARE * range_m:
-        span = f"warning: {span}, which is doubtful"
-    notes = [span]
+        doubts.append(f"{span}, which is doubtful")
+    else:
+        notes.append(span)
     for what, where in (
         ("without a surface", ~there),
         (f"nearer than {NEAREST_M:g} m", near),
@@ -178,13 +184,13 @@ def _surfaces(name: str, transient: Transient, range_m: float) -> tuple[np.ndarr
             notes.append(f"{name}: {where.sum()} of {where.size} pixels {what} are masked")
     returned = transient.total_per_m2.sum()
     if returned == 0:
-        notes.append(f"warning: {name}: nothing of the laser's light comes back")
+        doubts.append(f"{name}: nothing of the laser's light comes back")
     elif transient.lost_per_m2 > LOST_SHARE_MAX * (returned + transient.lost_per_m2):
         notes.append(
             f"{name}: {transient.lost_per_m2 / (returned + transient.lost_per_m2):.1%} of the light comes after "
             f"{RECORDED_PERIODS} laser periods and is left out"
         )
-    return np.where(there & ~near & ~far, surface_m, np.nan), notes
+    return np.where(there & ~near & ~far, surface_m, np.nan), doubts, notes
 
 
 def _about(name: str, scene: "RayScene", rows: int, cols: int, optics: Optics) -> list[str]:

@@ -35,7 +35,8 @@ class Scene:
     float64[rows, cols, targets], 0 to 1. labels: int64[rows, cols], number of the object, or
     `NO_OBJECT`. sunlit: float64[rows, cols], share of the ambient light that reaches the
     surface, 0 to 1. notes: sentences that the user should read: what was cropped, masked or
-    assumed.
+    assumed. doubts: sentences to be read before any result: the file seems to hold something else
+    than what it was taken for.
     transient: light of a ray-traced scene or of recorded histograms, in which distance and
     reflectivity are only the truth. view: field of view that the pixels share. later: what the
     pixels see in the frames after the first one; empty: the same in all frames.
@@ -50,6 +51,7 @@ class Scene:
     labels: np.ndarray = field(default=NO_OBJECT, converter=given)
     sunlit: np.ndarray = field(default=1.0, converter=given)
     notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
     transient: ShapedLight | None = None
     view: View = View()
     later: tuple["Scene", ...] = ()

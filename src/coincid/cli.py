@@ -908,12 +908,17 @@ def _setup(
     described: Described | None = None,
     **fields: Any,
 ) -> "Setup":
-    """Return the `Setup` of a scene, whose file `described` explains, with further `fields`."""
+    """Return the `Setup` of a scene, whose file `described` explains, with further `fields`.
+
+    Doubts about the file are told at once, before any work.
+    """
     from coincid.lab.setup import Setup, for_pictures, scene_of
     from coincid.model.scenes.catalogue import usual_klux
 
     given = {name: value for name, value in (described or {}).items() if value != []}
     surfaces = scene_of(config, scene, **given)
+    for doubt in surfaces.doubts:
+        print(f"Check this first: {doubt}", flush=True)
     ambient = usual_klux(scene, given.get("bin_ps")) if klux is None else klux
     return Setup(config=for_pictures(config, surfaces), scene=surfaces, klux=ambient, **fields)
 

@@ -248,7 +248,8 @@ class Page:
     def _notes(self) -> list[str]:
         """Return what was assumed about uploaded files, and left out of them."""
         uploads = self.shown.settings.uploads
-        return [uploads.named(note) for note in self.shown.run.scene.notes]
+        scene = self.shown.run.scene
+        return [uploads.named(told) for told in (*scene.doubts, *scene.notes)]
 
     def _words(self) -> Words:
         settings = self.shown.settings
@@ -262,7 +263,7 @@ class Page:
             status=f"{_summary(settings)} · {self.shown.seconds:.2f} s, golden model",
             query="&".join(filter(None, (changed, f"{UPLOADS}={number}" if number else ""))),
             uploads=number,
-            notes=[settings.uploads.named(one) for one in (*run.scene.notes, *run.light.notes())],
+            notes=[*self._notes(), *map(settings.uploads.named, run.light.notes())],
             story=story(view),
             where=where_to_look(view),
             objects=object_table(*views),

@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 from scipy.io import savemat
 
+import coincid
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.conventions import CONVENTIONS, conventions_table
 from coincid.model.scenes.view import View
@@ -200,7 +201,7 @@ def test_disparities_of_kitti(tmp_path):
     for unit in ("disparity/256:721.5,0.54", "kitti-disparity:721.5,0.54"):
         assert load_scene(path, *SHAPE, unit=unit).truth_m == pytest.approx(20, abs=0.01)
     plain = load_scene(path, *SHAPE, unit="disparity:721.5,0.54")
-    assert any("disparity/256:721.5,0.54 it is 20 m" in note for note in plain.notes)
+    assert any("disparity/256:721.5,0.54 it is 20 m" in doubt for doubt in plain.doubts)
     with pytest.raises(InputError, match="three numbers at most"):
         load_scene(path, *SHAPE, unit="disparity:184704,0.54,0,5000")
 
@@ -214,7 +215,7 @@ def test_nyus_raw_files_are_recognized(tmp_path):
     path = npy(tmp_path / "d.npy", number.byteswap())
     assert load_scene(path, *SHAPE, unit="nyu-raw").truth_m == pytest.approx(raw_m)
     try:
-        told = " ".join(load_scene(path, *SHAPE, unit="nyu").notes)
+        told = " ".join(load_scene(path, *SHAPE, unit="nyu").doubts)
     except InputError as error:
         told = str(error)
     assert "with the unit nyu-raw it is 4" in told
@@ -244,8 +245,38 @@ def test_samples_of_another_data_set_are_told(tmp_path, case):
     samples, options, unit = HINTS[case]
     strays = samples.copy()
     strays[0, :2] += 1
-    notes = " ".join(load_scene(png(tmp_path / "d.png", strays), 8, 8, **options).notes)
-    assert re.findall(r"with the unit ([\w-]+)", notes) == ([unit] if unit else [])
+    doubts = " ".join(load_scene(png(tmp_path / "d.png", strays), 8, 8, **options).doubts)
+    assert re.findall(r"with the unit ([\w-]+)", doubts) == ([unit] if unit else [])
+    assert bool(doubts) == bool(unit)
+
+
+def test_what_is_no_depth_picture_is_doubted(tmp_path):
+    """Swapped bytes, and noise; a smooth scene with edges, holes and some noise is not."""
+    rng = np.random.default_rng(7)
+    steps = of_a_room(3000)
+    steps[:, 32:] += 1500
+    steps[10:20, 10:30] = 0
+    noisy = steps + rng.integers(0, 60, steps.shape).astype(np.uint16)
+    noise = rng.integers(1000, 5000, steps.shape).astype(np.uint16)
+    for samples, words in (
+        (steps, ""),
+        (noisy, ""),
+        (noisy.byteswap(), "bytes of the samples seem to be swapped"),
+        (noise, "as in noise"),
+        (noise / 1000, "as in noise"),
+        (np.full((64, 64), 4000, np.uint16), ""),
+    ):
+        doubts = load_scene(npy(tmp_path / "d.npy", samples), 8, 8).doubts
+        assert len(doubts) == bool(words) and words in " ".join(doubts)
+    raw = np.minimum(noisy // 8 + 500, 1000).astype(np.uint16)  # as the Kinect sends it
+    path = npy(tmp_path / "raw.npy", raw.byteswap())
+    assert load_scene(path, 8, 8, unit="nyu-raw").doubts == ()
+
+
+def test_a_doubt_warns_who_calls_the_library(tmp_path):
+    path = png(tmp_path / "d.png", of_a_room(1500) * 5)
+    with pytest.warns(UserWarning, match="with the unit tum"):
+        coincid.simulate(None, path, pulses=1, rows=8, cols=8)
 
 
 def test_a_wall_of_z_is_flat_in_space(tmp_path):

@@ -363,7 +363,7 @@ def test_middleburys_calibration_lies_beside_the_file(tmp_path):
 )
 def test_the_unit_that_would_fit(tmp_path, samples, words):
     try:
-        told = " ".join(load_scene(str(npy(tmp_path / "d.npy", samples)), 8, 8).notes)
+        told = " ".join(load_scene(str(npy(tmp_path / "d.npy", samples)), 8, 8).doubts)
     except InputError as error:
         told = str(error)
     assert words in told

@@ -67,9 +67,15 @@ def test_advice_overloads_no_link_where_it_need_not():
     # price.
     a_little_worse = tried(0.005, 900, 0.0, 0.9)
     assert cheapest([full, lossy, a_little_worse], lambda one: one.bits) is a_little_worse
+    # A useful picture on an overloaded link is better than a useless one.
+    useful, useless = tried(0.2, 100, 0.2, 1.02), tried(0.36, 50, 0.0, 0.1)
+    assert cheapest([useful, useless], lambda one: one.bits) is useful
+    bad, nothing = tried(0.8, 100, 0.02, 1.02), tried(1.0, 50, 0.0, 0.02)
+    assert cheapest([bad, nothing], lambda one: one.bits) is bad
     slow, fast = tried(1.0, 100, 0.0, 19.58), tried(1.0, 200, 0.0, 1.2)
     assert cheapest([slow, fast], lambda one: one.bits) is fast
     assert "is overloaded (108%" in sentence(full, worse)
+    assert "without an overload leaves 10.0% of the pixels wrong" in sentence(full, worse)
     assert "Everything that was tried overloads its link (120%" in sentence(fast, slow)
     assert "overload" not in sentence(fits)
 
