@@ -18,10 +18,9 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from queue import Queue
 
 from attrs import frozen
-
-from coincid.tb.toolchain import build_root
 
 ROOT = Path(__file__).parents[1]
 WORKERS = os.cpu_count() or 1
@@ -106,36 +105,53 @@ def exit_code(check: list[str], folder: Path, environment: dict[str, str]) -> in
     return done.returncode
 
 
-@contextmanager
-def copy_with(bug: Bug | None) -> Iterator[tuple[Path, dict[str, str]]]:
-    """Give a copy of the sources with a bug (None: without one), and its environment."""
-    name = bug.name if bug else "no-bug"
-    builds = build_root() / "planted" / name
-    with tempfile.TemporaryDirectory(prefix="coincid-planted-") as scratch:
-        folder = Path(scratch)
-        environment = copy_of_sources(folder) | {
-            "COINCID_BUILD": str(builds),
-            "NUMBA_DISABLE_JIT": "1",
-        }
+class Workshop:
+    """Places for copies of the sources, as many as there are workers.
+
+    A place keeps its path, and the compiled kernels of all copies that stood there: Numba finds
+    them by path and content, so only what a bug changes is compiled again.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._free: Queue[Path] = Queue()
+        for number in range(WORKERS):
+            self._free.put(root / str(number))
+
+    @contextmanager
+    def copy_with(self, bug: Bug | None) -> Iterator[tuple[Path, dict[str, str]]]:
+        """Give a copy of the sources with a bug (None: without one), and its environment."""
+        place = self._free.get()
+        folder, builds, kernels = place / "sources", place / "builds", place / "kernels"
+        for stale in (folder, builds):
+            shutil.rmtree(stale, ignore_errors=True)
+        kernels.mkdir(parents=True, exist_ok=True)
+        builds.mkdir()
+        (builds / "numba").symlink_to(kernels)
+        environment = copy_of_sources(folder) | {"COINCID_BUILD": str(builds)}
         if bug:
             plant(bug, folder)
-        yield folder, environment
-    shutil.rmtree(builds, ignore_errors=True)
+        try:
+            yield folder, environment
+        finally:
+            self._free.put(place)
 
 
-def failing_without_a_bug(checks: dict[str, list[str]]) -> list[str]:
+def failing_without_a_bug(checks: dict[str, list[str]], workshop: Workshop) -> list[str]:
     """Return the names of checks that do not pass in an unplanted copy: they prove nothing."""
-    with copy_with(None) as (folder, environment), ThreadPoolExecutor(WORKERS) as pool:
+    with (
+        workshop.copy_with(None) as (folder, environment),
+        ThreadPoolExecutor(WORKERS) as pool,
+    ):
         codes = pool.map(lambda check: exit_code(check, folder, environment), checks.values())
         return [name for name, code in zip(checks, codes, strict=True) if code != 0]
 
 
-def caught_by(bug: Bug, thorough: bool) -> dict[str, bool]:
+def caught_by(bug: Bug, thorough: bool, workshop: Workshop) -> dict[str, bool]:
     """Return proof or test -> whether it noticed a bug; up to the first that does, unless
     `thorough`.
     """
     result: dict[str, bool] = {}
-    with copy_with(bug) as (folder, environment):
+    with workshop.copy_with(bug) as (folder, environment):
         for name, check in checks_of(bug).items():
             result[name] = exit_code(check, folder, environment) == FAILED
             if result[name] and not thorough:
@@ -147,28 +163,32 @@ def main() -> None:
     thorough = "--all" in sys.argv
     names = [name for name in sys.argv[1:] if name != "--all"]
     bugs = [bug for bug in BUGS if not names or bug.name in names]
+    with tempfile.TemporaryDirectory(prefix="coincid-planted-") as scratch:
+        caught = judge(bugs, thorough, Workshop(Path(scratch)))
+    print(f"{caught} of {len(bugs)} planted bugs are caught")
+    sys.exit(caught < len(bugs))
+
+
+def judge(bugs: list[Bug], thorough: bool, workshop: Workshop) -> int:
+    """Print what catches each bug, and return how many are caught."""
     checks: dict[str, list[str]] = {}
     for bug in bugs:
         checks |= checks_of(bug)
     print(f"{len(checks)} proofs and tests must pass without a bug", flush=True)
-    worthless = failing_without_a_bug(checks)
+    worthless = failing_without_a_bug(checks, workshop)
     if worthless:
         sys.exit("These fail without a bug, so they show nothing: " + "; ".join(worthless))
-    missed = 0
 
-    def run(bug: Bug) -> None:
-        nonlocal missed
-        result = caught_by(bug, thorough)
-        missed += not (all if thorough else any)(result.values())
+    def run(bug: Bug) -> bool:
+        result = caught_by(bug, thorough, workshop)
         verdicts = [
             f"{what}: {'caught' if caught else 'MISSED'}" for what, caught in result.items()
         ]
         print(f"{bug.name:26}", ", ".join(verdicts), flush=True)
+        return all(result.values()) if thorough else any(result.values())
 
     with ThreadPoolExecutor(WORKERS) as pool:
-        list(pool.map(run, bugs))
-    print(f"{len(bugs) - missed} of {len(bugs)} planted bugs are caught")
-    sys.exit(missed > 0)
+        return sum(pool.map(run, bugs))
 
 
 if __name__ == "__main__":
