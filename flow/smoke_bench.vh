@@ -49,6 +49,16 @@
     $fatal(1);
   end
 
+  // The argument +waves=FILE writes a waveform of everything (VCD).
+  reg [8*256-1:0] wave_file;
+
+  initial begin
+    if ($value$plusargs("waves=%s", wave_file)) begin
+      $dumpfile(wave_file);
+      $dumpvars;
+    end
+  end
+
   // Registers.
   localparam [1:0] OKAY = 2'd0;
   localparam [1:0] SLVERR = 2'd2;

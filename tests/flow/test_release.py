@@ -84,9 +84,10 @@ def line_of_readme(folder, pattern):
     )[1]
 
 
-def simulated(folder, smoke=SMOKE, sources=f"-f {SMOKE}.f"):
+def simulated(folder, smoke=SMOKE, sources=f"-f {SMOKE}.f", arguments=""):
     """Return the finished smoke test of a release, on Icarus."""
-    return alone(f"iverilog -g2005 -s {smoke} -o smoke.vvp {sources} && vvp -n smoke.vvp", folder)
+    compiled = f"iverilog -g2005 -s {smoke} -o smoke.vvp {sources}"
+    return alone(f"{compiled} && vvp -n smoke.vvp {arguments}", folder)
 
 
 def alone(command, folder, path=""):
@@ -243,6 +244,17 @@ def test_smoke_test_works_behind_an_adapter(smallest):
     (smallest / "adapted.v").write_text(SHIM.join(text.rsplit("endmodule\n", 1)), encoding="utf-8")
     done = simulated(smallest, sources="-f coincid.f adapted.v")
     assert PASSED.fullmatch(done.stdout.strip()), done.stdout + done.stderr
+
+
+def test_smoke_test_writes_a_waveform(smallest):
+    """With the argument of the README; the wave has the start of the frame."""
+    readme = (smallest / "README.md").read_text(encoding="utf-8")
+    argument = re.search(r"`(\+waves=\S+)`", readme)[1]
+    done = simulated(smallest, arguments=argument)
+    assert any(map(PASSED.fullmatch, done.stdout.splitlines())), done.stdout + done.stderr
+    wave = (smallest / argument.partition("=")[2]).read_text(encoding="utf-8")
+    laser = re.search(r"^\$var wire 1 (\S+) laser \$end$", wave, re.MULTILINE)[1]
+    assert f"\n1{laser}\n" in wave
 
 
 INITIAL_VALUE = re.compile(r"^(  reg (?:\[\d+:\d+\] )?\S+ ?) = \d+'[hd][0-9a-f]+;$", re.MULTILINE)
