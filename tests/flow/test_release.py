@@ -15,13 +15,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from peakrdl_ipxact import IPXACTImporter
-from systemrdl import RDLCompiler
-from systemrdl.node import RegNode
 
 from coincid.flow.limits import largest_frame
 from coincid.flow.plain_names import plain_verilog
-from coincid.flow.register_files import IP_XACT, RDL
+from coincid.flow.register_files import IP_XACT
 from coincid.flow.release import CELLS_LIST, MANIFEST, write_release
 from coincid.flow.smoke import FPGA_SMOKE, SMOKE
 from coincid.flow.yosys import LIBERTY, cells_folder
@@ -32,7 +29,6 @@ from coincid.hdl.unit import Port
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import TOP
-from coincid.model.contract.registers import BY_NAME, SUBGROUP, WRITABLE, Access, address
 from coincid.model.contract.stream import COLUMN, decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
@@ -601,33 +597,3 @@ def test_limits_hold_where_every_edge_is_an_event():
         beats_of[form] = len(beats)
         assert len(beats) <= largest_frame(config_of_form)
     assert beats_of["full"] > largest_frame(of) / 2
-
-
-def registers(compiler):
-    """Return (node, subgroup or 0, index) of every register, with arrays unrolled."""
-    for node in compiler.elaborate().descendants(unroll=True):
-        if isinstance(node, RegNode):
-            assert (node.parent.inst_name == "subgroup") == (BY_NAME[node.inst_name] in SUBGROUP)
-            subgroup = node.parent.current_idx[0] if node.parent.inst_name == "subgroup" else 0
-            yield node, subgroup, node.current_idx[0] if node.is_array else 0
-
-
-@pytest.mark.parametrize("file", [RDL, IP_XACT])
-def test_register_descriptions_compile_to_the_table(releases, file):
-    compiler, of, seen = RDLCompiler(), config("silicon").sensor, set()
-    read = compiler.compile_file if file == RDL else IPXACTImporter(compiler).import_file
-    read(str(releases / "silicon" / file))
-    for node, subgroup, index in registers(compiler):
-        register = BY_NAME[node.inst_name]
-        assert node.absolute_address == address(node.inst_name, subgroup, index)
-        seen.add((node.inst_name, subgroup, index))
-        resets = sum(field.get_property("reset", default=0) << field.low for field in node.fields())
-        if register.access is not Access.COUNTER:
-            assert resets == register.reset(of), node.inst_name
-        assert node.has_sw_writable == (register.access in WRITABLE)
-    assert seen == {
-        (register.name, subgroup, index)
-        for register in BY_NAME.values()
-        for index in range(register.count(of))
-        for subgroup in range(of.subgroups if register in SUBGROUP else 1)
-    }
