@@ -386,6 +386,19 @@ def test_on_a_phone_the_settings_fold_away_and_in_the_dark_the_page_is_dark(tabs
     wait_for_title(tab, "histogram", "startsWith('row 3, column 12')")
 
 
+def test_a_phone_lays_the_pages_out_in_its_own_width(chromium, address, tmp_path):
+    """A phone takes a page for 980 pixels wide, and shows it small, unless the page says more."""
+    view = Explorer().run(check_settings({"rows": 8, "cols": 8, "pulses": 2})).view(0)
+    write_report(tmp_path / "report.html", "a run", [view])
+    context = chromium.new_context(viewport={"width": 390, "height": 844}, is_mobile=True)
+    tab = context.new_page()
+    for page in (address, f"file://{tmp_path}/report.html"):
+        tab.goto(page)
+        tab.wait_for_function("document.getElementById('story')?.textContent.length > 0")
+        assert tab.evaluate("window.innerWidth") == 390
+    context.close()
+
+
 def test_two_settings_side_by_side(tabs, address):
     tab = tabs(address)
     tab.click("[data-do=keep_a]")
