@@ -16,7 +16,9 @@ from .counters import EVENTS_MAX
 from .parameters import Sensor, guard_cycles
 from .settings import AUTO_BOUNDS
 
-NOISE_COMMITS_PER_PULSE = 0.25
+# A link that is somewhat overfull drops events evenly, which costs fewer pixels than a threshold that
+# leaves out signal: docs/controller.md has both, over rooms.
+NOISE_COMMITS_PER_PULSE = 4
 # photons per tick of a subgroup: lowest, highest, number of values tried
 PHOTONS_PER_TICK = (1e-7, 10.0, 100_000)
 

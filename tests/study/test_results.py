@@ -115,8 +115,8 @@ INTERFERENCE = dict(
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "067d6f1248b5da39"),
-    "sim": (sim, "aa73dafec03e0bda"),
-    "sweep": (sweep, "b7e5db9a8c08f85c"),
+    "sim": (sim, "9a73a8ab8fa5d33b"),
+    "sweep": (sweep, "ca27daa86ec8f791"),
     "explorer": (explorer, "6fb7551f7abad570"),
     "surfaces": (surface, "56076c599e3d1736"),
     "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "6db44219d69e7d12"),
