@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws several depth estimates of a scene side by side, on one scale in metres."""
+"""Draws several estimates of a scene's depth or light side by side, on one scale."""
 
 from collections.abc import Sequence
 
@@ -8,6 +8,7 @@ import numpy as np
 from attrs import frozen
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -30,6 +31,9 @@ REASONS = {  # colours of the marks
     Reason.EVENTS_LOST: VERMILION,
     Reason.FEW_PHOTONS: GREY,
 }
+LIGHT_SPAN = 1e4  # of the brightest light to the darkest that is told from none
+LIGHT_MARGIN = 1.5  # factor at both ends of the scale of light
+NO_LIGHT = "#4f6d8f"  # no grey level: no estimate
 SCALE_MARGIN = 0.05  # margin at both ends of the colour bar, relative to the range of depths
 
 
@@ -137,6 +141,44 @@ def draw_row(
         if heading:
             figure.suptitle(heading, fontsize=12)
     return figure, shares
+
+
+def light_row(
+    path: FilePath, panels: Sequence[tuple[str, np.ndarray]], truth: np.ndarray, heading: str = ""
+) -> None:
+    """Write pictures of light side by side, the true one first, to `path` (.png or .svg).
+
+    panels: titles and estimates, float64[rows, cols], photons per pulse, NaN = none (grey); truth:
+    the same. All share one logarithmic scale of grey levels, which spans the truth; its titles give
+    the median of estimate / truth.
+    """
+    lit = truth > 0
+    brightest = truth.max() if lit.any() else 1.0
+    darkest = max(truth[lit].min() if lit.any() else brightest, brightest / LIGHT_SPAN)
+    least = darkest / LIGHT_MARGIN
+    scale = LogNorm(least, brightest * LIGHT_MARGIN)
+    rows, cols = truth.shape
+    across = 1 + len(panels)
+    with style(axes_grid=False):
+        figure = new_figure(PANEL_IN * across + 0.9, PANEL_IN * rows / cols + 1.1)
+        axes = figure.subplots(1, across, squeeze=False)[0]
+        colours = matplotlib.colormaps["gray"].with_extremes(bad=NO_LIGHT)
+        for axis, (title, light) in zip(axes, (("truth", truth), *panels), strict=True):
+            shown = np.where(np.isnan(light), np.nan, np.maximum(light, least))
+            image = axis.imshow(shown, cmap=colours, norm=scale)
+            known = lit & ~np.isnan(light)
+            told = title
+            if light is not truth and known.any():
+                ratio = np.median(light[known] / truth[known])
+                told = f"{title}\nmedian of estimate / truth {ratio:.2f}"
+            axis.set_title(told)
+            axis.set_xlabel("column")
+            axis.spines[:].set_visible(False)
+        axes[0].set_ylabel("row")
+        figure.colorbar(image, ax=list(axes), label="photons per pulse", extend="both", pad=0.01)
+        if heading:
+            figure.suptitle(heading, fontsize=12)
+    save_figure(figure, path)
 
 
 def _draw_reasons(axis: Axes, reason: np.ndarray) -> None:

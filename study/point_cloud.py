@@ -13,7 +13,8 @@ from ..model.shared.errors import InputError
 from ..model.shared.files import FilePath, check_suffix, whole_file
 
 _NORMAL = "nx", "ny", "nz"
-POINT = np.dtype([*((name, "<f4") for name in ("x", "y", "z", "confidence")), ("reason", "u1")])
+_NUMBERS = "x", "y", "z", "confidence", "signal", "signal_error"
+POINT = np.dtype([*((name, "<f4") for name in _NUMBERS), ("reason", "u1")])
 POINT_WITH_NORMAL = np.dtype([*POINT.descr, *((name, "<f4") for name in _NORMAL)])
 _PLY_TYPES = {"f": "float", "u": "uchar"}
 
@@ -38,8 +39,8 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
     -------
     numpy.ndarray
         Structured array with the fields `x` (to the right), `y` (down) and `z` (along the axis) in
-        metres from the lens, `confidence`, `reason` (uint8, that of the pixel), and `nx`, `ny`,
-        `nz` with normals.
+        metres from the lens, `confidence`, `signal` and `signal_error` in photons per pulse (NaN if
+        the depth has none), `reason` (uint8, that of the pixel), and `nx`, `ny`, `nz` with normals.
 
     Raises
     ------
@@ -58,6 +59,8 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
     for name, part in zip("xyz", np.moveaxis(ray, 2, 0), strict=True):
         points[name] = (part[:, :, None] * depth.depth_m)[seen]
     points["confidence"] = depth.confidence[seen]
+    points["signal"] = np.nan if depth.signal_per_pulse is None else depth.signal_per_pulse[seen]
+    points["signal_error"] = np.nan if depth.signal_error is None else depth.signal_error[seen]
     points["reason"] = np.broadcast_to(depth.reason[:, :, None], seen.shape)[seen]
     if normals and depth.slope_m is not None:
         normals_of = _normals(depth.depth_m, depth.slope_m, right, down, ray)
@@ -102,6 +105,7 @@ def write_ply(path: FilePath, points: np.ndarray) -> None:
         "ply",
         "format binary_little_endian 1.0",
         "comment metres; x right, y down, z forward",
+        "comment signal, signal_error: detected photons per laser pulse, before the dead time",
     ]
     header += [f"comment reason {reason}: {told}" for reason, told in SENTENCES.items()]
     fields = [

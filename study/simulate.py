@@ -59,6 +59,7 @@ PICTURES = {  # file: (estimator of `model/depth/estimate.py`, suffix of the rep
     "depth.png": (DEFAULT_METHOD, "", "planes through the likelihood of all events"),
     "depth_peak.png": ("maximum", "_peak", "peak of every pixel's histogram, as in the paper"),
 }
+LIGHT = "light.png"  # the estimated light, by the estimator of the first picture
 SCHEMES = {  # name: (title, settings that differ), in the order of the frames
     "off": ("coincidence off", {"coincidence": False, "auto": False}),
     "fixed": ("one threshold: {threshold}", {"coincidence": True, "auto": False}),
@@ -203,7 +204,7 @@ def simulate_to_folder(
     waves: bool = False,
     **told: Any,
 ) -> dict[str, Any]:
-    """Simulate a scene; leave `PICTURES`, report.html, events.npz, depth.npz and report.json in
+    """Simulate a scene; leave `PICTURES`, `LIGHT`, report.html, events.npz, depth.npz and report.json in
     `out`, and return the report.
 
     threshold: of `fixed`; None: that of the configuration if it gives one, else the best of 1 to 7
@@ -242,7 +243,7 @@ def simulate_to_folder(
         "spad_gate": setup.spad_gate,
         "configuration": settings_of(config),
     }
-    results = [out / name for name in (*PICTURES, EVENTS, DEPTH, PAGE)]
+    results = [out / name for name in (*PICTURES, LIGHT, EVENTS, DEPTH, PAGE)]
     for path in (out / DEPTHS, out / ANIMATION):  # from an earlier run
         path.unlink(missing_ok=True)
     compiled = partial(_prepare, engine, config.sensor, waves, shown)
@@ -276,6 +277,7 @@ def simulate_to_folder(
         ambient_shown = ambient if isinstance(ambient, str) else f"{ambient:g}"
         heading = f"{run.scene.name}, {ambient_shown} klux, {config.pulses} laser pulses"
         shares = _pictures(out, heading, titles, played.frames)
+        _light_picture(out / LIGHT, heading, titles, played.frames)
         if scene.later:
             bar.stage("depth of all frames")
             shares |= _write_frames(out, heading, played)
@@ -351,6 +353,21 @@ def _pictures(
             key = f"wrong_share_{name}{suffix}"
             shares |= {key: frame["wrong_share"], f"{key}_15cm": frame["wrong_share_15cm"]}
     return shares
+
+
+def _light_picture(
+    path: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]
+) -> None:
+    """Write the estimated light of the first returns."""
+    from .pictures import light_row
+
+    panels = []
+    for name, frame in seen.items():
+        light = frame.first.signal_per_pulse
+        assert light is not None, "every estimator tells the light"
+        panels.append((titles[name], light[:, :, 0]))
+    truth = list(seen.values())[-1].light.total_signal.reshape(panels[0][1].shape)
+    light_row(path, panels, truth, f"{heading}: light, photons per pulse")
 
 
 def _write_frames(out: Path, heading: str, played: Played) -> dict[str, list[Number]]:

@@ -30,6 +30,11 @@ class Depth:
     slope_m : numpy.ndarray or None
         float64[rows, cols, 2], increase of the distance from row to row and from column to
         column, in metres; only with `planes`.
+    signal_per_pulse : numpy.ndarray or None
+        float64[rows, cols, returns], estimated signal of each return in detected photons per laser
+        pulse, before the dead time, as `Light.signal_per_pulse`; NaN = none.
+    signal_error : numpy.ndarray or None
+        float64[rows, cols, returns], its standard error.
     """
 
     depth_m: np.ndarray
@@ -37,6 +42,8 @@ class Depth:
     reason: np.ndarray
     error_m: np.ndarray | None = None
     slope_m: np.ndarray | None = None
+    signal_per_pulse: np.ndarray | None = None
+    signal_error: np.ndarray | None = None
 
     @classmethod
     def of(cls, depth_m: ArrayLike, confidence: ArrayLike = 1.0) -> "Depth":

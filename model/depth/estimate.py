@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from attrs import evolve
 
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
@@ -27,6 +28,7 @@ from .histograms import (
     pixel_image,
     subgroup_histograms,
 )
+from .intensity import Intensity, find_intensity
 from .methods import (
     DEFAULT_METHOD,
     DEFAULT_SOURCE,
@@ -100,7 +102,8 @@ def estimate_depth(
             system_fwhm_s=system_fwhm_s,
             workers=workers,
         )
-        return _filled(chosen.name, chosen.estimate(reading), config, returns)
+        own = _filled(chosen.name, chosen.estimate(reading), config, returns)
+        return own if own.signal_per_pulse is not None else _with_light(own, reading, arrays)
     with Threads(workers) as threads:
         found = find_returns(
             arrays,
@@ -113,12 +116,21 @@ def estimate_depth(
             system_fwhm_s=system_fwhm_s,
         )
         signs = found.signs(config, threads)
+        light = found.light(config, threads)
     tick_m, confidence = config.tick_s * SPEED_OF_LIGHT_M_S / 2, found.sure.copy()
     confidence[:, :, 0], reason = believe(signs, config, chosen)
     error_m, slope_m = (
         None if part is None else part * tick_m for part in (found.error, found.slope)
     )
-    return Depth(found.ticks * tick_m, confidence, reason, error_m, slope_m)
+    return Depth(
+        depth_m=found.ticks * tick_m,
+        confidence=confidence,
+        reason=reason,
+        error_m=error_m,
+        slope_m=slope_m,
+        signal_per_pulse=light.signal,
+        signal_error=light.error,
+    )
 
 
 def _read(estimator: Estimator, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -152,16 +164,31 @@ def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
                 f"{name}.estimate: {part} has shape {np.shape(getattr(found, part))}, must be {shape}"
             )
     missing = ((0, 0), (0, 0), (0, returns - has[0]))
-    error_m = found.error_m
-    if error_m is not None:
-        error_m = np.pad(error_m, missing, constant_values=np.nan)
+
+    def padded(part: np.ndarray | None) -> np.ndarray | None:
+        return None if part is None else np.pad(part, missing, constant_values=np.nan)
+
     return Depth(
         depth_m=np.pad(found.depth_m, missing, constant_values=np.nan),
         confidence=np.pad(found.confidence, missing),
         reason=found.reason,
-        error_m=error_m,
+        error_m=padded(found.error_m),
         slope_m=found.slope_m,
+        signal_per_pulse=padded(found.signal_per_pulse),
+        signal_error=padded(found.signal_error),
     )
+
+
+def _with_light(depth: Depth, reading: Reading, arrays: dict[str, np.ndarray]) -> Depth:
+    """Return the depth of an estimator of a user's own with the light at its distances."""
+    config = reading.config
+    sigma_ticks = pulse_sigma_ticks(config, reading.system_fwhm_s)
+    events = frame_events(arrays, config, sigma_ticks, reading.frame)
+    pulses = config.pulses * (len(arrays["opened"]) if reading.frame is None else 1)
+    ticks = depth.depth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
+    with Threads(reading.workers) as threads:
+        light = find_intensity(events, config, sigma_ticks, pulses, ticks, threads)
+    return evolve(depth, signal_per_pulse=light.signal, signal_error=light.error)
 
 
 class Found(NamedTuple):
@@ -193,6 +220,12 @@ class Found(NamedTuple):
             sure,
             self.everywhere,
             threads,
+        )
+
+    def light(self, config: Config, threads: Threads) -> Intensity:
+        """Return the light of the returns."""
+        return find_intensity(
+            self.events, config, self.sigma_ticks, self.pulses, self.ticks, threads
         )
 
 

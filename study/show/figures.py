@@ -108,7 +108,13 @@ ERROR_PALETTE = tuple(  # blue, white, orange: too near, right, too far
 )
 ERROR_SHOWN_M = 0.5  # the colour saturates here
 COUNTS = ("threshold", "drops")  # maps of whole numbers
-LIGHT = ("reflectivity", "signal", "background")  # further values of a pixel under the mouse
+LIGHT = (
+    "reflectivity",
+    "signal",
+    "estimated",
+    "estimated_error",
+    "background",
+)  # further values of a pixel under the mouse
 WHOLE_COLOURS_MAX = 8  # up to this value, each whole number has a colour of its own
 COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown when two frames are compared
 MAP_SIZE_PX, BAR_WIDTH_PX, BAR_AND_LABELS_PX = 168, 8, 44

@@ -55,7 +55,8 @@ class FrameView:
     reason: uint8[rows, cols], `belief.Reason`. Maps, float64[rows, cols]: truth_m, depth_m, error_m
     (depth - truth) and confidence, NaN = none; threshold (pixels that a window of the subgroup
     needed) and drops (events that the subgroup's full FIFO dropped); reflectivity (NaN = no
-    target); signal and background, mean photons that the pixel detects in a laser period.
+    target); signal and background, mean photons that the pixel detects in a laser period; estimated
+    and estimated_error, the signal of the first return as estimated, and its standard error.
     candidate_m, candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: measures
     (`lab/measures.py`), and `sun_share`. objects: see `seen_objects`.
     """
@@ -85,6 +86,8 @@ class FrameView:
         self.drops = _of_subgroups(frame.counter("dropped"), config)
         self.reflectivity = np.where(scene.valid, reflectivity, np.nan)
         self.signal = light.signal_per_pulse.sum(axis=1).reshape(shape)
+        self.estimated = _of_first(found.signal_per_pulse, shape)
+        self.estimated_error = _of_first(found.signal_error, shape)
         self.background = light.background_cps.reshape(shape) * (
             config.period_ticks * config.tick_s
         )
@@ -138,6 +141,11 @@ class FrameView:
         return np.bincount(bins[hit], minlength=self.histogram_bins), np.bincount(
             bins, minlength=self.histogram_bins
         )
+
+
+def _of_first(values: np.ndarray | None, shape: tuple[int, int]) -> np.ndarray:
+    """float64[rows, cols]: values of the first returns, NaN if there are none."""
+    return np.full(shape, np.nan) if values is None else values[:, :, 0]
 
 
 def _of_subgroups(values: np.ndarray, config: Config) -> np.ndarray:

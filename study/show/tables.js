@@ -30,6 +30,7 @@ function overMap(source, {x, y}) {
     `truth ${told("truth_m", 2, " m")}`, `depth ${told("depth_m", 2, " m")}`, `error ${told("error_m", 3, " m")}`,
     `confidence ${told("confidence", 2)} (${columns.sentences[0].split("|")[at("reason")]})`, `threshold ${told("threshold", 0, " pixels")}`, `drops of the subgroup ${told("drops", 0)}`,
     `reflectivity ${told("reflectivity", 2)}`, `signal ${told("signal", 3)} and background ${told("background", 3)} photons per pulse`,
+    `estimated signal ${told("estimated", 3)} ± ${told("estimated_error", 3)}`,
   ].join(" · ");
 }
 

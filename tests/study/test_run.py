@@ -165,7 +165,8 @@ def test_points_lie_where_their_pixels_look():
     )
     depth.reason[0, 4] = 3
     corner, behind, middle = coincid.point_cloud(depth, Optics(fov_h_deg=90, fov_v_deg=60)).tolist()
-    assert middle == (0, 0, 2, 0.5, 0) and corner[4] == behind[4] == 3
+    assert middle[:4] == (0, 0, 2, 0.5) and middle[6] == 0 and corner[6] == behind[6] == 3
+    assert np.isnan(middle[4:6]).all()
     x, y, z = corner[:3]
     assert (x / z, y / z) == pytest.approx((0.8, -2 / 3 * np.tan(np.radians(30))))
     assert np.linalg.norm((x, y, z)) == pytest.approx(4)
@@ -196,8 +197,13 @@ def test_ply_holds_the_points(run, tmp_path):
     header, _, data = (tmp_path / "cloud.ply").read_bytes().partition(b"end_header\n")
     assert header.startswith(b"ply\nformat binary_little_endian 1.0\n")
     assert f"element vertex {len(points)}\n".encode() in header
-    fields = [*((name, "<f4") for name in ("x", "y", "z", "confidence")), ("reason", "u1")]
+    numbers = ("x", "y", "z", "confidence", "signal", "signal_error")
+    fields = [*((name, "<f4") for name in numbers), ("reason", "u1")]
     assert np.array_equal(np.frombuffer(data, fields), points)
+    depth = run.depth(method="maximum")
+    seen = ~np.isnan(depth.depth_m)
+    assert points["signal"] == pytest.approx(depth.signal_per_pulse[seen])
+    assert points["signal_error"] == pytest.approx(depth.signal_error[seen])
     assert b"property uchar reason\n" in header and b"comment reason 1: no light" in header
     with pytest.raises(coincid.InputError, match="the folder .* does not exist"):
         run.to_ply(tmp_path / "none" / "cloud.ply")

@@ -26,6 +26,7 @@ from coincid.study.simulate import (
     DEPTH,
     DEPTHS,
     EVENTS,
+    LIGHT,
     PAGE,
     PICTURES,
     REPORT,
@@ -70,7 +71,14 @@ def test_report_agrees_with_the_events(tmp_path):
     for name, k in SHOWN.items():
         assert report[f"events_{name}"] == np.sum(arrays["pulse"] // 4 == k)
     assert f"{report['events_fixed']:,}" in told
-    assert {path.name for path in tmp_path.iterdir()} == {*PICTURES, EVENTS, DEPTH, PAGE, REPORT}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        *PICTURES,
+        LIGHT,
+        EVENTS,
+        DEPTH,
+        PAGE,
+        REPORT,
+    }
 
 
 def test_a_scene_that_moves(tmp_path):
@@ -138,7 +146,7 @@ def test_the_controller_saves_bandwidth_on_the_default_scene(tmp_path):
 def test_same_seed_same_bytes(tmp_path):
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):
         run(tmp_path / name, seed=seed)
-    for file in (*PICTURES, EVENTS):
+    for file in (*PICTURES, LIGHT, EVENTS):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
     assert (tmp_path / "a" / EVENTS).read_bytes() != (tmp_path / "c" / EVENTS).read_bytes()
     # Bokeh goes on counting its models in a process.
@@ -202,7 +210,7 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
         assert word in result.stderr
     report = json.loads((out / REPORT).read_text(encoding="utf-8"))
     assert report["mismatches"] == 1 and report["mismatch"] in result.stderr
-    assert not {path.name for path in out.iterdir()} & {*PICTURES, EVENTS, PAGE}
+    assert not {path.name for path in out.iterdir()} & {*PICTURES, LIGHT, EVENTS, PAGE}
     assert (out / "sim.log").exists()
 
 

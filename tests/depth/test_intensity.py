@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimated light of the pixels, against the light of the scene."""
+
+import numpy as np
+import pytest
+
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
+from coincid.model.depth.depth import Depth
+from coincid.model.scenes.scene import Scene
+
+SIZE = 16
+SENSOR = {"rows": SIZE, "cols": SIZE, "streams": 4}
+
+
+def wall_run(distance_m, reflectivity, *, klux=10, pulses=500, form="id", **subgroup):
+    shape = (SIZE, SIZE)
+    scene = Scene(
+        name="wall",
+        distance_m=np.broadcast_to(np.asarray(distance_m, np.float64), shape),
+        reflectivity=np.broadcast_to(np.asarray(reflectivity, np.float64), shape),
+    )
+    frame = {"pulses": pulses, "format": form}
+    return Run(Setup.of(scene, klux=klux, sensor=SENSOR, frame=frame, subgroup=subgroup), workers=2)
+
+
+def check_unbiased(run, **options):
+    """Assert that the mean over the pixels is right within four of its standard errors and 2 %, and
+    that the pixels lie within theirs.
+    """
+    depth = run.depth(**options)
+    truth = run.light.total_signal.reshape(SIZE, SIZE)
+    ratio = depth.signal_per_pulse[:, :, 0] / truth
+    four = 4 * ratio.std() / SIZE
+    assert ratio.mean() == pytest.approx(1, abs=max(four, 0.02))
+    off = (depth.signal_per_pulse[:, :, 0] - truth) / depth.signal_error[:, :, 0]
+    assert 0.6 < np.mean(np.abs(off) < 1) < 0.8
+
+
+@pytest.mark.parametrize("method", ["planes", "maximum", "matched", "background"])
+def test_light_of_walls_by_every_estimator(method):
+    """A half is brighter; pixels of both are in each subgroup."""
+    run = wall_run(4.0, np.where(np.arange(SIZE) % 2, 0.1, 0.4), threshold=2)
+    check_unbiased(run, method=method)
+
+
+@pytest.mark.parametrize("threshold", [1, 3])
+def test_light_does_not_depend_on_the_threshold(threshold):
+    check_unbiased(wall_run(4.0, 0.1, klux=50, threshold=threshold))
+
+
+def test_light_where_each_column_has_its_own_windows():
+    check_unbiased(wall_run(4 + 0.26 * np.arange(SIZE), 0.4, threshold=2))
+
+
+def test_light_where_most_pulses_hit():
+    """2.45 photons per pulse: a pixel fires in 91 % of the pulses."""
+    check_unbiased(wall_run(2.0, 0.4, threshold=2))
+
+
+def test_light_with_coincidence_off():
+    check_unbiased(wall_run(8.0, 0.1, klux=50, coincidence=False))
+
+
+def test_light_from_winners_and_counts():
+    """Format short names the winner only."""
+    check_unbiased(wall_run(4.0, 0.1, form="short", threshold=2))
+
+
+def test_light_of_two_surfaces_in_a_pixel():
+    distance_m = np.broadcast_to([4.0, 10.0], (SIZE, SIZE, 2))
+    scene = Scene(name="pane", distance_m=distance_m, reflectivity=np.full(distance_m.shape, 0.1))
+    setup = Setup.of(scene, klux=10, sensor=SENSOR, frame={"pulses": 500})
+    run = Run(setup, workers=2)
+    found = run.depth(returns=2)
+    near = np.abs(found.depth_m[:, :, :, None] - np.array([4.0, 10.0])) < 0.1
+    truth = run.light.signal_per_pulse.reshape(SIZE, SIZE, 2)
+    for target in range(2):
+        here = near[:, :, :, target]
+        light = np.where(here, found.signal_per_pulse, 0).sum(axis=2)[here.any(axis=2)]
+        assert light.mean() == pytest.approx(truth[0, 0, target], rel=0.05)
+
+
+class Known:
+    """An estimator of a user's own that knows the distance, but no light."""
+
+    name = "known"
+    version = "1"
+    reads = ()
+
+    def estimate(self, reading):
+        return Depth.of(np.full((SIZE, SIZE), 4.0))
+
+
+def test_light_at_the_distances_of_an_estimator_of_a_users_own():
+    check_unbiased(wall_run(4.0, 0.1, threshold=2), method=Known())
