@@ -27,10 +27,12 @@ from coincid.board.serial_transport import Deframer, SerialTransport, frame
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.board.source_model import SourceSettings, source_edges
 from coincid.host.transport import DeviceResetError, HostError, LinkError, RefusedError
+from coincid.model.contract.config import sensor_table
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
 
+from ..feature_pairs import USED, config_of, covering_cases
 from ..random_cases import configured
 
 SENSOR = Sensor(rows=4, cols=8, phases=8, window_max=16, subgroup=(4, 4))
@@ -117,24 +119,36 @@ def check_frames(driver, of, settings, numbers) -> int:
     return words
 
 
-def test_frames(port):
-    """Vary settings and seeds; every word of every frame is predicted."""
-    driver, number = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), 0
+def emulated_features():
+    """Return the features of frames on the emulator: it has its own light, and buffers its words."""
+    features = {name: USED[name] for name in USED if name not in ("abort", "receiver", "link_gbps")}
+    return features | {"light": tuple(BACKGROUND)}
+
+
+BACKGROUND = {"some": 3000, "none": 0, "crowded": 12000}
+
+
+def test_every_pair_of_features(port):
+    """Every word of every frame is predicted."""
+    driver = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S))
     assert driver.sensor == SENSOR and driver.buffer_beats == EMULATOR.buffer_beats
-    words = 0
-    full = config(dither_bits=5, minigroup_records=True, pulses=2, format="full")
-    for seed, of in enumerate([config(), full, config(period=40, format="short")]):
-        settings = source(seed)
+    golden, words = Golden(SENSOR), 0
+    table = sensor_table(SENSOR)
+    usual = {"abort": "none", "receiver": "always", "link_gbps": 0.0}
+    for seed, case in enumerate(covering_cases(emulated_features(), frozenset())):
+        of = config_of(table, case | usual).with_frame(clock_mhz=CLOCK_MHZ, pulses=4)
+        settings = source(seed, BACKGROUND[case["light"]])
         driver.program(of)
         driver.write_settings(settings.register_writes(SENSOR))
-        words += check_frames(driver, of, settings, range(number, number + 3))
-        number += 3
-    assert (
-        words > 400
-        and driver["stalls"] == 0
-        and driver["link_errors"] == 0
-        and driver.transport.repeats == 0
-    )
+        for _ in range(of.frames):
+            edges = source_edges(of, settings, golden.frames)
+            expected = golden.frame(of, edges).beats[0]
+            assert np.array_equal(driver.frame(), expected), case
+            words += len(expected)
+    assert words > 400
+    for name in ("stalls", "link_errors"):
+        assert driver[name] == 0
+    assert driver.transport.repeats == 0
 
 
 def test_registers(port):

@@ -18,7 +18,15 @@ from coincid.flow.register_files import HEADER, register_files
 from coincid.host.driver import Driver
 from coincid.host.transport import RefusedError
 from coincid.model.contract.counters import COUNTER_NAMES
-from coincid.model.contract.packet import FRAME_END, FRAME_START, GROUP_KIND, header_field, layout
+from coincid.model.contract.packet import (
+    FORMATS,
+    FRAME_END,
+    FRAME_START,
+    GROUP_KIND,
+    RECORD,
+    header_field,
+    layout,
+)
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.registers import BY_NAME, GLOBAL, Access
 from coincid.model.contract.stream import decode_frame
@@ -26,6 +34,7 @@ from coincid.model.golden.frame import Golden
 from coincid.tb.sliced import SlicedSensor
 
 from .. import random_cases
+from ..feature_pairs import BUILT, USED, paired_cases, played, sensor_of
 from ..random_cases import configured, random_edges
 
 SENSOR = Sensor(rows=8, cols=16)
@@ -34,6 +43,7 @@ FLAGS = ["-std=c99", *WARNINGS, "-O1"]
 U32 = ctypes.c_uint32
 READ = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, U32, ctypes.POINTER(U32))
 WRITE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, U32, U32)
+EVENT_KINDS = {packet.code for packet in FORMATS.values()}
 REFUSED, TIMEOUT, BAD_STREAM = -1, -3, -4
 
 
@@ -82,7 +92,19 @@ def test_the_driver_is_also_cpp_without_warnings(tmp_path):
 
 @pytest.fixture(scope="module")
 def library():
+    """One for all sensors: the driver asks a sensor for its parameters."""
     return compiled_driver(SENSOR)
+
+
+def probed(library, sensor) -> Info:
+    """Return what the driver finds out about a sensor."""
+    info = Info()
+    constants = {
+        each.offset: each.reset(sensor) for each in GLOBAL if each.access is Access.CONSTANT
+    }
+    bus = bus_of(SimpleNamespace(read=constants.__getitem__, write=None))
+    assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0
+    return info
 
 
 def refusing(access):
@@ -126,7 +148,9 @@ def event(library, info, packet):
         getattr(packet, name)
         for name in ("overrun", "subgroup", "pulse", "count", "winner", "stamp")
     ]
-    words = (ctypes.c_uint64 * -(-info.pixels // 64)).from_address(packet.map)
+    words = [0] * -(-info.pixels // 64)
+    if packet.map:  # a short event has none
+        words = (ctypes.c_uint64 * len(words)).from_address(packet.map)
     offsets = (library.coincid_offset(ctypes.byref(packet), g) for g in range(info.minigroups))
     return columns, list(words), list(offsets) if packet.offsets else [255] * info.minigroups
 
@@ -166,34 +190,53 @@ def test_the_driver_drives_and_decodes(library):
         assert rtl.driver["period"] == BY_NAME["period"].reset(SENSOR)
         assert rtl.driver["pulses"] == BY_NAME["pulses"].reset(SENSOR)
     assert np.array_equal(beats, golden.frame(of, edges).beats[0])
-    frame = decode_frame(beats, SENSOR, SENSOR.subgroups)
+    assert_decoded(library, info, beats, SENSOR)
+
+
+def assert_decoded(library, info, beats, sensor):
+    """Check that a frame has the events, records and counters that the decoder in Python finds."""
+    frame = decode_frame(beats, sensor, info.subgroups)
     events, records, counters = [], [], []
+    group = -1
     for packet in packets(library, info, beats):
         where = ctypes.byref(packet)
-        if packet.kind == 3:
+        if packet.kind == GROUP_KIND and packet.number != group:
+            events += events_of_group(library, info, packet)
+            group = packet.number
+        elif packet.kind in EVENT_KINDS:
             events.append(event(library, info, packet))
-            hits = [library.coincid_hit(where, i) for i in range(64)]
-            assert sum(bit << i for i, bit in enumerate(hits)) == events[-1][1][0]
-        elif packet.kind == 4:
-            stamp, hit_map = ctypes.c_uint32(), ctypes.c_uint32()
-            for g in range(16):
-                library.coincid_entry(
-                    ctypes.byref(info), where, g, ctypes.byref(stamp), ctypes.byref(hit_map)
-                )
-                records.append((packet.subgroup, packet.pulse, stamp.value, hit_map.value))
-        elif packet.kind == 7:
+            if packet.map:
+                assert hits_of(library, where, info) == events[-1][1]
+        elif packet.kind == RECORD.code:
+            entries = [entry(library, info, where, g) for g in range(info.minigroups)]
+            records.append(((packet.subgroup, packet.pulse), entries))
+        elif packet.kind == FRAME_END.code:
             counters = [
-                library.coincid_counter(where, s, k)
-                for s in range(2)
-                for k in range(len(COUNTER_NAMES))
+                [library.coincid_counter(where, s, k) for k in range(len(COUNTER_NAMES))]
+                for s in range(info.subgroups)
             ]
-    assert events == events_of_frame(frame) and len(events) > 20 and len(frame.records) > 5
-    assert records == [
-        (*of, *entry)
-        for of, entries in zip(frame.records.tolist(), frame.entries.tolist(), strict=True)
-        for entry in entries
-    ]
-    assert counters == frame.counters.ravel().tolist()
+    assert events == events_of_frame(frame)
+    expected = zip(map(tuple, frame.records.tolist()), frame.entries.tolist(), strict=True)
+    assert records == [(of, list(map(tuple, entries))) for of, entries in expected]
+    assert counters == frame.counters.tolist()
+    return len(events), len(records)
+
+
+def hits_of(library, where, info):
+    """Return the map of an event as words, as the driver answers pixel by pixel."""
+    words = [0] * -(-info.pixels // 64)
+    for pixel in range(info.pixels):
+        words[pixel // 64] |= library.coincid_hit(where, pixel) << pixel % 64
+    return words
+
+
+def entry(library, info, where, minigroup):
+    """Return stamp and map of a minigroup in a record."""
+    stamp = ctypes.c_uint32()
+    hit_map = ctypes.c_uint32()
+    outputs = ctypes.byref(stamp), ctypes.byref(hit_map)
+    library.coincid_entry(ctypes.byref(info), where, minigroup, *outputs)
+    return stamp.value, hit_map.value
 
 
 def events_of_group(library, info, packet):
@@ -203,12 +246,30 @@ def events_of_group(library, info, packet):
         yield event(library, info, one)
 
 
+def test_every_pair_of_features_is_decoded(library):
+    """Of sensors as built, of frames, light and receivers: the same rows as in Python."""
+    found = []
+    for number, case in enumerate(paired_cases(BUILT | USED)):
+        frames = played(sensor_of(case), case, number)
+        sensor = frames.config.sensor
+        info = probed(library, sensor)
+        assert info.record_bits == sensor.record_bits
+        for trace in frames.traces(Golden(sensor)):
+            for stream, beats in enumerate(trace.beats):
+                info.subgroups = len(sensor.stream_subgroups(stream))
+                counts = assert_decoded(library, info, beats, sensor)
+                found.append((info.record_bits, *counts))
+    wide, events, records = np.array(found).T
+    assert events.sum() > 3000
+    assert records[wide == 16].sum() > 20
+    assert records[wide == 32].sum() > 20
+
+
 @pytest.mark.parametrize("name", random_cases.SENSORS)
 @pytest.mark.parametrize("form", ("compact", "compact-full"))
-def test_groups_are_decoded(name, form):
-    """All events of whole frames; of damaged ones, those that the decoder in Python still finds."""
-    sensor, info = random_cases.built_sensor(random_cases.SENSORS[name]), Info()
-    library, rng = compiled_driver(sensor), np.random.default_rng(1)
+def test_of_damaged_groups_the_driver_finds_what_python_finds(library, name, form):
+    sensor, rng = random_cases.built_sensor(random_cases.SENSORS[name]), np.random.default_rng(1)
+    info = probed(library, sensor)
     of = configured(
         random_cases.SENSORS[name],
         {
@@ -220,29 +281,29 @@ def test_groups_are_decoded(name, form):
         },
         {"threshold": 1, "window": sensor.phases},
     )
-    constants = {
-        each.offset: each.reset(sensor) for each in GLOBAL if each.access is Access.CONSTANT
-    }
-    bus = bus_of(SimpleNamespace(read=constants.__getitem__, write=None))
-    assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(info)) == 0
-    for trial in range(12):
+    for trial in range(11):
         trace = Golden(sensor).frame(of, random_cases.trouble(of, trial, 12.0))
         for stream, beats in enumerate(trace.beats):
             info.subgroups = len(sensor.stream_subgroups(stream))
-            if trial:
-                tail = layout(sensor).length(FRAME_END, info.subgroups)
-                at = rng.choice(np.flatnonzero(header_field(beats[:-tail], "kind") == GROUP_KIND))
-                wrong = beats.copy()
-                wrong[at] ^= np.uint64(rng.integers(1, 1 << 63))
-                beats = (np.delete(beats, at), np.insert(beats, at, beats[at]), wrong)[trial % 3]
-            frame = decode_frame(beats, sensor, info.subgroups)
-            found, number = [], -1
-            for packet in packets(library, info, beats):
-                if packet.kind == GROUP_KIND and packet.number != number:
-                    found += events_of_group(library, info, packet)
-                    number = packet.number
-            assert found == events_of_frame(frame) and len(found) > 5
-            assert trial or not frame.missing
+            tail = layout(sensor).length(FRAME_END, info.subgroups)
+            at = rng.choice(np.flatnonzero(header_field(beats[:-tail], "kind") == GROUP_KIND))
+            wrong = beats.copy()
+            wrong[at] ^= np.uint64(rng.integers(1, 1 << 63))
+            shown = (np.delete(beats, at), np.insert(beats, at, beats[at]), wrong)[trial % 3]
+            assert events_of(library, info, shown) == events_of_frame(
+                decode_frame(shown, sensor, info.subgroups)
+            )
+
+
+def events_of(library, info, beats):
+    """Return the events of all groups of a frame."""
+    found, number = [], -1
+    for packet in packets(library, info, beats):
+        if packet.kind == GROUP_KIND and packet.number != number:
+            found += events_of_group(library, info, packet)
+            number = packet.number
+    assert len(found) > 5
+    return found
 
 
 def test_what_is_no_packet(library):

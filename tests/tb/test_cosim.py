@@ -13,14 +13,18 @@ from coincid.model.contract.pixels import pixel_table
 from coincid.model.golden.frame import Golden
 from coincid.tb.frame_record import FrameJob
 from coincid.tb.play import play
+from coincid.tb.scoreboard import check
+from coincid.tb.sliced import SlicedSensor
 
 from .. import random_cases
+from ..feature_pairs import features_on, paired_cases, played
 
 # The simulators compile the same Verilog as the sliced engine, so some sensors suffice for them: on
 # Verilator the one that `test_ports.py` compiles, on Icarus the one with a single subgroup, which
 # compiles fast.
 # Of its own here: windows of one tick, one column of minigroups in a subgroup, three streams of
-# unequal length.
+# unequal length. Four sensors have one of the switchable parts each, so that with those that have
+# all of them every pair of switches comes up.
 NARROW = dict(
     rows=32,
     cols=8,
@@ -31,9 +35,19 @@ NARROW = dict(
     window_max=1,
     streams=3,
 )
+SWITCHES = ("offsets", "records", "controller", "held")
+
+
+def only(built: str) -> dict[str, int]:
+    """Return the switches of a sensor with one of the switchable parts."""
+    return {name: int(name == built) for name in SWITCHES}
+
+
 SENSORS = random_cases.SENSORS | {
-    "narrow": NARROW | dict(rearm=2, fifo_depth=4),
-    "lean": random_cases.LEAN,
+    "one": random_cases.SENSORS["one"] | only("controller"),
+    "fine": random_cases.SENSORS["fine"] | only("offsets"),
+    "narrow": NARROW | dict(rearm=2, fifo_depth=4) | only("records"),
+    "lean": random_cases.LEAN | only("held"),
 }
 SAMPLES = {
     "sliced": [name for name in SENSORS if name != "one"],
@@ -87,6 +101,34 @@ def test_random_frames(sensor, engine, tmp_path):
     assert_all_checked(records, jobs)
 
 
+PAIRED = tuple(
+    name for name in SAMPLES["sliced"] if (name, "sliced") not in LONG
+)  # sensors whose frames have all pairs of features
+# Cycles after the planned begin of a period at which an abort still reaches this period: a frame
+# begins later, because it takes its settings first.
+ABORT_CYCLES = 24
+
+
+@pytest.mark.parametrize("sensor", PAIRED)
+def test_every_pair_of_features(sensor):
+    """Each sensor plays its cases of those that have every pair; the host receives the same."""
+    built = random_cases.built_sensor(SENSORS[sensor])
+    golden = Golden(built)
+    cases = paired_cases(*features_on({name: SENSORS[name] for name in PAIRED}))
+    with SlicedSensor(built) as rtl:
+        for number, case in enumerate(cases):
+            if case["sensor"] == sensor:
+                frames = played(SENSORS[sensor], case, number)
+                for edges, trace in zip(frames.frames, frames.traces(golden), strict=True):
+                    rtl.begin(frames.config, edges, frames.ready)
+                    if frames.pulses < frames.config.pulses:
+                        last = int(frames.config.start_cycles()[frames.pulses - 1])
+                        rtl.step(last + ABORT_CYCLES)
+                        rtl.abort()
+                    check(built, trace, rtl.end(), number)
+                    assert all(map(np.array_equal, rtl.driver.receive(), trace.beats))
+
+
 @pytest.mark.parametrize("sensor", ("default", "tiny"))
 def test_every_mode_in_every_format(sensor, tmp_path):
     """Play each twice in a row, so that the controller has a frame to follow."""
@@ -128,7 +170,7 @@ def test_streams_have_budgets_of_their_own(tmp_path):
 
 def test_counters_saturate(tmp_path):
     config = random_cases.configured(
-        random_cases.LEAN, {"period": 60, "pulses": 60}, {"threshold": 1}
+        SENSORS["lean"], {"period": 60, "pulses": 60}, {"threshold": 1}
     )
     job = random_cases.predicted(
         Golden(config.sensor), config, random_cases.trouble(config, 1, 20.0)
