@@ -1,14 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimated depth, as every estimator returns it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from attrs import asdict, frozen
+from attrs import field, frozen
 from numpy.typing import ArrayLike
 
 from ..shared.files import FilePath, write_npz
 from .belief import BELIEVED_MIN, SENTENCES, Reason
+
+if TYPE_CHECKING:
+    from .intensity import Intensity
+
+SAVED = (
+    "depth_m",
+    "confidence",
+    "reason",
+    "error_m",
+    "slope_m",
+    "signal_per_pulse",
+    "signal_error",
+)
 
 
 @frozen(eq=False)
@@ -30,11 +45,9 @@ class Depth:
     slope_m : numpy.ndarray or None
         float64[rows, cols, 2], increase of the distance from row to row and from column to
         column, in metres; only with `planes`.
-    signal_per_pulse : numpy.ndarray or None
-        float64[rows, cols, returns], estimated signal of each return in detected photons per laser
-        pulse, before the dead time, as `Light.signal_per_pulse`; NaN = none.
-    signal_error : numpy.ndarray or None
-        float64[rows, cols, returns], its standard error.
+    light : Intensity or callable or None
+        The light of the returns, or what computes it when `signal_per_pulse` or `signal_error` is
+        asked for; None: unknown.
     """
 
     depth_m: np.ndarray
@@ -42,8 +55,23 @@ class Depth:
     reason: np.ndarray
     error_m: np.ndarray | None = None
     slope_m: np.ndarray | None = None
-    signal_per_pulse: np.ndarray | None = None
-    signal_error: np.ndarray | None = None
+    light: "Intensity | Callable[[], Intensity] | None" = field(default=None, repr=False)
+
+    @cached_property
+    def _intensity(self) -> "Intensity | None":
+        return self.light() if callable(self.light) else self.light
+
+    @property
+    def signal_per_pulse(self) -> np.ndarray | None:
+        """float64[rows, cols, returns] or None: estimated signal of each return in detected photons
+        per laser pulse, before the dead time, as `Light.signal_per_pulse`; NaN = none.
+        """
+        return None if self._intensity is None else self._intensity.signal
+
+    @property
+    def signal_error(self) -> np.ndarray | None:
+        """float64[rows, cols, returns] or None: standard error of `signal_per_pulse`."""
+        return None if self._intensity is None else self._intensity.error
 
     @classmethod
     def of(cls, depth_m: ArrayLike, confidence: ArrayLike = 1.0) -> "Depth":
@@ -79,8 +107,9 @@ class Depth:
         """Write the arrays that there are as NPZ, whole or not at all; `sentences` are those of
         the reasons. Raises `InputError` for another suffix.
         """
-        arrays = {name: part for name, part in asdict(self).items() if part is not None}
-        write_npz(path, arrays | {"sentences": np.array([SENTENCES[reason] for reason in Reason])})
+        arrays = {name: getattr(self, name) for name in SAVED}
+        there = {name: part for name, part in arrays.items() if part is not None}
+        write_npz(path, there | {"sentences": np.array([SENTENCES[reason] for reason in Reason])})
 
 
 def write_depths(path: FilePath, depths: Sequence[Depth], truth_m: ArrayLike | None = None) -> None:
@@ -91,8 +120,8 @@ def write_depths(path: FilePath, depths: Sequence[Depth], truth_m: ArrayLike | N
     """
     arrays = {
         name: np.stack([getattr(depth, name) for depth in depths])
-        for name, part in asdict(depths[0]).items()
-        if part is not None
+        for name in SAVED
+        if getattr(depths[0], name) is not None
     }
     if truth_m is not None:
         arrays["truth_m"] = np.asarray(truth_m)

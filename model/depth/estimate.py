@@ -6,6 +6,7 @@ other methods are our own choice.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -103,7 +104,9 @@ def estimate_depth(
             workers=workers,
         )
         own = _filled(chosen.name, chosen.estimate(reading), config, returns)
-        return own if own.signal_per_pulse is not None else _with_light(own, reading, arrays)
+        if own.light is not None:
+            return own
+        return evolve(own, light=partial(_light_at, own.depth_m, reading, arrays))
     with Threads(workers) as threads:
         found = find_returns(
             arrays,
@@ -116,7 +119,6 @@ def estimate_depth(
             system_fwhm_s=system_fwhm_s,
         )
         signs = found.signs(config, threads)
-        light = found.light(config, threads)
     tick_m, confidence = config.tick_s * SPEED_OF_LIGHT_M_S / 2, found.sure.copy()
     confidence[:, :, 0], reason = believe(signs, config, chosen)
     error_m, slope_m = (
@@ -128,8 +130,7 @@ def estimate_depth(
         reason=reason,
         error_m=error_m,
         slope_m=slope_m,
-        signal_per_pulse=light.signal,
-        signal_error=light.error,
+        light=partial(found.light, config, workers),
     )
 
 
@@ -164,31 +165,30 @@ def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
                 f"{name}.estimate: {part} has shape {np.shape(getattr(found, part))}, must be {shape}"
             )
     missing = ((0, 0), (0, 0), (0, returns - has[0]))
-
-    def padded(part: np.ndarray | None) -> np.ndarray | None:
-        return None if part is None else np.pad(part, missing, constant_values=np.nan)
-
+    padded = partial(np.pad, pad_width=missing, constant_values=np.nan)
+    error_m, signal, signal_error = found.error_m, found.signal_per_pulse, found.signal_error
+    light = None
+    if signal is not None and signal_error is not None:
+        light = Intensity(signal=padded(signal), error=padded(signal_error))
     return Depth(
-        depth_m=np.pad(found.depth_m, missing, constant_values=np.nan),
+        depth_m=padded(found.depth_m),
         confidence=np.pad(found.confidence, missing),
         reason=found.reason,
-        error_m=padded(found.error_m),
+        error_m=None if error_m is None else padded(error_m),
         slope_m=found.slope_m,
-        signal_per_pulse=padded(found.signal_per_pulse),
-        signal_error=padded(found.signal_error),
+        light=light,
     )
 
 
-def _with_light(depth: Depth, reading: Reading, arrays: dict[str, np.ndarray]) -> Depth:
-    """Return the depth of an estimator of a user's own with the light at its distances."""
+def _light_at(depth_m: np.ndarray, reading: Reading, arrays: dict[str, np.ndarray]) -> Intensity:
+    """Return the light at the distances that an estimator of a user's own found."""
     config = reading.config
     sigma_ticks = pulse_sigma_ticks(config, reading.system_fwhm_s)
     events = frame_events(arrays, config, sigma_ticks, reading.frame)
     pulses = config.pulses * (len(arrays["opened"]) if reading.frame is None else 1)
-    ticks = depth.depth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
+    ticks = depth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
     with Threads(reading.workers) as threads:
-        light = find_intensity(events, config, sigma_ticks, pulses, ticks, threads)
-    return evolve(depth, signal_per_pulse=light.signal, signal_error=light.error)
+        return find_intensity(events, config, sigma_ticks, pulses, ticks, threads)
 
 
 class Found(NamedTuple):
@@ -222,11 +222,12 @@ class Found(NamedTuple):
             threads,
         )
 
-    def light(self, config: Config, threads: Threads) -> Intensity:
+    def light(self, config: Config, workers: int | None) -> Intensity:
         """Return the light of the returns."""
-        return find_intensity(
-            self.events, config, self.sigma_ticks, self.pulses, self.ticks, threads
-        )
+        with Threads(workers) as threads:
+            return find_intensity(
+                self.events, config, self.sigma_ticks, self.pulses, self.ticks, threads
+            )
 
 
 def find_returns(
