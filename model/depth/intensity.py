@@ -43,6 +43,7 @@ RATIO_MAX = 0.9  # of a change to the one before, there
 RISE_MIN = 0.02  # of the hits' logarithm with the light's, at least
 BRIGHTEST = 20.0  # photons per pulse: more cannot be told apart
 FAINTEST = 1e-7
+ERROR_MAX = 1e6  # nothing is known
 NOISE_HITS = 10.0  # weight of the mean background in that of a pixel, in hits
 NOISE_MIN = 1e-9  # photons per tick and pixel
 LEAST = 1e-300  # to divide by
@@ -343,7 +344,7 @@ def _fit(
         hits = min(1 - 0.5 / pulses, max(0.5 / pulses, expected.hits[n]))
         of_noise = expected.noise[n]
         variance = hits * (1 - hits) / pulses + of_noise * of_noise / (returns.away[n] + NOISE_HITS)
-        error[n] = math.sqrt(variance) / max(LEAST, expected.rise[n])
+        error[n] = min(ERROR_MAX, math.sqrt(variance) / max(LEAST, expected.rise[n]))
     return light, error
 
 
