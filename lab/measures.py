@@ -22,8 +22,10 @@ from ..model.depth.quality import (
     wrong_pixels,
     wrong_share,
 )
+from ..model.light.light import Light
 from ..model.scenes.scene import Scene
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
+from .bound import word_bounds_mm
 
 Number: TypeAlias = int | float | None
 
@@ -50,6 +52,8 @@ class MeasuredFrame(Protocol):
     def events(self) -> np.ndarray: ...
     @property
     def beats(self) -> np.ndarray: ...
+    @property
+    def light(self) -> Light: ...
     @property
     def threshold(self) -> np.ndarray: ...
     @property
@@ -112,6 +116,18 @@ def _not(share: str) -> Callable[[MeasuredFrame], float | None]:
 def _capacity_share(frame: MeasuredFrame) -> float | None:
     capacity = frame.config.capacity * frame.config.sensor.streams
     return _total(frame, "committed") / capacity if capacity else None
+
+
+def _bound_mm(frame: MeasuredFrame) -> float | None:
+    """Return the bound of a wall with the median light of the pixels that have some."""
+    light = frame.light
+    lit = light.total_signal > 0
+    if not lit.any():
+        return None
+    signal = float(np.median(light.total_signal[lit]))
+    noise_cps = float(np.median(light.background_cps[lit]))
+    config = frame.config.with_settings(threshold=int(np.median(frame.threshold)))
+    return word_bounds_mm(config, signal, noise_cps).pixel_mm
 
 
 def _per_s(counter: str) -> Callable[[MeasuredFrame], float]:
@@ -233,6 +249,11 @@ _OTHERS: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
         float,
         f"share of pixels with depth, off by at most {_FAR}",
         _not("wrong_share_15cm"),
+    ),
+    "bound_mm": (
+        float,
+        "lowest RMS error of a pixel's distance from its own words, in mm, at the median light",
+        _bound_mm,
     ),
     "found_rms_m": (
         float,

@@ -13,8 +13,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from attrs import evolve, frozen
 
+from ..lab.bound import photon_bound_mm, word_bounds_mm
 from ..lab.outcomes import Frame, Run
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config, toml_text
@@ -30,6 +32,7 @@ from .progress import first_time
 from .usefulness import is_useful, useless_sentence
 
 THRESHOLDS = (1, 2, 3, 4, 5, 6)
+LIMITED = (1, 2, 3)  # thresholds whose cost in millimetres is told
 WINDOWS_NS = (0.5, 1.0, 2.0)
 LINKS_GBPS = (1.0, 2.0, 4.0, 8.0, 16.0)
 FIRST_LINK_GBPS = 8.0  # with which thresholds and windows are compared
@@ -100,7 +103,7 @@ class Advice:
 
     settings: thresholds and windows, all with the link `FIRST_LINK_GBPS`; chosen: the best of them.
     links: links and formats for `chosen`; best: the advised one. klux: the light for which the
-    power is told. useless: sentences about a scene of which no setting leaves a useful picture; ""
+    power is told. limit: what a threshold costs in millimetres. useless: sentences about a scene of which no setting leaves a useful picture; ""
     if one does.
     """
 
@@ -109,6 +112,7 @@ class Advice:
     links: list[Tried]
     best: Tried
     klux: float
+    limit: str = ""
     useless: str = ""
 
     @property
@@ -210,7 +214,34 @@ def advise(
         last = setup.but(scene=scene.at(frames - 1))
         useless = useless_sentence(least_wrong, last, int(best.config.window[0]), workers)
     return Advice(
-        settings=settings, chosen=chosen, links=links, best=best, klux=klux, useless=useless
+        settings=settings,
+        chosen=chosen,
+        links=links,
+        best=best,
+        klux=klux,
+        limit=_limit(run, best.config),
+        useless=useless,
+    )
+
+
+def _limit(run: Run, config: Config) -> str:
+    """Return a sentence about the lowest possible errors at the median light, by threshold."""
+    light = run.light
+    lit = light.total_signal > 0
+    if not lit.any():
+        return "No pixel has light."
+    signal = float(np.median(light.total_signal[lit]))
+    noise_cps = float(np.median(light.background_cps[lit]))
+    usual = config.with_settings(coincidence=True, auto=False)
+    of_words = []
+    for threshold in LIMITED:
+        lowest = word_bounds_mm(usual.with_settings(threshold=threshold), signal, noise_cps)
+        of_words.append(f"{lowest.pixel_mm:.1f} mm at threshold {threshold}")
+    photons_mm = photon_bound_mm(usual, signal, noise_cps)
+    return (
+        f"The limit of a pixel with the median light ({signal:.2g} photons per pulse), without its"
+        f" neighbours' distances: {photons_mm:.1f} mm from all photons; from the words"
+        f" {', '.join(of_words)}."
     )
 
 

@@ -21,6 +21,7 @@ if not (_Path(__file__).parent / "model").is_dir():
 __version__ = _version("coincid")
 
 _PLACES = {
+    "lab.bound": ("bound",),
     "model.contract.config": ("Config", "load_config", "parse_config"),
     "model.contract.edges": ("load_edges",),
     "model.contract.result": ("events_table", "read_result", "write_result"),

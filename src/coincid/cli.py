@@ -328,6 +328,7 @@ def advise(
     print(f"Every row: {advice.price}. The error is the RMS of the pixels that are not wrong.")
     for note in looked_at.notes:
         print(note)
+    print(advice.limit)
     print(advice.sentence)
     print(" ".join(map(str, files)))
 

@@ -114,6 +114,7 @@ LIGHT = (
     "estimated",
     "estimated_error",
     "background",
+    "bound_mm",
 )  # further values of a pixel under the mouse
 WHOLE_COLOURS_MAX = 8  # up to this value, each whole number has a colour of its own
 COMPARED = ("depth_m", "error_m", "drops")  # maps that are shown when two frames are compared

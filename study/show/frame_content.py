@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from attrs import frozen
 
+from ...lab.bound import pixel_bounds_mm
 from ...lab.measures import SWEPT
 from ...lab.outcomes import Frame
 from ...model.contract.config import Config
@@ -56,7 +57,8 @@ class FrameView:
     (depth - truth) and confidence, NaN = none; threshold (pixels that a window of the subgroup
     needed) and drops (events that the subgroup's full FIFO dropped); reflectivity (NaN = no
     target); signal and background, mean photons that the pixel detects in a laser period; estimated
-    and estimated_error, the signal of the first return as estimated, and its standard error.
+    and estimated_error, the signal of the first return as estimated, and its standard error;
+    bound_mm, the lowest possible RMS error of the distance (`lab/bound.py`).
     candidate_m, candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: measures
     (`lab/measures.py`), and `sun_share`. objects: see `seen_objects`.
     """
@@ -88,6 +90,8 @@ class FrameView:
         self.signal = light.signal_per_pulse.sum(axis=1).reshape(shape)
         self.estimated = _of_first(found.signal_per_pulse, shape)
         self.estimated_error = _of_first(found.signal_error, shape)
+        usual = config.with_settings(threshold=int(np.median(frame.threshold)))
+        self.bound_mm = pixel_bounds_mm(usual, light).reshape(shape)
         self.background = light.background_cps.reshape(shape) * (
             config.period_ticks * config.tick_s
         )

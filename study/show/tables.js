@@ -31,6 +31,7 @@ function overMap(source, {x, y}) {
     `confidence ${told("confidence", 2)} (${columns.sentences[0].split("|")[at("reason")]})`, `threshold ${told("threshold", 0, " pixels")}`, `drops of the subgroup ${told("drops", 0)}`,
     `reflectivity ${told("reflectivity", 2)}`, `signal ${told("signal", 3)} and background ${told("background", 3)} photons per pulse`,
     `estimated signal ${told("estimated", 3)} ± ${told("estimated_error", 3)}`,
+    `lowest possible error ${told("bound_mm", 1, " mm")}`,
   ].join(" · ");
 }
 

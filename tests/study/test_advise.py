@@ -29,6 +29,9 @@ def test_advice_for_a_scene_of_ones_own(tmp_path):
     sentence = next(line for line in done.output.splitlines() if line.startswith("Take "))
     for unit in (" ns (", "Gbit/s", "of the pixels are wrong", "bits per frame", "mW", "um2"):
         assert unit in sentence
+    limit = next(line for line in done.output.splitlines() if line.startswith("The limit of a"))
+    told = [float(number) for number in re.findall(r"([\d.]+) mm", limit)]
+    assert len(told) == 4 and told[0] < told[1] <= told[3]
     best = read_csv(tmp_path / "out" / "advise.csv")["wrong pixels"].min()
     advised = load_config(tmp_path / "out" / "advised.toml")
     share = float(re.search(r"([\d.]+)% of the pixels", sentence)[1]) / 100

@@ -1,0 +1,432 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lowest possible errors of a distance: Cramer-Rao bounds of a pixel on a flat wall.
+
+Ref: Scholes et al. 2022, arXiv 2210.05644 (the bound of single-photon lidar with background), and
+arXiv 2507.11404. The recursion for the words of this sensor is our own.
+
+Three observers of the same light are compared; each knows the light and the background:
+
+- photons: one TDC per SPAD, which tells every avalanche (the first photon of a pulse, since the
+  SPAD is dead afterwards);
+- words: the events of the sensor, of which each has one stamp and the map of the pixels in its
+  window. A window without enough pixels tells nothing, but the tree is blind after it;
+- both for one pixel whose neighbours' times are known, and for all pixels of a subgroup that share
+  one distance, as an estimator of planes may assume.
+
+Not in the bounds: a pixel that is dead from an earlier window, and events that were dropped.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from attrs import frozen
+from scipy import signal, special, stats
+
+from ..model.contract.coincidence import rises
+from ..model.contract.config import Config, parse_config
+from ..model.depth.arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
+from ..model.depth.quality import OTHER_SURFACE_M
+from ..model.depth.tree import kept_shares
+from ..model.light.light import Light, background_cps, signal_per_pulse
+from ..model.shared.constants import SPEED_OF_LIGHT_M_S
+from ..model.shared.errors import check_integer
+from ..model.shared.quantities import check_real
+
+DEAD_S = 8e-9  # dead time of a SPAD (paper II)
+REACH_SIGMAS = 5.0  # from the centre of a pulse to its beginning and end
+FINE = 8  # steps per tick of a photon's time
+SHIFT_TICKS = 0.02  # by which derivatives are taken
+PHASES = 8  # positions of the pulse in a cycle, over which the information is averaged
+RARE = 1e-12
+LIGHTS = 5  # between which the bounds of pixels are interpolated
+TRIALS = 400  # frames from which the share of gross errors is estimated
+SEED = 1
+
+
+@frozen(kw_only=True)
+class Bound:
+    """Lowest possible errors of a distance in a frame.
+
+    Attributes
+    ----------
+    signal_per_pulse, background_cps : float
+        Detected light of the pixel.
+    photons_mm, bound_mm : float
+        RMS error of one pixel's distance, in millimetres: from all its photons, and from the words
+        of the sensor. It falls with the root of the pulses.
+    wall_photons_mm, wall_bound_mm : float
+        The same for all pixels of a subgroup together, if they share one distance.
+    gross_share : float
+        Share of the frames in which an ideal estimator is off by more than 15 cm, if it sees all
+        photons of one pixel and nothing of its neighbours; estimated from `TRIALS` frames.
+    """
+
+    signal_per_pulse: float
+    background_cps: float
+    photons_mm: float
+    bound_mm: float
+    wall_photons_mm: float
+    wall_bound_mm: float
+    gross_share: float
+
+
+def bound(
+    config: Config | None = None,
+    *,
+    distance_m: float = 8.0,
+    reflectivity: float = 0.4,
+    klux: float = 50.0,
+    system_fwhm_s: float = SYSTEM_FWHM_S,
+    trials: int = TRIALS,
+    **settings: float | bool,
+) -> Bound:
+    """Return the lowest possible errors of a pixel on a flat wall.
+
+    Parameters
+    ----------
+    config : Config or None
+        The sensor, its pulses, threshold and window (those of subgroup 0); None: the defaults.
+    distance_m, reflectivity, klux : float
+        Distance of the wall (from 0.05 m), its reflectivity from 0 to 1, and the ambient light.
+    system_fwhm_s : float
+        FWHM of laser pulse and jitter combined, in seconds.
+    trials : int
+        Frames from which `gross_share` is estimated; 0: it is NaN.
+    settings
+        `pulses`, and keys of `[subgroup]`, such as `threshold`, `window` and `coincidence`.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+    chosen = config or parse_config({})
+    if "pulses" in settings:
+        chosen = chosen.with_frame(pulses=settings.pop("pulses"))
+    chosen = chosen.with_settings(**settings)
+    check_real("distance_m", distance_m, 0.05)
+    check_real("reflectivity", reflectivity, 0, 1)
+    check_integer("trials", trials, 0, 1_000_000)
+    light = float(signal_per_pulse(distance_m, reflectivity))
+    noise_cps = float(background_cps(check_real("klux", klux, 0), reflectivity))
+    words = word_bounds_mm(chosen, light, noise_cps, system_fwhm_s)
+    photons_mm = photon_bound_mm(chosen, light, noise_cps, system_fwhm_s)
+    return Bound(
+        signal_per_pulse=light,
+        background_cps=noise_cps,
+        photons_mm=photons_mm,
+        bound_mm=words.pixel_mm,
+        wall_photons_mm=photons_mm / math.sqrt(chosen.sensor.pixels),
+        wall_bound_mm=words.wall_mm,
+        gross_share=gross_share(chosen, light, noise_cps, system_fwhm_s, trials),
+    )
+
+
+def mm_per_tick(config: Config) -> float:
+    """Return the distance in millimetres that a tick stands for."""
+    return 1e3 * config.tick_s * SPEED_OF_LIGHT_M_S / 2
+
+
+def _noise_per_tick(config: Config, noise_cps: float) -> float:
+    return noise_cps * config.tick_s
+
+
+def _alive(noise_cps: float) -> float:
+    """Return the chance that a SPAD is not dead from its background."""
+    return 1 / (1 + noise_cps * DEAD_S)
+
+
+def photon_bound_mm(
+    config: Config,
+    signal_per_pulse: float,
+    noise_cps: float,
+    system_fwhm_s: float = SYSTEM_FWHM_S,
+) -> float:
+    """Return the lowest RMS error of a pixel's distance from all its avalanches, in millimetres.
+
+    signal_per_pulse: detected photons. noise_cps: detected background, counts per second.
+    """
+    sigma = pulse_sigma_ticks(config, system_fwhm_s)
+    step = sigma / (FINE * 4)
+    at = np.arange(-REACH_SIGMAS * sigma, REACH_SIGMAS * sigma, step)
+    pulse = np.exp(-0.5 * (at / sigma) ** 2) / (math.sqrt(2 * math.pi) * sigma)
+    rate = signal_per_pulse * pulse + _noise_per_tick(config, noise_cps)
+    rise = signal_per_pulse * pulse * at / sigma**2
+    before = np.concatenate([[0.0], np.cumsum(rate[:-1])]) * step
+    alive = _alive(noise_cps) * np.exp(-before)
+    information = config.pulses * np.sum(rise**2 / np.maximum(rate, 1e-300) * alive) * step
+    return mm_per_tick(config) / math.sqrt(max(1e-300, information))
+
+
+class WordBounds(NamedTuple):
+    """Lowest RMS errors from the words, in millimetres."""
+
+    pixel_mm: float  # of one pixel, whose neighbours' times are known
+    wall_mm: float  # of all pixels of a subgroup together
+
+
+class Windows(NamedTuple):
+    """What happens in a window that opens in each tick of some cycles, if the tree is armed.
+
+    told: float64[ticks, kinds], chances of the events that can be told apart, which contain that no
+    photon came in the cycle before. rejected: float64[ticks], chance of a window that tells
+    nothing.
+    """
+
+    told: np.ndarray
+    rejected: np.ndarray
+
+
+class Wall(NamedTuple):
+    """A subgroup before a wall; times in ticks."""
+
+    signal: float  # photons per pulse
+    noise: float  # photons per tick
+    alive: float
+    sigma: float
+    pixels: int
+    window: int
+    phases: int
+    rearm: int
+    rejected: np.ndarray  # float64[pixels + 1], share of the windows of so many pixels
+    start: int  # first tick of the cycles that matter
+    cycles: int  # their number
+
+
+def word_bounds_mm(
+    config: Config,
+    signal_per_pulse: float,
+    noise_cps: float,
+    system_fwhm_s: float = SYSTEM_FWHM_S,
+) -> WordBounds:
+    """Return the lowest RMS errors from the sensor's words, with the settings of subgroup 0.
+
+    signal_per_pulse: detected photons of each pixel. noise_cps: detected background of each.
+    """
+    wall = subgroup_wall(config, signal_per_pulse, noise_cps, system_fwhm_s)
+    return WordBounds(
+        pixel_mm=_lowest_mm(config, wall, of_all=False),
+        wall_mm=_lowest_mm(config, wall, of_all=True),
+    )
+
+
+def _lowest_mm(config: Config, wall: Wall, *, of_all: bool) -> float:
+    """Return the lowest RMS error of one pixel's time, or of that of all."""
+    places = (np.arange(PHASES) + 0.3) * wall.phases / PHASES
+    found = [_information(wall, place, of_all=of_all) for place in places]
+    information = config.pulses * _armed_share(wall) * float(np.mean(found))
+    return mm_per_tick(config) / math.sqrt(max(1e-300, information))
+
+
+def pixel_bounds_mm(config: Config, light: Light) -> np.ndarray:
+    """float64[pixels]: lowest RMS error of each pixel's distance from the words, in millimetres, as
+    if its neighbours had the same light; NaN without light.
+
+    It is interpolated between `LIGHTS` lights, at the median background of the pixels that have
+    some light. The settings are those of subgroup 0.
+    """
+    total = light.total_signal
+    found = np.full(len(total), np.nan)
+    lit = total > 0
+    if not lit.any():
+        return found
+    noise_cps = float(np.median(light.background_cps[lit]))
+    lights = np.geomspace(total[lit].min(), total[lit].max(), LIGHTS)
+    if lights[0] == lights[-1]:
+        lights = lights[:1]
+    lowest = []
+    for one in lights:
+        wall = subgroup_wall(config, float(one), noise_cps)
+        lowest.append(_lowest_mm(config, wall, of_all=False))
+    found[lit] = np.exp(np.interp(np.log(total[lit]), np.log(lights), np.log(lowest)))
+    return found
+
+
+def subgroup_wall(
+    config: Config,
+    signal_per_pulse: float,
+    noise_cps: float,
+    system_fwhm_s: float = SYSTEM_FWHM_S,
+) -> Wall:
+    """Return subgroup 0 before a wall; the others are as in `word_bounds_mm`."""
+    sensor = config.sensor
+    coincidence = bool(config.coincidence[0])
+    threshold = int(config.threshold[0]) if coincidence else 1
+    kept = kept_shares(rises(sensor.rule, sensor.subgroup, threshold), sensor.pixels)
+    sigma = pulse_sigma_ticks(config, system_fwhm_s)
+    window = int(config.window[0]) if coincidence else 1
+    reach = math.ceil(REACH_SIGMAS * sigma)
+    before = -(-(reach + window) // sensor.phases)
+    return Wall(
+        signal=signal_per_pulse,
+        noise=_noise_per_tick(config, noise_cps),
+        alive=_alive(noise_cps),
+        sigma=sigma,
+        pixels=sensor.pixels,
+        window=window,
+        phases=sensor.phases,
+        rearm=sensor.rearm,
+        rejected=1 - kept[: sensor.pixels + 1],
+        start=-before * sensor.phases,
+        cycles=before + -(-(sensor.phases + reach) // sensor.phases) + 1,
+    )
+
+
+def _armed_share(wall: Wall) -> float:
+    """Return the chance that the tree is armed at the beginning of a cycle before the pulse."""
+    opens = 1 - math.exp(-wall.pixels * wall.noise * wall.alive * wall.phases)
+    blocked = (wall.window - 1) / wall.phases + wall.rearm  # further cycles, on average
+    return 1 / (1 + opens * blocked)
+
+
+def _information(wall: Wall, place: float, *, of_all: bool) -> float:
+    """Return what a pulse tells about the time of one pixel, or of all: Fisher's information, per
+    squared tick.
+
+    place: ticks from the beginning of a cycle to the centre of the pulse.
+    """
+    shifts = (0.0, SHIFT_TICKS, -SHIFT_TICKS)
+    of_shifts = [windows(wall, place, shift, of_all=of_all) for shift in shifts]
+    later = np.zeros(wall.cycles + 2 + wall.rearm + wall.window // wall.phases + 1)
+    for first in range(wall.cycles - 1, -1, -1):
+        later[first] = _from_cycle(wall, of_shifts, first, later)
+    return float(later[0])
+
+
+def _from_cycle(wall: Wall, of_shifts: list[Windows], first: int, later: np.ndarray) -> float:
+    """Return the information from a cycle on, in which the tree is known to be armed.
+
+    later: the same for the cycles after it. Rejected windows are hidden, so the chance that the
+    tree is armed is carried along, given that no event came.
+    """
+    armed = np.zeros((len(of_shifts), len(later)))
+    armed[:, first] = 1.0
+    blind = np.zeros((len(of_shifts), len(later)))  # until a cycle
+    silent = 1.0  # chance that no event came so far
+    total = 0.0
+    for c in range(first, wall.cycles):
+        ticks = slice(c * wall.phases, (c + 1) * wall.phases)
+        again = _armed_again(wall, c)
+        told = []
+        for k, one in enumerate(of_shifts):
+            here = armed[k, c] + blind[k, c + 1 :].sum()
+            told.append(armed[k, c] / max(RARE, here) * one.told[ticks])
+        none = [1 - one.sum() for one in told]
+        chance = np.append(told[0].ravel(), none[0])
+        rise = np.append((told[1] - told[2]).ravel(), none[1] - none[2]) / (2 * SHIFT_TICKS)
+        seen = chance > RARE
+        total += silent * np.sum(rise[seen] ** 2 / chance[seen])
+        total += silent * np.sum(told[0].sum(axis=1) * later[np.minimum(again, len(later) - 1)])
+        silent *= none[0]
+        for k, one in enumerate(of_shifts):
+            rejected = armed[k, c] * one.rejected[ticks]
+            stays = armed[k, c] * (1 - one.told[ticks].sum()) - rejected.sum()
+            armed[k, c + 1] += max(0.0, stays)
+            np.add.at(armed[k], again, rejected)
+            np.add.at(blind[k], again, rejected * (again > c + 1))
+        if silent < RARE:
+            break
+    return total
+
+
+def _armed_again(wall: Wall, c: int) -> np.ndarray:
+    """int64[phases]: cycle in which the tree is armed after a window that opened in cycle c."""
+    tick = c * wall.phases + np.arange(wall.phases)
+    return (tick + wall.window - 1) // wall.phases + 1 + wall.rearm
+
+
+def windows(wall: Wall, place: float, shift: float, *, of_all: bool) -> Windows:
+    """Return what happens in windows. shift: ticks by which the time of one pixel, or of all, is
+    later.
+    """
+    ticks = wall.cycles * wall.phases
+    own = _photons(wall, place + shift, ticks)
+    other = own if of_all else _photons(wall, place, ticks)
+    others = wall.pixels - 1
+    opening = np.arange(ticks)
+    cycle = opening // wall.phases * wall.phases
+    own_until = np.concatenate([[0.0], np.cumsum(own)])
+    other_until = np.concatenate([[0.0], np.cumsum(other)])
+    photons_before = own_until[opening] - own_until[cycle]
+    photons_before += others * (other_until[opening] - other_until[cycle])
+    waits = np.exp(-photons_before)
+    end = opening + wall.window
+    own_in = 1 - np.exp(-(own_until[end] - own_until[opening]))
+    own_later = 1 - np.exp(-(own_until[end] - own_until[opening + 1]))
+    other_in = 1 - np.exp(-(other_until[end] - other_until[opening]))
+    other_later = 1 - np.exp(-(other_until[end] - other_until[opening + 1]))
+    silent = np.exp(-own[:ticks] - others * other[:ticks])
+    opens = waits * (1 - silent)
+    if of_all:
+        counts = np.arange(wall.pixels + 1)
+        number = stats.binom.pmf(counts, wall.pixels, own_in[:, None])
+        number -= silent[:, None] * stats.binom.pmf(counts, wall.pixels, own_later[:, None])
+        told = waits[:, None] * np.maximum(0.0, number[:, 1:]) * (1 - wall.rejected[1:])
+        return Windows(told, np.maximum(0.0, opens - told.sum(axis=1)))
+    kept_in = _kept(wall, other_in, 1)
+    kept_later = _kept(wall, other_later, 1)
+    inside = own_in * kept_in - silent * own_later * kept_later
+    wins = (1 - np.exp(-own[:ticks])) * np.exp(-others * other[:ticks] / 2)
+    wins *= (kept_in + kept_later) / 2
+    outside = (1 - own_in) * _kept(wall, other_in, 0)
+    outside -= silent * (1 - own_later) * _kept(wall, other_later, 0)
+    kinds = np.stack([wins, inside - wins, outside], axis=1)
+    told = waits[:, None] * np.maximum(0.0, kinds)
+    return Windows(told, np.maximum(0.0, opens - told.sum(axis=1)))
+
+
+def _photons(wall: Wall, place: float, ticks: int) -> np.ndarray:
+    """float64[more than ticks]: mean photons of a pixel in each tick."""
+    edge = wall.start + np.arange(ticks + wall.window + wall.phases + 1)
+    pulse = np.diff(special.ndtr((edge - place) / wall.sigma))
+    return wall.alive * (wall.signal * pulse + wall.noise)
+
+
+def _kept(wall: Wall, fires: np.ndarray, own: int) -> np.ndarray:
+    """float64[n]: chance that a window with the pixel (own 1) or without it (0) becomes an event.
+
+    fires: of each other pixel.
+    """
+    others = wall.pixels - 1
+    most = int(np.count_nonzero(wall.rejected[own:] > 0))
+    counts = np.arange(most)
+    lost = stats.binom.pmf(counts, others, fires[:, None]) * wall.rejected[own : own + most]
+    return 1 - lost.sum(axis=1)
+
+
+def gross_share(
+    config: Config,
+    signal_per_pulse: float,
+    noise_cps: float,
+    system_fwhm_s: float = SYSTEM_FWHM_S,
+    trials: int = TRIALS,
+) -> float:
+    """Return the share of frames in which the likeliest time is off by more than 15 cm, for all
+    photons of one pixel whose light and background are known; NaN with 0 trials.
+    """
+    if not trials:
+        return math.nan
+    sigma = pulse_sigma_ticks(config, system_fwhm_s)
+    reach = math.ceil(REACH_SIGMAS * sigma)
+    noise = max(_noise_per_tick(config, noise_cps), RARE)
+    edge = np.arange(-reach, reach + 2) - 0.5
+    rate = signal_per_pulse * np.diff(special.ndtr(edge / sigma)) + noise
+    before = np.concatenate([[0.0], np.cumsum(rate[:-1])])
+    rate = _alive(noise_cps) * rate * np.exp(-before)
+    floor = _alive(noise_cps) * noise
+    ratio = np.log(rate / floor)
+    ticks = config.period_ticks
+    far = round(OTHER_SURFACE_M / (mm_per_tick(config) / 1e3))
+    middle = ticks // 2
+    random = np.random.default_rng(SEED)
+    wrong = 0
+    for _ in range(trials):
+        hits = random.poisson(config.pulses * floor, ticks).astype(np.float64)
+        hits[middle - reach : middle + reach + 1] = random.poisson(config.pulses * rate)
+        level = signal.fftconvolve(hits, ratio[::-1], mode="same")
+        chance = np.exp(level - level.max())
+        near = np.convolve(chance, np.ones(2 * far + 1), "same")
+        best = np.flatnonzero(near > near.max() * (1 - 1e-9))
+        wrong += abs(best[len(best) // 2] - middle) > far
+    return float(wrong / trials)

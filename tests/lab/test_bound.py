@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bounds of a distance: against numbers of another program, and against simulated words."""
+
+import numpy as np
+import pytest
+
+import coincid
+from coincid.lab import bound as bounds
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
+from coincid.model.contract.config import parse_config
+from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+
+# distance, reflectivity at 50 klux: mm for one pulse, by a program that counts ties otherwise:
+# from all photons of a pixel; from the words at thresholds 1 and 3, of a pixel and of a wall
+OTHERS = {
+    (2.0, 0.4): (30.0, (82.0, 82.5), (10.44, 10.80)),
+    (4.0, 0.4): (47.2, (115.6, 117.0), (14.45, 14.85)),
+    (16.0, 0.4): (175.2, (238.7, 313.9), (29.38, 38.70)),
+    (16.0, 0.1): (346.7, (381.8, 1325.8), (47.51, 164.70)),
+}
+
+
+@pytest.mark.parametrize("wall", OTHERS)
+def test_bounds_of_another_program(wall):
+    distance_m, reflectivity = wall
+    photons_mm, of_pixel, of_wall = OTHERS[wall]
+    for k, threshold in enumerate((1, 3)):
+        found = coincid.bound(
+            distance_m=distance_m,
+            reflectivity=reflectivity,
+            klux=50,
+            threshold=threshold,
+            pulses=1,
+            trials=0,
+        )
+        assert found.photons_mm == pytest.approx(photons_mm, rel=0.005)
+        assert found.bound_mm == pytest.approx(of_pixel[k], rel=0.04)
+        assert found.wall_bound_mm == pytest.approx(of_wall[k], rel=0.06)
+
+
+def test_likeliest_time_of_simulated_words_reaches_the_bound():
+    """80 frames of a subgroup before a wall: the likeliest common time, by the law of the bound."""
+    distance_m, pulses, frames = 8.0, 50, 80
+    setup = Setup.of(
+        f"flat:{distance_m},0.4",
+        klux=10,
+        sensor={"rows": 8, "cols": 8},
+        frame={"pulses": pulses, "frames": frames},
+        subgroup={"threshold": 2},
+    )
+    run = Run(setup, workers=2)
+    true_ticks = 2 * distance_m / SPEED_OF_LIGHT_M_S / run.config.tick_s
+    begin = int(true_ticks // 32) * 32
+    light = float(run.light.total_signal[0])
+    noise = float(run.light.background_cps[0])
+    wall = bounds.subgroup_wall(run.config, light, noise)
+    shifts = np.arange(-3, 3.01, 0.05)
+    tables = [
+        np.log(bounds.windows(wall, true_ticks - begin, shift, of_all=True).told + 1e-12)
+        for shift in shifts
+    ]
+    result = run.result
+    tick = result["stamp"] - begin - wall.start
+    inside = (tick >= 0) & (tick < wall.cycles * wall.phases)
+    frame = result["pulse"] // pulses
+    off = []
+    for number in range(frames):
+        here = inside & (frame == number)
+        fits = [one[tick[here], result["count"][here] - 1].sum() for one in tables]
+        off.append(shifts[np.argmax(fits)])
+    found = coincid.bound(
+        distance_m=distance_m, klux=10, threshold=2, pulses=pulses, trials=0
+    ).wall_bound_mm
+    rms_mm = np.sqrt(np.mean(np.square(off))) * bounds.mm_per_tick(run.config)
+    assert 0.8 < rms_mm / found < 1.25
+
+
+def test_more_pulses_and_fewer_rejected_windows_lower_the_bound():
+    dim = {"distance_m": 16.0, "reflectivity": 0.1, "trials": 0}
+    many = coincid.bound(threshold=3, pulses=400, **dim)
+    few = coincid.bound(threshold=3, pulses=100, **dim)
+    assert few.bound_mm == pytest.approx(2 * many.bound_mm)
+    assert coincid.bound(threshold=2, pulses=100, **dim).bound_mm < 0.6 * few.bound_mm
+    assert few.photons_mm < few.bound_mm
+
+
+def test_a_frame_has_the_bound_of_its_median_light():
+    setup = Setup.of(
+        "flat:8,0.4",
+        klux=10,
+        sensor={"rows": 8, "cols": 8},
+        frame={"pulses": 100},
+        subgroup={"threshold": 3},
+    )
+    same = coincid.bound(setup.config, distance_m=8, reflectivity=0.4, klux=10, trials=0)
+    assert Run(setup)["bound_mm"] == pytest.approx(same.bound_mm)
+
+
+def test_gross_errors_of_an_ideal_estimator():
+    dim = {"distance_m": 16.0, "reflectivity": 0.1, "klux": 50}
+    assert coincid.bound(pulses=1000, trials=100, **dim).gross_share < 0.2
+    assert coincid.bound(pulses=100, trials=100, **dim).gross_share > 0.6
+    assert np.isnan(coincid.bound(pulses=100, trials=0, **dim).gross_share)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"distance_m": 0.0}, "distance_m"),
+        ({"reflectivity": 1.5}, "reflectivity"),
+        ({"klux": -1}, "klux"),
+        ({"threshold": 0}, "threshold"),
+    ],
+)
+def test_errors_name_the_value(given, says):
+    with pytest.raises(coincid.InputError, match=says):
+        coincid.bound(parse_config({}), **given)
