@@ -69,6 +69,7 @@ def test_all_python_blocks_are_tested():
         "sweeps.md",
         "board.md",
         "extend.md",
+        "limit.md",
     }
     assert {page.name for page in PAGES if blocks(page, "python")} == tested
 
@@ -78,6 +79,12 @@ def test_code_about_light_prints_what_the_page_says():
     said = re.sub(r"```python\n.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     lines = printed(page)[0].splitlines()
     assert len(lines) > 10 and [line for line in lines if line not in said] == []
+
+
+def test_the_bound_is_what_the_page_says():
+    page = ROOT / "docs" / "limit.md"
+    told = printed(page)[0].strip()
+    assert told and f"prints `{told}`" in page.read_text(encoding="utf-8")
 
 
 def test_notebook_block_runs(tmp_path, monkeypatch):

@@ -153,7 +153,7 @@ SHOW_DEPTH = {
     *(
         f"docs/{page}.md"
         for page in (
-            "advise", "compact", "controller", "depth", "explorer", "modes", "paper-figures", "performance", "raytrace", "returns", "rivals",
+            "advise", "compact", "controller", "depth", "explorer", "limit", "modes", "paper-figures", "performance", "raytrace", "returns", "rivals",
             "second-lidar", "silicon", "sweeps", "two-surfaces",
         )
     ),
