@@ -64,7 +64,7 @@ class Depth:
     @property
     def signal_per_pulse(self) -> np.ndarray | None:
         """float64[rows, cols, returns] or None: estimated signal of each return in detected photons
-        per laser pulse, before the dead time, as `Light.signal_per_pulse`; NaN = none.
+        per laser pulse, before the dead time, as `Light.signal_per_pulse`; NaN = no depth, or a masked pixel.
         """
         return None if self._intensity is None else self._intensity.signal
 
