@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Few samples without depth in a large picture: they cost no pixel that has other samples."""
+
+import numpy as np
+import pytest
+
+from coincid.model.scenes.depth_file import depth_scene
+from coincid.model.scenes.meaning import Meaning
+
+ROWS = 4
+COLS = 6
+SIDE = 3  # samples of a pixel, down and across
+WALL_M = 5.0
+FAULTS = {  # what a sample without depth may hold, and the meaning that says so
+    "NaN": (np.nan, Meaning()),
+    "infinity": (np.inf, Meaning()),
+    "0": (0.0, Meaning()),
+    "negative": (-1.0, Meaning()),
+    "beyond the range": (1000.0, Meaning()),
+    "a mark": (7.0, Meaning(missing=7.0)),
+    "the sky": (60.0, Meaning(sky_m=50.0)),
+}
+
+
+def wall():
+    return np.full((SIDE * ROWS, SIDE * COLS), WALL_M)
+
+
+def assert_wall(scene, holes=()):
+    expected = np.full((ROWS, COLS), WALL_M)
+    for place in holes:
+        expected[place] = np.nan
+    assert np.array_equal(scene.truth_m, expected, equal_nan=True)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("place", [(0, 0), (5, 7), (-1, -1)])
+def test_a_single_sample_without_depth_costs_no_pixel(fault, place):
+    value, meaning = FAULTS[fault]
+    samples = wall()
+    samples[place] = value
+    assert_wall(depth_scene(samples, ROWS, COLS, meaning=meaning))
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("pixel", [(0, 0), (1, 3), (ROWS - 1, COLS - 1)])
+def test_a_pixel_is_a_hole_if_most_of_its_samples_have_no_depth(fault, pixel):
+    """The others keep their distance."""
+    value, meaning = FAULTS[fault]
+    row, col = pixel
+    for missing in range(SIDE * SIDE + 1):
+        samples = wall()
+        own = np.full(SIDE * SIDE, WALL_M)
+        own[:missing] = value
+        cell = slice(SIDE * row, SIDE * (row + 1)), slice(SIDE * col, SIDE * (col + 1))
+        samples[cell] = own.reshape(SIDE, SIDE)
+        is_hole = 2 * missing > SIDE * SIDE
+        assert_wall(depth_scene(samples, ROWS, COLS, meaning=meaning), [pixel] * is_hole)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_one_sample_of_each_pixel_without_depth_costs_no_pixel(fault):
+    value, meaning = FAULTS[fault]
+    samples = wall()
+    samples[1::SIDE, 1::SIDE] = value
+    assert_wall(depth_scene(samples, ROWS, COLS, meaning=meaning))
