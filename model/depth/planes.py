@@ -29,8 +29,8 @@ from .likelihood import Grid, Levels, log_likelihood
 from .patchmatch import Field, fit_planes, level_on, posterior, widened
 from .portable import geometric_steps
 from .refine import refine
-from .seeds import LEAST, Blocks, find_seeds, seed_scores
-from .unheard import Guess, unheard, unheard_in_light, windows_of
+from .seeds import LEAST, Blocks, Seeds, find_seeds, seed_scores
+from .unheard import Guess, Spread, Unheard, unheard, unheard_in_light, windows_of
 
 COARSE_SIGMAS = 1.4  # step of the first grid
 COARSE_LIGHTS = geometric_steps(0.02, 40, 7).astype(np.float32)  # photons per pulse
@@ -83,72 +83,33 @@ def find_surfaces(
         begins = range(0, sensor.rows, BLOCK_ROWS)
         threads.map(lambda begin: function(begin, min(sensor.rows, begin + BLOCK_ROWS)), begins)
 
-    step = max(1, round(COARSE_SIGMAS * sigma_ticks))
-    coarse_lights = down_to(COARSE_LIGHTS, COARSE_HITS / pulses)
-    fine_lights = down_to(LIGHTS, HITS / pulses)
-    even = np.full(len(coarse_lights), -math.log(len(coarse_lights)), np.float32)
-    coarse = Grid(step, coarse_lights, even)
-    windows = windows_of(events, config, pulses, sigma_ticks, threads.map)
-    never = unheard(windows, config, sigma_ticks, threads.map)
-    everywhere = np.zeros((sensor.subgroups, sensor.pixels), np.int64)
-    level, lights, _ = log_likelihood(
-        events,
-        config,
-        sigma_ticks,
-        pulses,
-        coarse,
-        never,
-        everywhere,
-        -(-config.period_ticks // step),
-        spread=threads.map,
-    )
-    found = find_seeds(level, lights, blocks)
-    chosen = np.maximum(found.bin, 0)[:, :, None]
-    light = np.take_along_axis(lights, chosen, 2)[:, :, 0]
-    seed = found.time(step)
-    guess = Guess(
-        time=by_subgroup(seed + step * _peak_offset(level, found.bin), sensor),
-        light=coarse_lights[by_subgroup(light, sensor)].astype(np.float64),
-    )
-    never = unheard_in_light(windows, never, guess, config, pulses, sigma_ticks, threads.map)
-    activity = _activity(events, guess.time, sigma_ticks)
+    frame = _Frame(events, config, sigma_ticks, pulses, blocks, threads.map)
+    coarse = _look_coarsely(frame)
+    found = coarse.found
+    step = coarse.step
     bins = max(BINS_LEAST, round(BINS_SIGMAS * sigma_ticks))
-    middle = np.nan_to_num(seed)
+    middle = np.nan_to_num(found.time(step))
     first = _first(middle, 1, bins)
-
-    told = evolve(events, offset=events.offset[:, :0])
-
-    def around(width: int, first: np.ndarray, prior: np.ndarray | None = None) -> Levels:
-        return log_likelihood(
-            told,
-            config,
-            width * sigma_ticks,
-            pulses,
-            Grid(width, fine_lights, prior),
-            never,
-            by_subgroup(first, sensor),
-            bins,
-            activity=activity,
-            guess=guess,
-            spread=threads.map,
-        )
-
-    levels = around(1, first)
-    again = partial(around, prior=levels.prior)
+    near = _Near(
+        told=evolve(events, offset=events.offset[:, :0]),
+        guess=coarse.guess,
+        never=coarse.never,
+        activity=_activity(events, coarse.guess.time, sigma_ticks),
+        bins=bins,
+    )
+    levels = _around(frame, near, None, 1, first)
+    prior = levels.prior
     field = Field.of([levels.level], [first], sigma_ticks, blocks)
     planes = fit_planes(field, blocks)
     if events.offset.shape[1]:  # what an offset says depends on the other pixels' surfaces
         sharper = refine(field, planes, blocks).planes.time
-        inside = np.clip(np.floor(sharper) - first, 0, bins - 1).astype(np.int64)[:, :, None]
-        own_light = fine_lights[np.take_along_axis(levels.light, inside, 2)[:, :, 0]]
-        guess = Guess(
-            time=np.where(np.isnan(guess.time), np.nan, by_subgroup(sharper, sensor)),
-            light=by_subgroup(own_light, sensor).astype(np.float64),
+        near = near._replace(
+            told=events, guess=_sharper_guess(frame, near.guess, levels, first, sharper)
         )
-        told = events
-        levels = around(1, first, levels.prior)
+        levels = _around(frame, near, prior, 1, first)
         field = Field.of([levels.level], [first], sigma_ticks, blocks)
         planes = fit_planes(field, blocks)
+    again = partial(_around, frame, near, prior)
     slanted = widened(planes.down, planes.right, sigma_ticks) > 4**SLANTED
     if np.mean(slanted) > SLANTED_SHARE:
         wide = _in_perspective(levels.level, middle, again, sigma_ticks, blocks)
@@ -166,8 +127,8 @@ def find_surfaces(
     surfaces = _Surfaces(time[:, :, None], confidence[:, :, None], error[:, :, None])
     if returns > 1:
         search = _Search(
-            level=level,
-            lights=lights,
+            level=coarse.level,
+            lights=coarse.lights,
             step=step,
             apart=events.window.max() + APART_SIGMAS * sigma_ticks,
             around=partial(again, 1),
@@ -190,6 +151,117 @@ class _Surfaces(NamedTuple):
     time: np.ndarray  # ticks
     confidence: np.ndarray
     error: np.ndarray  # ticks
+
+
+class _Frame(NamedTuple):
+    """What is known of a frame before any surface is."""
+
+    events: Events
+    config: Config
+    sigma_ticks: float  # of the laser's pulse
+    pulses: int  # in which the events came
+    blocks: Blocks
+    spread: Spread  # over subgroups
+
+
+class _Coarse(NamedTuple):
+    """What is known after the first grid, [rows, cols, ...]."""
+
+    step: int  # ticks of that grid
+    level: np.ndarray  # float32[rows, cols, times], log likelihood ratio
+    lights: np.ndarray  # uint8[rows, cols, times], likeliest light
+    found: Seeds
+    guess: Guess  # of the surfaces
+    never: Unheard  # in the light of the guess
+
+
+class _Near(NamedTuple):
+    """What the likelihoods in single ticks rest on."""
+
+    told: Events  # without offsets, as long as the surfaces are not known well enough for them
+    guess: Guess  # of the surfaces
+    never: Unheard
+    activity: np.ndarray  # float64[subgroups, pixels], of `_activity`
+    bins: int  # number of ticks around a seed
+
+
+def _look_coarsely(frame: _Frame) -> _Coarse:
+    """Find the seeds of the pixels, on a grid over the whole period."""
+    events = frame.events
+    config = frame.config
+    sigma_ticks = frame.sigma_ticks
+    sensor = config.sensor
+    step = max(1, round(COARSE_SIGMAS * sigma_ticks))
+    possible = down_to(COARSE_LIGHTS, COARSE_HITS / frame.pulses)
+    even = np.full(len(possible), -math.log(len(possible)), np.float32)
+    windows = windows_of(events, config, frame.pulses, sigma_ticks, frame.spread)
+    rough = unheard(windows, config, sigma_ticks, frame.spread)
+    level, lights, _ = log_likelihood(
+        events,
+        config,
+        sigma_ticks,
+        frame.pulses,
+        Grid(step, possible, even),
+        rough,
+        np.zeros((sensor.subgroups, sensor.pixels), np.int64),
+        -(-config.period_ticks // step),
+        spread=frame.spread,
+    )
+    found = find_seeds(level, lights, frame.blocks)
+    chosen = np.maximum(found.bin, 0)[:, :, None]
+    light = np.take_along_axis(lights, chosen, 2)[:, :, 0]
+    time = found.time(step) + step * _peak_offset(level, found.bin)
+    guess = Guess(
+        time=by_subgroup(time, sensor),
+        light=possible[by_subgroup(light, sensor)].astype(np.float64),
+    )
+    never = unheard_in_light(windows, rough, guess, config, frame.pulses, sigma_ticks, frame.spread)
+    return _Coarse(step, level, lights, found, guess, never)
+
+
+def _around(
+    frame: _Frame, near: _Near, prior: np.ndarray | None, width: int, first: np.ndarray
+) -> Levels:
+    """Return the likelihoods for pulses so many times as wide as the laser's, in steps of as many
+    ticks.
+
+    prior: of the lights; None: to be learned. first: int64[rows, cols], number of the first step.
+    """
+    return log_likelihood(
+        near.told,
+        frame.config,
+        width * frame.sigma_ticks,
+        frame.pulses,
+        Grid(width, _fine_lights(frame), prior),
+        near.never,
+        by_subgroup(first, frame.config.sensor),
+        near.bins,
+        activity=near.activity,
+        guess=near.guess,
+        spread=frame.spread,
+    )
+
+
+def _fine_lights(frame: _Frame) -> np.ndarray:
+    """Return the lights of the grid in single ticks, float32."""
+    return down_to(LIGHTS, HITS / frame.pulses)
+
+
+def _sharper_guess(
+    frame: _Frame, guess: Guess, levels: Levels, first: np.ndarray, time: np.ndarray
+) -> Guess:
+    """Return a guess with better times, and the likeliest lights there.
+
+    first: int64[rows, cols], first tick of the levels. time: float64[rows, cols], ticks.
+    """
+    sensor = frame.config.sensor
+    last = levels.level.shape[2] - 1
+    inside = np.clip(np.floor(time) - first, 0, last).astype(np.int64)[:, :, None]
+    light = _fine_lights(frame)[np.take_along_axis(levels.light, inside, 2)[:, :, 0]]
+    return Guess(
+        time=np.where(np.isnan(guess.time), np.nan, by_subgroup(time, sensor)),
+        light=by_subgroup(light, sensor).astype(np.float64),
+    )
 
 
 def down_to(lights: np.ndarray, faintest: float) -> np.ndarray:
