@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times between the ticks, and their standard errors: a plane by least squares through the peaks of
-the pixels around each pixel.
+"""Times between the ticks, and their standard errors: a surface by least squares through the peaks
+of the pixels around each pixel.
 
-Near its peak, the log likelihood of a pixel is a parabola. A plane through the peaks of neighbours
-on the same surface, each weighted by how sharp it is, has the error that their photons allow. The
-more neighbours, the smaller this error, until the surface is no plane any more. So the
-neighbourhood grows as long as its estimate agrees with those of the smaller ones (Goldenshluger and
-Nemirovski 1997: the intervals of all of them must intersect).
+Near its peak, the log likelihood of a pixel is a parabola. A surface through the peaks of
+neighbours, each weighted by how sharp it is, has the error that their photons allow. The more
+neighbours, the smaller this error, until the surface has another shape. So two shapes are fitted to
+discs of growing size, a plane and a curved surface:
+
+- The curved surface says how far the plane is off. What exceeds the noise of this difference is
+  bias of the plane; it grows with the area of the disc, so large discs tell it for small ones, too.
+- A smaller disc says how far the curved surface is off.
+
+The estimate is the one with the smallest sum of variance and squared bias. The discs grow as long as
+the curved surfaces agree within their noise (Goldenshluger and Nemirovski 1997; Lepski 1991).
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,11 +29,21 @@ PEAK_STEPS = 1.5  # from the highest of these to the peak of the parabola, at mo
 BESIDE_TICKS = 4.0  # from the plane to that of a neighbour on the same surface, at most
 OFF_SIGMAS = 3.5  # from the plane to the peak of such a neighbour, at most
 SLOPE_TICKS = 1.0  # per pixel: standard deviation of the slopes of `fit_planes`
-AGREE_SIGMAS = 1.6  # half width of the intervals that must intersect
-GROWTH = 1.25  # of the standard error, because the neighbourhood is chosen by the same peaks
+BEND_TICKS = 2.0  # per squared pixel: standard deviation of the curvatures of surfaces
+CURVED_TICKS = 1.0  # by which the plane of a pixel may miss its peak, because its surface is curved
+AGREE_SIGMAS = 2.5  # of the difference of two discs' curved surfaces, at most,
+AGREE_TICKS = 0.1  # and so much more
+SMALLER = 2  # discs from one to the smaller one that says how far its curved surface is off
+SMALLER_GROWTH = 1.8  # from the squared difference of these two to the squared bias
+GROWTH = 1.2  # of the standard error, because the disc is chosen by the same peaks
 ERROR_TICKS = 0.06  # what the likelihood leaves out, at any number of photons
 MOVE_TICKS = 3.0  # by which a time changes, at most
-DISCS = (0, 1, 2, 5, 10, 17, 26, 37, 50, 68)  # squared radii of the neighbourhoods, pixels
+DISCS = (0, 1, 2, 5, 10, 17, 26, 37, 50, 68)  # squared radii, pixels
+TERMS = 6  # of a curved surface: three curvatures,
+FLAT = 3  # and from here on those of a plane:
+DOWN = 3  # its slopes,
+RIGHT = 4
+LEVEL = 5  # and its time
 
 
 class Refined(NamedTuple):
@@ -44,18 +60,43 @@ class _Peaks(NamedTuple):
     bend: np.ndarray  # of the parabola, per squared tick: inverse of the variance; 0: no peak
 
 
-class _Sums(NamedTuple):
-    """Sums over the pixels of a neighbourhood."""
+class _Neighbours(NamedTuple):
+    """The pixels around a pixel, the nearest first, and the pixel itself."""
 
-    weight: float
-    down: float
-    right: float
-    down_down: float
-    down_right: float
-    right_right: float
-    off: float
-    off_down: float
-    off_right: float
+    step: np.ndarray  # int64[n, 2], rows and columns to them
+    terms: np.ndarray  # float64[n, TERMS], terms of a curved surface there
+    bounds: np.ndarray  # int64[discs], how many of them each of `DISCS` has
+
+
+# What least squares add to the plane of a pixel.
+_FIT = np.dtype(
+    [
+        ("off", np.float64),  # ticks
+        ("down", np.float64),  # ticks per row
+        ("right", np.float64),  # ticks per column
+        ("variance", np.float64),  # of `off`, squared ticks
+    ],
+    align=True,
+)
+
+
+class _Work(NamedTuple):
+    """Workspace for a pixel; each row of the array has its own."""
+
+    sums: np.ndarray  # float64[TERMS, TERMS + 1], products of the terms, and of them and the peaks
+    left: np.ndarray  # the same, while the terms are eliminated
+    plane: np.ndarray  # _FIT[discs]
+    curved: np.ndarray  # _FIT[discs]
+    bias: np.ndarray  # float64[discs], squared bias of `curved`
+
+
+class _Chosen(NamedTuple):
+    """What is added to the plane of a pixel."""
+
+    off: float  # ticks
+    down: float  # ticks per row
+    right: float  # ticks per column
+    square: float  # squared error of `off`; infinite: there is no peak
 
 
 def refine(field: Field, planes: Planes, blocks: Blocks) -> Refined:
@@ -63,7 +104,6 @@ def refine(field: Field, planes: Planes, blocks: Blocks) -> Refined:
     shape = planes.time.shape
     peaks = _Peaks(np.empty(shape), np.empty(shape))
     blocks(partial(_find_peaks, field, planes, peaks))
-    steps, bounds = _discs()
     refined = Refined(
         Planes(
             time=np.empty(shape),
@@ -74,21 +114,37 @@ def refine(field: Field, planes: Planes, blocks: Blocks) -> Refined:
         ),
         np.empty(shape),
     )
-    blocks(partial(_fit, field, planes, peaks, steps, bounds, refined))
+    rows = shape[0]
+    discs = len(DISCS)
+    work = _Work(
+        sums=np.empty((rows, TERMS, TERMS + 1)),
+        left=np.empty((rows, TERMS, TERMS + 1)),
+        plane=np.empty((rows, discs), _FIT),
+        curved=np.empty((rows, discs), _FIT),
+        bias=np.empty((rows, discs)),
+    )
+    blocks(partial(_fit, field, planes, peaks, _neighbours(), work, refined))
     return refined
 
 
-def _discs() -> tuple[np.ndarray, np.ndarray]:
-    """Return the steps to neighbours, int64[n, 2], the nearest first, and how many of them each of
-    `DISCS` has, int64[discs].
-    """
+def _neighbours() -> _Neighbours:
+    """Return the neighbours of a pixel, as far as the largest disc."""
     reach = np.arange(-HALF, HALF + 1)
     down = np.repeat(reach, len(reach))
     right = np.tile(reach, len(reach))
     square = down**2 + right**2
     order = np.argsort(square, kind="stable")
     bounds = np.searchsorted(square[order], DISCS, side="right")
-    return np.stack([down[order], right[order]], axis=1), bounds
+    order = order[: bounds[-1]]
+    down = down[order]
+    right = right[order]
+    terms = np.ones((len(order), TERMS))
+    terms[:, 0] = down**2 / 2
+    terms[:, 1] = down * right
+    terms[:, 2] = right**2 / 2
+    terms[:, DOWN] = down
+    terms[:, RIGHT] = right
+    return _Neighbours(step=np.stack([down, right], axis=1), terms=terms, bounds=bounds)
 
 
 @njit(allocates=False)
@@ -125,96 +181,162 @@ def _fit(
     field: Field,
     planes: Planes,
     peaks: _Peaks,
-    steps: np.ndarray,
-    bounds: np.ndarray,
+    near: _Neighbours,
+    work: _Work,
     refined: Refined,
     begin: int,
     end: int,
 ) -> None:
     """Compute the refined planes of some rows."""
-    rows, cols = planes.time.shape
     for r in range(begin, end):
-        for c in range(cols):
-            sums = _Sums(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            low = -np.inf
-            high = np.inf
-            off = 0.0
-            down = 0.0
-            right = 0.0
-            variance = np.inf
-            done = 0
-            for disc in range(len(bounds)):
-                for k in range(done, bounds[disc]):
-                    rr = r + steps[k, 0]
-                    cc = c + steps[k, 1]
-                    if 0 <= rr < rows and 0 <= cc < cols and peaks.bend[rr, cc] > 0:
-                        sums = _with_pixel(field, planes, peaks, r, c, rr, cc, sums)
-                done = bounds[disc]
-                if sums.weight == 0:
-                    continue
-                here, here_down, here_right, here_variance = _solve(sums)
-                reach = AGREE_SIGMAS * np.sqrt(here_variance)
-                low = max(low, here - reach)
-                high = min(high, here + reach)
-                if low > high:
-                    break
-                if here_variance <= variance:
-                    off = here
-                    down = here_down
-                    right = here_right
-                    variance = here_variance
-            moved = abs(off) <= MOVE_TICKS
-            refined.planes.time[r, c] = planes.time[r, c] + (off if moved else 0.0)
-            refined.planes.down[r, c] = planes.down[r, c] + (down if moved else 0.0)
-            refined.planes.right[r, c] = planes.right[r, c] + (right if moved else 0.0)
-            error = np.sqrt(GROWTH**2 * variance + ERROR_TICKS**2)
-            refined.error[r, c] = error if variance < np.inf else np.nan
+        own = _Work(work.sums[r], work.left[r], work.plane[r], work.curved[r], work.bias[r])
+        for c in range(planes.time.shape[1]):
+            first, number = _fit_discs(field, planes, peaks, near, r, c, own)
+            best = _choose(near.bounds, first, number, own)
+            moved = 1.0 if abs(best.off) <= MOVE_TICKS else 0.0
+            refined.planes.time[r, c] = planes.time[r, c] + moved * best.off
+            refined.planes.down[r, c] = planes.down[r, c] + moved * best.down
+            refined.planes.right[r, c] = planes.right[r, c] + moved * best.right
+            error = np.sqrt(GROWTH**2 * best.square + ERROR_TICKS**2)
+            refined.error[r, c] = error if best.square < np.inf else np.nan
 
 
 @part
-def _with_pixel(
-    field: Field, planes: Planes, peaks: _Peaks, r: int, c: int, rr: int, cc: int, sums: _Sums
-) -> _Sums:
-    """Return sums with pixel (rr, cc), if it is on the plane of pixel (r, c)."""
-    down = float(rr - r)
-    right = float(cc - c)
+def _fit_discs(
+    field: Field,
+    planes: Planes,
+    peaks: _Peaks,
+    near: _Neighbours,
+    r: int,
+    c: int,
+    own: _Work,
+) -> tuple[int, int]:
+    """Fit both surfaces to the discs around pixel (r, c), until two of them do not agree.
+
+    Return the first disc with a peak, and the one after the last that agrees.
+    """
+    own.sums[:] = 0
+    first = 0
+    done = 0
+    for disc in range(len(near.bounds)):
+        for k in range(done, near.bounds[disc]):
+            _add_pixel(field, planes, peaks, near, k, r, c, own.sums)
+        done = near.bounds[disc]
+        if own.sums[LEVEL, LEVEL] == 0:
+            first = disc + 1
+            continue
+        _solve(own.sums, FLAT, own.left, own.plane[disc])
+        _solve(own.sums, 0, own.left, own.curved[disc])
+        for smaller in range(first, disc):
+            off = own.curved[disc].off - own.curved[smaller].off
+            noise = max(0.0, own.curved[smaller].variance - own.curved[disc].variance)
+            if abs(off) > AGREE_SIGMAS * np.sqrt(noise) + AGREE_TICKS:
+                return first, disc
+    return first, len(near.bounds)
+
+
+@part
+def _add_pixel(
+    field: Field,
+    planes: Planes,
+    peaks: _Peaks,
+    near: _Neighbours,
+    k: int,
+    r: int,
+    c: int,
+    sums: np.ndarray,
+) -> None:
+    """Add neighbour k of pixel (r, c) to the sums, if it is on the same surface."""
+    rows, cols = planes.time.shape
+    rr = r + near.step[k, 0]
+    cc = c + near.step[k, 1]
+    if not (0 <= rr < rows and 0 <= cc < cols) or peaks.bend[rr, cc] <= 0:
+        return
+    down = float(near.step[k, 0])
+    right = float(near.step[k, 1])
     there = plane_at(field, planes, r, c, down, right)
-    if abs(planes.time[rr, cc] - there) > BESIDE_TICKS:
-        return sums
+    here = plane_at(field, planes, rr, cc, -down, -right)
+    # A curved surface is as far from the one plane as from the other, and on the same side.
+    step = (planes.time[rr, cc] - there) - (planes.time[r, c] - here)
+    if abs(step) > 2 * BESIDE_TICKS:
+        return
     weight = peaks.bend[rr, cc]
-    off = peaks.time[rr, cc] - there
-    if off * off * weight > OFF_SIGMAS**2:
-        return sums
-    return _Sums(
-        weight=sums.weight + weight,
-        down=sums.down + weight * down,
-        right=sums.right + weight * right,
-        down_down=sums.down_down + weight * down * down,
-        down_right=sums.down_right + weight * down * right,
-        right_right=sums.right_right + weight * right * right,
-        off=sums.off + weight * off,
-        off_down=sums.off_down + weight * off * down,
-        off_right=sums.off_right + weight * off * right,
-    )
+    missed = max(0.0, abs(peaks.time[rr, cc] - planes.time[rr, cc]) - CURVED_TICKS)
+    if missed * missed * weight > OFF_SIGMAS**2:
+        return
+    terms = near.terms[k]
+    for i in range(TERMS):
+        weighted = weight * terms[i]
+        for j in range(i, TERMS):
+            sums[i, j] += weighted * terms[j]
+        sums[i, TERMS] += weighted * (peaks.time[rr, cc] - there)
 
 
 @part
-def _solve(sums: _Sums) -> tuple[float, float, float, float]:
-    """Return what is added to a plane's time, and to its slopes, and the variance of the time."""
-    prior = 1 / SLOPE_TICKS**2
-    a = sums.weight
-    b = sums.down
-    c = sums.right
-    d = sums.down_down + prior
-    e = sums.down_right
-    f = sums.right_right + prior
-    aa = d * f - e * e
-    bb = c * e - b * f
-    cc = b * e - c * d
-    whole = a * aa + b * bb + c * cc
-    off = (aa * sums.off + bb * sums.off_down + cc * sums.off_right) / whole
-    left_down = sums.off_down - b * off
-    left_right = sums.off_right - c * off
-    down = (f * left_down - e * left_right) / aa
-    right = (d * left_right - e * left_down) / aa
-    return off, down, right, aa / whole
+def _solve(sums: np.ndarray, first: int, left: np.ndarray, fit: Any) -> None:
+    """Compute the fit with the terms from the `first` on.
+
+    The terms are eliminated one after the other. The last one is the level; what is left of its
+    square is the inverse of its variance.
+    """
+    for i in range(first, TERMS):
+        for j in range(i, TERMS + 1):
+            left[i, j] = sums[i, j]
+        if i < FLAT:
+            left[i, i] += 1 / BEND_TICKS**2
+        elif i < LEVEL:
+            left[i, i] += 1 / SLOPE_TICKS**2
+    for i in range(first, LEVEL):
+        for k in range(i + 1, TERMS):
+            factor = left[i, k] / left[i, i]
+            for j in range(k, TERMS + 1):
+                left[k, j] -= factor * left[i, j]
+    off = left[LEVEL, TERMS] / left[LEVEL, LEVEL]
+    right = (left[RIGHT, TERMS] - left[RIGHT, LEVEL] * off) / left[RIGHT, RIGHT]
+    of_down = left[DOWN, TERMS] - left[DOWN, RIGHT] * right - left[DOWN, LEVEL] * off
+    fit.off = off
+    fit.down = of_down / left[DOWN, DOWN]
+    fit.right = right
+    fit.variance = 1 / left[LEVEL, LEVEL]
+
+
+@part
+def _choose(bounds: np.ndarray, first: int, number: int, own: _Work) -> _Chosen:
+    """Return the estimate with the smallest error, among the discs from the `first` to `number`.
+
+    An estimate is between the plane and the curved surface, the nearer to the latter the larger
+    the bias of the former.
+    """
+    for disc in range(first, number):
+        own.bias[disc] = 0.0
+        if disc - SMALLER >= first:
+            smaller = own.curved[disc - SMALLER]
+            off = own.curved[disc].off - smaller.off
+            noise = smaller.variance - own.curved[disc].variance
+            own.bias[disc] = SMALLER_GROWTH * max(0.0, off * off - noise)
+    best = _Chosen(0.0, 0.0, 0.0, np.inf)
+    least = np.inf
+    plane_bias = 0.0  # squared, of the plane of the disc
+    pixels = 1.0  # of the disc before
+    for disc in range(number - 1, first - 1, -1):
+        plane = own.plane[disc]
+        curved = own.curved[disc]
+        noise = max(0.0, curved.variance - plane.variance)
+        off = curved.off - plane.off
+        plane_bias *= (bounds[disc] / pixels) ** 2
+        plane_bias = max(plane_bias, off * off - noise)
+        pixels = float(bounds[disc])
+        share = plane_bias / (plane_bias + noise) if plane_bias > 0 else 0.0
+        square = plane.variance + share * (noise + own.bias[disc])
+        if square < least:
+            least = square
+            most_bias = 0.0  # of a disc and all smaller ones: by chance, that of one may be small
+            for smaller in range(first, disc + 1):
+                most_bias = max(most_bias, own.bias[smaller])
+            best = _Chosen(
+                off=plane.off + share * off,
+                down=plane.down + share * (curved.down - plane.down),
+                right=plane.right + share * (curved.right - plane.right),
+                square=plane.variance + share * (noise + most_bias),
+            )
+    return best

@@ -162,6 +162,19 @@ def test_slopes_and_standard_errors():
     assert 0.3 < np.median(error_m / depth.error_m[:, :, 0]) < 1.5
 
 
+@pytest.mark.parametrize("pulses", [100, 1000])
+def test_standard_errors_hold_on_a_curved_surface(pulses):
+    """A plane through the pixels around a pixel misses it by more than the noise."""
+    y, x = np.mgrid[:32, :32] / 32
+    distance_m = 6 + 0.5 * np.sin(6.4 * x) * np.cos(5.3 * y)
+    scene = Scene(name="wave", distance_m=distance_m, reflectivity=np.full((32, 32), 0.4))
+    depth = estimate(scene, 50.0, frame={"pulses": pulses, "link_gbps": 0})
+    off_m = np.abs(depth.depth_m[:, :, 0] - scene.truth_m)
+    errors = (off_m / depth.error_m[:, :, 0])[off_m < TOLERANCE_M]
+    assert 0.6 < np.mean(errors < 1) < 0.8
+    assert 0.85 < np.mean(errors < 2)
+
+
 def test_offsets_tell_more_than_maps():
     """The error that all pixels share is left out: it is one random number per frame."""
     scene, errors = tilted(), []
