@@ -36,7 +36,7 @@ REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
 DEAD_S = 8e-9  # dead time of a SPAD (paper II)
 ROUNDS = 20  # in which the lights converge
 STEP_MAX = 1.5  # of a light's logarithm in a round
-ENOUGH = 1e-3  # change of all lights, relative to them and to `DIM`, that ends the rounds
+ENOUGH = 3e-3  # change of all lights, relative to them and to `DIM`, that ends the rounds
 DIM = 1e-4  # photons per pulse
 AHEAD = 3  # every so many rounds, the lights go on to where the last changes lead
 RATIO_MAX = 0.9  # of a change to the one before, there
@@ -103,6 +103,7 @@ class _Work(NamedTuple):
     company: np.ndarray  # float64[period_ticks, n], chance of so many pixels in the window,
     company_later: np.ndarray  # and after its first tick
     lit: np.ndarray  # bool[period_ticks], some return's light may be in the window
+    lit_cycle: np.ndarray  # bool[cycles], some of its ticks are lit
     coming: np.ndarray  # float64[period_ticks], photons of the returns in the window
     waits: (
         np.ndarray
@@ -308,6 +309,7 @@ def _fit(
         company=np.empty((period_ticks, orders)),
         company_later=np.empty((period_ticks, orders)),
         lit=np.zeros(period_ticks, np.bool_),
+        lit_cycle=np.zeros(period_ticks // subgroup.phases, np.bool_),
         waits=np.empty((2, period_ticks)),
     )
     expected = _Expected(
@@ -320,6 +322,7 @@ def _fit(
     for n in range(number):
         for t in range(max(0, returns.first[n]), min(period_ticks, returns.first[n] + ticks)):
             work.lit[t] = True
+            work.lit_cycle[t // subgroup.phases] = True
     pulses = float(subgroup.pulses)
     seen = returns.hits / pulses
     light = np.empty(number)
@@ -331,7 +334,8 @@ def _fit(
     change = np.zeros(number)  # of the lights' logarithms in the last round
     for k in range(ROUNDS):
         _light_windows(subgroup, returns, light, noise, work)
-        armed, windows = _walk_cycles(subgroup, work)
+        all_noise = noise * activity
+        armed, windows = _walk_cycles(subgroup, work, math.exp(-all_noise))
         _expect_hits(subgroup, returns, light, noise, work, expected)
         ahead = k % AHEAD == AHEAD - 1
         moved = _step(subgroup, returns, seen, expected, light, change, ahead)
@@ -413,9 +417,10 @@ def _light_windows(
         _with_pixel(dark_later, 1 - math.exp(-own * (window - 1)))
     silent = math.exp(-all_noise)
     for t in range(period_ticks):
-        work.silent[0, t] = silent
-        work.silent[1, t] = silent
-        work.coming[t] = 0.0
+        if work.lit_cycle[t // subgroup.phases]:
+            work.silent[0, t] = silent
+            work.silent[1, t] = silent
+            work.coming[t] = 0.0
         if work.lit[t]:
             _copy(dark, work.company[t])
             _copy(dark_later, work.company_later[t])
@@ -425,6 +430,10 @@ def _light_windows(
         work.alive[n] = alive
         dark_fires = 1 - math.exp(-own * window)
         dark_later_fires = 1 - math.exp(-own * (window - 1))
+        noise_tick = math.exp(own)
+        noise_window = math.exp(-own * window)
+        earlier = 0.0
+        left = 1.0  # chance that the pixel did not fire before the tick's cycle
         signal = 0.0  # photons of the return in the window from tick k on
         for k in range(ticks - 1, -1, -1):
             here = light[n] * returns.share[n, k]
@@ -432,14 +441,16 @@ def _light_windows(
             if k + window < ticks:
                 signal = max(0.0, signal - light[n] * returns.share[n, k + window])
             quiet = math.exp(-here)
-            none = math.exp(-signal - own * window)
+            none = math.exp(-signal) * noise_window
             fires = alive * (1 - none)
-            later = alive * (1 - none / quiet * math.exp(own))
+            later = alive * (1 - none / quiet * noise_tick)
             work.fires[n, k] = fires
             work.later[n, k] = later
             t = returns.first[n] + k
             if 0 <= t < period_ticks:
-                left = math.exp(-light[n] * returns.earlier[n, k])
+                if returns.earlier[n, k] != earlier:
+                    earlier = returns.earlier[n, k]
+                    left = math.exp(-light[n] * earlier)
                 work.coming[t] += signal
                 work.silent[0, t] *= 1 - alive * (1 - quiet)
                 work.silent[1, t] *= 1 - left * alive * (1 - quiet)
@@ -480,34 +491,57 @@ def _without_pixel(company: np.ndarray, fires: float) -> None:
 
 
 @part(allocates=True)
-def _walk_cycles(subgroup: _Subgroup, work: _Work) -> tuple[float, float]:
-    """Compute `waits`; return the ticks of a period in which the tree waits for a photon, and the
-    windows that it opens.
+def _walk_cycles(subgroup: _Subgroup, work: _Work, silent: float) -> tuple[float, float]:
+    """Compute `waits` of the lit cycles; return the ticks of a period in which the tree waits for a
+    photon, and the windows that it opens.
+
+    silent: chance that no pixel fires in a tick without light.
     """
     phases = subgroup.phases
-    cycles = work.silent.shape[1] // phases
+    cycles = len(work.lit_cycle)
     coming = np.zeros(cycles + 4 + subgroup.rearm + subgroup.window // phases)
-    before = 1.0  # chance that the tree was armed all through the cycle before
+    coming[0] = 1.0
+    away = np.zeros(len(coming) - cycles)  # of an armed tree: armed again so many cycles later
+    dark_ticks = 0.0
+    left = 1.0
+    for t in range(phases):
+        close = _close_cycle(t, subgroup.window, phases)
+        away[_armed_cycle(close, subgroup.rearm)] += left * (1 - silent)
+        dark_ticks += left
+        left *= silent
+    dark_stays = left
+    before = 0.0  # chance that the tree was armed all through the cycle before
     ticks = 0.0
     windows = 0.0
     for c in range(cycles):
+        begin = c * phases
+        seen = subgroup.seen[begin]
         armed = (before, coming[c])
         before = 0.0
-        for after in range(2):
-            left = armed[after]
-            for t in range(c * phases, (c + 1) * phases):
-                seen = subgroup.seen[t]
-                if t >= subgroup.open_ticks or seen == 0:
-                    work.waits[after, t] = 0.0
-                    continue
-                work.waits[after, t] = left * seen
-                opens = left * (1 - work.silent[after, t])
-                close = _close_cycle(t, subgroup.window, phases)
-                coming[_armed_cycle(close, subgroup.rearm)] += opens
-                ticks += left * seen
-                windows += opens * seen
-                left -= opens
-            before += left
+        if begin >= subgroup.open_ticks or seen == 0:
+            before = armed[0] + armed[1]
+            for t in range(begin, begin + phases):
+                work.waits[0, t] = 0.0
+                work.waits[1, t] = 0.0
+        elif work.lit_cycle[c]:
+            for after in range(2):
+                left = armed[after]
+                for t in range(begin, begin + phases):
+                    work.waits[after, t] = left * seen
+                    opens = left * (1 - work.silent[after, t])
+                    close = _close_cycle(t, subgroup.window, phases)
+                    coming[_armed_cycle(close, subgroup.rearm)] += opens
+                    ticks += left * seen
+                    windows += opens * seen
+                    left -= opens
+                before += left
+        else:
+            whole = armed[0] + armed[1]
+            for k in range(1, len(away)):
+                coming[c + k] += whole * away[k]
+            ticks += whole * dark_ticks * seen
+            windows += whole * (1 - dark_stays) * seen
+            before = whole * dark_stays
     return ticks, windows
 
 
@@ -526,8 +560,10 @@ def _expect_hits(
     period_ticks = len(work.counted)
     orders = len(subgroup.rejected)
     company = np.empty(orders)
-    lower = np.ones((2, period_ticks))  # chance that no pixel with a lower number fires in a tick
-    _count_noise(subgroup, returns, noise, work)
+    # chance that no pixel with a lower number fires in a tick
+    lower = np.ones((2, 1 if subgroup.mapped else period_ticks))
+    if not subgroup.mapped:
+        _count_noise(subgroup, returns, noise, work)
     for n in range(number):
         own = noise * subgroup.activity[returns.pixel[n]]
         alive = work.alive[n]
@@ -535,6 +571,8 @@ def _expect_hits(
         of_noise = 0.0
         rise = 0.0
         joint = 0.0
+        earlier = 0.0
+        left_then = 1.0  # chance that the pixel did not fire before the tick's cycle
         inside = 0.0  # share of the pulse in the window from tick k on
         for k in range(ticks - 1, -1, -1):
             share = returns.share[n, k]
@@ -553,21 +591,25 @@ def _expect_hits(
             _copy(work.company_later[t], company)
             _without_pixel(company, later)
             kept_later = 1 - _rejected(company, subgroup.rejected)
-            now = alive * (1 - math.exp(-own - light[n] * share))
-            earlier = returns.earlier[n, k]
+            now = 0.0
+            if not subgroup.mapped:
+                now = alive * (1 - math.exp(-own - light[n] * share))
+            if returns.earlier[n, k] != earlier:
+                earlier = returns.earlier[n, k]
+                left_then = math.exp(-light[n] * earlier)
             for after in range(2):
                 waits = work.waits[after, t]
-                left = math.exp(-light[n] * earlier) if after else 1.0
+                left = left_then if after else 1.0
                 spent = earlier if after else 0.0
                 silent = work.silent[after, t]
                 here = left * (fires * kept - later * kept_later * silent)
-                work.counted[t] += waits * here
                 if subgroup.mapped:
                     noise_here = own * (window * kept - (window - 1) * kept_later * silent)
                     rise_here = (alive - fires) * inside * kept
                     rise_here -= (alive - later) * (inside - share) * kept_later * silent
                     rise_here = left * rise_here - spent * here
                 else:
+                    work.counted[t] += waits * here
                     won = lower[after, t] * (kept + kept_later) / 2
                     here = left * now * won
                     noise_here = own * won
@@ -581,7 +623,7 @@ def _expect_hits(
         expected.noise[n] = of_noise
         expected.rise[n] = rise
         expected.joint[n] = joint / max(LEAST, hits)
-    for n in range(number):
+    for n in range(number if not subgroup.mapped else 0):
         total = 0.0
         for t in range(max(0, returns.first[n]), min(period_ticks, returns.first[n] + ticks)):
             total += work.counted[t]
