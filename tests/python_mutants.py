@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mutants of the rooms in Python: a sample of each room, judged by its tests and those of its users.
+
+`python -m tests.python_mutants [--seed N] [--number N] [ROOM ...]` writes
+build/mutation/python.md. The golden model has more of them (`golden_mutants.py`), so it is no room
+here. A run that was stopped continues: fates are kept in build/mutation/python.json, as long as
+neither the mutated file nor a test of the room has changed.
+"""
+
+import argparse
+import ast
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+from attrs import frozen
+
+from coincid.tb.toolchain import build_root
+
+from .fates import Fate, count
+from .golden_mutants import Mutator
+from .planted import ROOT
+
+# Room -> its tests and those of its users, the quickest first: the first that fails decides.
+ROOMS = {
+    "model/shared": ["tests/shared", "tests/scenes/test_ambient.py"],
+    "model/contract": ["tests/contract", "tests/golden/test_golden.py", "tests/host"],
+    "model/recorded": ["tests/recorded"],
+    "model/scenes": ["tests/scenes"],
+    "model/light": ["tests/light"],
+    "model/depth": ["tests/depth"],
+    "lab": ["tests/lab", "tests/study/test_sweep.py"],
+    "host": ["tests/host", "tests/board"],
+    "flow": ["tests/flow"],
+    "study": ["tests/study"],
+}
+NUMBER = 8  # mutants of a room
+SLACK_S = 60.0  # a mutant may take so much longer than the room without mutation,
+SLOWER = 3  # and so many times as long
+LEFT_OUT = {"__init__.py"}
+LARGE = shutil.ignore_patterns(".git", ".venv", "build", "__pycache__")  # of a checkout
+
+
+@frozen
+class PythonMutant:
+    """A mutant of a file. number: of the mutation; line, what: where it is and what it does."""
+
+    file: str
+    number: int
+    line: int
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.file}, line {self.line}: {self.what}"
+
+
+def _mutated(file: str, number: int | None = None) -> tuple[ast.Module, Mutator]:
+    """Return a file's syntax tree with one mutation (default: none), and its mutator."""
+    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+    mutator = Mutator(number)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            mutator.visit(node)
+    return tree, mutator
+
+
+def mutants_of(room: str) -> list[PythonMutant]:
+    """Return every mutant of a room."""
+    mutants = []
+    for path in sorted((ROOT / room).glob("*.py")):
+        if path.name not in LEFT_OUT:
+            file = str(path.relative_to(ROOT))
+            for number, (line, what) in enumerate(_mutated(file)[1].found):
+                mutants.append(PythonMutant(file, number, line, what))
+    return mutants
+
+
+def source_of(mutant: PythonMutant) -> str:
+    """Return the file with the mutation."""
+    tree, _ = _mutated(mutant.file, mutant.number)
+    return ast.unparse(ast.fix_missing_locations(tree))
+
+
+def sample_of(room: str, number: int, seed: int) -> list[PythonMutant]:
+    """Return so many mutants of a room, the same for a seed."""
+    mutants = mutants_of(room)
+    rng = np.random.default_rng([seed, *room.encode()])
+    chosen = rng.choice(len(mutants), min(number, len(mutants)), replace=False)
+    return [mutants[k] for k in sorted(chosen.tolist())]
+
+
+def passes(room: str, folder: Path, seconds: float | None = None) -> bool:
+    """Return whether the tests of a room and its users pass in a copy of the sources.
+
+    One that takes longer than `seconds` does not.
+    """
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(folder / "src"), str(folder)]),
+        "PYTHONWARNINGS": "ignore",
+        "COINCID_BUILD": str(build_root() / "mutants"),
+    }
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    try:
+        done = subprocess.run(
+            [*command, *ROOMS[room]],
+            cwd=folder,
+            env=environment,
+            timeout=seconds,
+            capture_output=True,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    return done.returncode == 0
+
+
+class Fates:
+    """The fates of earlier runs, in a file. Each is kept as soon as it is known."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._by_key: dict[str, str] = {}
+        if path.exists():
+            self._by_key = json.loads(path.read_text(encoding="utf-8"))
+
+    def get(self, key: str) -> str | None:
+        """Return who killed a mutant ('' = nobody); None if it has not been tried."""
+        return self._by_key.get(key)
+
+    def keep(self, key: str, by: str) -> None:
+        """Write down who killed a mutant."""
+        self._by_key[key] = by
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        beside = self.path.with_suffix(".new")
+        beside.write_text(json.dumps(self._by_key, indent=1), encoding="utf-8")
+        beside.replace(self.path)
+
+
+def key_of(room: str, mutant: PythonMutant) -> str:
+    """Return the key of a mutant, which changes with its file and with the tests of its room."""
+    digest = sha256((ROOT / mutant.file).read_bytes())
+    for name in ROOMS[room]:
+        path = ROOT / name
+        for test in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            digest.update(test.read_bytes())
+    return f"{mutant.file}:{mutant.number}:{digest.hexdigest()[:16]}"
+
+
+def judge_room(room: str, mutants: list[PythonMutant], fates: Fates) -> list[Fate]:
+    """Return the fates of a room's mutants. Raises `SystemExit` if the room itself fails."""
+    found = []
+    known = {key_of(room, mutant): mutant for mutant in mutants}
+    if any(fates.get(key) is None for key in known):
+        with tempfile.TemporaryDirectory(prefix="coincid-mutants-") as name:
+            folder = Path(name)
+            shutil.copytree(ROOT, folder, symlinks=True, ignore=LARGE, dirs_exist_ok=True)
+            began = time.monotonic()
+            if not passes(room, folder):
+                raise SystemExit(f"{room} without mutation fails")
+            limit_s = SLACK_S + SLOWER * (time.monotonic() - began)
+            for key, mutant in known.items():
+                if fates.get(key) is None:
+                    original = (folder / mutant.file).read_bytes()
+                    (folder / mutant.file).write_text(source_of(mutant), encoding="utf-8")
+                    fates.keep(key, "" if passes(room, folder, limit_s) else "tests")
+                    (folder / mutant.file).write_bytes(original)
+                    print(f"{room}: {fates.get(key) or 'SURVIVED'}: {mutant}", flush=True)
+    for key, mutant in known.items():
+        found.append(Fate(room, str(mutant), fates.get(key) or ""))
+    return found
+
+
+def report(fates: list[Fate], seed: int) -> str:
+    """Return the report as Markdown: the rate of every room, and the survivors."""
+    lines = [f"# Mutants of Python, seed {seed}", ""]
+    lines += ["| room | mutants | killed | rate |", "| --- | ---: | ---: | ---: |"]
+    for room in ROOMS:
+        total = count([fate for fate in fates if fate.where == room])
+        if total.all:
+            lines.append(f"| {room} | {total.all} | {total.killed} | {total.rate:.0%} |")
+    lines += ["", "## Survivors", ""]
+    lines += [f"* {fate.what}" for fate in fates if fate.survived]
+    return "\n".join([*lines, ""])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Mutation test of the rooms in Python")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--number", type=int, default=NUMBER, help="mutants of each room")
+    parser.add_argument("rooms", nargs="*", metavar="ROOM", help=f"of {', '.join(ROOMS)}")
+    options = parser.parse_args()
+    unknown = [room for room in options.rooms if room not in ROOMS]
+    if unknown:
+        parser.error(f"no room {unknown[0]}: must be one of {', '.join(ROOMS)}")
+    folder = build_root() / "mutation"
+    kept = Fates(folder / "python.json")
+    fates = []
+    for number, room in enumerate(options.rooms or ROOMS, 1):
+        mutants = sample_of(room, options.number, options.seed)
+        print(f"{room} ({number} of {len(options.rooms or ROOMS)}): {len(mutants)} mutants")
+        fates += judge_room(room, mutants, kept)
+    text = report(fates, options.seed)
+    (folder / "python.md").write_text(text, encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
