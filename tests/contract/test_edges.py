@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits of the numbers in an edge file."""
+
+import re
+
+import numpy as np
+import pytest
+
+from coincid.model.contract.edges import NAMES, checked_edges
+from coincid.model.shared.errors import InputError
+
+BOUNDS = {"pulse": 6, "pixel": 5, "tick": 4}
+
+
+def checked(**arrays):
+    usual = {name: np.zeros(3, np.int64) for name in NAMES}
+    return checked_edges(
+        usual | arrays,
+        pixels=BOUNDS["pixel"],
+        pulses=BOUNDS["pulse"],
+        period_ticks=BOUNDS["tick"],
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_last_legal_number_is_taken_and_the_next_is_not(name):
+    last = BOUNDS[name] - 1
+    assert getattr(checked(**{name: np.array([0, last, 0])}), name).max() == last
+    for wrong in (-1, BOUNDS[name]):
+        told = re.escape(f"{name}[2] = {wrong}: must be an integer from 0 to {last}")
+        with pytest.raises(InputError, match=told):
+            checked(**{name: np.array([0, 0, wrong])})
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.uint64])
+def test_any_type_of_integers_is_taken(kind):
+    edges = checked(tick=np.array([3, 0, 1], kind))
+    assert edges.tick.dtype == np.int64
+    assert edges.tick.tolist() == [3, 0, 1]

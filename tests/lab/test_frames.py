@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of more than two frames, on more than one stream."""
+
+import numpy as np
+import pytest
+
+from coincid.lab.measures import MEASURES
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
+
+FRAMES = 3
+SENSOR = {"rows": 8, "cols": 24, "streams": 2, "fifo_depth": 2}
+FRAME = {"frames": FRAMES, "pulses": 12, "period": 60, "minigroup_records": True}
+
+
+@pytest.fixture(scope="module")
+def run():
+    setup = Setup.of("letter-f", klux=30.0, sensor=SENSOR, frame=FRAME, estimators=("background",))
+    return Run(setup.but(subgroup={"threshold": 1}))
+
+
+@pytest.mark.parametrize("number", range(FRAMES))
+def test_every_measure_of_a_frame_is_that_of_the_frame_alone(run, number):
+    among = run.frame(number)
+    one = run.setup.but(frame={"frames": 1}, edges=run.frame_edges(number))
+    alone = Run(one).frame()
+    assert among["edges"] > 100
+    assert among["beats"] > 20
+    for name in MEASURES:
+        assert among[name] == alone[name], name
+
+
+def test_frames_have_all_edges_and_events_once(run):
+    edges = [run.frame(number)["edges"] for number in range(FRAMES)]
+    events = [run.frame(number)["events"] for number in range(FRAMES)]
+    assert sum(edges) == len(run.edges)
+    assert sum(events) == len(run.result["pulse"])
+    rows = np.concatenate([run.frame(number).events for number in range(FRAMES)])
+    assert np.array_equal(np.sort(rows), np.arange(len(run.result["pulse"])))
+    for number in range(FRAMES):
+        own = run.frame(number).edges
+        assert own.pulse.min() >= 0
+        assert own.pulse.max() < FRAME["pulses"]
