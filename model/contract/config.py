@@ -442,10 +442,10 @@ def read_toml(path: FilePath) -> dict[str, Any]:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"no such file (presets: {', '.join(PRESETS)})") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read ({error})") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"is not TOML: {error}") from None
+    except (OSError, ValueError) as error:  # bytes that are no UTF-8, or a NUL in the name
+        raise InputError(f"cannot be read ({error})") from None
 
 
 def toml_text(document: Mapping[str, Mapping[str, object]]) -> str:

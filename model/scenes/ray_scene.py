@@ -94,7 +94,7 @@ def ray_scene(
 def _path(source: str) -> Path:
     if not source.startswith(PREFIX):
         path = Path(source)
-        if not path.is_file():
+        if not os.path.isfile(path):  # unlike Path.is_file, it takes any name
             raise InputError(
                 f"{path}: no such file (built-in scenes for the ray tracer: {', '.join(PREFIX + name for name in BUILT_IN)})"
             )
