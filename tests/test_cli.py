@@ -249,6 +249,23 @@ def test_a_signal_after_the_last_word_changes_nothing(number):
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+def test_an_interrupt_in_code_that_comes_as_text_has_the_usual_exit_code(tmp_path):
+    """Named tuples and classes of attrs are such code while a command is imported. Python would end
+    by the signal, with -2.
+    """
+    program = tmp_path / "program.py"
+    program.write_text(
+        "from coincid import __main__\n"
+        "import coincid.model.shared.interrupts\n"
+        "__main__._command = lambda: exec('raise KeyboardInterrupt')\n"
+        "__main__.main()\n",
+        encoding="utf-8",
+    )
+    words = [sys.executable, "-m", program.stem]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (130, b"coincid: interrupted\n")
+
+
 LONG_NAME = "a" * 300
 
 

@@ -34,6 +34,7 @@ def _run() -> int | str | None:
         from coincid.model.shared.interrupts import exit_code
 
         print("coincid: interrupted", file=sys.stderr)
+        _forget_interrupt()
         return exit_code(why)
     except OSError as error:
         _forget_output()
@@ -59,6 +60,15 @@ def _told(error: OSError) -> str:
     """Return what the operating system refused, in one line."""
     place = "standard output" if error.filename is None else str(error.filename)
     return f"{place}: {error.strerror}"
+
+
+def _forget_interrupt() -> None:
+    """Let Python end with the exit code of the program.
+
+    It notes an interrupt in code that comes as text, such as that of a named tuple, as one that
+    nobody handles, and would end by the signal. Other code that comes as text deletes the note.
+    """
+    eval("None")
 
 
 def _forget_output() -> None:
