@@ -29,6 +29,8 @@ SOURCES = {
     "subgroup": "the subgroup's stamp, for all its pixels",
 }
 
+GOLDEN = (5**0.5 - 1) / 2  # its multiples fill the fractions evenly
+
 
 @frozen(eq=False)
 class Events:
@@ -227,11 +229,16 @@ def _empty_histogram(config: Config) -> np.ndarray:
 def _of_events(events: Events, config: Config, everywhere: bool, s: int) -> np.ndarray:
     """Return the histograms of a subgroup by the events' arrival.
 
+    Stamps are whole ticks, so most arrivals share a fraction of a tick. They are counted in the bins
+    before and after them, in turn, as often as this fraction says, so that the mean is theirs.
+
     everywhere: each event hits each pixel.
     """
     histogram = _empty_histogram(config)
     span = slice(events.bounds[s], events.bounds[s + 1])
-    bins = np.minimum(events.arrival[span].astype(np.int64), config.period_ticks - 1)
+    turn = np.arange(span.stop - span.start) * GOLDEN % 1
+    bins = np.floor(events.arrival[span] - 0.5 + turn).astype(np.int64)
+    bins = np.clip(bins, 0, config.period_ticks - 1)
     _add_events(histogram, bins, events.hits[span], everywhere)
     return histogram
 

@@ -17,7 +17,8 @@ from . import portable
 from .histograms import Events
 
 FILTER_SIGMAS = 4.0  # half width of the matched filter
-NEAR_SIGMAS = 1.5  # half width of the bins that determine the centre of a peak
+NEAR_SIGMAS = 1.2  # half width of the bins that determine the centre of a peak,
+CENTRINGS = 5  # which are moved to that centre so many times at most
 APART_SIGMAS = 4.0  # distance between the returns of a pixel
 ACCIDENT_MAX = 0.01  # probability that a second or further return is background
 LIVE_MIN = 0.05  # share of periods; below it, pile-up cannot be corrected
@@ -215,9 +216,23 @@ def _take(
 
 @part
 def _centre(pixel: _Pixel, at: int, near: int) -> float:
-    """Return the mean time of the hits within `near` bins of a peak, if all bins had always been
-    live.
+    """Return the mean time of the hits near a peak, if all bins had always been live.
+
+    The bins that count are those around the mean itself. The peak of the filter is as broad as the
+    pulse, while most stamps are closer together.
     """
+    mean = at + 0.5
+    for _ in range(CENTRINGS):
+        mean = _mean_near(pixel, at, near)
+        if int(mean) == at:
+            break
+        at = int(mean)
+    return mean
+
+
+@part
+def _mean_near(pixel: _Pixel, at: int, near: int) -> float:
+    """Return the mean time of the hits within `near` bins of a bin, or its middle without hits."""
     hits = pixel.hits
     live = pixel.live
     weight = 0.0

@@ -122,3 +122,18 @@ def test_the_error_of_a_wall_falls_with_its_light(distance_m, bound_m, pulses, t
     error_m = depth.depth_m[:, :, 0] - run.scene.truth_m
     assert np.sqrt(np.mean(error_m**2)) < times * bound_m / np.sqrt(pulses)
     assert np.mean(np.abs(error_m) < 2 * depth.error_m[:, :, 0]) > 0.7
+
+
+@pytest.mark.parametrize("method", ["matched", "background"])
+def test_the_peak_of_a_bright_wall_is_at_its_time(method):
+    """Stamps are whole ticks: if their arrivals are rounded, the peak moves by a fraction of one."""
+    distance_m = 4.0031
+    setup = Setup.of(
+        f"flat:{distance_m},0.4",
+        sensor={"rows": 8, "cols": 8},
+        frame={"pulses": 2000, "format": "compact", "link_gbps": 0},
+        klux=50.0,
+    )
+    error_m = Run(setup).depth(method).depth_m - distance_m
+    bound_m = 14.7e-3 / np.sqrt(2000)  # of Cramér and Rao, as above
+    assert np.sqrt(np.mean(error_m**2)) < 3 * bound_m
