@@ -5,7 +5,7 @@
 were not used to set them, and a picture, into docs/depth.md. It needs the extra `raytrace`. Half of
 the random scenes have one distance per pixel, like a depth file. In the other half a pixel sees
 many points, as it does behind a lens, so surfaces mix at their edges, and slanted surfaces widen
-the pulse.
+the pulse. Further rooms have a floor, a ceiling, walls and boxes, seen in perspective.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -58,6 +58,9 @@ REAL: tuple[tuple[str, float, dict[str, float], int], ...] = (
 )
 REAL_SEEDS, REAL_COUNT = (1, 2, 3), 2  # each of these runs counts twice
 RAY_TRACED, RAY_KLUX, RAY_SEEDS = ("five-objects", "glass", "fog"), 50.0, range(101, 104)  # tried
+# Rooms in perspective that also set the law, each with these thresholds and numbers of pulses.
+SEEN_SEEDS, SEEN_THRESHOLDS, SEEN_PULSES = range(20, 26), (1, 2, 3), (100, 1000)
+HALF_VIEW_DEG = 22.5
 EASE = 1e-3  # weight of the prior, which draws all weights of the law to 0
 ROUNDS = 30
 NINETY = (0.85, 0.95)  # range of confidences that count as 90 %
@@ -113,6 +116,58 @@ def random_setup(seed: int) -> Setup:
         seed=seed,
         estimators=(),
     )
+
+
+def perspective_setup(seed: int, threshold: int, pulses: int) -> Setup:
+    """Return a random room in perspective, at its own size or three times as large."""
+    larger = 3.0 if (seed + threshold) % 2 else 1.0
+    distance_m, reflectivity = _room_in_perspective(seed)
+    return Setup.of(
+        Scene(name=f"view {seed}", distance_m=distance_m * larger, reflectivity=reflectivity),
+        sensor={"rows": SIDE, "cols": SIDE},
+        frame={"pulses": pulses, "format": "compact", "link_gbps": 0},
+        subgroup={"threshold": threshold},
+        klux=(50.0, 10.0)[(seed // 2 + threshold) % 2],
+        seed=seed,
+        estimators=(),
+    )
+
+
+def _room_in_perspective(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return distance and reflectivity, float64[SIDE, SIDE], of a room with boxes on its floor."""
+    rng = np.random.default_rng(1000 + seed)
+    view = np.tan(np.radians(HALF_VIEW_DEG)) * (2 * (np.arange(SIDE) + 0.5) / SIDE - 1)
+    right, down = np.meshgrid(view, view)
+    floor_m = rng.uniform(1, 2.5)
+    wall_m = rng.uniform(2, 5)
+    back_m = rng.uniform(5, 16)
+    ceiling_m = rng.uniform(1.5, 4)
+    z_m = np.full(right.shape, back_m)
+    reflectivity = np.full(right.shape, rng.uniform(0.1, 0.8))
+    planes = (
+        (floor_m, down, (0.05, 0.6)),
+        (ceiling_m, -down, (0.3, 0.8)),
+        (wall_m, -right, (0.1, 0.8)),
+        (wall_m, right, (0.1, 0.8)),
+    )
+    for away_m, towards, albedos in planes:
+        there_m = away_m / np.maximum(towards, 1e-9)
+        albedo = rng.uniform(*albedos)
+        seen = (towards > 0) & (there_m < z_m)
+        z_m[seen] = there_m[seen]
+        reflectivity[seen] = albedo
+    for _ in range(rng.integers(2, 7)):
+        near_m = rng.uniform(2.5, back_m - 0.3)
+        middle_m = rng.uniform(-wall_m, wall_m)
+        wide_m = rng.uniform(0.2, 1.5)
+        high_m = rng.uniform(0.3, 2)
+        albedo = rng.uniform(0.05, 0.9)
+        box_m = near_m / (1 - rng.uniform(-0.8, 0.8) * right)  # its face is turned
+        inside = (np.abs(right * box_m - middle_m) < wide_m / 2) & (down * box_m > floor_m - high_m)
+        seen = inside & (box_m < z_m) & (box_m > 1.5)
+        z_m[seen] = box_m[seen]
+        reflectivity[seen] = albedo
+    return z_m * np.sqrt(1 + right**2 + down**2), reflectivity
 
 
 def _surface(
@@ -261,6 +316,16 @@ def real_setups() -> list[Setup]:
     ]
 
 
+def perspective_setups() -> dict[tuple[int, int, int], Setup]:
+    """Return the setups of the rooms in perspective, by seed, threshold and pulses."""
+    return {
+        (seed, threshold, pulses): perspective_setup(seed, threshold, pulses)
+        for seed in SEEN_SEEDS
+        for threshold in SEEN_THRESHOLDS
+        for pulses in SEEN_PULSES
+    }
+
+
 def tried() -> dict[str, list[Setup]]:
     """Return setups that are not used to set the law, by their name in the table; their sensor is
     the default.
@@ -293,6 +358,7 @@ def make() -> None:
     """Print the law; write tables and picture into their page."""
     with Processes(progress=counted) as run:
         looked = list(campaign({seed: random_setup(seed) for seed in SET}, look, run).values())
+        looked += list(campaign(perspective_setups(), look, run).values())
         looked += REAL_COUNT * list(campaign(dict(enumerate(real_setups())), look, run).values())
         unseen, rays = (
             {
