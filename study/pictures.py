@@ -148,7 +148,7 @@ def light_row(
 ) -> None:
     """Write pictures of light side by side, the true one first, to `path` (.png or .svg).
 
-    panels: titles and estimates, float64[rows, cols], photons per pulse, NaN = none (grey); truth:
+    panels: titles and estimates, float64[rows, cols], photons per pulse, NaN = none (blue); truth:
     the same. All share one logarithmic scale of grey levels, which spans the truth; its titles give
     the median of estimate / truth.
     """
