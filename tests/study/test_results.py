@@ -114,21 +114,21 @@ INTERFERENCE = dict(
     PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "067d6f1248b5da39"),
-    "sim": (sim, "9a73a8ab8fa5d33b"),
-    "sweep": (sweep, "ca27daa86ec8f791"),
-    "explorer": (explorer, "6fb7551f7abad570"),
-    "surfaces": (surface, "56076c599e3d1736"),
-    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "6db44219d69e7d12"),
+    "library": (library, "936b3b1e18bf5a11"),
+    "sim": (sim, "8e61e8f22edbf5db"),
+    "sweep": (sweep, "b59b10181d5de07e"),
+    "explorer": (explorer, "31d154bcde2126cd"),
+    "surfaces": (surface, "24908ca5f16e37ea"),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "7bd3e4757d5bfabc"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "f2236f01fc11194d",
+        "99eac7ac8106013b",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
-        "542e570b81fc02a1",
+        "b3efedc12e62f14f",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "c0932bbc09759d8e"),
+    "interference": (section(interference.interference, **INTERFERENCE), "6d0395bd798b5ae1"),
 }
 
 
