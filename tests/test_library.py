@@ -37,6 +37,11 @@ RARE = {
         "tunnel",
         50.0,
     ),
+    "more columns than rows": (
+        SMALL | {"rows": 20, "cols": 40, "pulses": 10},
+        "five-objects",
+        20.0,
+    ),
     "a wall within one tick": (
         {"rows": 12, "cols": 8, "subgroup": (4, 4), "phases": 32, "period": 20, "pulses": 1}
         | {"clock_mhz": 30, "coincidence": False},
