@@ -72,8 +72,8 @@ soak: ## [more checks, ARGS=--help] 1,000 frames under sunlight and at saturatio
 mutation: ## [more checks, ARGS=--help] mutate RTL, golden model and a sample of each room, and check that the regression notices
 	@scripts/setup test icarus
 	@$(BIN)/python -m tests.mutation $(ARGS)
-	@$(BIN)/python -m tests.python_mutants
 	@$(BIN)/python -m tests.planted
+	@$(BIN)/python -m tests.python_mutants
 
 coverage: ## [more checks, ARGS=--help] situations of the contract in random frames, against their goals
 	@scripts/setup test
