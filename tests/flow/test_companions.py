@@ -211,7 +211,7 @@ def by_c_compiler(files, folder):
     (folder / HEADER).write_text(files[HEADER], encoding="utf-8")
     (folder / "print.c").write_text(program, encoding="utf-8")
     subprocess.run(["cc", "-o", "print", "print.c"], cwd=folder, check=True)
-    printed = subprocess.run([folder / "print"], capture_output=True, text=True, check=True)
+    printed = subprocess.run([folder / "print"], capture_output=True, encoding="ascii", check=True)
     values = {name: int(value) for name, value in map(str.split, printed.stdout.splitlines())}
     found = {}
     for name in counts:

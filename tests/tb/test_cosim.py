@@ -70,11 +70,14 @@ def frames(sensor: dict, number: int) -> list[FrameJob]:
     In the later half, the threshold controller, where it is built, acts in every frame, with
     changing capacity.
     """
-    configs = random_cases.drawn(random_cases.configurations(sensor, frames_max=1), number // 2)
-    if configs[0].sensor.controller:
+    golden = Golden(random_cases.built_sensor(sensor))
+    controlled = number // 2 if golden.sensor.controller else 0
+    drawn = random_cases.configurations(sensor, frames_max=1)
+    configs = random_cases.drawn(drawn, number - controlled)
+    if controlled:
         (led,) = random_cases.drawn(random_cases.controlled(sensor, frames=1), 1)
-        configs += [led.with_frame(capacity=led.capacity * (k % 4)) for k in range(number // 2)]
-    jobs, golden = [], Golden(configs[0].sensor)
+        configs += [led.with_frame(capacity=led.capacity * (k % 4)) for k in range(controlled)]
+    jobs = []
     seeds = random_cases.drawn(st.integers(0, 2**32 - 1), len(configs))
     for config, seed, density, kind in zip(
         configs, seeds, cycle(random_cases.DENSITIES), cycle(random_cases.READY_KINDS)
