@@ -40,8 +40,8 @@ SESSIONS = table()["session"]
 CONFIG = "[sensor]\nrows = 8\ncols = 8\n[frame]\nperiod = 60\npulses = 4\n"
 
 
-# a make that runs these tests hands its options to no other
-OUTSIDE_OF_MAKE = {"MAKEFLAGS": "", "MAKEOVERRIDES": ""}
+# a make that runs these tests hands neither its options nor the choice of tests to another one
+OUTSIDE_OF_MAKE = {"MAKEFLAGS": "", "MAKEOVERRIDES": "", "PYTEST_ARGS": ""}
 
 QUESTION = (
     "(set-logic QF_BV)\n(declare-const a (_ BitVec 2))\n(assert (distinct a a))\n(check-sat)\n"
