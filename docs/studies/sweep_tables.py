@@ -143,7 +143,9 @@ def gains() -> None:
             one = min(by_threshold, key=lambda threshold: by_threshold[threshold])
             behind = max(scenes, key=lambda key: controlled[key] - best[key])
             lost = 100 * (controlled[behind] - best[behind])
-            where = f"{behind[0]}, {str(behind[1]).replace('|', ' and ')} klux"
+            scene, klux = behind
+            light = klux.replace("|", " and ") if isinstance(klux, str) else f"{klux:g}"
+            where = f"{scene}, {light} klux"
             means = np.mean(list(best.values())), np.mean(list(controlled.values()))
             cells.append(
                 (
