@@ -255,3 +255,16 @@ def test_fields_fill_all_bits_but_the_kind(fields):
         found[part.field], end = part.shift + part.width, first + part.width
         assert part.lsb + part.width <= (BEAT_BITS if part.beat else KIND_LSB)
     assert found == {name: field.bits(sensor) for name, field in named.items()}
+
+
+def test_saturated_counters_tell_of_no_missing_events():
+    """A sensor with counters of 9 bits stores more than 511 events of a subgroup in this frame."""
+    config = random_cases.configured(
+        random_cases.LEAN, {"format": "compact", "pulses": 400}, {"threshold": 1}
+    )
+    edges = random_cases.random_edges(config, 8000, 1)
+    trace = Golden(config.sensor).frame(config, edges)
+    (beats,) = trace.beats
+    read = decode_frame(beats, config.sensor, config.sensor.subgroups)
+    assert np.bincount(read.events[:, 0]).max() > read.counters.max() == 511
+    assert read.missing == 0 and read.check() is read

@@ -12,13 +12,22 @@ from coincid.model.contract.latency import COMMIT
 from coincid.model.contract.parameters import OFFSET_NONE, STAMP_FIELD_BITS
 from coincid.model.contract.result import ResultBuilder, map_numbers
 from coincid.model.contract.settings import BUDGET_GROWTHS
+from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.controller import Controller
 from coincid.model.golden.frame import Golden, golden_result
 from coincid.model.golden.shape import COUNTER
 
 from ..benches.plain_model import PlainController, PlainSubgroup, period_starts, plain_run
 from ..feature_pairs import BUILT, USED, paired_cases, played, sensor_of
-from ..random_cases import READY_KINDS, SENSORS, configurations, controlled, ready_pattern, trouble
+from ..random_cases import (
+    READY_KINDS,
+    SENSORS,
+    configurations,
+    configured,
+    controlled,
+    ready_pattern,
+    trouble,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 densities = st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))
@@ -37,6 +46,18 @@ def test_plain_model(sensor, data):
     )
     result = golden_result(config, edges, ready)
     assert_plain(config, edges, result)
+
+
+def test_the_frame_number_starts_over_after_16_bits():
+    config = configured(SENSORS["tiny"], {"pulses": 1})
+    golden = Golden(config.sensor)
+    golden.frames = 0xFFFF
+    numbers = []
+    for _ in range(2):
+        beats = golden.frame(config, trouble(config, 1, 4.0)).beats[0]
+        subgroups = len(config.sensor.stream_subgroups(0))
+        numbers.append(decode_frame(beats, config.sensor, subgroups).number)
+    assert numbers == [0xFFFF, 0]
 
 
 def test_every_pair_of_features():

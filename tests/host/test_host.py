@@ -195,6 +195,57 @@ def test_frames_cut_anywhere():
     assert len(assembler.frames) == 6
 
 
+class Delivery(Memory):
+    """A transport that delivers what is put into its streams, one portion per call."""
+
+    def __init__(self):
+        super().__init__()
+        self.streams = {stream: [] for stream in range(ODD.streams)}
+
+    def receive(self, stream):
+        portions = self.streams[stream]
+        return portions.pop(0) if portions else np.zeros(0, np.uint64)
+
+
+def three_frames():
+    """The beats of three frames of the odd sensor, by frame and stream."""
+    of = configured(SENSORS["odd"], {"pulses": 2})
+    golden = Golden(ODD)
+    return [golden.frame(of, random_edges(of, 300, seed)).beats for seed in range(3)]
+
+
+def test_frames_come_in_their_order_and_none_from_before_a_reset():
+    delivery = Delivery()
+    driver = Driver(delivery, ODD, fresh=True)
+    first, second, third = three_frames()
+    for stream, portions in delivery.streams.items():
+        portions.append(np.concatenate([first[stream], second[stream], third[stream][:3]]))
+    for frame in (first, second):
+        assert all(map(np.array_equal, driver.receive(), frame))
+    driver.reset()
+    for stream, portions in delivery.streams.items():
+        portions.append(third[stream])
+    assert all(map(np.array_equal, driver.receive(), third))
+
+
+def test_a_slow_stream_is_waited_for_as_long_as_beats_come(monkeypatch):
+    now_s = [0.0]
+
+    def clock():
+        now_s[0] += 0.4
+        return now_s[0]
+
+    monkeypatch.setattr("coincid.host.driver.time.monotonic", clock)
+    delivery = Delivery()
+    driver = Driver(delivery, ODD, fresh=True)
+    (frame, *_) = three_frames()
+    for stream, portions in delivery.streams.items():
+        portions += np.array_split(frame[stream], 12)
+    assert all(map(np.array_equal, driver.receive(seconds=1.0), frame))
+    with pytest.raises(HostError, match="nothing more came for 1 s"):
+        driver.receive(seconds=1.0)
+
+
 def test_mapped_file(tmp_path):
     """In a file of plain memory, every word goes to its place, and a sticky status bit means a
     refusal.
