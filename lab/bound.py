@@ -25,7 +25,9 @@ from scipy import signal, special, stats
 
 from ..model.contract.coincidence import rises
 from ..model.contract.config import Config, parse_config
+from ..model.contract.latency import armed_cycle, close_cycle
 from ..model.depth.arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
+from ..model.depth.likelihood import DEAD_S
 from ..model.depth.quality import OTHER_SURFACE_M
 from ..model.depth.tree import kept_shares
 from ..model.light.light import Light, background_cps, signal_per_pulse
@@ -33,7 +35,6 @@ from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import check_integer
 from ..model.shared.quantities import check_real
 
-DEAD_S = 8e-9  # dead time of a SPAD (paper II)
 REACH_SIGMAS = 5.0  # from the centre of a pulse to its beginning and end
 FINE = 8  # steps per tick of a photon's time
 SHIFT_TICKS = 0.02  # by which derivatives are taken
@@ -219,6 +220,29 @@ def _lowest_mm(config: Config, wall: Wall, *, of_all: bool) -> float:
     return mm_per_tick(config) / math.sqrt(max(1e-300, information))
 
 
+class MedianLight(NamedTuple):
+    """Light of a usual pixel."""
+
+    signal_per_pulse: float  # detected photons
+    noise_cps: float  # detected background
+
+
+def median_light(light: Light) -> MedianLight | None:
+    """Return the medians over the pixels that have some light; None: no pixel has."""
+    lit = light.total_signal > 0
+    if not lit.any():
+        return None
+    return MedianLight(
+        signal_per_pulse=float(np.median(light.total_signal[lit])),
+        noise_cps=float(np.median(light.background_cps[lit])),
+    )
+
+
+def with_usual_threshold(config: Config, threshold: np.ndarray) -> Config:
+    """Return a configuration in which every subgroup has the median of their thresholds in a frame."""
+    return config.with_settings(threshold=int(np.median(threshold)))
+
+
 def pixel_bounds_mm(config: Config, light: Light) -> np.ndarray:
     """float64[pixels]: lowest RMS error of each pixel's distance from the words, in millimetres, as
     if its neighbours had the same light; NaN without light.
@@ -228,16 +252,16 @@ def pixel_bounds_mm(config: Config, light: Light) -> np.ndarray:
     """
     total = light.total_signal
     found = np.full(len(total), np.nan)
-    lit = total > 0
-    if not lit.any():
+    usual = median_light(light)
+    if usual is None:
         return found
-    noise_cps = float(np.median(light.background_cps[lit]))
+    lit = total > 0
     lights = np.geomspace(total[lit].min(), total[lit].max(), LIGHTS)
     if lights[0] == lights[-1]:
         lights = lights[:1]
     lowest = []
     for one in lights:
-        wall = subgroup_wall(config, float(one), noise_cps)
+        wall = subgroup_wall(config, float(one), usual.noise_cps)
         lowest.append(_lowest_mm(config, wall, of_all=False))
     found[lit] = np.exp(np.interp(np.log(total[lit]), np.log(lights), np.log(lowest)))
     return found
@@ -333,7 +357,7 @@ def _from_cycle(wall: Wall, of_shifts: list[Windows], first: int, later: np.ndar
 def _armed_again(wall: Wall, c: int) -> np.ndarray:
     """int64[phases]: cycle in which the tree is armed after a window that opened in cycle c."""
     tick = c * wall.phases + np.arange(wall.phases)
-    return (tick + wall.window - 1) // wall.phases + 1 + wall.rearm
+    return armed_cycle(close_cycle(tick, wall.window, wall.phases), wall.rearm)
 
 
 def windows(wall: Wall, place: float, shift: float, *, of_all: bool) -> Windows:

@@ -25,7 +25,7 @@ from ..model.depth.quality import (
 from ..model.light.light import Light
 from ..model.scenes.scene import Scene
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
-from .bound import word_bounds_mm
+from .bound import median_light, with_usual_threshold, word_bounds_mm
 
 Number: TypeAlias = int | float | None
 
@@ -120,14 +120,11 @@ def _capacity_share(frame: MeasuredFrame) -> float | None:
 
 def _bound_mm(frame: MeasuredFrame) -> float | None:
     """Return the bound of a wall with the median light of the pixels that have some."""
-    light = frame.light
-    lit = light.total_signal > 0
-    if not lit.any():
+    usual = median_light(frame.light)
+    if usual is None:
         return None
-    signal = float(np.median(light.total_signal[lit]))
-    noise_cps = float(np.median(light.background_cps[lit]))
-    config = frame.config.with_settings(threshold=int(np.median(frame.threshold)))
-    return word_bounds_mm(config, signal, noise_cps).pixel_mm
+    config = with_usual_threshold(frame.config, frame.threshold)
+    return word_bounds_mm(config, *usual).pixel_mm
 
 
 def _per_s(counter: str) -> Callable[[MeasuredFrame], float]:

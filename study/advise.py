@@ -13,10 +13,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from attrs import evolve, frozen
 
-from ..lab.bound import photon_bound_mm, word_bounds_mm
+from ..lab.bound import median_light, photon_bound_mm, word_bounds_mm
 from ..lab.outcomes import Frame, Run
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config, toml_text
@@ -103,8 +102,8 @@ class Advice:
 
     settings: thresholds and windows, all with the link `FIRST_LINK_GBPS`; chosen: the best of them.
     links: links and formats for `chosen`; best: the advised one. klux: the light for which the
-    power is told. limit: what a threshold costs in millimetres. useless: sentences about a scene of which no setting leaves a useful picture; ""
-    if one does.
+    power is told. limit: what a threshold costs in millimetres. useless: sentences about a scene of
+    which no setting leaves a useful picture; "" if one does.
     """
 
     settings: list[Tried]
@@ -226,20 +225,17 @@ def advise(
 
 def _limit(run: Run, config: Config) -> str:
     """Return a sentence about the lowest possible errors at the median light, by threshold."""
-    light = run.light
-    lit = light.total_signal > 0
-    if not lit.any():
+    light = median_light(run.light)
+    if light is None:
         return "No pixel has light."
-    signal = float(np.median(light.total_signal[lit]))
-    noise_cps = float(np.median(light.background_cps[lit]))
     usual = config.with_settings(coincidence=True, auto=False)
     of_words = []
     for threshold in LIMITED:
-        lowest = word_bounds_mm(usual.with_settings(threshold=threshold), signal, noise_cps)
+        lowest = word_bounds_mm(usual.with_settings(threshold=threshold), *light)
         of_words.append(f"{lowest.pixel_mm:.1f} mm at threshold {threshold}")
-    photons_mm = photon_bound_mm(usual, signal, noise_cps)
+    photons_mm = photon_bound_mm(usual, *light)
     return (
-        f"The limit of a pixel with the median light ({signal:.2g} photons per pulse), without its"
+        f"The limit of a pixel with the median light ({light.signal_per_pulse:.2g} photons per pulse), without its"
         f" neighbours' distances: {photons_mm:.1f} mm from all photons; from the words"
         f" {', '.join(of_words)}."
     )

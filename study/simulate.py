@@ -204,8 +204,8 @@ def simulate_to_folder(
     waves: bool = False,
     **told: Any,
 ) -> dict[str, Any]:
-    """Simulate a scene; leave `PICTURES`, `LIGHT`, report.html, events.npz, depth.npz and report.json in
-    `out`, and return the report.
+    """Simulate a scene; leave `PICTURES`, `LIGHT`, report.html, events.npz, depth.npz and
+    report.json in `out`, and return the report.
 
     threshold: of `fixed`; None: that of the configuration if it gives one, else the best of 1 to 7
     for this scene. settling: number of frames of `auto`, of which the last one counts (None:

@@ -64,7 +64,8 @@ class Depth:
     @property
     def signal_per_pulse(self) -> np.ndarray | None:
         """float64[rows, cols, returns] or None: estimated signal of each return in detected photons
-        per laser pulse, before the dead time, as `Light.signal_per_pulse`; NaN = no depth, or a masked pixel.
+        per laser pulse, before the dead time, as `Light.signal_per_pulse`; NaN = no depth, or a
+        masked pixel.
         """
         return None if self._intensity is None else self._intensity.signal
 
@@ -107,9 +108,15 @@ class Depth:
         """Write the arrays that there are as NPZ, whole or not at all; `sentences` are those of
         the reasons. Raises `InputError` for another suffix.
         """
-        arrays = {name: getattr(self, name) for name in SAVED}
-        there = {name: part for name, part in arrays.items() if part is not None}
-        write_npz(path, there | {"sentences": np.array([SENTENCES[reason] for reason in Reason])})
+        write_npz(
+            path, _saved(self) | {"sentences": np.array([SENTENCES[reason] for reason in Reason])}
+        )
+
+
+def _saved(depth: Depth) -> dict[str, np.ndarray]:
+    """Return the arrays that there are, of those that are saved."""
+    arrays = {name: getattr(depth, name) for name in SAVED}
+    return {name: part for name, part in arrays.items() if part is not None}
 
 
 def write_depths(path: FilePath, depths: Sequence[Depth], truth_m: ArrayLike | None = None) -> None:
@@ -119,9 +126,7 @@ def write_depths(path: FilePath, depths: Sequence[Depth], truth_m: ArrayLike | N
     truth_m: float64[frames, rows, cols], the true distances; None: unknown.
     """
     arrays = {
-        name: np.stack([getattr(depth, name) for depth in depths])
-        for name in SAVED
-        if getattr(depths[0], name) is not None
+        name: np.stack([getattr(depth, name) for depth in depths]) for name in _saved(depths[0])
     }
     if truth_m is not None:
         arrays["truth_m"] = np.asarray(truth_m)

@@ -185,10 +185,15 @@ def _light_at(depth_m: np.ndarray, reading: Reading, arrays: dict[str, np.ndarra
     config = reading.config
     sigma_ticks = pulse_sigma_ticks(config, reading.system_fwhm_s)
     events = frame_events(arrays, config, sigma_ticks, reading.frame)
-    pulses = config.pulses * (len(arrays["opened"]) if reading.frame is None else 1)
+    pulses = _pulses(arrays, config, reading.frame)
     ticks = depth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
     with Threads(reading.workers) as threads:
         return find_intensity(events, config, sigma_ticks, pulses, ticks, threads)
+
+
+def _pulses(arrays: dict[str, np.ndarray], config: Config, frame: int | None) -> int:
+    """Return the number of pulses in which the events of a frame came, or of all frames (None)."""
+    return config.pulses * (len(arrays["opened"]) if frame is None else 1)
 
 
 class Found(NamedTuple):
@@ -246,7 +251,7 @@ def find_returns(
     check_integer("returns", returns, 1, RETURNS_MAX)
     sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
     events = frame_events(arrays, config, sigma_ticks, frame)
-    pulses = config.pulses * (len(arrays["opened"]) if frame is None else 1)
+    pulses = _pulses(arrays, config, frame)
     if method == PLANES:
         parts = find_surfaces(
             events,

@@ -28,12 +28,13 @@ from ..contract.latency import armed_cycle, close_cycle
 from ..contract.packet import BEAT_BITS
 from ..shared.compiled import njit, part
 from ..shared.threads import Threads
+from .clusters import gate_moved
 from .histograms import Events, by_subgroup, pixel_image
+from .likelihood import DEAD_S
 from .tree import kept_shares
 from .unheard import windows_of
 
 REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
-DEAD_S = 8e-9  # dead time of a SPAD (paper II)
 ROUNDS = 20  # in which the lights converge
 STEP_MAX = 1.5  # of a light's logarithm in a round
 ENOUGH = 3e-3  # change of all lights, relative to them and to `DIM`, that ends the rounds
@@ -246,12 +247,8 @@ def _seen(config: Config, s: int) -> np.ndarray:
     if not config.gating[s]:
         return np.ones(config.period_ticks)
     pulse = np.arange(config.pulses)
-    moved = config.frame.gate_step * np.ones_like(pulse)
-    if config.frame.gate_every:
-        moved *= pulse // config.frame.gate_every % config.frame.gate_steps
-    else:
-        moved *= 0
-    start, number = np.unique(config.gate_start[s] + moved, return_counts=True)
+    opens = config.gate_start[s] + gate_moved(config, pulse)
+    start, number = np.unique(opens, return_counts=True)
     cycle = np.arange(config.period)[:, None]
     is_open = (cycle >= start) & (cycle < start + config.gate_len[s])
     return np.repeat(is_open @ number / number.sum(), config.sensor.phases)

@@ -43,9 +43,14 @@ def raw_numbers(path: FilePath, samples: np.ndarray, unit: str) -> np.ndarray:
     return _bits16(path, samples, unit).byteswap() if stored_unit(unit) == KINECT_RAW else samples
 
 
+def fits_16_bits(samples: np.ndarray) -> bool:
+    """Return whether samples are integers of 16 bits, whatever type holds them."""
+    return bool(samples.dtype.kind in "iu" and samples.min() >= 0 and samples.max() <= 0xFFFF)
+
+
 def _bits16(path: FilePath, samples: np.ndarray, unit: str) -> np.ndarray:
     """uint16: samples of 16 bits, whatever type holds them. Raises `InputError`."""
-    if samples.dtype.kind not in "iu" or samples.min() < 0 or samples.max() > 0xFFFF:
+    if not fits_16_bits(samples):
         raise InputError(
             f"{path}: holds {samples.dtype}, must hold 16-bit integers for the unit {unit}"
         )

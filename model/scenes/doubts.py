@@ -15,7 +15,7 @@ from .conventions import (
     convention,
     stored_unit,
 )
-from .depth_units import KINECT_BITS, KITTI_FORM, ROTATED_BITS, metres
+from .depth_units import KINECT_BITS, KITTI_FORM, ROTATED_BITS, fits_16_bits, metres
 
 NEAR_M = 0.2  # smallest usual median
 # data set -> divisor of its samples, and the lowest share of them that are such multiples: the
@@ -41,7 +41,7 @@ def no_picture(samples: np.ndarray, sample_m: np.ndarray) -> str:
     roughness = _roughness(sample_m, seen)
     if roughness < SWAPPED_MIN:
         return ""
-    if samples.dtype.kind in "iu" and _fits_16_bits(samples):
+    if fits_16_bits(samples):
         swapped = samples.astype(np.uint16).byteswap()
         if _roughness(samples, seen) >= SMOOTHER_MIN * _roughness(swapped, seen):
             return (
@@ -54,10 +54,6 @@ def no_picture(samples: np.ndarray, sample_m: np.ndarray) -> str:
         "neighbouring samples differ as much as distant ones, as in noise; this may be no depth"
         " picture"
     )
-
-
-def _fits_16_bits(samples: np.ndarray) -> bool:
-    return bool(samples.min() >= 0 and samples.max() <= 0xFFFF)
 
 
 def _roughness(samples: np.ndarray, seen: np.ndarray) -> float:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from attrs import frozen
 
-from ...lab.bound import pixel_bounds_mm
+from ...lab.bound import pixel_bounds_mm, with_usual_threshold
 from ...lab.measures import SWEPT
 from ...lab.outcomes import Frame
 from ...model.contract.config import Config
@@ -90,7 +90,7 @@ class FrameView:
         self.signal = light.signal_per_pulse.sum(axis=1).reshape(shape)
         self.estimated = _of_first(found.signal_per_pulse, shape)
         self.estimated_error = _of_first(found.signal_error, shape)
-        usual = config.with_settings(threshold=int(np.median(frame.threshold)))
+        usual = with_usual_threshold(config, frame.threshold)
         self.bound_mm = pixel_bounds_mm(usual, light).reshape(shape)
         self.background = light.background_cps.reshape(shape) * (
             config.period_ticks * config.tick_s
