@@ -44,8 +44,9 @@ class PlacedDpcu:
 
     budget, limit, bounds, floor: of the controller, the same in every frame; step: 0 while there
     are no words, or TAKE, then the number of the word, the last one is BEGIN; take, begin: they are
-    on the bus; taken, begun: so they have been; starting: a frame begins; in_frame: nothing of its
-    beginning is on its way.
+    on the bus; taken, begun: so they have been; between: no frame runs, and none begins; written:
+    then, a setting is written; starting: a frame begins; in_frame: nothing of its beginning is on
+    its way.
     """
 
     unit: Dpcu
@@ -58,6 +59,8 @@ class PlacedDpcu:
     begin: Signal
     taken: Signal
     begun: Signal
+    between: Signal
+    written: Signal
     starting: Signal
     in_frame: Signal
 
@@ -103,8 +106,8 @@ def dpcu(b: Bench):
 def _place_dpcu(b: Bench) -> PlacedDpcu:
     """Place a DPCU behind the bus of the register front and beside a FIFO.
 
-    Between frames, when nothing is on its way, the bus says TAKE, then names budgets, limits and
-    bounds, then BEGIN with the floor.
+    Between frames, settings are written. When nothing is on its way, the bus says TAKE, then names
+    budgets, limits and bounds, then BEGIN with the floor.
     """
     m = b.m
     unit = Dpcu(SMALL)
@@ -129,11 +132,17 @@ def _place_dpcu(b: Bench) -> PlacedDpcu:
     step = Signal(range(WORDS + 2))
     take = b.same("take", b.anything(1) & (step == 0))
     begin = b.same("begin", step == WORDS + 1)
+    between = Signal(init=1)
+    written = b.same("written", b.anything(1) & between & ~take)
+    m.d.sync += between.eq((between | (b.anything(1) & (step == 0))) & ~take)
     m.d.sync += step.eq(Mux(begin, 0, step + ((step != 0) | take)))
     m.d.comb += data.eq(b.anything(DATA_BITS))
     with m.Switch(step):
         with m.Case(0):
-            m.d.comb += operation.eq(Mux(take, bus.Operation.TAKE, bus.Operation.IDLE))
+            with m.If(take):
+                m.d.comb += operation.eq(bus.Operation.TAKE)
+            with m.Elif(written):
+                m.d.comb += operation.eq(bus.Operation.WRITE)
         with m.Case(WORDS + 1):
             m.d.comb += operation.eq(bus.Operation.BEGIN)
             m.d.comb += data.eq(floor)
@@ -156,7 +165,7 @@ def _place_dpcu(b: Bench) -> PlacedDpcu:
     m.d.sync += taken.eq(taken | take)
     m.d.sync += begun.eq(begun | begin)
     starting = b.same("starting", take | (step != 0))
-    past_start = ~starting & ~b.past(starting) & ~b.past(starting, 2)
+    past_start = ~between & ~starting & ~b.past(starting) & ~b.past(starting, 2)
     return PlacedDpcu(
         unit=unit,
         budget=budget,
@@ -168,25 +177,29 @@ def _place_dpcu(b: Bench) -> PlacedDpcu:
         begin=begin,
         taken=taken,
         begun=begun,
+        between=between,
+        written=written,
         starting=starting,
         in_frame=b.same("in_frame", past_start),
     )
 
 
 def _tree_obeys(b: Bench, dut: PlacedDpcu) -> None:
-    """Assume what is proven for tree and settings. No window closes while a frame begins."""
+    """Assume what is proven for tree and settings. No window closes while a frame begins.
+
+    The settings change after TAKE, or as they are written if the sensor does not hold them.
+    """
     unit = dut.unit
     settings = unit.settings
     closed = unit.closed
     count = unit.window.count
     starting = dut.starting
-    b.assume(~settings.auto, where=~dut.taken)  # as settings are after a reset
-    b.assume_stable(settings.as_value(), where=~b.past(dut.take))
+    b.assume_stable(settings.as_value(), where=~b.past(dut.take | dut.written))
     legal_threshold = (settings.threshold != 0) & (settings.threshold <= SMALL.pixels)
     b.assume(legal_threshold & (settings.window != 0))
     b.assume((count != 0) & (count <= SMALL.pixels))
     quiet = b.same("quiet", ~(closed | b.past(closed) | b.past(closed, 2) | b.past(closed, 3)))
-    b.assume(quiet, where=starting)
+    b.assume(quiet, where=starting | dut.between)
     b.assume(~closed, where=b.past(starting) | b.past(starting, 2) | b.past(starting, 3))
 
 
@@ -197,7 +210,7 @@ def _step(b: Bench, dut: PlacedDpcu) -> Step:
     used = dut.count("threshold_used")
     now = settings.auto & settings.coincidence
     before = Signal()
-    with b.m.If(dut.take):
+    with b.m.If(dut.begin):
         b.m.d.sync += before.eq(now)
     above = (committed > dut.limit) & (used < THRESHOLD_MAX)
     few_below = dut.count("lower") <= dut.budget

@@ -246,13 +246,16 @@ class Dpcu(Unit):
             ]
         with m.Switch(self.operation):
             with m.Case(bus.Operation.TAKE):
-                m.d.sync += [self.stays.eq(self.controlled), self.ceiling.eq(1)]
+                m.d.sync += self.ceiling.eq(1)
             with m.Case(bus.Operation.BUDGET):
                 with m.If(self.in_stream):
                     m.d.sync += self.falls.eq(count["lower"] <= self.data)
             with m.Case(bus.Operation.LIMIT):
                 with m.If(self.in_stream):
                     m.d.sync += self.rises.eq(count["committed"] > self.data)
+            with m.Case(bus.Operation.BEGIN):
+                # Not at TAKE: a sensor that does not hold its settings has the new ones by then.
+                m.d.sync += self.stays.eq(self.controlled)
         own = Mux(bounded < floor, floor, bounded)
         return Mux(self.controlled & self.stays, own, settings.threshold)
 

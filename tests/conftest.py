@@ -14,6 +14,7 @@ from collections.abc import Iterator
 
 import hypothesis
 import pytest
+from hypothesis.internal.conjecture import providers
 
 from .needs import missing
 
@@ -28,6 +29,10 @@ os.environ.setdefault("COINCID_OPTIMISE", "-O1")
 # of examples.
 hypothesis.settings.register_profile("coincid", deadline=None, print_blob=True)
 hypothesis.settings.register_profile("thorough", deadline=None, print_blob=True, max_examples=1000)
+
+# Hypothesis mixes constants of the modules that are loaded into its examples. A test would draw
+# others after other tests, and the command that repeats a failure would not repeat it.
+providers._get_local_constants = providers.Constants
 
 
 @pytest.hookimpl(tryfirst=True)  # before hypothesis's own plugin reads its options

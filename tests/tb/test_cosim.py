@@ -171,6 +171,28 @@ def test_streams_have_budgets_of_their_own(tmp_path):
     assert_all_checked(records, jobs)
 
 
+@pytest.mark.parametrize(("sensor", "engine"), [("default", "sliced"), ("one", "icarus")])
+def test_controller_takes_over_and_hands_back(sensor, engine, tmp_path):
+    """Also in a sensor that does not hold its settings, in which the switch is there before the
+    frame.
+    """
+    frame = {"period": 40, "pulses": 3, "auto_bounds": [0] * 6}
+    configs = {
+        auto: random_cases.configured(SENSORS[sensor], frame, {"auto": auto, "threshold": 4})
+        for auto in (False, True)
+    }
+    golden = Golden(configs[True].sensor)
+    jobs = []
+    for number, auto in enumerate((True, True, True, False, True, True, False, False, True)):
+        edges = random_cases.trouble(configs[auto], number, 10.0)
+        jobs.append(random_cases.predicted(golden, configs[auto], edges))
+    used = [int(job.expected.counters[0, COUNTER_NAMES.index("threshold_used")]) for job in jobs]
+    assert used[0] == used[3] == used[4] == used[6] == used[7] == used[8] == 4
+    assert 4 not in (used[1], used[5])
+    records, _ = play(jobs, engine, tmp_path)
+    assert_all_checked(records, jobs)
+
+
 def test_counters_saturate(tmp_path):
     config = random_cases.configured(
         SENSORS["lean"], {"period": 60, "pulses": 60}, {"threshold": 1}
