@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from attrs import frozen
-from scipy import signal, special, stats
+from scipy import signal, special
 
 from ..model.contract.coincidence import rises
 from ..model.contract.config import Config, parse_config
@@ -384,8 +384,8 @@ def windows(wall: Wall, place: float, shift: float, *, of_all: bool) -> Windows:
     opens = waits * (1 - silent)
     if of_all:
         counts = np.arange(wall.pixels + 1)
-        number = stats.binom.pmf(counts, wall.pixels, own_in[:, None])
-        number -= silent[:, None] * stats.binom.pmf(counts, wall.pixels, own_later[:, None])
+        number = _binomial(counts, wall.pixels, own_in)
+        number -= silent[:, None] * _binomial(counts, wall.pixels, own_later)
         told = waits[:, None] * np.maximum(0.0, number[:, 1:]) * (1 - wall.rejected[1:])
         return Windows(told, np.maximum(0.0, opens - told.sum(axis=1)))
     kept_in = _kept(wall, other_in, 1)
@@ -407,6 +407,15 @@ def _photons(wall: Wall, place: float, ticks: int) -> np.ndarray:
     return wall.alive * (wall.signal * pulse + wall.noise)
 
 
+def _binomial(counts: np.ndarray, trials: int, chance: np.ndarray) -> np.ndarray:
+    """float64[n, counts]: probabilities of so many successes, for each chance.
+
+    SciPy's distribution gives the same, in ten times the time for arrays this small.
+    """
+    chance = chance[:, None]
+    return special.binom(trials, counts) * chance**counts * (1 - chance) ** (trials - counts)
+
+
 def _kept(wall: Wall, fires: np.ndarray, own: int) -> np.ndarray:
     """float64[n]: chance that a window with the pixel (own 1) or without it (0) becomes an event.
 
@@ -415,7 +424,7 @@ def _kept(wall: Wall, fires: np.ndarray, own: int) -> np.ndarray:
     others = wall.pixels - 1
     most = int(np.count_nonzero(wall.rejected[own:] > 0))
     counts = np.arange(most)
-    lost = stats.binom.pmf(counts, others, fires[:, None]) * wall.rejected[own : own + most]
+    lost = _binomial(counts, others, fires) * wall.rejected[own : own + most]
     return 1 - lost.sum(axis=1)
 
 
