@@ -291,6 +291,16 @@ def overfull(sensor: dict) -> Config:
     )
 
 
+def lively(sensor: dict) -> Config:
+    """Return a frame with many events."""
+    built = built_sensor(sensor)
+    return configured(
+        sensor,
+        {"period": built.guard + 60, "pulses": 30},
+        {"threshold": 1, "window": 1},
+    )
+
+
 def lengthy(sensor: dict) -> Config:
     """Return a frame with so many pulses and gate steps that counters exceed their low bits."""
     built = built_sensor(sensor)

@@ -65,7 +65,7 @@ FRAMES = {"sliced": 40, "icarus": 12, "verilator": 12}
 
 def frames(sensor: dict, number: int) -> list[FrameJob]:
     """Return consecutive frames with settings, edges and back-pressure of their own; the golden
-    model keeps its memory.
+    model keeps its memory. The first one has events whatever is drawn for the others.
 
     In the later half, the threshold controller, where it is built, acts in every frame, with
     changing capacity.
@@ -73,7 +73,7 @@ def frames(sensor: dict, number: int) -> list[FrameJob]:
     golden = Golden(random_cases.built_sensor(sensor))
     controlled = number // 2 if golden.sensor.controller else 0
     drawn = random_cases.configurations(sensor, frames_max=1)
-    configs = random_cases.drawn(drawn, number - controlled)
+    configs = [random_cases.lively(sensor), *random_cases.drawn(drawn, number - controlled - 1)]
     if controlled:
         (led,) = random_cases.drawn(random_cases.controlled(sensor, frames=1), 1)
         configs += [led.with_frame(capacity=led.capacity * (k % 4)) for k in range(controlled)]
