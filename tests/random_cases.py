@@ -67,6 +67,7 @@ SENSORS = {
         window_max=33,
         offset_phases=8,
         streams=2,
+        held=0,  # beside a controller
     ),
 }
 LEAN = dict(
