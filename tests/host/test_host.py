@@ -102,12 +102,16 @@ def test_runs():
 
 
 @pytest.mark.parametrize(
-    "name, value, says", [("id", 0, "no sensor"), ("version", 1 << 24, "version")]
+    "name, value, says",
+    [
+        ("id", 0, "no sensor: its ID is 0x00000000, must be 0x434f494e"),
+        ("version", 1 << 24, "register map of version 256: this driver knows 2"),
+    ],
 )
 def test_no_sensor(name, value, says):
     memory = Memory()
     memory.words[address(name)] = value
-    with pytest.raises(HostError, match=says):
+    with pytest.raises(HostError, match=f"^{says}$"):
         read_sensor(memory)
 
 
