@@ -42,6 +42,15 @@ class _Compiled(CPUDispatcher):
         general_by_name = {name: _without_value(one) for name, one in kws.items()}
         return super().get_call_template(general, general_by_name)
 
+    def compile(self, sig: Any) -> Any:
+        """Compile for a signature, and keep the code. Raises `InputError` if the disk is full."""
+        try:
+            return super().compile(sig)
+        except OSError as error:
+            raise InputError(
+                f"build directory {build_root()}: {error.strerror}; COINCID_BUILD names another"
+            ) from None
+
 
 class _Part(_Compiled):
     """A function that only compiled functions may call."""

@@ -3,13 +3,16 @@
 require a folder.
 """
 
+import errno
+import os
 import subprocess
 import sys
 
 import numba
 import pytest
 
-from coincid.model.shared.compiled import part
+from coincid.model.shared.compiled import njit, part
+from coincid.model.shared.errors import InputError
 
 from ..planted import copy_of_sources
 
@@ -67,6 +70,22 @@ def test_without_a_folder_to_write_to_nothing_is_kept(run, tmp_path):
     (tmp_path / "file").touch()
     assert run(COINCID_BUILD=str(tmp_path / "file" / "build")) == f"{OPENED} 0"
     assert not list(tmp_path.rglob("*.nbi"))
+
+
+@njit
+def _half(number):
+    return number // 2
+
+
+def test_compiled_code_on_a_full_disk_is_one_line(monkeypatch):
+    def full(signature, code):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(_half._cache, "save_overload", full)
+    with pytest.raises(
+        InputError, match=r"\Abuild directory .*: No space left .*; COINCID_BUILD names another\Z"
+    ):
+        _half(4)
 
 
 @part
