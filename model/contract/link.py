@@ -16,7 +16,7 @@ from .settings import LINK_GBPS_MAX
 
 # lowest share of the cycles: with a lower one, a frame would take too long
 SHARE_MIN = Fraction(1, 1024)
-# denominator of the share: keeps its product with a cycle number in 64 bits
+# denominator of the share: keeps products with cycle numbers in 64 bits
 _DENOMINATOR_MAX = 1 << 20
 
 
@@ -57,3 +57,16 @@ def takes_beats(share: Fraction, cycles: int) -> np.ndarray:
     """
     taken = np.arange(cycles + 1, dtype=np.int64) * share.numerator // share.denominator
     return np.diff(taken).astype(np.uint8)
+
+
+def next_taken(cycle: int, beats: int, cycles: int) -> int:
+    """Return the first cycle from `cycle` on in which a link takes a beat: the rule of
+    `takes_beats` without a loop.
+
+    beats, cycles: numerator and denominator of the link's share. Every `cycles` cycles, the link
+    begins again, so no product is above the square of `_DENOMINATOR_MAX`. Kernels compile their
+    own version.
+    """
+    since = cycle % cycles  # cycles since the link began again
+    before = since * beats // cycles  # beats in them
+    return cycle - since + ((before + 1) * cycles - 1) // beats

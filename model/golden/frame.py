@@ -27,7 +27,8 @@ from ..shared.threads import Threads
 from .controller import Controller
 from .front_end import Rules, Settings, Timeline, front_end, time_order
 from .judgement import judged, thresholds_of_candidates
-from .readout import Stream, readout, ready_times
+from .readout import Stream, readout
+from .receiver import Receiver, receiver_of
 from .shape import COUNTER, Shape, shape_of
 
 
@@ -137,7 +138,7 @@ class Golden:
                 events,
                 records,
                 counters,
-                plan.next_ready,
+                plan.receiver,
             )
             beats.append(stream_beats)
             cycles.append(stream_cycles)
@@ -165,7 +166,7 @@ class _Plan(NamedTuple):
     settings: Settings
     timeline: Timeline
     end: int
-    next_ready: np.ndarray
+    receiver: Receiver
 
 
 def _plan(
@@ -197,7 +198,7 @@ def _plan(
         settings=settings,
         timeline=Timeline(start=start, gate_shift=frame.gate_step * steps),
         end=int(start[played - 1]) + config.period,
-        next_ready=ready_times(config.tready(ready)),
+        receiver=receiver_of(config, ready),
     )
 
 

@@ -16,6 +16,7 @@ from ..contract.packet import BEAT_BITS, GROUP_KIND, KIND_LSB
 from ..contract.parameters import OFFSET_NONE
 from ..contract.ungroup import check_of
 from ..shared.compiled import part
+from .receiver import Receiver, taken_from
 from .shape import Shape, row_type
 
 _KIND = np.uint64(GROUP_KIND << KIND_LSB)
@@ -48,7 +49,7 @@ class Packed(NamedTuple):
     beats: np.ndarray  # uint64[n]
     sent_at: np.ndarray  # int64[n], cycles of their transfer
     listed: np.ndarray  # int64[pixels], scratch
-    next_ready: np.ndarray  # when the receiver takes a beat: see `ready_times`
+    receiver: Receiver  # of the beats
 
 
 def new_packer() -> np.ndarray:
@@ -61,7 +62,7 @@ def new_packer() -> np.ndarray:
     return state
 
 
-def room_for_groups(most: int, shape: Shape, next_ready: np.ndarray) -> Packed:
+def room_for_groups(most: int, shape: Shape, receiver: Receiver) -> Packed:
     """Return room for the groups of `most` beats.
 
     A group of one event takes at most two beats more than the event: one for its head and check,
@@ -73,7 +74,7 @@ def room_for_groups(most: int, shape: Shape, next_ready: np.ndarray) -> Packed:
         beats=np.zeros(most, np.uint64),
         sent_at=np.empty(most, np.int64),
         listed=np.empty(shape.pixels, np.int64),
-        next_ready=next_ready,
+        receiver=receiver,
     )
 
 
@@ -269,9 +270,7 @@ def _send(packer: Any, out: Packed) -> int:
 
     In that cycle, the next part can be packed.
     """
-    cycle = packer.beat_from
-    if cycle < len(out.next_ready):
-        cycle = out.next_ready[cycle]
+    cycle = taken_from(out.receiver, packer.beat_from)
     out.beats[packer.beat] |= _KIND
     if packer.beat == packer.begins:
         out.beats[packer.beat] |= _FIRST

@@ -18,6 +18,7 @@ from ..contract.packet import BEAT_BITS, FRAME_END, FRAME_START, KIND_LSB, OFFSE
 from ..shared.compiled import njit, part
 from .front_end import Events, Records
 from .packer import Packed, close_group, new_packer, pack_event, room_for_groups
+from .receiver import Receiver, taken_from
 from .shape import ARRAY, COUNTER, NUMBER, Shape, row_type
 
 _RECORD = RECORD.code
@@ -65,7 +66,7 @@ class _Room(NamedTuple):
     sent_at: np.ndarray  # int64[n], cycles of their transfer
     values: np.ndarray  # uint64, of a packet: see `NUMBERS`
     packed: Packed  # beats behind the packer
-    next_ready: np.ndarray  # of `ready_times`
+    receiver: Receiver  # of the beats
 
 
 def readout(
@@ -74,7 +75,7 @@ def readout(
     events: Events,
     records: Records,
     counters: np.ndarray,
-    next_ready: np.ndarray,
+    receiver: Receiver,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the beats of a stream, and the cycles of their transfer.
 
@@ -89,8 +90,8 @@ def readout(
         beats=np.empty(most, np.uint64),
         sent_at=np.empty(most, np.int64),
         values=np.zeros(ARRAY + shape.longest_word, np.uint64),
-        packed=room_for_groups(most, shape, next_ready),
-        next_ready=next_ready,
+        packed=room_for_groups(most, shape, receiver),
+        receiver=receiver,
     )
     packers = new_packer()
     done = _play(stream, shape, room, packers, events, records, counters)
@@ -434,18 +435,10 @@ def _transfer(room: _Room, done: int, length: int, t: int) -> int:
     """Write down when the `length` beats after `done`, granted in cycle `t`, leave; return the
     new `done`.
     """
-    sent_at, next_ready = room.sent_at, room.next_ready
+    sent_at = room.sent_at
     for k in range(done, done + length):
         earliest = t + latency.GRANT_TO_BEAT + k - done + latency.BEAT_TO_PORT
         if k:
             earliest = max(earliest, sent_at[k - 1] + 1)
-        sent_at[k] = next_ready[earliest] if earliest < len(next_ready) else earliest
+        sent_at[k] = taken_from(room.receiver, earliest)
     return done + length
-
-
-def ready_times(ready: np.ndarray) -> np.ndarray:
-    """Return, for each cycle, the first cycle from there on in which `tready` is high (always
-    high after the end).
-    """
-    following = np.where(ready != 0, np.arange(len(ready)), len(ready))
-    return np.minimum.accumulate(following[::-1])[::-1].astype(np.int64)

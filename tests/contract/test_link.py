@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coincid.model.contract.config import parse_config
-from coincid.model.contract.link import link_share
+from coincid.model.contract.link import SHARE_MIN, link_share, next_taken
 from coincid.model.contract.result import differences
+from coincid.model.golden.receiver import receiver_of
 from coincid.model.shared.errors import InputError
 from coincid.tb.replay import replay
 
@@ -45,6 +46,31 @@ def test_beats_are_taken_evenly(gbps, stalled):
     cycles = np.arange(1, len(taken) + 1)
     assert np.all(taken <= cycles * float(config.link_share) + 1e-6)
     assert np.all(taken > cycles * float(config.link_share) - 1 - 1e-6)
+
+
+@given(
+    share=st.fractions(SHARE_MIN, 1, max_denominator=1 << 20),
+    cycle=st.integers(0, 1 << 50),
+)
+def test_next_beat_of_a_link_is_the_first_that_the_rule_finds(share, cycle):
+    beats = share.numerator
+    cycles = share.denominator
+    later = range(cycle, cycle + int(1 / SHARE_MIN) + 1)
+    rule = (c for c in later if (c + 1) * beats // cycles > c * beats // cycles)
+    assert next_taken(np.int64(cycle), np.int64(beats), np.int64(cycles)) == next(rule)
+
+
+@given(gbps=st.floats(0.5, 40), behind=st.lists(st.integers(0, 1), max_size=100))
+def test_golden_model_and_engines_have_the_same_receiver(gbps, behind):
+    config = configured(link_gbps=gbps)
+    behind = np.array(behind, np.uint8)
+    afterwards = np.ones(config.frame_cycles + 1, np.uint8)
+    taken = np.flatnonzero(np.append(config.tready(behind), afterwards))
+    cycles = np.arange(len(behind) + config.frame_cycles)
+    receiver = receiver_of(config, behind)
+    later = next_taken(cycles[len(behind) :], receiver.beats, receiver.cycles)
+    found = np.append(receiver.early, later)
+    assert np.array_equal(found, taken[np.searchsorted(taken, cycles)])
 
 
 def test_slow_link_fills_the_fifos_and_engines_agree():
