@@ -32,7 +32,7 @@ from ..model.depth.quality import OTHER_SURFACE_M
 from ..model.depth.tree import kept_shares
 from ..model.light.light import Light, background_cps, signal_per_pulse
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
-from ..model.shared.errors import check_integer
+from ..model.shared.errors import InputError, check_integer
 from ..model.shared.quantities import check_real
 
 REACH_SIGMAS = 5.0  # from the centre of a pulse to its beginning and end
@@ -228,7 +228,15 @@ class MedianLight(NamedTuple):
 
 
 def median_light(light: Light) -> MedianLight | None:
-    """Return the medians over the pixels that have some light; None: no pixel has."""
+    """Return the medians over the pixels that have some light; None: no pixel has.
+
+    Raises `InputError` if the light has a measured pulse: the bounds are those of a Gaussian.
+    """
+    if light.pulse is not None:
+        raise InputError(
+            "pulse: the bounds are those of a Gaussian, and the light has a measured pulse",
+            field="pulse",
+        )
     lit = light.total_signal > 0
     if not lit.any():
         return None

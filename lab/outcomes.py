@@ -231,7 +231,8 @@ class Run:
     def depth(self, estimator: Method | None = None, **options: Any) -> Depth:
         """Estimate the distance of every pixel by METHOD, METHOD/SOURCE or an estimator of your own.
 
-        options: those of `estimate_depth`.
+        options: those of `estimate_depth`. The estimator is told the measured pulse of the setup's
+        light, unless `pulse` is given.
         """
         if estimator is not None and not isinstance(estimator, str | Estimator):
             raise InputError(
@@ -246,6 +247,7 @@ class Run:
             "method": method,
             "source": source,
             "workers": self.workers,
+            "pulse": None if self.setup.light is None else self.setup.light.pulse,
         } | options
         return estimate_depth(self.result, self.config, **given)
 

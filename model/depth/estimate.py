@@ -16,9 +16,10 @@ from ..contract.config import Config
 from ..contract.pixels import pixel_table
 from ..shared.constants import SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 from ..shared.errors import InputError, check_integer
+from ..shared.pulse import Pulse
 from ..shared.quantities import check_choice
 from ..shared.threads import Threads
-from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
+from .arrivals import SYSTEM_FWHM_S
 from .belief import Signs, believe, find_signs
 from .depth import Depth
 from .histograms import (
@@ -41,6 +42,7 @@ from .methods import (
 )
 from .peaks import live_share, pixel_peaks, record_live
 from .planes import find_surfaces
+from .pulse_ticks import PulseTicks, pulse_ticks
 
 RETURNS_MAX = 8
 PLANES = "planes"
@@ -57,6 +59,7 @@ def estimate_depth(
     returns: int = 1,
     workers: int | None = None,
     system_fwhm_s: float = SYSTEM_FWHM_S,
+    pulse: Pulse | None = None,
 ) -> Depth:
     """Estimate the distance of every pixel from the sensor's output.
 
@@ -80,7 +83,10 @@ def estimate_depth(
     workers : int or None
         Threads; None is one per core. The number does not change the result.
     system_fwhm_s : float
-        FWHM of laser pulse and jitter combined, in seconds.
+        FWHM of laser pulse and jitter combined, in seconds, of a Gaussian.
+    pulse : Pulse or None
+        Measured shape of laser pulse and jitter combined, instead of that Gaussian. Only `planes`
+        can use it.
 
     Returns
     -------
@@ -92,6 +98,12 @@ def estimate_depth(
         If an argument is out of range.
     """
     chosen = chosen_method(method)
+    if pulse is not None and chosen != PLANES:
+        name = chosen if isinstance(chosen, str) else chosen.name
+        raise InputError(
+            f"pulse: the estimator {name} assumes a Gaussian, only {PLANES} takes a measured pulse",
+            field="pulse",
+        )
     if not isinstance(chosen, str):
         check_no_source(chosen.name, source)
         check_integer("returns", returns, 1, RETURNS_MAX)
@@ -117,6 +129,7 @@ def estimate_depth(
             returns=returns,
             threads=threads,
             system_fwhm_s=system_fwhm_s,
+            pulse=pulse,
         )
         signs = found.signs(config, threads)
     tick_m, confidence = config.tick_s * SPEED_OF_LIGHT_M_S / 2, found.sure.copy()
@@ -183,12 +196,12 @@ def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
 def _light_at(depth_m: np.ndarray, reading: Reading, arrays: dict[str, np.ndarray]) -> Intensity:
     """Return the light at the distances that an estimator of a user's own found."""
     config = reading.config
-    sigma_ticks = pulse_sigma_ticks(config, reading.system_fwhm_s)
-    events = frame_events(arrays, config, sigma_ticks, reading.frame)
+    pulse = pulse_ticks(config, reading.system_fwhm_s)
+    events = frame_events(arrays, config, pulse.sigma, reading.frame)
     pulses = _pulses(arrays, config, reading.frame)
     ticks = depth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
     with Threads(reading.workers) as threads:
-        return find_intensity(events, config, sigma_ticks, pulses, ticks, threads)
+        return find_intensity(events, config, pulse, pulses, ticks, threads)
 
 
 def _pulses(arrays: dict[str, np.ndarray], config: Config, frame: int | None) -> int:
@@ -210,7 +223,7 @@ class Found(NamedTuple):
     slope: np.ndarray | None
     events: Events
     pulses: int
-    sigma_ticks: float
+    pulse: PulseTicks
     everywhere: bool
 
     def signs(self, config: Config, threads: Threads) -> Signs:
@@ -219,7 +232,7 @@ class Found(NamedTuple):
         return find_signs(
             self.events,
             config,
-            self.sigma_ticks,
+            self.pulse.sigma,
             self.pulses,
             ticks,
             sure,
@@ -230,9 +243,7 @@ class Found(NamedTuple):
     def light(self, config: Config, workers: int | None) -> Intensity:
         """Return the light of the returns."""
         with Threads(workers) as threads:
-            return find_intensity(
-                self.events, config, self.sigma_ticks, self.pulses, self.ticks, threads
-            )
+            return find_intensity(self.events, config, self.pulse, self.pulses, self.ticks, threads)
 
 
 def find_returns(
@@ -245,24 +256,26 @@ def find_returns(
     returns: int,
     threads: Threads,
     system_fwhm_s: float,
+    pulse: Pulse | None = None,
 ) -> Found:
     """Find the returns of every pixel; the other arguments and errors as in `estimate_depth`."""
     check_choice("method", method, (PLANES, *PEAKS))
     check_integer("returns", returns, 1, RETURNS_MAX)
-    sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
+    shape = pulse_ticks(config, system_fwhm_s, pulse)
+    sigma_ticks = shape.sigma
     events = frame_events(arrays, config, sigma_ticks, frame)
     pulses = _pulses(arrays, config, frame)
     if method == PLANES:
         parts = find_surfaces(
             events,
             config,
-            sigma_ticks,
+            shape,
             pulses,
             tolerance_ticks=SUCCESS_TOLERANCE_S / config.tick_s,
             returns=returns,
             threads=threads,
         )
-        return Found(*parts, events, pulses, sigma_ticks, everywhere=False)
+        return Found(*parts, events, pulses, shape, everywhere=False)
     live, group = (
         _live(arrays, events, config, source, frame) if method == "background" else (None, None)
     )
@@ -282,9 +295,7 @@ def find_returns(
     ]
     ticks, sure = (pixel_image(np.stack(part), config.sensor) for part in zip(*peaks, strict=True))
     sure = np.where(np.isnan(ticks), 0.0, sure)
-    return Found(
-        ticks, sure, None, None, events, pulses, sigma_ticks, everywhere=source == "subgroup"
-    )
+    return Found(ticks, sure, None, None, events, pulses, shape, everywhere=source == "subgroup")
 
 
 def _live(

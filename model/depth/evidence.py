@@ -16,7 +16,9 @@ The events of a pulse constrain the firing time of each pixel of the subgroup:
 A pixel that sees a surface at time t with `light` photons per pulse fires at the first of them and
 is dead from then on. So the probability that it has fired by time u is
 
-    F(u) = 1 - exp(-light * Phi((u - t) / sigma)).
+    F(u) = 1 - exp(-light * S(u - t)),
+
+where S is the share of the pulse before a time (`pulse_ticks.py`).
 """
 
 import math
@@ -24,16 +26,16 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import special
 
 from ..contract.parameters import OFFSET_NONE
 from ..shared.compiled import njit, part
+from ..shared.interpolation import interpolated
 from . import portable
 from .clusters import NEVER, SubgroupEvents
 from .histograms import is_hit
+from .pulse_ticks import PulseTicks
 from .vector_math import fast_log
 
-REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
 RARE = 1e-6  # lowest probability: effects that the law does not include happen, too
 WON = 0  # how an event hit a pixel: it won,
 LOWER = 1  # or its number is lower than the winner's,
@@ -80,6 +82,14 @@ class Pixels(NamedTuple):
     counted: np.ndarray  # int64[pixels], event in which the pixel was hit last
     number: np.ndarray  # int64[WAYS, pixels], of `_count`
     hit: np.ndarray  # int64[pixels], of `_count`
+
+
+class Shape(NamedTuple):
+    """Shape of a pulse, as in `PulseTicks`."""
+
+    sigma: float
+    times: np.ndarray  # float64[n], of a table; empty: a Gaussian
+    shares: np.ndarray  # float64[n]
 
 
 class _Rows(NamedTuple):
@@ -473,7 +483,7 @@ def first_shares(
     minigroup: np.ndarray,
     time: np.ndarray,
     light: np.ndarray,
-    sigma: float,
+    shape: Shape,
 ) -> np.ndarray:
     """float32[n, pixels]: probability that a hit pixel was the first of its minigroup.
 
@@ -495,7 +505,7 @@ def first_shares(
             for i in range(pixels):
                 if minigroup[i] == g and is_hit(events.hits, e, i):
                     members[number] = i
-                    later[number] = _later(begin, own, end, time[i], light[i], sigma)
+                    later[number] = _later(begin, own, end, time[i], light[i], shape)
                     number += 1
             for j in range(number):
                 shares[e, members[j]] = _all_others(later, number, j)
@@ -503,12 +513,12 @@ def first_shares(
 
 
 @part
-def _later(begin: int, own: int, end: int, time: float, light: float, sigma: float) -> float:
+def _later(begin: int, own: int, end: int, time: float, light: float, shape: Shape) -> float:
     """Return the probability that a pixel that fired in [begin, end) did so in [own, end)."""
-    last = _unfired(end - time, light, sigma)
-    inside = _unfired(begin - time, light, sigma) - last
+    last = _unfired(end - time, light, shape)
+    inside = _unfired(begin - time, light, shape) - last
     if inside > RARE:
-        return (_unfired(own - time, light, sigma) - last) / inside
+        return (_unfired(own - time, light, shape) - last) / inside
     return (end - own) / (end - begin)  # background, or an unknown surface
 
 
@@ -523,14 +533,16 @@ def _all_others(chances: np.ndarray, number: int, own: int) -> float:
 
 
 @part
-def _unfired(distance: float, light: float, sigma: float) -> float:
+def _unfired(distance: float, light: float, shape: Shape) -> float:
     """Return 1 - F."""
-    return math.exp(-light * 0.5 * math.erfc(-distance / sigma * math.sqrt(0.5)))
+    if len(shape.times):
+        return math.exp(-light * interpolated(distance, shape.times, shape.shares))
+    return math.exp(-light * 0.5 * math.erfc(-distance / shape.sigma * math.sqrt(0.5)))
 
 
 @lru_cache(KEPT)
 def fired_table(
-    sigma_ticks: float, reach: int, step: int, span: int, lights: tuple[float, ...]
+    pulse: PulseTicks, reach: int, step: int, span: int, lights: tuple[float, ...]
 ) -> tuple[int, np.ndarray]:
     """Return a margin, and F for ticks u and times t of a grid: float32[step * columns * lights].
 
@@ -539,7 +551,7 @@ def fired_table(
     steps from t to u + reach. `margin` columns to both sides are enough for `span` times.
     """
     distance = np.arange(-2 * reach, 2 * reach + 1) / 2
-    reached_by = special.ndtr(distance / sigma_ticks)[:, None]  # share of the pulse
+    reached_by = pulse.share_before(distance)[:, None]
     fired = -portable.expm1(-reached_by * np.array(lights)).astype(np.float32)
     margin = span + 2 * reach // step + 2
     columns = margin - np.arange(2 * margin + span)

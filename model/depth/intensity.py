@@ -20,7 +20,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
 
 from ..contract.coincidence import rises
 from ..contract.config import Config
@@ -31,10 +30,10 @@ from ..shared.threads import Threads
 from .clusters import gate_moved
 from .histograms import Events, by_subgroup, pixel_image
 from .likelihood import DEAD_S
+from .pulse_ticks import PulseTicks
 from .tree import kept_shares
 from .unheard import windows_of
 
-REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
 ROUNDS = 20  # in which the lights converge
 STEP_MAX = 1.5  # of a light's logarithm in a round
 ENOUGH = 3e-3  # change of all lights, relative to them and to `DIM`, that ends the rounds
@@ -125,7 +124,7 @@ class _Expected(NamedTuple):
 def find_intensity(
     events: Events,
     config: Config,
-    sigma_ticks: float,
+    pulse: PulseTicks,
     pulses: int,
     ticks: np.ndarray,
     threads: Threads,
@@ -139,13 +138,13 @@ def find_intensity(
     time = np.stack([by_subgroup(one, sensor) for one in np.moveaxis(ticks, 2, 0)], axis=2)
     signal = np.full(time.shape, np.nan)
     error = np.full(time.shape, np.nan)
-    weight = _event_weights(events, config, pulses, sigma_ticks, threads)
+    weight = _event_weights(events, config, pulses, pulse, threads)
 
     def of_subgroup(s: int) -> None:
         there = ~np.isnan(time[s]) & config.mask[s][:, None]
         if not there.any():
             return
-        returns = _returns_of(events, config, sigma_ticks, time[s], there, weight, s)
+        returns = _returns_of(events, config, pulse, time[s], there, weight, s)
         subgroup = _subgroup_of(events, config, pulses, returns, s)
         light, doubt = _fit(subgroup, returns, config.period_ticks)
         signal[s][there] = light
@@ -156,13 +155,13 @@ def find_intensity(
 
 
 def _event_weights(
-    events: Events, config: Config, pulses: int, sigma_ticks: float, threads: Threads
+    events: Events, config: Config, pulses: int, pulse: PulseTicks, threads: Threads
 ) -> np.ndarray:
     """float64[n]: windows for which an event stands, because some were dropped."""
     weight = np.ones(len(events.stamp))
     if not events.overrun.any():
         return weight
-    for s, windows in enumerate(windows_of(events, config, pulses, sigma_ticks, threads.map)):
+    for s, windows in enumerate(windows_of(events, config, pulses, pulse, threads.map)):
         span = slice(events.bounds[s], events.bounds[s + 1])
         stamp = events.stamp[span]
         stored = np.bincount(stamp, minlength=config.period_ticks)
@@ -173,7 +172,7 @@ def _event_weights(
 def _returns_of(
     events: Events,
     config: Config,
-    sigma_ticks: float,
+    pulse: PulseTicks,
     time: np.ndarray,
     there: np.ndarray,
     weight: np.ndarray,
@@ -181,12 +180,12 @@ def _returns_of(
 ) -> _Returns:
     """Return the returns of subgroup s. time, there: [pixels, returns]."""
     window = int(events.window[s])
-    reach = math.ceil(REACH_SIGMAS * sigma_ticks)
+    reach = pulse.reach
     at = time[there]
     first = np.floor(at).astype(np.int64) - reach - (window - 1)
     number = 2 * reach + window
     edge = first[:, None] + np.arange(number + 1) - at[:, None]
-    share = np.diff(special.ndtr(edge / sigma_ticks), axis=1)
+    share = np.diff(pulse.share_before(edge), axis=1)
     until_cycle = np.zeros((len(at), number + 1))
     until_cycle[:, 1:] = np.cumsum(share, axis=1)
     into_cycle = (first[:, None] + np.arange(number)) % config.sensor.phases

@@ -22,10 +22,10 @@ from ..contract.config import Config
 from ..contract.pixels import pixel_table
 from .clusters import SubgroupEvents, cluster_events
 from .evidence import (
-    REACH_SIGMAS,
     WAYS,
     Law,
     Pixels,
+    Shape,
     add_events,
     chances_to_be_heard,
     fired_table,
@@ -33,6 +33,7 @@ from .evidence import (
 )
 from .histograms import Events, by_subgroup
 from .lights import add_light_chances, learned_prior, lights_near, mean_over_lights, prior_of_met
+from .pulse_ticks import PulseTicks
 from .unheard import BLIND_MAX, Guess, Spread, Unheard
 
 DEAD_S = 8e-9  # dead time of a SPAD (paper II)
@@ -60,7 +61,7 @@ class _Frame(NamedTuple):
 
     events: Events
     config: Config
-    sigma_ticks: float  # of the pulse
+    pulse: PulseTicks
     pulses: int  # in which the events came
     grid: Grid
     never: Unheard
@@ -77,7 +78,7 @@ class _Frame(NamedTuple):
     @property
     def reach(self) -> int:
         """Ticks from the centre of the pulse to its beginning and end."""
-        return math.ceil(REACH_SIGMAS * self.sigma_ticks)
+        return self.pulse.reach
 
     @property
     def with_offsets(self) -> bool:
@@ -88,7 +89,7 @@ class _Frame(NamedTuple):
 def log_likelihood(
     events: Events,
     config: Config,
-    sigma_ticks: float,
+    pulse: PulseTicks,
     pulses: int,
     grid: Grid,
     never: Unheard,
@@ -122,7 +123,7 @@ def log_likelihood(
     frame = _Frame(
         events=events,
         config=config,
-        sigma_ticks=sigma_ticks,
+        pulse=pulse,
         pulses=pulses,
         grid=grid,
         never=never,
@@ -176,7 +177,9 @@ def _evidence(frame: _Frame, s: int) -> _Evidence:
     guess = frame.guess
     if guess is not None and frame.with_offsets:
         time = guess.time[s]
-        shares = first_shares(law, own, minigroup, time, guess.light[s], frame.sigma_ticks)
+        pulse = frame.pulse
+        shape = Shape(pulse.sigma, np.array(pulse.times), np.array(pulse.shares))
+        shares = first_shares(law, own, minigroup, time, guess.light[s], shape)
         own = own._replace(shares=shares)
     number = len(minigroup)
     pixels = Pixels(
@@ -204,9 +207,7 @@ def _law(frame: _Frame, s: int) -> Law:
     origin = int(frame.origins[s])
     span = int(frame.spans[s])
     widest = 1 << int(frame.spans.max() - 1).bit_length()  # one table for all subgroups
-    margin, fired = fired_table(
-        frame.sigma_ticks, frame.reach, step, widest, tuple(lights.tolist())
-    )
+    margin, fired = fired_table(frame.pulse, frame.reach, step, widest, tuple(lights.tolist()))
     noise = max(events.photon_rate[s] / config.sensor.pixels, QUIET_RATE)
     alive = np.float32(1 - min(BLIND_MAX, noise * DEAD_S / config.tick_s))
     kinds = 1 + int(frame.clusters[s].overrun.any())

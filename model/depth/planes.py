@@ -28,6 +28,7 @@ from .histograms import Events, by_subgroup, hits_away
 from .likelihood import Grid, Levels, log_likelihood
 from .patchmatch import Field, fit_planes, level_on, posterior, widened
 from .portable import geometric_steps
+from .pulse_ticks import PulseTicks
 from .refine import refine
 from .seeds import LEAST, Blocks, Seeds, find_seeds, seed_scores
 from .unheard import Guess, Spread, Unheard, unheard, unheard_in_light, windows_of
@@ -64,7 +65,7 @@ APART_SIGMAS = 4.0  # distance between returns, in addition to the window
 def find_surfaces(
     events: Events,
     config: Config,
-    sigma_ticks: float,
+    pulse: PulseTicks,
     pulses: int,
     *,
     tolerance_ticks: float,
@@ -78,12 +79,13 @@ def find_surfaces(
     that the others are not accidental. The number of threads does not change the result.
     """
     sensor = config.sensor
+    sigma_ticks = pulse.sigma
 
     def blocks(function: Callable[[int, int], None]) -> None:
         begins = range(0, sensor.rows, BLOCK_ROWS)
         threads.map(lambda begin: function(begin, min(sensor.rows, begin + BLOCK_ROWS)), begins)
 
-    frame = _Frame(events, config, sigma_ticks, pulses, blocks, threads.map)
+    frame = _Frame(events, config, pulse, pulses, blocks, threads.map)
     coarse = _look_coarsely(frame)
     found = coarse.found
     step = coarse.step
@@ -158,7 +160,7 @@ class _Frame(NamedTuple):
 
     events: Events
     config: Config
-    sigma_ticks: float  # of the laser's pulse
+    pulse: PulseTicks  # of the laser
     pulses: int  # in which the events came
     blocks: Blocks
     spread: Spread  # over subgroups
@@ -189,17 +191,17 @@ def _look_coarsely(frame: _Frame) -> _Coarse:
     """Find the seeds of the pixels, on a grid over the whole period."""
     events = frame.events
     config = frame.config
-    sigma_ticks = frame.sigma_ticks
+    pulse = frame.pulse
     sensor = config.sensor
-    step = max(1, round(COARSE_SIGMAS * sigma_ticks))
+    step = max(1, round(COARSE_SIGMAS * pulse.sigma))
     possible = down_to(COARSE_LIGHTS, COARSE_HITS / frame.pulses)
     even = np.full(len(possible), -math.log(len(possible)), np.float32)
-    windows = windows_of(events, config, frame.pulses, sigma_ticks, frame.spread)
-    rough = unheard(windows, config, sigma_ticks, frame.spread)
+    windows = windows_of(events, config, frame.pulses, pulse, frame.spread)
+    rough = unheard(windows, config, pulse, frame.spread)
     level, lights, _ = log_likelihood(
         events,
         config,
-        sigma_ticks,
+        pulse,
         frame.pulses,
         Grid(step, possible, even),
         rough,
@@ -215,7 +217,7 @@ def _look_coarsely(frame: _Frame) -> _Coarse:
         time=by_subgroup(time, sensor),
         light=possible[by_subgroup(light, sensor)].astype(np.float64),
     )
-    never = unheard_in_light(windows, rough, guess, config, frame.pulses, sigma_ticks, frame.spread)
+    never = unheard_in_light(windows, rough, guess, config, frame.pulses, pulse, frame.spread)
     return _Coarse(step, level, lights, found, guess, never)
 
 
@@ -230,7 +232,7 @@ def _around(
     return log_likelihood(
         near.told,
         frame.config,
-        width * frame.sigma_ticks,
+        frame.pulse.widened(width),
         frame.pulses,
         Grid(width, _fine_lights(frame), prior),
         near.never,

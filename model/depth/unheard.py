@@ -25,8 +25,9 @@ from ..contract.config import Config
 from ..shared.compiled import njit, part
 from . import portable
 from .clusters import armed_ticks, gate_moved
-from .evidence import RARE, REACH_SIGMAS
+from .evidence import RARE
 from .histograms import Events
+from .pulse_ticks import PulseTicks
 from .tree import Tree, kept_shares, light_by_tick, light_scale, unheard_in
 from .vector_math import fast_log
 
@@ -72,14 +73,14 @@ class SubgroupWindows(NamedTuple):
 
 
 def windows_of(
-    events: Events, config: Config, pulses: int, sigma_ticks: float, spread: Spread = map
+    events: Events, config: Config, pulses: int, pulse: PulseTicks, spread: Spread = map
 ) -> list[SubgroupWindows]:
     """Return what the events of each subgroup tell of its windows.
 
     pulses: number of pulses in which the events came; spread: as in `log_likelihood`.
     """
     sensor = config.sensor
-    reach = _reach_ticks(sigma_ticks)
+    reach = pulse.reach
 
     def of_subgroup(s: int) -> SubgroupWindows:
         of_ticks, dropping = _ticks_of(events, config, pulses, reach, s)
@@ -96,12 +97,12 @@ def windows_of(
 
 
 def unheard(
-    windows: list[SubgroupWindows], config: Config, sigma_ticks: float, spread: Spread = map
+    windows: list[SubgroupWindows], config: Config, pulse: PulseTicks, spread: Spread = map
 ) -> Unheard:
     """Estimate how often photons leave no trace, from the shares of the windows. windows: of
     `windows_of`.
     """
-    never = _none_yet(config, sigma_ticks)
+    never = _none_yet(config, pulse)
 
     def of_subgroup(s: int) -> None:
         one = windows[s]
@@ -123,7 +124,7 @@ def unheard_in_light(
     guess: Guess,
     config: Config,
     pulses: int,
-    sigma_ticks: float,
+    pulse: PulseTicks,
     spread: Spread = map,
 ) -> Unheard:
     """Estimate how often photons leave no trace, from a guess of the light.
@@ -131,9 +132,9 @@ def unheard_in_light(
     Where the guess cannot be trusted, the estimate is near to that from the shares of the windows.
     rough: the latter, of `unheard`; the others are as in `windows_of`.
     """
-    never = _none_yet(config, sigma_ticks)
-    reach = _reach_ticks(sigma_ticks)
-    before = special.ndtr(np.arange(-2 * reach, 2 * reach + 1) / 2 / sigma_ticks)
+    never = _none_yet(config, pulse)
+    reach = pulse.reach
+    before = pulse.share_before(np.arange(-2 * reach, 2 * reach + 1) / 2)
 
     def of_subgroup(s: int) -> None:
         of_ticks, dropping, _, tree, photon_rate = windows[s]
@@ -159,14 +160,9 @@ def unheard_in_light(
     return never
 
 
-def _reach_ticks(sigma_ticks: float) -> int:
-    """Return the ticks from the middle of a pulse to its beginning and end."""
-    return math.ceil(REACH_SIGMAS * sigma_ticks)
-
-
-def _none_yet(config: Config, sigma_ticks: float) -> Unheard:
+def _none_yet(config: Config, pulse: PulseTicks) -> Unheard:
     """Return probabilities to be filled."""
-    every = max(1, int(sigma_ticks))
+    every = max(1, int(pulse.sigma))
     shape = 2, config.sensor.subgroups, -(-config.period_ticks // every)
     return Unheard(np.empty(shape, np.float32), np.empty(shape, np.float32), every)
 

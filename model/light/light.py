@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 from attrs import field, frozen
+from attrs.validators import instance_of, optional
 from numpy.typing import ArrayLike
 
 from ..shared.errors import InputError, check_integer
+from ..shared.pulse import Pulse
 from ..shared.quantities import Numbers, check_choice, given, real, real_array
 
 # detected, per pixel; our preset: a level at which thresholds are selective
@@ -139,6 +141,8 @@ class Light:
     range_ambiguity: light from beyond the laser period falls into a later period, as if the
     laser had been running before; False: it is lost. arrivals: additional signal of any shape in
     time; its laser pulse has the width of the pixel's first target. interferer: another LiDAR.
+    pulse: measured shape of the signal at the TDC's input, instead of a Gaussian of
+    `system_fwhm_s`; the SPAD's jitter is in it, so no further jitter is drawn.
     """
 
     rows: int
@@ -150,6 +154,7 @@ class Light:
     range_ambiguity: bool = True
     arrivals: Arrivals | None = None
     interferer: Interferer | None = None
+    pulse: Pulse | None = field(default=None, validator=optional(instance_of(Pulse)))
 
     def __attrs_post_init__(self) -> None:
         check_integer("rows", self.rows, 1, 4096)

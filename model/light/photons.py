@@ -170,9 +170,12 @@ def _in_ticks(
     light: Light, spad: Spad, timing: Timing, gate: SpadGate | None, pulse_stop: int
 ) -> tuple[Physics, Arrays]:
     """Convert seconds, metres and rates to ticks and photons per period."""
+    _check_pulse(light, spad, timing)
     tick_s, period_ticks, pixels = timing.tick_s, timing.period_ticks, light.pixels
     rate_cps = light.background_cps + real_array("dark_cps", spad.dark_cps, (pixels,), 0)
-    pulse_variance_s2 = light.system_fwhm_s**2 - spad.jitter_fwhm_s**2
+    pulse = light.pulse
+    jitter_fwhm_s = spad.jitter_fwhm_s if pulse is None else 0.0
+    pulse_variance_s2 = light.system_fwhm_s**2 - jitter_fwhm_s**2
     if np.any(pulse_variance_s2 < 0):
         narrowest = light.system_fwhm_s.min()
         raise InputError(
@@ -193,7 +196,7 @@ def _in_ticks(
         phases=timing.phases,
         dead=spad.dead_time_s / tick_s,
         paralyzable=bool(spad.paralyzable),
-        jitter=spad.jitter_fwhm_s * SIGMA_PER_FWHM / tick_s,
+        jitter=jitter_fwhm_s * SIGMA_PER_FWHM / tick_s,
         tail_fraction=spad.jitter_tail_fraction,
         tail=spad.jitter_tail_s / tick_s,
         afterpulse=spad.afterpulse_probability,
@@ -229,8 +232,34 @@ def _in_ticks(
         starts=timing.start_cycles(pulse_stop) * float(timing.phases)
         if timing.dither_bits
         else np.empty(0),
+        shape=np.empty(0) if pulse is None else pulse.time_s / tick_s,
+        shape_share=np.empty(0) if pulse is None else pulse.share_before,
     )
     return physics, arrays
+
+
+def _check_pulse(light: Light, spad: Spad, timing: Timing) -> None:
+    """Raise `InputError` if there is a measured pulse, and the detector or the period does not go
+    with it.
+    """
+    pulse = light.pulse
+    if pulse is None:
+        return
+    if isinstance(spad, OwnSpad):
+        raise InputError(
+            f"pulse: the SPAD {spad.name} adds its own jitter, which a measured pulse has in it",
+            field="pulse",
+        )
+    if spad.jitter_tail_fraction > 0:
+        raise InputError(
+            "spad.jitter_tail_fraction: must be 0 with a measured pulse, which has the jitter in it",
+            field="spad.jitter_tail_fraction",
+        )
+    if pulse.time_s[-1] - pulse.time_s[0] >= timing.period_s:
+        raise InputError(
+            f"pulse: must be shorter than the laser period of {timing.period_s * 1e9:g} ns",
+            field="pulse",
+        )
 
 
 def _photons_per_pulse(physics: Physics, arrays: Arrays) -> np.ndarray:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..shared.compiled import njit, part
+from ..shared.interpolation import interpolated
 from .counter_random import exponential, key_of, normal, open_unit, uniform
 
 CARRIERS_MAX = 32  # trapped carriers per pixel that outlive their pulse; further ones are lost
@@ -85,6 +86,8 @@ class Arrays(NamedTuple):
     other: np.ndarray  # [pixels], photons of another LiDAR's pulse
     other_first: np.ndarray  # [pixels], time of the first such pulse
     starts: np.ndarray  # of the pulses' periods, empty if they are back to back
+    shape: np.ndarray  # times of a measured pulse, ascending; empty: a Gaussian of `sigma`
+    shape_share: np.ndarray  # share of that pulse before each of these times
 
 
 class Received(NamedTuple):
@@ -337,7 +340,10 @@ def _arrival(
         begins = _start_in_bin(at, i, mark, physics, arrays)
         lap = np.int64(begins // period_ticks)
         begins -= lap * period_ticks
-    t = begins + arrays.sigma[pixel, target] * normal(at.key, SHAPE, i)
+    if arrays.shape.size:
+        t = begins + interpolated(uniform(at.key, SHAPE, i), arrays.shape_share, arrays.shape)
+    else:
+        t = begins + arrays.sigma[pixel, target] * normal(at.key, SHAPE, i)
     if arrays.starts.size and lap:  # from an earlier pulse, whose distance in time varies
         emitted = max(pulse - lap, 0)
         t += (pulse - emitted) * period_ticks - (arrays.starts[pulse] - arrays.starts[emitted])

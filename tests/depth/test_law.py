@@ -7,9 +7,9 @@ import pytest
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import Config
-from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.histograms import Events, frame_events
 from coincid.model.depth.likelihood import Grid, log_likelihood
+from coincid.model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from coincid.model.depth.unheard import Guess, unheard, unheard_in_light, windows_of
 from coincid.model.light.light import signal_per_pulse
 from coincid.model.scenes.scene import Scene
@@ -21,7 +21,7 @@ TICK_M = 62.5e-12 * SPEED_OF_LIGHT_M_S / 2
 
 def events_of_wall(
     distance_m: float, reflectivity: float, klux: float, pulses: int, **subgroup: object
-) -> tuple[Events, Config, float]:
+) -> tuple[Events, Config, PulseTicks]:
     """Return the events of one subgroup, all pixels of which see the same wall."""
     setup = Setup.of(
         f"flat:{distance_m},{reflectivity}",
@@ -31,8 +31,8 @@ def events_of_wall(
         klux=klux,
     )
     run = Run(setup)
-    sigma_ticks = pulse_sigma_ticks(run.config)
-    return frame_events(run.result, run.config, sigma_ticks), run.config, sigma_ticks
+    pulse = pulse_ticks(run.config)
+    return frame_events(run.result, run.config, pulse.sigma), run.config, pulse
 
 
 @pytest.mark.parametrize(
@@ -55,20 +55,20 @@ def test_the_likeliest_time_of_a_wall_is_the_true_one(distance_m, reflectivity, 
     in its tick, or if an early photon is not likelier to be heard than a late one.
     """
     pulses = 4000 if distance_m > 10 else 500
-    events, config, sigma_ticks = events_of_wall(distance_m, reflectivity, klux, pulses, **subgroup)
+    events, config, pulse = events_of_wall(distance_m, reflectivity, klux, pulses, **subgroup)
     true_ticks = distance_m / TICK_M
     one_m = np.full((1, 1), distance_m)
     light = signal_per_pulse(one_m, np.full((1, 1), reflectivity))[0, 0]
     shape = (1, config.sensor.pixels)
     guess = Guess(np.full(shape, true_ticks), np.full(shape, light))
-    windows = windows_of(events, config, pulses, sigma_ticks)
-    rough = unheard(windows, config, sigma_ticks)
-    never = unheard_in_light(windows, rough, guess, config, pulses, sigma_ticks)
+    windows = windows_of(events, config, pulses, pulse)
+    rough = unheard(windows, config, pulse)
+    never = unheard_in_light(windows, rough, guess, config, pulses, pulse)
     first = int(true_ticks) - BINS // 2
     levels = log_likelihood(
         events,
         config,
-        sigma_ticks,
+        pulse,
         pulses,
         Grid(1, np.array([light], np.float32), np.zeros(1, np.float32)),
         never,

@@ -13,6 +13,7 @@ from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.histograms import by_subgroup, frame_events
 from coincid.model.depth.likelihood import Grid, Guess, log_likelihood
 from coincid.model.depth.planes import LIGHTS
+from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, wrong_share
 from coincid.model.depth.seeds import find_seeds
 from coincid.model.depth.unheard import unheard, windows_of
@@ -88,13 +89,13 @@ def test_the_light_is_learned_from_the_frame(link_gbps):
     run = Run(Setup.of(scene, sensor={"rows": ROWS, "cols": COLS}, frame={"link_gbps": link_gbps}))
     config, result = run.config, run.result
     assert (result["dropped"].sum() > result["stored"].sum()) == (link_gbps > 0)
-    sigma_ticks = pulse_sigma_ticks(config)
-    events = frame_events(result, config, sigma_ticks)
+    pulse = pulse_ticks(config)
+    events = frame_events(result, config, pulse.sigma)
     time = by_subgroup(scene.truth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2), config.sensor)
     light = by_subgroup(signal_per_pulse(scene.truth_m, scene.reflectivity[:, :, 0]), config.sensor)
-    never = unheard(windows_of(events, config, config.pulses, sigma_ticks), config, sigma_ticks)
+    never = unheard(windows_of(events, config, config.pulses, pulse), config, pulse)
     levels = log_likelihood(
-        events, config, sigma_ticks, config.pulses, Grid(1, LIGHTS, None), never,
+        events, config, pulse, config.pulses, Grid(1, LIGHTS, None), never,
         np.rint(time).astype(np.int64) - 8, 16, guess=Guess(time, light),
     )  # fmt: skip
     share = np.exp(levels.prior)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pulse as the estimators know it: when the first photons of a surface come, in ticks.
+
+It is a Gaussian, or the table of a measured pulse (`Pulse`). Laser and jitter are both in it.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from ..contract.config import Config
+from ..shared.pulse import Pulse
+from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
+
+REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
+KEPT = 32  # widened tables, at most
+POINTS_PER_TICK = 4  # of a widened table
+
+
+class PulseTicks(NamedTuple):
+    """Shape of a pulse around the time of its surface, in ticks."""
+
+    sigma: float  # half of the width that has 68 % of the light in its middle
+    times: tuple[float, ...] = ()  # of a table, ascending; empty: a Gaussian
+    shares: tuple[float, ...] = ()  # of the light before these times; linear between them
+
+    @property
+    def reach(self) -> int:
+        """Ticks from the surface's time to the pulse's beginning and end."""
+        if not self.times:
+            return math.ceil(REACH_SIGMAS * self.sigma)
+        outside = special.ndtr(-REACH_SIGMAS)
+        first = self.quantile(outside)
+        last = self.quantile(1 - outside)
+        return math.ceil(max(-first, last))
+
+    def share_before(self, time: np.ndarray) -> np.ndarray:
+        """Return the share of the light before times, in ticks from the surface's."""
+        if not self.times:
+            return special.ndtr(time / self.sigma)
+        return np.interp(time, self.times, self.shares)
+
+    def quantile(self, share: float) -> float:
+        """Return the time before which so much of a table's light comes."""
+        return float(np.interp(share, self.shares, self.times))
+
+    def widened(self, width: int) -> "PulseTicks":
+        """Return the pulse that a slanted surface sends back, whose sigma is `width` times as
+        large.
+        """
+        if not self.times:
+            return PulseTicks(width * self.sigma)
+        return _widened(self, width)
+
+
+def pulse_ticks(
+    config: Config, system_fwhm_s: float = SYSTEM_FWHM_S, pulse: Pulse | None = None
+) -> PulseTicks:
+    """Return the shape in ticks: of a measured pulse, or of a Gaussian (None). Raises
+    `InputError`.
+    """
+    sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
+    if pulse is None:
+        return PulseTicks(sigma_ticks)
+    return _of_table(pulse.time_s / config.tick_s, pulse.share_before)
+
+
+def _of_table(times: np.ndarray, shares: np.ndarray) -> PulseTicks:
+    """Return the shape of a table, float64[n]."""
+    beside = special.ndtr(-1)
+    first = np.interp(beside, shares, times)
+    last = np.interp(1 - beside, shares, times)
+    return PulseTicks(float(last - first) / 2, tuple(times.tolist()), tuple(shares.tolist()))
+
+
+@lru_cache(KEPT)
+def _widened(pulse: PulseTicks, width: int) -> PulseTicks:
+    """Return a table, convolved with the Gaussian that makes it `width` times as wide."""
+    if width == 1:
+        return pulse
+    sigma = pulse.sigma * math.sqrt(width**2 - 1)
+    reach = math.ceil(pulse.reach + 2 * REACH_SIGMAS * sigma)
+    times = np.arange(-reach * POINTS_PER_TICK, reach * POINTS_PER_TICK + 1) / POINTS_PER_TICK
+    borders = np.array(pulse.times)
+    photons = np.diff(pulse.shares)
+    shares = np.zeros(len(times))
+    for i in np.flatnonzero(photons):
+        since = _integral((times - borders[i]) / sigma)
+        until = _integral((times - borders[i + 1]) / sigma)
+        shares += photons[i] * sigma / (borders[i + 1] - borders[i]) * (since - until)
+    shares = np.maximum.accumulate(np.clip(shares, 0, 1))
+    shares[0] = 0.0
+    shares[-1] = 1.0
+    return PulseTicks(width * pulse.sigma, tuple(times.tolist()), tuple(shares.tolist()))
+
+
+def _integral(time: np.ndarray) -> np.ndarray:
+    """Return the integral of the normal distribution function up to a time, in sigmas."""
+    density = np.exp(-(time**2) / 2) / math.sqrt(2 * math.pi)
+    return time * special.ndtr(time) + density

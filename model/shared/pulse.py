@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The measured shape of a pulse over time: of laser and detector together, as a TCSPC system records
+the response of an instrument.
+"""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from attrs import field, frozen
+
+from .errors import InputError
+from .files import FilePath, reading
+from .quantities import given, real_array
+
+SAMPLES_MAX = 1 << 16
+TIME_MAX_S = 20e-9  # from time 0 to the first and to the last sample
+PS = 1e-12
+
+
+@frozen(kw_only=True, eq=False)
+class Pulse:
+    """When the light of a short echo is detected, as samples over time.
+
+    Between two samples, the density is even: the mean of both. Outside of the samples there is no
+    light. Time 0 is the time of flight of the surface, so where time 0 lies in the pulse is the
+    calibration of the distance.
+
+    Attributes
+    ----------
+    time_s : numpy.ndarray
+        float64[n], ascending, from -20 to 20 ns; n from 2 to 65536. 0 must lie within them.
+    density : numpy.ndarray
+        float64[n], at least 0, of any scale, and not all 0.
+
+    Raises
+    ------
+    InputError
+        If an array is out of its range.
+    """
+
+    time_s: np.ndarray = field(converter=given)
+    density: np.ndarray = field(converter=given)
+
+    def __attrs_post_init__(self) -> None:
+        shape = np.shape(self.time_s)
+        if len(shape) != 1 or not 2 <= shape[0] <= SAMPLES_MAX:
+            raise InputError(
+                f"pulse.time_s: has shape {shape}, must have 2 to {SAMPLES_MAX} samples",
+                field="pulse",
+            )
+        time_s = real_array("pulse.time_s", self.time_s, shape, -TIME_MAX_S, TIME_MAX_S)
+        density = real_array("pulse.density", self.density, shape, 0)
+        if np.any(np.diff(time_s) <= 0):
+            raise InputError("pulse.time_s: must ascend", field="pulse")
+        if not time_s[0] <= 0 <= time_s[-1]:
+            raise InputError(
+                "pulse.time_s: 0, the time of flight, must lie within the samples", field="pulse"
+            )
+        if not np.any(density > 0):
+            raise InputError("pulse.density: must have a sample above 0", field="pulse")
+        object.__setattr__(self, "time_s", time_s)
+        object.__setattr__(self, "density", density)
+
+    @property
+    def share_before(self) -> np.ndarray:
+        """float64[n]: share of the pulse before each sample, from 0 to 1; linear between them."""
+        photons = np.diff(self.time_s) * (self.density[1:] + self.density[:-1]) / 2
+        until = np.concatenate([[0.0], np.cumsum(photons)])
+        return until / until[-1]
+
+    @classmethod
+    def load(cls, path: FilePath) -> "Pulse":
+        """Read a pulse from CSV or NPY: two columns, time in ps and density.
+
+        A CSV has commas, and its first line names the columns: time_ps,density. An NPY file holds
+        an array [n, 2]. Raises `InputError`.
+        """
+        columns = _npy(path) if Path(path).suffix.lower() == ".npy" else _csv(path)
+        if columns.ndim != 2 or columns.shape[1] != 2:
+            raise InputError(
+                f"{path}: has shape {columns.shape}, must have two columns: time_ps,density",
+                field="pulse",
+            )
+        return cls(time_s=columns[:, 0] * PS, density=columns[:, 1])
+
+
+def _npy(path: FilePath) -> np.ndarray:
+    """Return the array of an NPY file."""
+    with reading(path, "NPY file"):
+        return np.asarray(np.load(path, allow_pickle=False), np.float64)
+
+
+def _csv(path: FilePath) -> np.ndarray:
+    """Return the lines of a CSV file after the first one."""
+    with reading(path, "CSV file of time_ps,density"):
+        with Path(path).open(encoding="utf-8") as file:
+            if file.readline().strip() != "time_ps,density":
+                raise InputError(f"{path}: its first line must be time_ps,density", field="pulse")
+            return np.loadtxt(file, delimiter=",", ndmin=2)
+
+
+def given_pulse(pulse: Pulse | FilePath | None) -> Pulse | None:
+    """Return a pulse that is given as such, or as the name of its file. Raises `InputError`."""
+    if pulse is None or isinstance(pulse, Pulse):
+        return pulse
+    if isinstance(pulse, str | os.PathLike):
+        return Pulse.load(pulse)
+    raise InputError(
+        f"pulse = {type(pulse).__name__}: must be a Pulse or a file of one", field="pulse"
+    )
