@@ -36,7 +36,7 @@ def test_photons_follow_the_measured_pulse():
 
 def test_pulse_of_csv_and_npy_files(tmp_path):
     text = "".join(f"{t * 1e12:.0f},{d:g}\n" for t, d in zip(TIME_S, DENSITY, strict=True))
-    (tmp_path / "pulse.csv").write_text("time_ps,density\n" + text)
+    (tmp_path / "pulse.csv").write_text("time_ps,density\n" + text, encoding="utf-8")
     np.save(tmp_path / "pulse.npy", np.stack([TIME_S * 1e12, DENSITY], axis=1))
     for name in ("pulse.csv", "pulse.npy"):
         pulse = Pulse.load(tmp_path / name)
@@ -60,7 +60,7 @@ def test_pulse_of_csv_and_npy_files(tmp_path):
 )
 def test_wrong_files_of_pulses_are_refused(tmp_path, text, message):
     path = tmp_path / "pulse.csv"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=message):
         Pulse.load(path)
 
