@@ -33,7 +33,7 @@ class PlacedController:
     """A controller on the bench, with settings that stay, and where it is in a frame.
 
     take: the frame's settings are taken; frame: it has begun and is not done; taken: cycles since
-    the last `take`, at most `SETTLED`, or 0; beat: the next one of a subgroup's counters;
+    the last `take`, at most `SETTLED`, or 0; beat: number of the next beat of counters;
     some: a subgroup's counters have come; last: their last beat comes; since_last: cycles since.
     """
 

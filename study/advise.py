@@ -235,8 +235,8 @@ def _limit(run: Run, config: Config) -> str:
         of_words.append(f"{lowest.pixel_mm:.1f} mm at threshold {threshold}")
     photons_mm = photon_bound_mm(usual, *light)
     return (
-        f"The limit of a pixel with the median light ({light.signal_per_pulse:.2g} photons per pulse), without its"
-        f" neighbours' distances: {photons_mm:.1f} mm from all photons; from the words"
+        f"The limit of a pixel with the median light ({light.signal_per_pulse:.2g} photons per"
+        f" pulse), without its neighbours' distances: {photons_mm:.1f} mm from all photons; from the words"
         f" {', '.join(of_words)}."
     )
 

@@ -62,6 +62,7 @@ class _Frame(NamedTuple):
     events: Events
     config: Config
     pulse: PulseTicks
+    shape: Shape  # of the pulse, for kernels
     pulses: int  # in which the events came
     grid: Grid
     never: Unheard
@@ -124,6 +125,7 @@ def log_likelihood(
         events=events,
         config=config,
         pulse=pulse,
+        shape=Shape(pulse.sigma, np.array(pulse.times), np.array(pulse.shares)),
         pulses=pulses,
         grid=grid,
         never=never,
@@ -177,9 +179,7 @@ def _evidence(frame: _Frame, s: int) -> _Evidence:
     guess = frame.guess
     if guess is not None and frame.with_offsets:
         time = guess.time[s]
-        pulse = frame.pulse
-        shape = Shape(pulse.sigma, np.array(pulse.times), np.array(pulse.shares))
-        shares = first_shares(law, own, minigroup, time, guess.light[s], shape)
+        shares = first_shares(law, own, minigroup, time, guess.light[s], frame.shape)
         own = own._replace(shares=shares)
     number = len(minigroup)
     pixels = Pixels(

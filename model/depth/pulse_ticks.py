@@ -65,15 +65,10 @@ def pulse_ticks(
     sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
     if pulse is None:
         return PulseTicks(sigma_ticks)
-    return _of_table(pulse.time_s / config.tick_s, pulse.share_before)
-
-
-def _of_table(times: np.ndarray, shares: np.ndarray) -> PulseTicks:
-    """Return the shape of a table, float64[n]."""
+    times = pulse.time_s / config.tick_s
+    table = PulseTicks(0.0, tuple(times.tolist()), tuple(pulse.share_before.tolist()))
     beside = special.ndtr(-1)
-    first = np.interp(beside, shares, times)
-    last = np.interp(1 - beside, shares, times)
-    return PulseTicks(float(last - first) / 2, tuple(times.tolist()), tuple(shares.tolist()))
+    return table._replace(sigma=(table.quantile(1 - beside) - table.quantile(beside)) / 2)
 
 
 @lru_cache(KEPT)

@@ -3,7 +3,6 @@
 the response of an instrument.
 """
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -98,14 +97,3 @@ def _csv(path: FilePath) -> np.ndarray:
             if file.readline().strip() != "time_ps,density":
                 raise InputError(f"{path}: its first line must be time_ps,density", field="pulse")
             return np.loadtxt(file, delimiter=",", ndmin=2)
-
-
-def given_pulse(pulse: Pulse | FilePath | None) -> Pulse | None:
-    """Return a pulse that is given as such, or as the name of its file. Raises `InputError`."""
-    if pulse is None or isinstance(pulse, Pulse):
-        return pulse
-    if isinstance(pulse, str | os.PathLike):
-        return Pulse.load(pulse)
-    raise InputError(
-        f"pulse = {type(pulse).__name__}: must be a Pulse or a file of one", field="pulse"
-    )
