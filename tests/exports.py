@@ -32,6 +32,7 @@ SMALLEST = {
     "window_max": 20,
 }
 EXPORTS = {  # name -> tables of the configuration (or a preset), view
+    "default": ({}, POLYPHASE),
     "smallest": ({"sensor": SMALLEST, "frame": {"period": 100}}, POLYPHASE),
     "subgroup": ({"sensor": {"rows": 8, "cols": 8}}, POLYPHASE),
     "lean": ({"sensor": LEAN, "frame": {"period": 100}}, POLYPHASE),
