@@ -55,8 +55,8 @@ class Edges:
         offset = {} if self.offset_ps is None else {"offset_ps": self.offset_ps}
         write_npz(path, {name: getattr(self, name) for name in NAMES} | offset)
 
-    def take(self, chosen: np.ndarray) -> "Edges":
-        """Return the edges that an array of indices, or of bool, chooses."""
+    def take(self, chosen: np.ndarray | slice) -> "Edges":
+        """Return the edges that an array of indices, or of bool, or a slice chooses."""
         offset = None if self.offset_ps is None else self.offset_ps[chosen]
         return Edges(self.pulse[chosen], self.pixel[chosen], self.tick[chosen], offset)
 

@@ -2,15 +2,16 @@
 """Golden model: predicts every beat, commit cycle, drop, counter and edge fate of the sensor,
 exact to the cycle.
 
-It works event by event, in two steps per frame. `front_end` goes through each subgroup's edges
-in the order of time and produces the windows that met their threshold, the minigroup records,
-and the fates. `readout` plays one stream's FIFOs, round robin and output buffer on them and
-produces the beats. Latencies are those of `latency.py`; everything else is section III-A of the
+It works event by event, and takes a frame in pieces of whole periods, so that its memory does not
+depend on the length of the frame. Each piece goes through two steps. `front_end` goes through each
+subgroup's edges in the order of time and produces the windows that met their threshold, the
+minigroup records, and the fates. `readout` plays one stream's FIFOs, round robin and output buffer
+on them and produces the beats. Latencies are those of `latency.py`; everything else is section III-A of the
 paper as docs/contract.md defines it.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from attrs import frozen
@@ -23,13 +24,16 @@ from ..contract.latency import close_cycle
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
 from ..contract.result import ResultBuilder
+from ..shared.errors import wrong_value
 from ..shared.threads import Threads
 from .controller import Controller
-from .front_end import Rules, Settings, Timeline, front_end, time_order
+from .front_end import Events, Records, Rules, Settings, Timeline, front_end, time_order
 from .judgement import judged, thresholds_of_candidates
-from .readout import Stream, readout
+from .readout import Readout, Stream
 from .receiver import Receiver, receiver_of
 from .shape import COUNTER, Shape, shape_of
+
+PIECE_EDGES = 1 << 18  # that a piece of a frame has at least, if there are so many
 
 
 @frozen(eq=False)
@@ -61,7 +65,6 @@ class Golden:
 
     def __init__(self, sensor: Sensor):
         self.sensor = sensor
-        self._pixel = pixel_table(sensor)
         self.reset()
 
     def reset(self) -> None:
@@ -82,10 +85,20 @@ class Golden:
         takes a beat in cycle c if ready[c] is 1, and always from cycle n on. pulses: fewer than
         the configuration has means an aborted frame.
         """
-        threshold = self.controller.begin(config)
-        played = self._play(self.frames, _plan(config, threshold, ready, pulses), edges)
+        opened = self.begin(config, ready, pulses)
+        return opened.end(opened.take_all(edges))
+
+    def begin(
+        self, config: Config, ready: np.ndarray | None = None, pulses: int | None = None
+    ) -> "OpenFrame":
+        """Begin a frame, which takes its edges in pieces. It must end before the next one begins.
+
+        ready, pulses: as in `frame`.
+        """
+        plan = _plan(config, self.controller.begin(config), ready, pulses)
+        opened = OpenFrame(self, config, plan, self.frames)
         self.frames += 1
-        return self._traced(config, played)
+        return opened
 
     def frames_of(
         self, config: Config, edges: Sequence[Edges], workers: int | None = None
@@ -97,61 +110,123 @@ class Golden:
         """
         if config.controlled.any():
             return [self.frame(config, of_frame) for of_frame in edges]
-        threshold = self.controller.begin(config)
-        plan, numbers = _plan(config, threshold), range(self.frames, self.frames + len(edges))
+        opened = [self.begin(config) for _ in edges]
         with Threads(workers) as threads:
-            played = threads.map(
-                lambda frame: self._play(frame[0], plan, frame[1]), zip(numbers, edges, strict=True)
+            fates = threads.map(
+                lambda frame: frame[0].take_all(frame[1]), list(zip(opened, edges, strict=True))
             )
-        self.frames += len(edges)
-        return [self._traced(config, one) for one in played]
+        return [frame.end(fate) for frame, fate in zip(opened, fates, strict=True)]
 
-    def _traced(self, config: Config, played: dict[str, Any]) -> Trace:
-        """Return the trace of a played frame, after which the controller sets the next budget."""
-        return Trace(**played, budget=self.controller.end(config, played["counters"]))
 
-    def _play(self, number: int, plan: "_Plan", edges: Edges) -> dict[str, Any]:
-        """Run a frame, and return the trace's attributes except the budget."""
-        sensor, shape = self.sensor, plan.shape
-        key, order, bounds = time_order(edges, self._pixel, shape)
-        counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
-        counters[:, COUNTER.threshold_used] = plan.threshold
+class OpenFrame:
+    """A frame that takes its edges in pieces, in the order of pulses. `Golden.begin` makes it."""
+
+    def __init__(self, golden: Golden, config: Config, plan: "_Plan", number: int) -> None:
+        sensor = golden.sensor
+        self._golden = golden
+        self._config = config
+        self._plan = plan
+        self._pixel = pixel_table(sensor)
+        self._counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
+        self._taken = 0  # pulses; those of the next piece are not below
+        self._readouts = [
+            Readout(Stream(span.start, len(span), number & 0xFFFF), plan.shape, plan.receiver)
+            for span in map(sensor.stream_subgroups, range(sensor.streams))
+        ]
+
+    def take_all(self, edges: Edges) -> np.ndarray:
+        """Take all edges of the frame, in any order; return their fates, uint8[n]."""
+        fate = np.empty(len(edges), np.uint8)
+        order = None
+        if np.any(edges.pulse[1:] < edges.pulse[:-1]):
+            order = np.argsort(edges.pulse, kind="stable")
+            edges = edges.take(order)
+        for piece in _pieces(edges.pulse):
+            fate[piece] = self.take(edges.take(piece))
+        if order is None:
+            return fate
+        in_order = fate
+        fate = np.empty_like(fate)
+        fate[order] = in_order
+        return fate
+
+    def take(self, edges: Edges) -> np.ndarray:
+        """Take a piece of the frame: all edges of some pulses, in any order, and none of a pulse
+        before those of the last piece. Return their fates, uint8[n]. Raises `InputError`.
+        """
+        if not len(edges):
+            return np.empty(0, np.uint8)
+        earliest = int(edges.pulse.min())
+        if earliest < self._taken:
+            legal = f"from {self._taken} on, behind the last piece"
+            raise wrong_value("pulse", earliest, legal, low=self._taken)
+        self._taken = int(edges.pulse.max()) + 1
+        sensor = self._config.sensor
+        plan = self._plan
+        key, order, bounds = time_order(edges, self._pixel, plan.shape)
+        counters = np.zeros_like(self._counters)
         fate = np.empty(len(edges), np.uint8)
         settings = plan.settings
         if sensor.rule != AT_LEAST:
             settings = settings._replace(
                 threshold=thresholds_of_candidates(sensor.rule, settings.threshold)
             )
-        rules = Rules(shape, settings, plan.timeline, self._pixel)
+        rules = Rules(plan.shape, settings, plan.timeline, self._pixel)
         fate[order], events, records = front_end(key, bounds, rules, counters)
         if sensor.rule != AT_LEAST:
             events = judged(events, sensor, plan.settings.threshold, counters)
+        self._counters += counters
+        known_until = int(plan.timeline.start[self._taken])
+        for stream, of_stream in enumerate(self._readouts):
+            span = sensor.stream_subgroups(stream)
+            of_stream.take(
+                Events(*_of_stream(events, span)), Records(*_of_stream(records, span)), known_until
+            )
+        return fate
+
+    def end(self, fate: np.ndarray) -> Trace:
+        """End the frame; the controller sets the next budget. fate: of the trace."""
+        sensor = self._config.sensor
+        counters = self._counters
+        counters[:, COUNTER.threshold_used] = self._plan.threshold
         np.minimum(counters, sensor.counter_max, out=counters)
         if not sensor.controller:
             counters[:, COUNTER.lower] = 0
-        beats, cycles = [], []
-        for stream in range(sensor.streams):
-            span = sensor.stream_subgroups(stream)
-            stream_beats, stream_cycles = readout(
-                Stream(span.start, len(span), plan.end, number & 0xFFFF),
-                shape,
-                events,
-                records,
-                counters,
-                plan.receiver,
-            )
-            beats.append(stream_beats)
-            cycles.append(stream_cycles)
-        commit_subgroup = np.repeat(np.arange(sensor.subgroups), np.diff(events.bounds))
-        row = events.row[: len(commit_subgroup)]
-        stored = row["stored"] != 0
-        commits = {
-            "commit_subgroup": commit_subgroup,
-            "commit_cycle": row["cycle"],
-            "freed_cycle": row["free_at"],
-        }
-        chosen = {name: column[stored] for name, column in commits.items()}
-        return {"beats": beats, "beat_cycle": cycles, "fate": fate, "counters": counters} | chosen
+        ended = [readout.end(self._plan.end, counters) for readout in self._readouts]
+        beats, beat_cycle, commits = (list(column) for column in zip(*ended, strict=True))
+        subgroup, cycle, freed_cycle = (
+            np.concatenate(column) for column in zip(*commits, strict=True)
+        )
+        return Trace(
+            beats=beats,
+            beat_cycle=beat_cycle,
+            commit_subgroup=subgroup,
+            commit_cycle=cycle,
+            freed_cycle=freed_cycle,
+            fate=fate,
+            counters=counters,
+            budget=self._golden.controller.end(self._config, counters),
+        )
+
+
+def _pieces(pulse: np.ndarray) -> Iterator[slice]:
+    """Yield slices of about `PIECE_EDGES` edges, each with all edges of its pulses.
+
+    pulse: int64[n], ascending.
+    """
+    begin = 0
+    while begin < len(pulse):
+        last = pulse[min(begin + PIECE_EDGES, len(pulse)) - 1]
+        end = int(np.searchsorted(pulse, last, side="right"))
+        yield slice(begin, end)
+        begin = end
+
+
+def _of_stream(rows: Events | Records, span: range) -> list[np.ndarray]:
+    """Return bounds and columns of the subgroups of a stream."""
+    bounds = rows.bounds[span.start : span.stop + 1]
+    own = slice(bounds[0], bounds[-1])
+    return [bounds - bounds[0], *(column[own] for column in rows[1:])]
 
 
 class _Plan(NamedTuple):

@@ -204,8 +204,10 @@ def front_end(
     shape = rules.shape
     made = _Made(
         fate=np.empty(len(key), np.uint8),
-        events=_room_for_events(len(key), shape),
-        records=_room_for_records(len(key) if shape.minigroup_records else 0, shape),
+        events=room_for_events(len(key), shape, shape.subgroups),
+        records=room_for_records(
+            len(key) if shape.minigroup_records else 0, shape, shape.subgroups
+        ),
         counters=counters,
     )
     most = int(np.diff(bounds).max())  # edges of a subgroup
@@ -223,19 +225,20 @@ def front_end(
     return made.fate, made.events, made.records
 
 
-def _room_for_events(most: int, shape: Shape) -> Events:
+def room_for_events(most: int, shape: Shape, subgroups: int) -> Events:
+    """Return room for so many events of so many subgroups, and none in it yet."""
     return Events(
-        bounds=np.zeros(shape.subgroups + 1, np.int64),
+        bounds=np.zeros(subgroups + 1, np.int64),
         row=np.empty(most, _EVENT),
         hits=np.empty((most, shape.hits_words), np.uint64),
         offsets=np.empty((most, shape.minigroups), np.uint8),
     )
 
 
-def _room_for_records(most: int, shape: Shape) -> Records:
+def room_for_records(most: int, shape: Shape, subgroups: int) -> Records:
+    """Return room for so many records of so many subgroups, and none in it yet."""
     return Records(
-        # equivalent (1: one more): a bound that nobody reads
-        bounds=np.zeros(shape.subgroups + 1, np.int64),
+        bounds=np.zeros(subgroups + 1, np.int64),
         row=np.empty(most, _RECORD),
         entries=np.empty((most, shape.minigroups), np.uint64),
     )

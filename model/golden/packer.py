@@ -78,6 +78,14 @@ def room_for_groups(most: int, shape: Shape, receiver: Receiver) -> Packed:
     )
 
 
+def more_room(room: Packed, most: int, shape: Shape) -> Packed:
+    """Return room for the groups of `most` beats, with the content of `room`, which has less."""
+    longer = room_for_groups(most, shape, room.receiver)
+    longer.beats[: len(room.beats)] = room.beats
+    longer.sent_at[: len(room.sent_at)] = room.sent_at
+    return longer
+
+
 @part
 def pack_event(
     packer: Any,

@@ -2,8 +2,9 @@
 """Readout of the golden model: from one stream's FIFOs, through round robin and output buffer,
 to beats and their cycles.
 
-It proceeds from grant to grant. Everything that has been committed by then enters its FIFO or is
-dropped (`_admit_events`, `_admit_records`). The next requesting subgroup is chosen
+It takes a frame in pieces of whole periods, and proceeds from grant to grant, up to the first cycle
+in which the next piece could change a grant. Everything that has been committed by then enters its
+FIFO or is dropped (`_admit_events`, `_admit_records`). The next requesting subgroup is chosen
 (`_arbitrate`). Its packet is formed (`_form_packet`) and leaves as the receiver takes it
 (`_transfer`). In a format with groups, the packer (`packer.py`) is this receiver.
 """
@@ -16,8 +17,9 @@ from ..contract import latency
 from ..contract.counters import COUNTER_BITS
 from ..contract.packet import BEAT_BITS, FRAME_END, FRAME_START, KIND_LSB, OFFSETS, RECORD
 from ..shared.compiled import njit, part
-from .front_end import Events, Records
-from .packer import Packed, close_group, new_packer, pack_event, room_for_groups
+from .front_end import Events, Records, room_for_events, room_for_records
+from .packer import Packed, close_group, more_room, new_packer, pack_event, room_for_groups
+from .queues import NONE, Commits, join, new_queues, split
 from .receiver import Receiver, taken_from
 from .shape import ARRAY, COUNTER, NUMBER, Shape, row_type
 
@@ -26,25 +28,15 @@ _FRAME_START = FRAME_START.code
 _FRAME_END = FRAME_END.code
 _OFFSET_BITS = OFFSETS.width
 _ALL = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
-_NONE = -1
 _NEVER = np.int64(1) << 62
+_HEAD_BEATS = 1
+_END_BEATS = 1
 
-# Queue of a subgroup.
-_QUEUE = row_type(
-    "next_event",  # to be committed
-    "end_event",
-    "read",  # event that is read next
-    "oldest",  # event whose place may still be occupied
-    "level",  # occupied places
-    "lost",  # an event was dropped since the last stored one
-    "next_record",  # to be written
-    "end_record",
-    "waiting",  # record in the only place, or _NONE
-    "place_free_at",  # cycle from which on that place is free
-    "stored",  # counters
-    "dropped",
-    "mg_stored",
-    "mg_dropped",
+# Where the readout is in the frame.
+_PLACE = row_type(
+    "t",  # cycle of the next grant, at the earliest
+    "pointer",  # subgroup that the round robin asks first
+    "done",  # beats before the packer
 )
 
 
@@ -53,14 +45,13 @@ class Stream(NamedTuple):
 
     first: int  # of its subgroups
     subgroups: int
-    end: int  # of the last period, in cycles
     frame: int  # number
 
 
 class _Room(NamedTuple):
     """What the readout of a stream keeps and writes to."""
 
-    queues: np.ndarray  # _QUEUE[subgroups]
+    queues: np.ndarray  # QUEUE[subgroups]
     wake: np.ndarray  # int64[subgroups], first cycle in which a subgroup may request
     beats: np.ndarray  # uint64[n], before the packer
     sent_at: np.ndarray  # int64[n], cycles of their transfer
@@ -69,66 +60,119 @@ class _Room(NamedTuple):
     receiver: Receiver  # of the beats
 
 
-def readout(
-    stream: Stream,
-    shape: Shape,
-    events: Events,
-    records: Records,
-    counters: np.ndarray,
-    receiver: Receiver,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the beats of a stream, and the cycles of their transfer.
+class Readout:
+    """Readout of a stream in a frame. It takes the frame in pieces."""
 
-    The fill levels of the FIFOs decide which events and records are stored: this sets
-    `events.row.stored` and adds to `counters`.
-    """
-    queues = _queues(stream, events.bounds, records.bounds)
-    most = _beats(queues, shape)
-    room = _Room(
-        queues=queues,
-        wake=np.zeros(stream.subgroups, np.int64),
-        beats=np.empty(most, np.uint64),
-        sent_at=np.empty(most, np.int64),
-        values=np.zeros(ARRAY + shape.longest_word, np.uint64),
-        packed=room_for_groups(most, shape, receiver),
-        receiver=receiver,
-    )
-    packers = new_packer()
-    done = _play(stream, shape, room, packers, events, records, counters)
-    if shape.grouped:
-        done = packers["beat"][0]
-        return room.packed.beats[:done].copy(), room.packed.sent_at[:done].copy()
-    return room.beats[:done].copy(), room.sent_at[:done].copy()
+    def __init__(self, stream: Stream, shape: Shape, receiver: Receiver) -> None:
+        self._stream = stream
+        self._shape = shape
+        self._place = np.zeros(1, _PLACE)
+        self._packers = new_packer()
+        self._room = _Room(
+            queues=new_queues(stream.subgroups),
+            wake=np.full(stream.subgroups, _NEVER),
+            beats=np.empty(0, np.uint64),
+            sent_at=np.empty(0, np.int64),
+            values=np.zeros(ARRAY + shape.longest_word, np.uint64),
+            packed=room_for_groups(0, shape, receiver),
+            receiver=receiver,
+        )
+        self._kept = (
+            room_for_events(0, shape, stream.subgroups),
+            room_for_records(0, shape, stream.subgroups),
+        )
+        self._commits: list[Commits] = []
+        self._make_room(_HEAD_BEATS)
+        _begin(stream, shape, self._room, self._place, self._packers)
+
+    def take(self, events: Events, records: Records, known_until: int) -> None:
+        """Play the events and records of a piece of the frame, all of this stream's subgroups.
+
+        known_until: there is no other event or record that is committed before this cycle.
+        """
+        queues = self._room.queues
+        events, records = join(queues, self._kept, (events, records))
+        self._make_room(
+            int(events.bounds[-1]) * self._shape.event_beats
+            + int(records.bounds[-1]) * self._shape.record_beats
+        )
+        _play(
+            self._stream,
+            self._shape,
+            self._room,
+            self._place,
+            self._packers,
+            events,
+            records,
+            known_until,
+        )
+        self._kept, commits = split(queues, events, records)
+        self._commits.append(commits)
+
+    def end(self, end: int, counters: np.ndarray) -> tuple[np.ndarray, np.ndarray, Commits]:
+        """End the frame, whose last period ends in cycle `end`. Return its beats, the cycles of
+        their transfer, and the commits; set the counters of FIFOs in `counters`.
+        """
+        nothing = room_for_events(0, self._shape, self._stream.subgroups)
+        no_record = room_for_records(0, self._shape, self._stream.subgroups)
+        self.take(nothing, no_record, int(_NEVER))
+        self._make_room(_END_BEATS + self._stream.subgroups * self._shape.counter_beats)
+        _end(self._stream, self._shape, self._room, self._place, self._packers, end, counters)
+        done = int(self._place["done"][0])
+        beats = self._room.beats
+        sent_at = self._room.sent_at
+        if self._shape.grouped:
+            done = int(self._packers["beat"][0])
+            beats = self._room.packed.beats
+            sent_at = self._room.packed.sent_at
+        return beats[:done].copy(), sent_at[:done].copy(), self._all_commits()
+
+    def _all_commits(self) -> Commits:
+        """Return the commits of all pieces."""
+        kept = self._kept[0]
+        occupying = Commits(
+            np.repeat(np.arange(self._stream.subgroups), np.diff(kept.bounds)),
+            kept.row["cycle"],
+            kept.row["free_at"],
+        )
+        columns = zip(*self._commits, occupying, strict=True)
+        subgroup, cycle, freed_at = (np.concatenate(column) for column in columns)
+        order = np.argsort(subgroup, kind="stable")
+        return Commits(subgroup[order] + self._stream.first, cycle[order], freed_at[order])
+
+    def _make_room(self, beats: int) -> None:
+        """Make room for so many more beats."""
+        room = self._room
+        most = int(self._place["done"][0]) + beats
+        if most > len(room.beats):
+            most = max(most, 2 * len(room.beats))
+            self._room = room._replace(
+                beats=_longer(room.beats, most),
+                sent_at=_longer(room.sent_at, most),
+                packed=more_room(room.packed, most, self._shape),
+            )
 
 
-def _queues(stream: Stream, event_bounds: np.ndarray, record_bounds: np.ndarray) -> np.ndarray:
-    """_QUEUE[subgroups]: the queues of a stream at the beginning of a frame."""
-    begins = slice(stream.first, stream.first + stream.subgroups)
-    ends = slice(begins.start + 1, begins.stop + 1)
-    queues = np.zeros(stream.subgroups, _QUEUE)
-    for name in ("next_event", "read", "oldest"):
-        queues[name] = event_bounds[begins]
-    queues["end_event"] = event_bounds[ends]
-    queues["next_record"] = record_bounds[begins]
-    queues["end_record"] = record_bounds[ends]
-    queues["waiting"] = _NONE
-    return queues
+def _longer(array: np.ndarray, length: int) -> np.ndarray:
+    longer = np.empty(length, array.dtype)
+    longer[: len(array)] = array
+    return longer
 
 
-def _beats(queues: np.ndarray, shape: Shape) -> int:
-    """Return the number of beats in a frame without drops."""
-    # equivalent: room for more beats, which is cut off
-    events = int((queues["end_event"] - queues["next_event"]).sum())
-    # equivalent: room for more beats, which is cut off
-    records = int((queues["end_record"] - queues["next_record"]).sum())
-    # equivalent (2: one more): room for more beats, which is cut off
-    head_and_end = 2
-    return (
-        head_and_end
-        + len(queues) * shape.counter_beats
-        + events * shape.event_beats
-        + records * shape.record_beats
-    )
+@njit(allocates=False)
+def _begin(
+    stream: Stream, shape: Shape, room: _Room, places: np.ndarray, packers: np.ndarray
+) -> None:
+    """Send the head of the frame."""
+    packer = packers[0]
+    place = places[0]
+    room.values[NUMBER.pulse] = stream.frame
+    room.values[NUMBER.count] = shape.grouped
+    _encode(room.beats[:_HEAD_BEATS], _FRAME_START, room.values, shape.frame_parts)
+    place.done = _transfer(room, 0, _HEAD_BEATS, latency.FRAME_START)
+    _pass(packer, room, 0, _HEAD_BEATS, shape)
+    # equivalent: nothing is committed so early that it could be granted then
+    place.t = latency.FRAME_START + 1
 
 
 @njit(allocates=False)
@@ -136,57 +180,80 @@ def _play(
     stream: Stream,
     shape: Shape,
     room: _Room,
+    places: np.ndarray,
     packers: np.ndarray,
     events: Events,
     records: Records,
-    counters: np.ndarray,
-) -> int:
-    """Proceed from grant to grant; write the beats to `room`, and return the number of those
-    before the packer.
-    """
+    known_until: int,
+) -> None:
+    """Proceed from grant to grant, as long as all requests are known; write the beats to `room`."""
     packer = packers[0]
+    place = places[0]
     queues = room.queues
-    beats = room.beats
-    sent_at = room.sent_at
-    values = room.values
-    n = len(queues)
-    values[NUMBER.pulse] = stream.frame
-    values[NUMBER.count] = shape.grouped
-    _encode(beats[:1], _FRAME_START, values, shape.frame_parts)
-    done = _transfer(room, 0, 1, latency.FRAME_START)
-    _pass(packer, room, 0, 1, shape)
-    # equivalent: nothing is committed so early that it could be granted then
-    t = latency.FRAME_START + 1
-    pointer = 0
+    for s in range(len(queues)):
+        room.wake[s] = min(room.wake[s], _next_request(queues[s], events.row, records.row))
     while True:
-        t = _when_room(shape.longest_word, t, done, sent_at, shape)
+        place.t = _when_room(shape.longest_word, place.t, place.done, room.sent_at, shape)
+        if place.t >= known_until:
+            break
         chosen, upcoming = _arbitrate(
-            t, pointer, queues, room.wake, events.row, records.row, shape.fifo_depth
+            place.t, place.pointer, queues, room.wake, events.row, records.row, shape.fifo_depth
         )
-        if chosen != _NONE:
-            done, length = _grant(chosen, t, done, stream, shape, room, packer, events, records)
-            t += length
-            pointer = (chosen + 1) % n
+        if chosen != NONE:
+            place.done, length = _grant(
+                chosen, place.t, place.done, stream, shape, room, packer, events, records
+            )
+            place.t += length
+            place.pointer = (chosen + 1) % len(queues)
         elif upcoming < _NEVER:
-            t = upcoming
+            place.t = upcoming
         else:
             break
-    t = max(t, stream.end + latency.FINISH)
-    for k in range(len(values)):
-        values[k] = 0
-    values[NUMBER.pulse] = stream.frame
-    # equivalent (1: one more): the next beat is written later
-    _encode(beats[done : done + 1], _FRAME_END, values, shape.frame_parts)
-    done = _send(packer, room, done, 1, t, shape)
-    t += 1
+
+
+@njit(allocates=False)
+def _end(
+    stream: Stream,
+    shape: Shape,
+    room: _Room,
+    places: np.ndarray,
+    packers: np.ndarray,
+    end: int,
+    counters: np.ndarray,
+) -> None:
+    """Send the end of the frame, and the counters."""
+    packer = packers[0]
+    place = places[0]
+    beats = room.beats
+    t = max(place.t, end + latency.FINISH)
+    done = place.done
+    for k in range(len(room.values)):
+        room.values[k] = 0
+    room.values[NUMBER.pulse] = stream.frame
+    _encode(beats[done : done + _END_BEATS], _FRAME_END, room.values, shape.frame_parts)
+    done = _send(packer, room, done, _END_BEATS, t, shape)
+    t += _END_BEATS
     for s in range(
-        n
+        stream.subgroups
     ):  # a wait for room would not show: the buffer keeps the stream busy while it lasts
-        _count(counters[stream.first + s], queues[s], shape.counter_max)
+        _count(counters[stream.first + s], room.queues[s], shape.counter_max)
         _pack(beats[done : done + shape.counter_beats], counters[stream.first + s], COUNTER_BITS)
         done = _send(packer, room, done, shape.counter_beats, t, shape)
         t += shape.counter_beats
-    return done
+    place.done = done
+
+
+@part
+def _next_request(queue: Any, events: np.ndarray, records: np.ndarray) -> Any:
+    """Return the first cycle in which an event or a record that is still to be committed may be
+    granted.
+    """
+    cycle = _NEVER
+    if queue.next_event < queue.end_event:
+        cycle = events[queue.next_event].cycle + latency.STORE_TO_GRANT
+    if queue.next_record < queue.end_record:
+        cycle = min(cycle, records[queue.next_record].cycle + latency.STORE_TO_GRANT)
+    return cycle
 
 
 @part
@@ -212,7 +279,7 @@ def _grant(
         values[k] = 0
     values[NUMBER.subgroup] = subgroup
     queue = room.queues[chosen]
-    is_event = queue.waiting == _NONE
+    is_event = queue.waiting == NONE
     event = queue.read
     length = _form_packet(beats[done:], values, queue, t, shape, events, records)
     if not shape.grouped:
@@ -262,17 +329,11 @@ def _arbitrate(
             queue = queues[chosen]
             _admit_events(queue, t, events, fifo_depth)
             _admit_records(queue, t, records)
-            if queue.waiting != _NONE or queue.read < queue.next_event:
+            if queue.waiting != NONE or queue.read < queue.next_event:
                 return chosen, t
-            wake[chosen] = _NEVER
-            if queue.next_event < queue.end_event:
-                wake[chosen] = events[queue.next_event].cycle + latency.STORE_TO_GRANT
-            if queue.next_record < queue.end_record:
-                wake[chosen] = min(
-                    wake[chosen], records[queue.next_record].cycle + latency.STORE_TO_GRANT
-                )
+            wake[chosen] = _next_request(queue, events, records)
         upcoming = min(upcoming, wake[chosen])
-    return _NONE, upcoming
+    return NONE, upcoming
 
 
 @part
@@ -312,7 +373,7 @@ def _admit_records(queue: Any, t: int, records: np.ndarray) -> None:
         queue.next_record < queue.end_record
         and records[queue.next_record].cycle + latency.STORE_TO_GRANT <= t
     ):
-        if queue.waiting == _NONE and queue.place_free_at <= records[queue.next_record].cycle:
+        if queue.waiting == NONE and queue.place_free_at <= records[queue.next_record].cycle:
             queue.waiting = queue.next_record
             queue.mg_stored += 1
         else:
@@ -333,12 +394,12 @@ def _form_packet(
     """Write the packet that is granted in cycle `t` to `beats`, a record before events; free its
     place; return its length.
     """
-    if queue.waiting != _NONE:
+    if queue.waiting != NONE:
         length = shape.record_beats
         values[NUMBER.pulse] = records.row[queue.waiting].pulse
         _pack(values[ARRAY:], records.entries[queue.waiting], shape.record_bits)
         _encode(beats[:length], _RECORD, values, shape.record_parts)
-        queue.waiting = _NONE
+        queue.waiting = NONE
         queue.place_free_at = t + latency.GRANT_TO_READ + length
         return length
     event = events.row[queue.read]

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The golden model against the plain model, and laws that it must obey."""
 
+import itertools
+
+import attrs
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,8 +17,9 @@ from coincid.model.contract.result import ResultBuilder, map_numbers
 from coincid.model.contract.settings import BUDGET_GROWTHS
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.controller import Controller
-from coincid.model.golden.frame import Golden, golden_result
+from coincid.model.golden.frame import Golden, Trace, golden_result
 from coincid.model.golden.shape import COUNTER
+from coincid.model.shared.errors import InputError
 
 from ..benches.plain_model import PlainController, PlainSubgroup, period_starts, plain_run
 from ..feature_pairs import BUILT, USED, paired_cases, played, sensor_of
@@ -46,6 +50,45 @@ def test_plain_model(sensor, data):
     )
     result = golden_result(config, edges, ready)
     assert_plain(config, edges, result)
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+@settings(max_examples=20)
+@given(data=st.data())
+def test_a_frame_in_pieces_is_the_frame(sensor, data):
+    config = data.draw(configurations(SENSORS[sensor]))
+    edges = trouble(config, data.draw(seeds), data.draw(densities))
+    of_frame, _ = edges.frame(0, config.pulses)
+    ready = ready_pattern(data.draw(seeds), data.draw(st.sampled_from(READY_KINDS)), 1000)
+    whole = Golden(config.sensor).frame(config, of_frame, ready)
+    cuts = data.draw(st.sets(st.integers(0, config.pulses)))
+    borders = [0, *sorted(cuts), config.pulses]
+    opened = Golden(config.sensor).begin(config, ready)
+    fate = np.empty(len(of_frame), np.uint8)
+    for first, end in itertools.pairwise(borders):
+        piece = np.flatnonzero((first <= of_frame.pulse) & (of_frame.pulse < end))
+        fate[piece] = opened.take(of_frame.take(piece))
+    assert_same_trace(opened.end(fate), whole)
+
+
+def assert_same_trace(trace, expected):
+    for name in attrs.fields_dict(Trace):
+        one = getattr(trace, name)
+        other = getattr(expected, name)
+        if not isinstance(one, list):
+            one = [one]
+            other = [other]
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a, b, err_msg=name)
+
+
+def test_a_piece_of_earlier_pulses_is_refused():
+    config = configured(SENSORS["tiny"], {"pulses": 4})
+    edges = trouble(config, 1, 4.0)
+    opened = Golden(config.sensor).begin(config)
+    opened.take(edges.take(edges.pulse == 2))
+    with pytest.raises(InputError, match=r"pulse = 1: must be from 3 on, behind the last piece"):
+        opened.take(edges.take(edges.pulse == 1))
 
 
 def test_the_frame_number_starts_over_after_16_bits():
