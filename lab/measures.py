@@ -11,7 +11,6 @@ import numpy as np
 from attrs import frozen
 
 from ..model.contract.config import Config
-from ..model.contract.edges import Edges
 from ..model.contract.groups import FIRST_PIXELS, PAYLOAD_BITS, group_widths
 from ..model.contract.packet import BEAT_BITS, FORMATS, RECORD, layout
 from ..model.depth.quality import (
@@ -47,7 +46,7 @@ class MeasuredFrame(Protocol):
     @property
     def config(self) -> Config: ...
     @property
-    def edges(self) -> Edges: ...
+    def edge_count(self) -> int: ...
     @property
     def events(self) -> np.ndarray: ...
     @property
@@ -152,7 +151,7 @@ def _error(which: int, tolerance_m: float = np.inf) -> Callable[[MeasuredFrame],
 _PAPERS = f"{SUCCESS_TOLERANCE_S * 1e12:.0f} ps ({TOLERANCE_M * 100:.1f} cm)"
 _FAR = f"{OTHER_SURFACE_M * 100:.0f} cm"
 _SWEPT: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
-    "edges": (int, "avalanches of all SPADs", lambda frame: len(frame.edges)),
+    "edges": (int, "avalanches of all SPADs", lambda frame: frame.edge_count),
     "opened": (int, "coincidence windows", _sum("opened")),
     "committed": (int, "windows that met their threshold", _sum("committed")),
     "rejected": (int, "windows that did not meet their threshold", _sum("rejected")),

@@ -27,6 +27,7 @@ from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError, check_integer, wrong_value
 from ..tb.replay import replay
 from .compile_ahead import compile_ahead
+from .long_frames import PlayedFrames, SeenEdges, is_long, play_long_frames
 from .measures import MEASURES, Number, stream_beats
 from .setup import Setup, Watch, fingerprint, unwatched
 
@@ -94,7 +95,7 @@ class Run:
         self.watch = watch
         self._light = light
         self._edges = edges
-        self._traces = traces
+        self._played_frames = None if traces is None else PlayedFrames(traces, [])
         self._result = result
         self._frames: dict[tuple[int, str | None], Frame] = {}
 
@@ -173,6 +174,22 @@ class Run:
             return list(map(slice, bounds[:-1], bounds[1:]))
         return [np.flatnonzero(pulse // pulses == number) for number in range(frames)]
 
+    @cached_property
+    def is_long(self) -> bool:
+        """Whether the run keeps the edges of the first pulses only, for lack of memory, unless
+        somebody asks for `edges`.
+        """
+        if self._edges is not None or self.setup.edges is not None:
+            return False
+        return is_long(self.setup.photons)
+
+    def seen_edges(self, number: int) -> SeenEdges:
+        """Return what the run keeps of the edges of a frame: all of them, unless it is long."""
+        if self.is_long:
+            return self._frames_of_golden().seen[number]
+        edges = self.frame_edges(number)
+        return SeenEdges(edges, len(edges))
+
     def frame_edges(self, number: int) -> Edges:
         """Return the edges of one frame (from the end, if negative), with pulses counted from its
         start.
@@ -184,18 +201,25 @@ class Run:
     @property
     def traces(self) -> list[Trace]:
         """The frames of the golden model, also if another engine plays the setup."""
-        if self._traces is None:
-            self._traces = self._cached_golden_frames()
-        return self._traces
+        return self._frames_of_golden().traces
 
-    def _cached_golden_frames(self) -> list[Trace]:
-        if self.setup.edges is not None:
-            return self._golden_frames()
-        key = self.setup.photons.key, fingerprint(self.config)
-        frames: list[Trace] = self.cache.get("frames", key, self._golden_frames)
-        return frames
+    def _frames_of_golden(self) -> PlayedFrames:
+        if self._played_frames is None:
+            if self.setup.edges is not None:
+                self._played_frames = self._golden_frames()
+            else:
+                key = self.setup.photons.key, fingerprint(self.config)
+                self._played_frames = self.cache.get("frames", key, self._golden_frames)
+        return self._played_frames
 
-    def _golden_frames(self) -> list[Trace]:
+    def _golden_frames(self) -> PlayedFrames:
+        if self.is_long:
+            stage = "photons and golden model"
+            return play_long_frames(
+                self.config,
+                self.setup.photons.chunks(self.workers),
+                lambda share, edges: self.watch(stage, share, edges),
+            )
         model, frames = Golden(self.config.sensor), self.config.frames
         traces: list[Trace] = []
         for number in range(0, frames, self.workers):
@@ -204,7 +228,7 @@ class Run:
                 self.frame_edges(k) for k in range(number, min(frames, number + self.workers))
             ]
             traces += model.frames_of(self.config, together, self.workers)
-        return traces
+        return PlayedFrames(traces, [])
 
     @property
     def result(self) -> dict[str, np.ndarray]:
@@ -222,10 +246,13 @@ class Run:
         if self.setup.engine != "golden":
             return replay(self.setup.engine, self.config, self.edges, view=self.setup.view)
         built = ResultBuilder(self.config)
+        for trace in self.traces:
+            built.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
+        if self.is_long:
+            return built.arrays()
         fate = np.empty(len(self.edges), np.uint8)
         for own, trace in zip(self._of_frame, self.traces, strict=True):
             fate[own] = trace.fate
-            built.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
         return built.arrays() | {"fate": fate}
 
     def depth(self, estimator: Method | None = None, **options: Any) -> Depth:
@@ -304,9 +331,21 @@ class Frame:
         return self.run.light_of(self.number)
 
     @cached_property
+    def seen_edges(self) -> SeenEdges:
+        """What the run keeps of the frame's edges."""
+        return self.run.seen_edges(self.number)
+
+    @property
     def edges(self) -> Edges:
-        """The frame's edges, with pulses counted from its start."""
-        return self.run.frame_edges(self.number)
+        """The frame's edges, with pulses counted from its start; of a long run, those of the first
+        pulses (`Run.is_long`).
+        """
+        return self.seen_edges.edges
+
+    @property
+    def edge_count(self) -> int:
+        """Number of all edges of the frame."""
+        return self.seen_edges.total
 
     @cached_property
     def events(self) -> np.ndarray:

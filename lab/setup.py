@@ -18,7 +18,7 @@ from ..model.contract.parameters import SENSOR, Sensor
 from ..model.contract.settings import THRESHOLD_MAX
 from ..model.depth.methods import DEFAULT_METHOD, Method, taken_along
 from ..model.light.light import BACKGROUNDS, Light
-from ..model.light.photons import edge_chunks
+from ..model.light.photons import edge_chunks, edges_at_most
 from ..model.light.spad import Spad, SpadGate
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import Ambient
@@ -82,21 +82,31 @@ class PhotonInputs:
         for part in self._parts():
             edge_chunks(**part)
 
-    def edges(self, workers: int = 1, watch: Watch = unwatched) -> Edges:
-        """Generate the edges. workers: number of threads, which does not change the edges."""
-        chunks, made = [], 0
-        for part in self._parts():
-            for chunk in edge_chunks(**part, workers=workers):
-                chunks.append(chunk)
-                made += len(chunk)
-                done = float(chunk.pulse[-1] + 1) / self.pulses if len(chunk) else 0.0
-                watch("photons", done, made)
-        return Edges(
-            *(
-                np.concatenate([getattr(chunk, name) for chunk in chunks])
-                for name in ("pulse", "pixel", "tick")
-            )
+    @property
+    def edges_at_most(self) -> float:
+        """Upper estimate of the number of edges."""
+        return sum(
+            part["pulses"]
+            * edges_at_most(part["light"], part["spad"], part["timing"], part["gate"])
+            for part in self._parts()
         )
+
+    def chunks(self, workers: int = 1) -> Iterator[Edges]:
+        """Generate the edges in chunks of whole pulses. workers: number of threads, which does not
+        change the edges.
+        """
+        for part in self._parts():
+            yield from edge_chunks(**part, workers=workers)
+
+    def edges(self, workers: int = 1, watch: Watch = unwatched) -> Edges:
+        """Generate all edges. workers: as in `chunks`."""
+        chunks, made = [], 0
+        for chunk in self.chunks(workers):
+            chunks.append(chunk)
+            made += len(chunk)
+            done = float(chunk.pulse[-1] + 1) / self.pulses if len(chunk) else 0.0
+            watch("photons", done, made)
+        return Edges.joined(chunks)
 
 
 @frozen(kw_only=True, eq=False)

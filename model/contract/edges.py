@@ -3,6 +3,7 @@
 
 import enum
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,14 @@ class Edges:
         """Return the edges that an array of indices, or of bool, or a slice chooses."""
         offset = None if self.offset_ps is None else self.offset_ps[chosen]
         return Edges(self.pulse[chosen], self.pixel[chosen], self.tick[chosen], offset)
+
+    @classmethod
+    def joined(cls, parts: Sequence["Edges"]) -> "Edges":
+        """Return the edges of all parts, one part behind the other, without their offsets."""
+        nothing = np.empty(0, np.int64)
+        return cls(
+            *(np.concatenate([nothing, *(getattr(part, name) for part in parts)]) for name in NAMES)
+        )
 
     def frame(self, number: int, pulses: int) -> tuple["Edges", np.ndarray]:
         """Return the edges of one frame, with pulses counted from the frame's start, and their

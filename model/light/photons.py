@@ -66,13 +66,7 @@ def generate_edges(light: Light, spad: Spad, timing: Timing, **options: Any) -> 
     options: `pulses` and `seed`, both required; `pulse_start`, `gate`, `workers`: as in
     `edge_chunks`, which makes the same edges in chunks.
     """
-    chunks = list(edge_chunks(light, spad, timing, **options))
-    return Edges(
-        *(
-            np.concatenate([getattr(chunk, name) for chunk in chunks])
-            for name in ("pulse", "pixel", "tick")
-        )
-    )
+    return Edges.joined(list(edge_chunks(light, spad, timing, **options)))
 
 
 def edge_chunks(
@@ -117,9 +111,7 @@ def edge_chunks(
             light, spad, timing, range(pulse_start, pulse_start + pulses), seed, generate
         )
     photons_per_pulse = _photons_per_pulse(physics, arrays)
-    edges_per_pulse = photons_per_pulse * (1 + 2 * physics.afterpulse + 4 * physics.crosstalk)
-    if physics.dead:
-        edges_per_pulse = np.minimum(edges_per_pulse, physics.period_ticks / physics.dead + 1)
+    edges_per_pulse = _edges_per_pulse(photons_per_pulse, physics)
     packing = Packing((light.pixels - 1).bit_length(), (timing.period_ticks - 1).bit_length())
     if chunk_pulses is None:
         chunk_pulses = min(max(1, int(CHUNK_EDGES / (edges_per_pulse.sum() + 1e-9))), CHUNK_EDGES)
@@ -140,6 +132,14 @@ def edge_chunks(
         for block in pairwise(borders)
     ]
     return _chunks(walkers, range(pulse_start, pulse_start + pulses), chunk_pulses)
+
+
+def edges_at_most(light: Light, spad: Spad, timing: Timing, gate: SpadGate | None = None) -> float:
+    """Return an upper estimate of the edges of all pixels in a laser pulse. Arguments and errors
+    are those of `edge_chunks`.
+    """
+    physics, arrays = _in_ticks(light, spad, timing, gate, 1)
+    return float(_edges_per_pulse(_photons_per_pulse(physics, arrays), physics).sum())
 
 
 def _chunks(walkers: list["_Walker"], pulses: range, chunk_pulses: int) -> Iterator[Edges]:
@@ -276,6 +276,14 @@ def _photons_per_pulse(physics: Physics, arrays: Arrays) -> np.ndarray:
         arrays.noise + (arrays.signal.sum(axis=1) + binned) + arrays.other * others
     )
     return photons
+
+
+def _edges_per_pulse(photons_per_pulse: np.ndarray, physics: Physics) -> np.ndarray:
+    """float64[pixels]: upper estimate of the edges in a period."""
+    edges = photons_per_pulse * (1 + 2 * physics.afterpulse + 4 * physics.crosstalk)
+    if physics.dead:
+        edges = np.minimum(edges, physics.period_ticks / physics.dead + 1)
+    return edges
 
 
 def _bins(

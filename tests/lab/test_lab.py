@@ -42,7 +42,7 @@ def test_a_run_is_the_golden_models_for_edges_in_any_order():
     run = Run(small(klux=20.0))
     assert run.frame().counter("stored").sum() > 0
     # a stage is computed when it is first asked for
-    assert run._traces is not None and run._result is None
+    assert run._played_frames is not None and run._result is None
     shuffled = run.edges.take(np.random.default_rng(1).permutation(len(run.edges)))
     other = Run(run.setup.but(edges=shuffled))
     for one in (run, other):

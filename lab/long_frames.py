@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames whose edges do not fit into memory: photons and golden model go through them together, in
+pieces of whole periods.
+
+The edges of the first pulses are kept for the views of laser periods; all others are forgotten.
+"""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from attrs import evolve, frozen
+
+from ..model.contract.config import Config
+from ..model.contract.edges import Edges
+from ..model.golden.frame import Golden, OpenFrame, Trace
+from .setup import PhotonInputs
+
+EDGES_MAX = 1 << 24  # that a run keeps, about 400 MiB
+EDGES_SHOWN_MAX = 1 << 21  # that it keeps for views, if it has more
+Pieces = Iterator[tuple[int, Edges]]
+
+
+@frozen(eq=False)
+class SeenEdges:
+    """The edges of a frame, as far as they are kept: those of its first pulses.
+
+    edges: pulses count from the frame's start. total: number of the frame's edges.
+    """
+
+    edges: Edges
+    total: int
+
+
+@frozen(eq=False)
+class PlayedFrames:
+    """Frames of the golden model, and what is kept of their edges; the fates in `traces` are those
+    of the kept ones.
+    """
+
+    traces: list[Trace]
+    seen: list[SeenEdges]
+
+
+def is_long(photons: PhotonInputs) -> bool:
+    """Return whether the edges of all frames may be more than `EDGES_MAX`."""
+    return photons.edges_at_most > EDGES_MAX
+
+
+def frame_pieces(chunks: Iterator[Edges], pulses: int) -> Pieces:
+    """Yield each chunk's part of each frame with the frame's number; its pulses count from the
+    frame's start.
+
+    chunks: of whole pulses, in their order. pulses: of a frame.
+    """
+    for chunk in chunks:
+        if not len(chunk):
+            continue
+        first = int(chunk.pulse[0]) // pulses
+        last = int(chunk.pulse[-1]) // pulses
+        borders = np.arange(first, last + 2) * pulses
+        bounds = np.searchsorted(chunk.pulse, borders)
+        for number in range(first, last + 1):
+            own = chunk.take(slice(bounds[number - first], bounds[number - first + 1]))
+            yield number, evolve(own, pulse=own.pulse - number * pulses)
+
+
+def play_long_frames(
+    config: Config,
+    chunks: Iterator[Edges],
+    progress: Callable[[float, int], None] = lambda share, edges: None,
+) -> PlayedFrames:
+    """Play the frames of a configuration through the golden model.
+
+    chunks: the edges of all frames, as `PhotonInputs.chunks` makes them. progress: is told the
+    finished share, and the edges so far.
+    """
+    golden = Golden(config.sensor)
+    pieces = frame_pieces(chunks, config.pulses)
+    upcoming = next(pieces, None)
+    played = PlayedFrames([], [])
+    done = 0
+    for number in range(config.frames):
+        frame = _LongFrame(golden.begin(config), EDGES_SHOWN_MAX // config.frames)
+        while upcoming is not None and upcoming[0] == number:
+            edges = upcoming[1]
+            frame.take(edges)
+            done += len(edges)
+            progress((number + (edges.pulse[-1] + 1) / config.pulses) / config.frames, done)
+            upcoming = next(pieces, None)
+        trace, seen = frame.end()
+        played.traces.append(trace)
+        played.seen.append(seen)
+    return played
+
+
+class _LongFrame:
+    """A frame of the golden model that keeps the edges of its first pulses, and their fates.
+
+    kept_max: edges; a pulse is kept whole or not at all.
+    """
+
+    def __init__(self, opened: OpenFrame, kept_max: int) -> None:
+        self._opened = opened
+        self._kept_max = kept_max
+        self._kept: list[Edges] = []
+        self._fates: list[np.ndarray] = [np.empty(0, np.uint8)]
+        self._total = 0
+
+    def take(self, edges: Edges) -> None:
+        fate = self._opened.take(edges)
+        room = self._kept_max - self._total
+        self._total += len(edges)
+        if room <= 0:
+            return
+        kept = len(edges)
+        if kept > room:
+            kept = int(np.searchsorted(edges.pulse, edges.pulse[room]))
+        self._kept.append(edges.take(slice(kept)))
+        self._fates.append(fate[:kept])
+
+    def end(self) -> tuple[Trace, SeenEdges]:
+        trace = self._opened.end(np.concatenate(self._fates))
+        return trace, SeenEdges(Edges.joined(self._kept), self._total)

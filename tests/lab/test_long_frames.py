@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs whose edges do not fit into memory give what other runs give."""
+
+import numpy as np
+import pytest
+
+from coincid.lab import long_frames
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
+from coincid.model.contract.edges import Edges
+
+SENSOR = {"rows": 8, "cols": 16}
+
+
+def setup_of(**frame):
+    return Setup.of("five-objects", klux=20, sensor=SENSOR, frame={"frames": 3} | frame)
+
+
+@pytest.fixture
+def long(monkeypatch):
+    """Make every run a long one, which keeps 900 edges of each of three frames."""
+    monkeypatch.setattr(long_frames, "EDGES_MAX", 0)
+    monkeypatch.setattr(long_frames, "EDGES_SHOWN_MAX", 2700)
+
+
+@pytest.mark.parametrize("subgroup", [{"threshold": 2}, {"auto": True}], ids=["fixed", "auto"])
+def test_a_long_run_gives_the_same_events_and_depth(subgroup, monkeypatch):
+    setup = setup_of(pulses=70, dither_bits=3).but(subgroup=subgroup)
+    usual = Run(setup)
+    expected = usual.result
+    monkeypatch.setattr(long_frames, "EDGES_MAX", 0)
+    run = Run(setup)
+    assert run.is_long and not usual.is_long
+    assert run.result.keys() == expected.keys() - {"fate"}
+    for name, array in run.result.items():
+        np.testing.assert_array_equal(array, expected[name], err_msg=name)
+    np.testing.assert_array_equal(run.frame().depth_m, usual.frame().depth_m)
+    assert run.frame(1)["edges"] == usual.frame(1)["edges"]
+
+
+def test_a_long_run_keeps_the_edges_and_fates_of_the_first_pulses(long):
+    setup = setup_of(pulses=700)
+    run = Run(setup)
+    everything = setup.photons.edges()
+    fates = long_frames.play_long_frames(setup.config, iter([everything]))
+    for number in range(3):
+        expected, _ = everything.frame(number, 700)
+        kept = run.frame(number).edges
+        assert 0 < len(kept) <= 900 < len(expected)
+        for name in ("pulse", "pixel", "tick"):
+            np.testing.assert_array_equal(
+                getattr(kept, name), getattr(expected, name)[: len(kept)], err_msg=name
+            )
+        assert len(run.traces[number].fate) == len(kept)
+        assert run.frame(number).edge_count == fates.seen[number].total == len(expected)
+
+
+def test_chunks_are_cut_where_frames_end():
+    pulse = np.array([0, 0, 1, 4, 5, 11])
+    edges = Edges(pulse, np.arange(6), np.arange(6))
+    pieces = list(long_frames.frame_pieces(iter([edges.take(slice(0, 0)), edges]), 3))
+    assert [number for number, _ in pieces] == [0, 1, 2, 3]
+    assert [piece.pulse.tolist() for _, piece in pieces] == [[0, 0, 1], [1, 2], [], [2]]
+    assert [piece.pixel.tolist() for _, piece in pieces] == [[0, 1, 2], [3, 4], [], [5]]
+
+
+def test_the_estimate_of_edges_is_above_their_number():
+    setup = setup_of(pulses=200)
+    assert len(setup.photons.edges()) < setup.photons.edges_at_most
