@@ -5,7 +5,8 @@ pieces of whole periods.
 The edges of the first pulses are kept for the views of laser periods; all others are forgotten.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 from attrs import evolve, frozen
@@ -13,28 +14,32 @@ from attrs import evolve, frozen
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.golden.frame import Golden, OpenFrame, Trace
+from ..model.shared.threads import Threads
 from .setup import PhotonInputs
 
 EDGES_MAX = 1 << 24  # that a run keeps, about 400 MiB
 EDGES_SHOWN_MAX = 1 << 21  # that it keeps for views, if it has more
 Pieces = Iterator[tuple[int, Edges]]
+Progress = Callable[[float, int], None]  # is told the finished share, and the edges so far
 
 
 @frozen(eq=False)
 class SeenEdges:
     """The edges of a frame, as far as they are kept: those of its first pulses.
 
-    edges: pulses count from the frame's start. total: number of the frame's edges.
+    edges: pulses count from the frame's start. pulses: whose edges these are. total: number of the
+    frame's edges.
     """
 
     edges: Edges
+    pulses: int
     total: int
 
 
 @frozen(eq=False)
 class PlayedFrames:
     """Frames of the golden model, and what is kept of their edges; the fates in `traces` are those
-    of the kept ones.
+    of the kept ones. seen: empty if the run keeps all edges.
     """
 
     traces: list[Trace]
@@ -65,32 +70,59 @@ def frame_pieces(chunks: Iterator[Edges], pulses: int) -> Pieces:
 
 
 def play_long_frames(
+    golden: Golden,
     config: Config,
     chunks: Iterator[Edges],
-    progress: Callable[[float, int], None] = lambda share, edges: None,
+    progress: Progress = lambda share, edges: None,
 ) -> PlayedFrames:
     """Play the frames of a configuration through the golden model.
 
     chunks: the edges of all frames, as `PhotonInputs.chunks` makes them. progress: is told the
     finished share, and the edges so far.
     """
-    golden = Golden(config.sensor)
     pieces = frame_pieces(chunks, config.pulses)
     upcoming = next(pieces, None)
     played = PlayedFrames([], [])
     done = 0
     for number in range(config.frames):
-        frame = _LongFrame(golden.begin(config), EDGES_SHOWN_MAX // config.frames)
+        frame = _LongFrame(golden.begin(config), config.pulses, EDGES_SHOWN_MAX // config.frames)
         while upcoming is not None and upcoming[0] == number:
             edges = upcoming[1]
             frame.take(edges)
             done += len(edges)
-            progress((number + (edges.pulse[-1] + 1) / config.pulses) / config.frames, done)
+            share = (number + (edges.pulse.max(initial=0) + 1) / config.pulses) / config.frames
+            progress(share, done)
             upcoming = next(pieces, None)
         trace, seen = frame.end()
         played.traces.append(trace)
         played.seen.append(seen)
     return played
+
+
+def play_last_frame(
+    players: Sequence[tuple[Golden, Config]],
+    frames: int,
+    chunks: Iterator[Edges],
+    workers: int = 1,
+    progress: Progress = lambda share, edges: None,
+) -> list[PlayedFrames]:
+    """Play the last one of so many frames through several golden models, each with its
+    configuration.
+
+    workers: number of threads; chunks, progress: as in `play_long_frames`.
+    """
+    pulses = players[0][1].pulses
+    kept_max = EDGES_SHOWN_MAX // len(players)
+    opened = [_LongFrame(golden.begin(config), pulses, kept_max) for golden, config in players]
+    done = 0
+    with Threads(workers) as threads:
+        for number, edges in frame_pieces(chunks, pulses):
+            if number == frames - 1:
+                threads.map(partial(_LongFrame.take, edges=edges), opened)
+            done += len(edges)
+            progress((number + (edges.pulse.max(initial=0) + 1) / pulses) / frames, done)
+    ended = [frame.end() for frame in opened]
+    return [PlayedFrames([trace], [seen]) for trace, seen in ended]
 
 
 class _LongFrame:
@@ -99,25 +131,28 @@ class _LongFrame:
     kept_max: edges; a pulse is kept whole or not at all.
     """
 
-    def __init__(self, opened: OpenFrame, kept_max: int) -> None:
+    def __init__(self, opened: OpenFrame, pulses: int, kept_max: int) -> None:
         self._opened = opened
+        self._all_pulses = pulses
         self._kept_max = kept_max
         self._kept: list[Edges] = []
         self._fates: list[np.ndarray] = [np.empty(0, np.uint8)]
         self._total = 0
+        self._pulses = pulses  # whose edges are kept
 
     def take(self, edges: Edges) -> None:
         fate = self._opened.take(edges)
         room = self._kept_max - self._total
         self._total += len(edges)
-        if room <= 0:
+        if room < 0 or self._pulses < self._all_pulses:
             return
         kept = len(edges)
         if kept > room:
-            kept = int(np.searchsorted(edges.pulse, edges.pulse[room]))
+            self._pulses = int(edges.pulse[room])
+            kept = int(np.searchsorted(edges.pulse, self._pulses))
         self._kept.append(edges.take(slice(kept)))
         self._fates.append(fate[:kept])
 
     def end(self) -> tuple[Trace, SeenEdges]:
         trace = self._opened.end(np.concatenate(self._fates))
-        return trace, SeenEdges(Edges.joined(self._kept), self._total)
+        return trace, SeenEdges(Edges.joined(self._kept), self._pulses, self._total)

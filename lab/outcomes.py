@@ -72,9 +72,9 @@ class Run:
         Number of threads for photons, golden frames and depth. It does not change the results.
     watch : callable
         Is told the progress, and may raise an exception to end the run.
-    light, edges, traces, result
+    light, edges, traces, played, result
         Outcomes of stages that exist already, such as the `result` of a file or of a board; None:
-        not yet.
+        not yet. `played` are the traces of a long run.
     """
 
     def __init__(
@@ -87,6 +87,7 @@ class Run:
         light: Light | None = None,
         edges: Edges | None = None,
         traces: list[Trace] | None = None,
+        played: PlayedFrames | None = None,
         result: dict[str, np.ndarray] | None = None,
     ) -> None:
         self.setup = setup
@@ -95,7 +96,7 @@ class Run:
         self.watch = watch
         self._light = light
         self._edges = edges
-        self._played_frames = None if traces is None else PlayedFrames(traces, [])
+        self._played_frames = played if traces is None else PlayedFrames(traces, [])
         self._result = result
         self._frames: dict[tuple[int, str | None], Frame] = {}
 
@@ -179,6 +180,8 @@ class Run:
         """Whether the run keeps the edges of the first pulses only, for lack of memory, unless
         somebody asks for `edges`.
         """
+        if self._played_frames is not None:
+            return bool(self._played_frames.seen)
         if self._edges is not None or self.setup.edges is not None:
             return False
         return is_long(self.setup.photons)
@@ -188,7 +191,14 @@ class Run:
         if self.is_long:
             return self._frames_of_golden().seen[number]
         edges = self.frame_edges(number)
-        return SeenEdges(edges, len(edges))
+        return SeenEdges(edges, self.config.pulses, len(edges))
+
+    @property
+    def edge_count(self) -> int:
+        """Number of all avalanches, of all frames."""
+        if self.is_long:
+            return sum(seen.total for seen in self._frames_of_golden().seen)
+        return len(self.edges)
 
     def frame_edges(self, number: int) -> Edges:
         """Return the edges of one frame (from the end, if negative), with pulses counted from its
@@ -216,6 +226,7 @@ class Run:
         if self.is_long:
             stage = "photons and golden model"
             return play_long_frames(
+                Golden(self.config.sensor),
                 self.config,
                 self.setup.photons.chunks(self.workers),
                 lambda share, edges: self.watch(stage, share, edges),

@@ -2,10 +2,8 @@
 """Simulates a scene for `coincid sim`: its light, its frames through the sensor in three schemes,
 and the depth of each scheme.
 
-The scheme `off` has coincidence off (the paper's scheme 1), `fixed` has one threshold for all
-subgroups, and `auto` has the thresholds of the controller, which first settles in frames of new
-photons. The compared frames see the same photons. Every beat and commit of the RTL is checked
-against the golden model while it runs.
+`schemes.py` has the schemes. Every beat and commit of the RTL is checked against the golden model
+while it runs.
 """
 
 import json
@@ -25,7 +23,7 @@ from rich.table import Table
 
 from ..lab.measures import Number
 from ..lab.outcomes import Frame, Run
-from ..lab.setup import SETTLING, Setup, fixed_thresholds
+from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config, frame_table, own_rule, sensor_table
 from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import subgroup_image
@@ -38,7 +36,6 @@ from ..model.golden.frame import Golden, Trace
 from ..model.light.photons import edge_chunks
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import told_klux
-from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError, extra
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import in_background
@@ -46,6 +43,14 @@ from ..tb.frame_record import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.rtl_errors import Mismatch
 from .progress import Bar, first_time
+from .schemes import (
+    CONTROLLED,
+    best_threshold,
+    long_scheme_runs,
+    scheme_runs,
+    schemes_of,
+    seeing_all,
+)
 from .show.frame_content import FrameView
 from .usefulness import is_useful, useless_sentence
 
@@ -60,12 +65,6 @@ PICTURES = {  # file: (estimator of `model/depth/estimate.py`, suffix of the rep
     "depth_peak.png": ("maximum", "_peak", "peak of every pixel's histogram, as in the paper"),
 }
 LIGHT = "light.png"  # the estimated light, by the estimator of the first picture
-SCHEMES = {  # name: (title, settings that differ), in the order of the frames
-    "off": ("coincidence off", {"coincidence": False, "auto": False}),
-    "fixed": ("one threshold: {threshold}", {"coincidence": True, "auto": False}),
-    "auto": ("controller", {"coincidence": True, "auto": True}),
-}
-CONTROLLED = "auto"
 LINK_GBPS = 8.0  # if nothing else sets the rate: the pins of such a chip can carry this much
 # if the configuration sets no format: such a link carries the most events in it
 LINK_FORMAT = "compact"
@@ -96,6 +95,25 @@ class Played:
         return {name: run.frame() for name, run in self.runs.items()}
 
 
+@frozen(eq=False)
+class GoldenRuns:
+    """The runs of the schemes, with the golden model's frames.
+
+    threshold: of `fixed`. seconds: that the golden model took, and the photons of a long run.
+    """
+
+    runs: dict[str, Run]
+    threshold: ArrayLike
+    seconds: float
+
+    @classmethod
+    def of(cls, run: Run, threshold: ArrayLike) -> "GoldenRuns":
+        """Play the frames of `scheme_runs`."""
+        began = time.perf_counter()
+        runs = scheme_runs(run, threshold)
+        return cls(runs, threshold, time.perf_counter() - began)
+
+
 def with_link(config: Config, link_gbps: float | None = None) -> Config:
     """Return a configuration with a link. link_gbps: its rate; None: that of the configuration if
     it has one, else `LINK_GBPS`.
@@ -103,50 +121,6 @@ def with_link(config: Config, link_gbps: float | None = None) -> Config:
     if link_gbps is not None or not config.frame.link_gbps:
         config = config.with_frame(link_gbps=LINK_GBPS if link_gbps is None else link_gbps)
     return config if "frame.format" in config.given else config.with_frame(format=LINK_FORMAT)
-
-
-def schemes_of(sensor: Sensor) -> dict[str, tuple[str, dict[str, bool]]]:
-    """Return those of `SCHEMES` that a sensor supports."""
-    return {
-        name: scheme for name, scheme in SCHEMES.items() if sensor.controller or name != CONTROLLED
-    }
-
-
-def seeing_all(sensor: Sensor, scene: Scene) -> list[str]:
-    """Return the schemes that play all frames: the controller; without it, the last scheme of a
-    scene that moves.
-    """
-    last = list(schemes_of(sensor))[-1]
-    return [last] if last == CONTROLLED or scene.later else []
-
-
-def best_threshold(run: Run) -> int:
-    """Return the threshold with the fewest wrong pixels in the last frame of the golden model, the
-    lowest among equals.
-    """
-    _, settings = SCHEMES["fixed"]
-    wrong = {
-        threshold: run.alone(-1, subgroup=settings | {"threshold": threshold})["wrong_share"]
-        for threshold in fixed_thresholds(run.config.sensor)
-    }
-    return min(wrong, key=lambda threshold: (wrong[threshold] or 0.0, threshold))
-
-
-def scheme_runs(run: Run, threshold: ArrayLike) -> dict[str, Run]:
-    """Return the run of each scheme. Those of `seeing_all` see the photons of all frames; the
-    others only see those of the last frame.
-    """
-    golden, runs = Golden(run.config.sensor), {}
-    all_frames = seeing_all(run.config.sensor, run.scene)
-    for name, (_, settings) in schemes_of(run.config.sensor).items():
-        own_settings = settings | ({"threshold": threshold} if name == "fixed" else {})
-        if name in all_frames:
-            own = run.but(subgroup=own_settings)
-        else:
-            own = run.alone(-1, subgroup=own_settings)
-        traces = [golden.frame(own.config, own.frame_edges(k)) for k in range(own.config.frames)]
-        runs[name] = Run(own.setup, workers=run.workers, edges=own.edges, traces=traces)
-    return runs
 
 
 def play_schemes(
@@ -166,23 +140,38 @@ def play_schemes(
     `Mismatch` at the first difference between RTL and golden model, `SimulationError`,
     `ToolchainError`.
     """
-    chosen = chosen_view(engine, view, run.config.clock_mhz)
+    golden = GoldenRuns.of(run, threshold)
+    return play_runs(golden, engine, out, waves=waves, progress=progress, view=view)
+
+
+def play_runs(
+    golden: GoldenRuns,
+    engine: str,
+    out: Path,
+    *,
+    waves: bool = False,
+    progress: Progressed = lambda cycles: None,
+    view: "str | View" = DEFAULT_VIEW,
+) -> Played:
+    """As `play_schemes`, with frames that the golden model has played."""
+    runs = golden.runs
+    config = next(iter(runs.values())).config
+    chosen = chosen_view(engine, view, config.clock_mhz)
     wave: Path | None = None
-    began = time.perf_counter()
-    runs = scheme_runs(run, threshold)
-    jobs = [
-        FrameJob(one.config, one.frame_edges(k), trace)
-        for one in runs.values()
-        for k, trace in enumerate(one.traces)
-    ]
+    seconds = golden.seconds
     frames: Sequence[Trace | Recorded] = [trace for one in runs.values() for trace in one.traces]
     if chosen is not None:
         from ..tb.play import play
 
+        jobs = [
+            FrameJob(one.config, one.frame_edges(k), trace)
+            for one in runs.values()
+            for k, trace in enumerate(one.traces)
+        ]
         began = time.perf_counter()
         frames, wave = play(jobs, engine, out, waves=waves, progress=progress, view=chosen)
-    seconds = time.perf_counter() - began
-    result = ResultBuilder(run.config)
+        seconds = time.perf_counter() - began
+    result = ResultBuilder(config)
     for frame in frames:
         result.add(frame.beats, frame.commit_subgroup, frame.commit_cycle)
     checked = sum(getattr(frame, "checked", 0) for frame in frames)
@@ -247,24 +236,17 @@ def simulate_to_folder(
     for path in (out / DEPTHS, out / ANIMATION):  # from an earlier run
         path.unlink(missing_ok=True)
     compiled = partial(_prepare, engine, config.sensor, waves, shown)
+    schemes = schemes_of(config.sensor)
+    all_frames = seeing_all(config.sensor, scene)
+    total = sum(settling if name in all_frames else 1 for name in schemes)
     with Bar(console, lines=True) as bar, in_background(compiled) as preparing:
-        bar.stage(first_time("photons", edge_chunks.__module__))
-        _ = run.edges
-        fixed = config.threshold
-        if "subgroup.threshold" not in config.given:
-            bar.stage(first_time("best threshold", Golden.__module__))
-            fixed = np.full_like(fixed, best_threshold(run))
+        predicted = _golden_runs(run, "subgroup.threshold" not in config.given, shown is None, bar)
         if shown is not None:
             bar.stage("RTL: emitted and compiled once")
             preparing.result()
-        schemes = schemes_of(config.sensor)
-        all_frames = seeing_all(config.sensor, scene)
-        total = sum(settling if name in all_frames else 1 for name in schemes)
         bar.stage(f"{total} frames on {engine}", total * config.frame_cycles)
         try:
-            played = play_schemes(
-                run, fixed, engine, out, waves=waves, progress=bar.done, view=view
-            )
+            played = play_runs(predicted, engine, out, waves=waves, progress=bar.done, view=view)
         except Mismatch as mismatch:
             for path in results:  # from an earlier run
                 path.unlink(missing_ok=True)
@@ -272,7 +254,8 @@ def simulate_to_folder(
             raise
         bar.stage(first_time("depth", estimate_depth.__module__))
         titles = {
-            name: title.format(threshold=_span(fixed)) for name, (title, _) in schemes.items()
+            name: title.format(threshold=_span(np.asarray(predicted.threshold)))
+            for name, (title, _) in schemes.items()
         }
         ambient_shown = ambient if isinstance(ambient, str) else f"{ambient:g}"
         heading = f"{run.scene.name}, {ambient_shown} klux, {config.pulses} laser pulses"
@@ -299,6 +282,26 @@ def simulate_to_folder(
             path.unlink()
     _tell(console, (*run.scene.notes, *run.light.notes()), config, titles, report, written)
     return report
+
+
+def _golden_runs(run: Run, chooses: bool, streams: bool, bar: Bar) -> GoldenRuns:
+    """Play the schemes through the golden model.
+
+    chooses: `fixed` has the best threshold, not that of the configuration. streams: a long run
+    does not need all its edges at a time.
+    """
+    fixed = run.config.threshold
+    if run.is_long and streams:
+        began = time.perf_counter()
+        runs, fixed = long_scheme_runs(run, None if chooses else fixed, bar)
+        return GoldenRuns(runs, fixed, time.perf_counter() - began)
+    bar.stage(first_time("photons", edge_chunks.__module__))
+    _ = run.edges
+    if chooses:
+        bar.stage(first_time("best threshold", Golden.__module__))
+        fixed = np.full_like(fixed, best_threshold(run))
+    bar.stage(first_time("golden model", Golden.__module__))
+    return GoldenRuns.of(run, fixed)
 
 
 def _prepare(engine: str, sensor: Sensor, waves: bool, view: "View | None") -> None:
@@ -406,7 +409,7 @@ def _report(played: Played) -> dict[str, Any]:
     arrays = played.arrays
     report: dict[str, Any] = {
         "cycles": played.cycles,
-        "edges": sum(len(run.edges) for run in played.runs.values()),
+        "edges": sum(run.edge_count for run in played.runs.values()),
         "events": len(arrays["pulse"]),
         "dropped": int(arrays["dropped"].sum()),
         "mismatches": 0,

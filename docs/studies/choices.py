@@ -18,7 +18,7 @@ from coincid.model.contract.packet import built_formats
 from coincid.model.contract.parameters import CLOCK_MHZ, Sensor
 from coincid.model.shared.files import write_csv
 from coincid.model.shared.markdown import text_table
-from coincid.study.simulate import best_threshold
+from coincid.study.schemes import best_threshold
 from coincid.tools.pages import picture, put
 
 from .power_against_light import DARK, MIDDLE, measure

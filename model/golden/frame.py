@@ -100,6 +100,12 @@ class Golden:
         self.frames += 1
         return opened
 
+    def follow(self, config: Config, counters: np.ndarray) -> None:
+        """Go on as if this model had played a frame, whose counters these are."""
+        self.controller.begin(config)
+        self.controller.end(config, counters)
+        self.frames += 1
+
     def frames_of(
         self, config: Config, edges: Sequence[Edges], workers: int | None = None
     ) -> list[Trace]:

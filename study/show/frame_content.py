@@ -76,6 +76,7 @@ class FrameView:
         ]
         reflectivity = np.take_along_axis(scene.reflectivity, nearest, 2)[:, :, 0]
         self.title, self.config, self.edges, self.trace = title, config, frame.edges, frame.trace
+        self.pulses_seen = frame.seen_edges.pulses  # the first pulses, whose edges are kept
         self.truth_m, self.depth_m, self.reason = (
             frame.truth_m,
             found.depth_m[:, :, 0],
@@ -121,6 +122,7 @@ class FrameView:
 
     def period(self, subgroup: int, pulse: int) -> Period:
         """Return one laser period of one subgroup. Raises `InputError`."""
+        check_integer("pulse", pulse, 0, self.pulses_seen - 1)
         return one_period(self.config, self.edges, self.trace, subgroup, pulse)
 
     def event_bins(self) -> np.ndarray:

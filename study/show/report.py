@@ -138,7 +138,7 @@ def _parts(figures: object, *names: str) -> dict[str, Any]:
 
 def _pulses_kept(views: list[FrameView]) -> int:
     """Return the number of pulses whose edges fit into the report."""
-    pulses = views[0].config.pulses
+    pulses = min(view.pulses_seen for view in views)
     return max(
         1, min(pulses, EDGES_MAX * pulses // max(1, sum(len(view.timeline.tick) for view in views)))
     )

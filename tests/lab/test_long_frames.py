@@ -8,6 +8,7 @@ from coincid.lab import long_frames
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.edges import Edges
+from coincid.model.golden.frame import Golden
 
 SENSOR = {"rows": 8, "cols": 16}
 
@@ -42,7 +43,8 @@ def test_a_long_run_keeps_the_edges_and_fates_of_the_first_pulses(long):
     setup = setup_of(pulses=700)
     run = Run(setup)
     everything = setup.photons.edges()
-    fates = long_frames.play_long_frames(setup.config, iter([everything]))
+    golden = Golden(setup.config.sensor)
+    fates = long_frames.play_long_frames(golden, setup.config, iter([everything]))
     for number in range(3):
         expected, _ = everything.frame(number, 700)
         kept = run.frame(number).edges

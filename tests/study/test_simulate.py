@@ -13,14 +13,16 @@ import pytest
 from pywellen import Waveform
 from rich.console import Console
 
+from coincid.lab import long_frames
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.parameters import TOP
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.quality import wrong_share
+from coincid.model.golden.frame import Golden
 from coincid.model.scenes.catalogue import load_scene
-from coincid.study import progress
-from coincid.study import simulate as job
+from coincid.study import progress, schemes
+from coincid.study.schemes import SCHEMES
 from coincid.study.simulate import (
     ANIMATION,
     DEPTH,
@@ -30,7 +32,6 @@ from coincid.study.simulate import (
     PAGE,
     PICTURES,
     REPORT,
-    SCHEMES,
     simulate_to_folder,
 )
 from coincid.tb import wave_views
@@ -170,6 +171,31 @@ def test_letter_f_comes_out_as_it_went_in(tmp_path):
         assert np.array_equal(array, golden[name]), name
 
 
+@pytest.mark.parametrize("given", ["", "--threshold 2 --set dither_bits=3 --set controller=0"])
+def test_a_long_simulation_leaves_the_same_files(given, tmp_path, monkeypatch):
+    words = "sim --engine golden --scene five-objects --set rows=8 --set cols=8 --pulses 20"
+    usual = tmp_path / "usual"
+    long = tmp_path / "long"
+    assert command(f"{words} {given} --out {usual}").exit_code == 0
+    monkeypatch.setattr(long_frames, "EDGES_MAX", 0)
+    assert command(f"{words} {given} --out {long}").exit_code == 0
+    for name in (*PICTURES, LIGHT, EVENTS, DEPTH):
+        assert (usual / name).read_bytes() == (long / name).read_bytes(), name
+    reports = [json.loads((out / REPORT).read_text(encoding="utf-8")) for out in (usual, long)]
+    differing = {name for name in reports[0] if reports[0][name] != reports[1][name]}
+    assert reports[0].keys() == reports[1].keys() and differing <= {"seconds", "cycles_per_s"}
+
+
+def test_the_report_of_a_long_simulation_shows_the_pulses_that_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(long_frames, "EDGES_MAX", 0)
+    monkeypatch.setattr(long_frames, "EDGES_SHOWN_MAX", 8000)
+    words = "sim --engine golden --scene flat:5,0.4 --set rows=8 --set cols=16 --pulses 400"
+    assert command(f"{words} --out {tmp_path}").exit_code == 0
+    page = (tmp_path / PAGE).read_text(encoding="utf-8")
+    pulses = int(re.search(r'"pulses",(\d+)', page)[1])
+    assert 1 < pulses < 400
+
+
 def test_spad_gate_leaves_fewer_edges(tmp_path):
     # 5 m: cycle 16
     document = SMALL | {"subgroup": {"gating": True, "gate_start": 14, "gate_len": 8}}
@@ -180,7 +206,7 @@ def test_spad_gate_leaves_fewer_edges(tmp_path):
 
 
 def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
-    class Wrong(job.Golden):
+    class Wrong(Golden):
         """A golden model that expects one pixel more in the count of the last frame's first
         event.
         """
@@ -195,7 +221,7 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
     given = "--set rows=8 --set cols=8 --set period=60 --set pulses=4 --set format=id"
     words = f"sim --scene flat:5,0.4 {given} --out {out} --engine"
     assert command(words, "golden").exit_code == 0
-    monkeypatch.setattr(job, "Golden", Wrong)
+    monkeypatch.setattr(schemes, "Golden", Wrong)
     result = command(words, "icarus")
     assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
     for word in (

@@ -18,7 +18,8 @@ from coincid.model.scenes.ray_scene import BUILT_IN, PREFIX
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.markdown import text_table
 from coincid.study.pictures import Panel, depth_row
-from coincid.study.simulate import SCHEMES, play_schemes
+from coincid.study.schemes import SCHEMES
+from coincid.study.simulate import play_schemes
 from coincid.tools.pages import picture, put
 
 KLUX, PULSES, SEED = 50, 400, 1

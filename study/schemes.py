@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The schemes that `coincid sim` compares, and their runs.
+
+The scheme `off` has coincidence off (the paper's scheme 1), `fixed` has one threshold for all
+subgroups, and `auto` has the thresholds of the controller, which first settles in frames of new
+photons. The compared frames see the same photons.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..lab.long_frames import play_last_frame, play_long_frames
+from ..lab.measures import Number
+from ..lab.outcomes import Run
+from ..lab.setup import fixed_thresholds
+from ..model.contract.parameters import Sensor
+from ..model.golden.frame import Golden
+from ..model.scenes.scene import Scene
+from .progress import Bar
+
+SCHEMES = {  # name: (title, settings that differ), in the order of the frames
+    "off": ("coincidence off", {"coincidence": False, "auto": False}),
+    "fixed": ("one threshold: {threshold}", {"coincidence": True, "auto": False}),
+    "auto": ("controller", {"coincidence": True, "auto": True}),
+}
+CONTROLLED = "auto"
+PROGRESS_PARTS = 1000
+
+
+def schemes_of(sensor: Sensor) -> dict[str, tuple[str, dict[str, bool]]]:
+    """Return those of `SCHEMES` that a sensor supports."""
+    return {
+        name: scheme for name, scheme in SCHEMES.items() if sensor.controller or name != CONTROLLED
+    }
+
+
+def seeing_all(sensor: Sensor, scene: Scene) -> list[str]:
+    """Return the schemes that play all frames: the controller; without it, the last scheme of a
+    scene that moves.
+    """
+    last = list(schemes_of(sensor))[-1]
+    return [last] if last == CONTROLLED or scene.later else []
+
+
+def best_threshold(run: Run) -> int:
+    """Return the threshold with the fewest wrong pixels in the last frame of the golden model, the
+    lowest among equals.
+    """
+    _, settings = SCHEMES["fixed"]
+    wrong = {
+        threshold: run.alone(-1, subgroup=settings | {"threshold": threshold})["wrong_share"]
+        for threshold in fixed_thresholds(run.config.sensor)
+    }
+    return _least_wrong(wrong)
+
+
+def _least_wrong(wrong: dict[int, Number]) -> int:
+    """Return the threshold with the smallest share, the lowest among equals."""
+    return min(wrong, key=lambda threshold: (wrong[threshold] or 0.0, threshold))
+
+
+def scheme_runs(run: Run, threshold: ArrayLike) -> dict[str, Run]:
+    """Return the run of each scheme. Those of `seeing_all` see the photons of all frames; the
+    others only see those of the last frame.
+    """
+    golden, runs = Golden(run.config.sensor), {}
+    all_frames = seeing_all(run.config.sensor, run.scene)
+    for name, (_, settings) in schemes_of(run.config.sensor).items():
+        own_settings = settings | ({"threshold": threshold} if name == "fixed" else {})
+        if name in all_frames:
+            own = run.but(subgroup=own_settings)
+        else:
+            own = run.alone(-1, subgroup=own_settings)
+        traces = [golden.frame(own.config, own.frame_edges(k)) for k in range(own.config.frames)]
+        runs[name] = Run(own.setup, workers=run.workers, edges=own.edges, traces=traces)
+    return runs
+
+
+def long_scheme_runs(
+    run: Run, threshold: np.ndarray | None, bar: Bar
+) -> tuple[dict[str, Run], np.ndarray]:
+    """Return what `scheme_runs` returns for a run that does not keep its edges, and the threshold
+    of `fixed`.
+
+    threshold: of `fixed`; None: the best one (`best_threshold`). The photons are drawn twice: once
+    for the schemes that see the last frame only, once for the one that sees all.
+    """
+    sensor = run.config.sensor
+    all_frames = seeing_all(sensor, run.scene)
+    schemes = schemes_of(sensor)
+    _, of_fixed = schemes["fixed"]
+    settings: dict[str | int, dict[str, Any]] = {
+        name: own for name, (_, own) in schemes.items() if name not in all_frames
+    }
+    if threshold is None:
+        settings |= {one: of_fixed | {"threshold": one} for one in fixed_thresholds(sensor)}
+        settings.pop("fixed", None)
+    elif "fixed" in settings:
+        settings["fixed"] = of_fixed | {"threshold": threshold}
+    alone = _last_frame_runs(run, settings, bar)
+    if threshold is None:
+        bar.stage("best threshold")
+        best = _least_wrong({one: alone[one]["wrong_share"] for one in fixed_thresholds(sensor)})
+        threshold = np.full_like(run.config.threshold, best)
+        alone["fixed"] = alone[best]
+
+    golden = Golden(sensor)
+    runs = {}
+    for name, (_, own) in schemes.items():
+        if name in all_frames:
+            given = own | ({"threshold": threshold} if name == "fixed" else {})
+            runs[name] = _all_frames_run(golden, run.but(subgroup=given), bar)
+        else:
+            runs[name] = alone[name]
+            golden.follow(runs[name].config, runs[name].traces[0].counters)
+    return runs, threshold
+
+
+def _last_frame_runs(
+    run: Run, settings: dict[str | int, dict[str, Any]], bar: Bar
+) -> dict[str | int, Run]:
+    """Return runs of the last frame alone, each with its settings of the subgroups."""
+    frames = run.config.frames
+    last = run.setup.but(frame={"frames": 1}, scene=run.scene.at(frames - 1))
+    setups = {name: last.but(subgroup=own) for name, own in settings.items()}
+    bar.stage("photons, and thresholds of the last frame", PROGRESS_PARTS)
+    played = play_last_frame(
+        [(Golden(setup.config.sensor), setup.config) for setup in setups.values()],
+        frames,
+        run.setup.photons.chunks(run.workers),
+        run.workers,
+        lambda share, _: bar.done(int(share * PROGRESS_PARTS)),
+    )
+    return {
+        name: Run(setup, workers=run.workers, played=one)
+        for (name, setup), one in zip(setups.items(), played, strict=True)
+    }
+
+
+def _all_frames_run(golden: Golden, run: Run, bar: Bar) -> Run:
+    """Return a run whose frames the golden model has played behind the ones before."""
+    bar.stage("photons and golden model", PROGRESS_PARTS)
+    played = play_long_frames(
+        golden,
+        run.config,
+        run.setup.photons.chunks(run.workers),
+        lambda share, _: bar.done(int(share * PROGRESS_PARTS)),
+    )
+    return Run(run.setup, workers=run.workers, played=played)
