@@ -74,6 +74,8 @@ LIVELY: Features = {
     "coincidence": (True, "one subgroup without"),
     "threshold": (1,),
 }
+# A lively frame has none of them: the only subgroup of the sensor would see nothing.
+DARK: frozenset[Pair] = frozenset([frozenset([("sizes", "wide"), ("mask", "one subgroup dark")])])
 DENSITY = {"some": 12.0, "none": 0.0, "one edge": 0.0, "crowded": 40.0}
 PULSES = 8
 ABORTED_AFTER = {"none": PULSES, "first period": 1, "later": 5}
@@ -97,8 +99,13 @@ def paired_cases(features: Features, impossible: frozenset[Pair] = IMPOSSIBLE) -
     """Return cases that have every legal pair, and cases that have every one of the lively pairs
     once more.
     """
-    lively = covering_cases({**features, **LIVELY}, impossible)
+    lively = covering_cases({**features, **LIVELY}, impossible | DARK)
     return covering_cases(features, impossible) + lively
+
+
+def lively_pairs(features: Features, impossible: frozenset[Pair] = IMPOSSIBLE) -> set[Pair]:
+    """Return the pairs that come up in a frame with events."""
+    return legal_pairs({**features, **LIVELY}, impossible | DARK)
 
 
 def covering_cases(features: Features, impossible: frozenset[Pair]) -> list[Case]:

@@ -22,7 +22,7 @@ from coincid.model.golden.shape import COUNTER
 from coincid.model.shared.errors import InputError
 
 from ..benches.plain_model import PlainController, PlainSubgroup, period_starts, plain_run
-from ..feature_pairs import BUILT, USED, paired_cases, played, sensor_of
+from ..feature_pairs import BUILT, USED, lively_pairs, paired_cases, pairs_of, played, sensor_of
 from ..random_cases import (
     READY_KINDS,
     SENSORS,
@@ -104,7 +104,11 @@ def test_the_frame_number_starts_over_after_16_bits():
 
 
 def test_every_pair_of_features():
-    """Of the sensor as built, of a frame, its light and its receiver; also in aborted frames."""
+    """Of the sensor as built, of a frame, its light and its receiver; also in aborted frames.
+
+    Every pair that allows events has some: in an empty frame, no bug can show.
+    """
+    with_events = set()
     for number, case in enumerate(paired_cases(BUILT | USED)):
         sensor = sensor_of(case)
         frames = played(sensor, case, number)
@@ -115,6 +119,9 @@ def test_every_pair_of_features():
             result.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
         fate = np.concatenate([trace.fate for trace in traces])
         assert_plain(frames.shorter, frames.edges, result.arrays() | {"fate": fate})
+        if any(len(trace.commit_cycle) for trace in traces):
+            with_events |= pairs_of(case)
+    assert lively_pairs(BUILT | USED) <= with_events
 
 
 def assert_whole_frames(frames, traces):
@@ -125,7 +132,7 @@ def assert_whole_frames(frames, traces):
         for name in ("beats", "beat_cycle"):
             pairs = zip(getattr(trace, name), getattr(whole, name), strict=True)
             assert all(np.array_equal(one, other) for one, other in pairs), name
-        for name in ("commit_cycle", "freed_cycle", "fate", "counters"):
+        for name in ("commit_subgroup", "commit_cycle", "freed_cycle", "fate", "counters"):
             assert np.array_equal(getattr(trace, name), getattr(whole, name)), name
         if frames.config.sensor.controller:
             assert np.array_equal(trace.budget, whole.budget)

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import strategies as st
 
 from coincid.model.contract.counters import COUNTER_NAMES
+from coincid.model.contract.groups import HEAD, LAST_LSB
+from coincid.model.contract.packet import GROUP_KIND
 from coincid.model.contract.parameters import SENSOR, Sensor
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.golden.frame import Golden
@@ -151,6 +153,21 @@ def test_every_mode_in_every_format(sensor, tmp_path):
         )
     records, _ = play(jobs, "sliced", tmp_path)
     assert_all_checked(records, jobs)
+
+
+def test_numbers_of_groups_start_over(tmp_path):
+    """A frame has more groups than their numbers tell apart."""
+    config = random_cases.lengthy(random_cases.SENSORS["default"])
+    config = config.with_frame(format="compact", minigroup_records=False, pulses=400)
+    config = config.with_settings(gating=False)
+    edges = random_cases.trouble(config, 0, 2.0)
+    job = random_cases.predicted(Golden(config.sensor), config, edges)
+    (beats,) = job.expected.beats
+    kind_and_marks = beats >> np.uint64(LAST_LSB)
+    last_of_group = np.isin(kind_and_marks, (GROUP_KIND << 2 | 0b01, GROUP_KIND << 2 | 0b11))
+    assert last_of_group.sum() > 1 << HEAD.number
+    records, _ = play([job], "sliced", tmp_path)
+    assert_all_checked(records, [job])
 
 
 def test_streams_have_budgets_of_their_own(tmp_path):

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Legal ranges include their ends; arrays are copies that nobody can change."""
+
+import numpy as np
+import pytest
+
+from coincid.model.shared.errors import InputError, check_integer
+from coincid.model.shared.quantities import check_real, real_array
+
+LOW, HIGH = -2.0, 3.0
+INSIDE = (LOW, 0.0, HIGH)
+OUTSIDE = (np.nextafter(LOW, -9), np.nextafter(HIGH, 9), np.inf, -np.inf, np.nan)
+
+
+@pytest.mark.parametrize("value", INSIDE)
+def test_the_ends_of_a_range_are_legal(value):
+    assert check_real("x", value, LOW, HIGH) == value
+    assert check_integer("x", int(value), int(LOW), int(HIGH)) == value
+    assert real_array("x", [value, 1.0], (2,), LOW, HIGH).tolist() == [value, 1.0]
+
+
+@pytest.mark.parametrize("value", OUTSIDE)
+def test_what_is_beyond_the_ends_is_refused(value):
+    with pytest.raises(InputError, match="^x = .*: must be a number from -2 to 3"):
+        check_real("x", value, LOW, HIGH)
+    with pytest.raises(InputError, match=r"^x\[1\] = .*: must be from -2 to 3$") as raised:
+        real_array("x", [1.0, value], (2,), LOW, HIGH)
+    assert (raised.value.field, raised.value.low, raised.value.high) == ("x", LOW, HIGH)
+
+
+@pytest.mark.parametrize("value", (-3, 4))
+def test_an_integer_beyond_the_ends_is_refused(value):
+    with pytest.raises(InputError, match="must be an integer from -2 to 3"):
+        check_integer("x", value, -2, 3)
+
+
+@pytest.mark.parametrize("value", (np.inf, -np.inf))
+def test_infinity_is_refused_where_nan_is_legal_and_no_end_is_given(value):
+    assert np.isnan(real_array("x", [np.nan, 1.0], (2,), 0, nan=True)[0])
+    with pytest.raises(InputError, match=r"must be at least 0 or NaN$"):
+        real_array("x", [1.0, value], (2,), 0, nan=True)
+
+
+def test_an_array_is_a_copy():
+    mine = np.array([1.0, 2.0])
+    checked = real_array("x", mine, (2,), 0)
+    mine[0] = 5.0
+    assert checked.tolist() == [1.0, 2.0]
+    with pytest.raises(ValueError, match="read-only"):
+        checked[0] = 3.0
