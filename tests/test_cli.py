@@ -23,6 +23,7 @@ from coincid.flow.register_files import HEADER, JSON, MARKDOWN
 from coincid.flow.release import CELLS_LIST
 from coincid.flow.waivers import OF_CELLS, OF_SENSOR
 from coincid.hdl.export import FILE_LIST
+from coincid.host.transport import HostError
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.edges import NAMES, Edges
 from coincid.model.contract.parameters import TOP
@@ -30,6 +31,9 @@ from coincid.model.contract.registers import BY_NAME, SUBGROUP, address
 from coincid.model.contract.result import differences, stall
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.link_budget import link_budget
+from coincid.model.shared.errors import InputError
+from coincid.tb.rtl_errors import Mismatch, SimulationError
+from coincid.tools.build import ToolchainError
 
 from .command import assert_refused, command
 from .random_cases import SENSORS
@@ -116,6 +120,29 @@ def test_bad_edges(files, arrays, words):
     np.savez("edges.npz", **arrays)
     assert_refused(command(REPLAY), "edges.npz", *words)
     assert not (files / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (Mismatch("frame 0, beat 1"), 1),
+        (HostError("no frame end"), 1),
+        (SimulationError("the simulator ended", None), 1),
+        (ToolchainError("verilator is missing"), 2),
+        (InputError("period = 1: must be more"), 2),
+        (KeyboardInterrupt(), 130),
+    ],
+)
+def test_each_kind_of_error_has_its_sentence_and_exit_code(files, monkeypatch, error, code):
+    def fails(*given, **named):
+        raise error
+
+    monkeypatch.setattr("coincid.tb.replay.replay", fails)
+    done = command(REPLAY)
+    assert done.exit_code == code
+    told = str(error) or "interrupted"
+    assert done.stderr.splitlines()[-1] == f"coincid: {told}"
+    assert not (files / "out" / "result.npz").exists()
 
 
 def test_files_that_are_no_edges(files):

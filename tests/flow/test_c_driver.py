@@ -13,7 +13,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from coincid.flow.c_driver import c_driver
+from coincid.flow.c_driver import EXAMPLE, c_driver
+from coincid.flow.captured import captured_files
 from coincid.flow.register_files import HEADER, register_files
 from coincid.host.driver import Driver
 from coincid.host.transport import RefusedError
@@ -28,7 +29,7 @@ from coincid.model.contract.packet import (
     layout,
 )
 from coincid.model.contract.parameters import Sensor
-from coincid.model.contract.registers import BY_NAME, GLOBAL, Access
+from coincid.model.contract.registers import BY_NAME, GLOBAL, Access, address
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.tb.sliced import SlicedSensor
@@ -160,6 +161,48 @@ def events_of_frame(frame):
     return list(
         zip(frame.events[:, 1:].tolist(), frame.hits.tolist(), frame.offsets.tolist(), strict=True)
     )
+
+
+@pytest.mark.parametrize("polls", (0, 1, 3))
+@pytest.mark.parametrize("done_at", (1, 3, 4))
+def test_a_wait_polls_as_often_as_it_is_told(library, polls, done_at):
+    status = BY_NAME["status"]
+    done = 1 << status.bit("done")
+    reads = []
+    written = []
+
+    def read(at):
+        reads.append(at)
+        return done * (len(reads) == done_at) | 1 << status.bit("busy")
+
+    bus = bus_of(SimpleNamespace(read=read, write=lambda at, value: written.append((at, value))))
+    answer = library.coincid_wait(ctypes.byref(bus), polls)
+    assert answer == (0 if done_at <= polls else TIMEOUT)
+    assert reads == [address("status")] * min(polls, done_at)
+    assert written == [(address("status"), done)] * (answer == 0)
+
+
+def test_the_example_prints_maps_of_several_words(tmp_path):
+    """As the captured files have them, on a sensor with more than 64 pixels in a subgroup."""
+    sensor = random_cases.built_sensor(random_cases.SENSORS["wide"])
+    files = c_driver() | {HEADER: register_files(sensor)[HEADER]}
+    for file, text in files.items():
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    subprocess.run(
+        ["cc", *FLAGS, "-o", "decode", EXAMPLE, "coincid.c"],
+        cwd=tmp_path,
+        check=True,
+    )
+    captured = captured_files(sensor)
+    (tmp_path / "captured").mkdir()
+    for name, content in captured.items():
+        if name.endswith(".txt"):
+            (tmp_path / name).write_bytes(content)
+            printed = subprocess.run(
+                ["./decode", name], cwd=tmp_path, check=True, capture_output=True
+            ).stdout
+            _, rows = captured[name.replace(".txt", ".csv")].split(b"\n", 1)
+            assert printed == rows, name
 
 
 def test_the_driver_drives_and_decodes(library):

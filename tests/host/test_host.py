@@ -47,6 +47,15 @@ class Memory:
         self.words[at] = value
 
 
+def test_clear_without_names_clears_every_sticky_bit():
+    memory = Memory()
+    Driver(memory, SENSOR).clear()
+    sticky = sum(1 << bits.lsb for bits in BY_NAME["status"].bits if bits.clears)
+    assert memory.written == [(address("status"), sticky)]
+    Driver(memory, SENSOR).clear("done")
+    assert memory.written[1:] == [(address("status"), 1 << BY_NAME["status"].bit("done"))]
+
+
 def test_names():
     assert find(SENSOR, "period").address == address("period")
     assert find(SENSOR, ("auto_bounds", 2)).address == address("auto_bounds", index=2)

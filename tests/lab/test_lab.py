@@ -16,7 +16,7 @@ from coincid.lab.compile_ahead import estimate_anything
 from coincid.lab.dask_workers import Dask
 from coincid.lab.measures import MEASURES
 from coincid.lab.outcomes import Run, StageCache
-from coincid.lab.setup import Setup, seeded
+from coincid.lab.setup import Setup, fingerprint, seeded
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.packet import FORMATS, RECORD, layout
 from coincid.model.depth.estimate import estimate_depth
@@ -88,6 +88,35 @@ def test_a_changed_setting_keeps_the_photons_and_another_seed_does_not():
     assert run.but(seed=2).edges is not run.edges
     alone = run.alone(-1, subgroup={"threshold": 3})
     assert alone.config.frames == 1 and np.array_equal(alone.edges.tick, run.frame_edges(1).tick)
+
+
+def test_a_cache_keeps_what_was_asked_for_last():
+    made = []
+    cache = StageCache(2)
+    for key in "abacb":
+        assert cache.get("photons", key, lambda key=key: made.append(key) or key) == key
+    assert made == list("abcb")  # "a" was there, and "b" the one asked for the longest ago
+    assert cache.get("frames", "a", lambda: "another stage") == "another stage"
+
+
+def test_arrays_of_equal_bytes_have_keys_of_their_own():
+    bits = np.array([0, 1, 2, 3], np.int64)
+    alike = (bits, bits.reshape(2, 2), bits.reshape(4, 1), bits.view(np.uint64), bits.view("f8"))
+    assert len({fingerprint(one) for one in alike}) == len(alike)
+    assert fingerprint(bits) == fingerprint(bits.copy()) == fingerprint(np.stack([bits, bits])[0])
+
+
+def test_a_table_holds_counts_beyond_32_bits():
+    pytest.importorskip("pyarrow", reason="the extra sweep")
+    from coincid.lab.outcome_table import to_table
+
+    found = [{"photons": 1 << 40, "wrong_share": 1 / 3}, {"photons": 1, "wrong_share": None}]
+    table = to_table([{"klux": 1}, {"klux": 2.5}], found)
+    assert table.to_pydict() == {
+        "klux": [1.0, 2.5],
+        "photons": [1 << 40, 1],
+        "wrong_share": [1 / 3, None],
+    }
 
 
 def test_equal_content_has_equal_keys_and_every_field_counts():

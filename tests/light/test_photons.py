@@ -5,12 +5,14 @@ import math
 
 import numpy as np
 import pytest
+from attrs import fields_dict
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from coincid.model.contract.config import parse_config
 from coincid.model.light.code_density import code_density
-from coincid.model.light.light import Light, background_cps, signal_per_pulse
+from coincid.model.light.light import Arrivals, Light, background_cps, signal_per_pulse
 from coincid.model.light.photons import edge_chunks, generate_edges
 from coincid.model.light.spad import Spad, SpadGate, dark_count_map
 from coincid.model.light.timing import Timing
@@ -300,6 +302,29 @@ def test_light_from_beyond_the_period_falls_into_a_later_one():
     )
 
 
+@pytest.mark.parametrize("lost", (False, True))
+def test_light_in_bins_beyond_the_period_comes_later_or_is_lost(lost):
+    timing = Timing()
+    arrivals = Arrivals(
+        first=[0, 1, 2],
+        start_s=np.array([0.25, 1.25]) * timing.period_s,
+        photons=[0.5, 0.5],
+        width_s=timing.tick_s,
+    )
+    bins = Light(
+        rows=1,
+        cols=2,
+        distance_m=np.nan,
+        signal_per_pulse=0.0,
+        arrivals=arrivals,
+        range_ambiguity=not lost,
+    )
+    edges = edges_of(bins, timing=timing, pulses=200)
+    number = np.bincount(edges.pixel, minlength=2)
+    assert number[0] > 50 and (number[1] > 50) == (not lost) and (number[1] == 0) == lost
+    assert np.all(np.abs(edges.tick / timing.period_ticks - 0.25) < 0.01)
+
+
 def test_targets_of_a_pixel_share_its_edges():
     distance_m, signal, pulses = np.array([[10.0, 30.0, np.nan]]), np.array([[0.3, 0.1, 5.0]]), 1000
     edges = edges_of(light(distance_m=distance_m, signal=signal), pulses=pulses)
@@ -308,6 +333,28 @@ def test_targets_of_a_pixel_share_its_edges():
         np.bincount(edges.tick > flight_ticks), (0.3, 0.1), strict=True
     ):
         assert_mean(edges_at_target, mean * 64 * pulses, math.sqrt(mean * 64 * pulses))
+
+
+def test_the_timing_of_a_configuration_has_every_field():
+    tap_width_lsb = np.array([0.5, 1.5, 1.25, 0.75])
+    config = parse_config(
+        {
+            "sensor": {"rows": 4, "cols": 4, "subgroup": [4, 4], "phases": 4},
+            "frame": {
+                "clock_mhz": 200.0,
+                "period": 50,
+                "pulses": 7,
+                "dither_bits": 3,
+                "dither_seed": 5,
+            },
+        }
+    )
+    timing = Timing.from_config(config, tap_width_lsb)
+    assert timing.tap_width_lsb is tap_width_lsb
+    shown = {name: getattr(timing, name) for name in fields_dict(Timing) if "tap" not in name}
+    assert shown == dict(
+        clock_hz=200e6, phases=4, period_cycles=50, dither_bits=3, dither_seed=5, frame_pulses=7
+    )
 
 
 def test_code_density_finds_the_taps():
@@ -345,6 +392,9 @@ def test_presets():
 def test_dark_counts_and_hot_pixels():
     dark_cps = dark_count_map(100, median_cps=100.0, hot_fraction=0.03, hot_cps=1e6, seed=3)
     assert sorted(set(dark_cps)) == [100.0, 1e6] and (dark_cps == 1e6).sum() == 3
+    for hot_fraction, hot in ((0.0, 0), (0.249, 2), (0.251, 3), (1.0, 10)):
+        few = dark_count_map(10, median_cps=1.0, hot_fraction=hot_fraction, hot_cps=2.0, seed=1)
+        assert (few == 2.0).sum() == hot  # the nearest number
     edges = edges_of(light(10, 10), Spad(dead_time_s=0, dark_cps=dark_cps), pulses=20_000)
     n = np.bincount(edges.pixel, minlength=100)
     assert set(np.argsort(n)[-3:]) == set(np.flatnonzero(dark_cps == 1e6))

@@ -190,6 +190,26 @@ def test_tables_by_hand(tmp_path):
         assert not period_note(read_recording(tmp_path / name, 9), TIMING)
 
 
+@pytest.mark.parametrize("unit_ps", {"ps": 1, "ns": 10**3, "us": 10**6, "s": 10**12}.items())
+def test_times_have_the_unit_of_their_column(tmp_path, unit_ps):
+    """Beside a sync, and as absolute times."""
+    unit, ps = unit_ps
+    lines = ["sync,channel,time_" + unit]
+    lines += [f"{pulse},{pulse},{62.5 * tick / ps!r}" for pulse, tick in ((0, 1.5), (3, 4000.5))]
+    (tmp_path / "syncs.csv").write_text("\n".join(lines), encoding="utf-8")
+    found, lost = edges_of(tmp_path / "syncs.csv")
+    assert (found, lost) == ([(0, 0, 1), (3, 3, 4000)], {})
+    times_ps = {9: 0.0, 5: 62.5 * 4000.5, 8: 500_000.0}
+    lines = ["channel,time_" + unit]
+    lines += [f"{9 if channel == 8 else channel},{at / ps!r}" for channel, at in times_ps.items()]
+    (tmp_path / "times.csv").write_text("\n".join(lines), encoding="utf-8")
+    found, lost = edges_of(tmp_path / "times.csv", sync_channel=9)
+    assert (found, lost) == ([(0, 5, 4000)], {})
+
+
+FORMATS = (".npz", ".csv", ".h5", ".hdf5", ".ptu")  # of docs/recordings.md
+assert set(FORMATS) == set(SUFFIXES)
+
 some_edges = st.lists(
     st.tuples(st.integers(0, 39), st.integers(0, 63), st.integers(0, TIMING.period_ticks - 1)),
     min_size=1,
@@ -199,7 +219,7 @@ some_edges = st.lists(
 
 @settings(max_examples=20)
 @given(rows=some_edges)
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", FORMATS)
 def test_edges_come_back_from_every_format(tmp_path_factory, suffix, rows):
     path = tmp_path_factory.mktemp("edges") / f"edges{suffix}"
     write_edges(path, edges(*rows), TIMING)

@@ -225,6 +225,33 @@ def test_reflectivity_is_the_luminance_of_the_part_that_is_kept(tmp_path):
     )
 
 
+def test_a_finer_colour_picture_is_read_at_the_middle_of_each_sample(tmp_path):
+    depth = png(tmp_path / "depth.png", np.full((4, 4), 2000))
+    grey = np.zeros((12, 12), np.uint8)
+    grey[1::3, 1::3] = 255  # the middles of 3 x 3 samples
+    Image.fromarray(grey).convert("RGB").save(tmp_path / "colour.png")
+    scene = load_scene(depth, 4, 4, colour=tmp_path / "colour.png")
+    assert np.allclose(scene.reflectivity, BRIGHTEST)
+
+
+@pytest.mark.parametrize("kind", ("8 bits", "16 bits", "16 bits, big-endian", "32 bits"))
+def test_white_of_every_kind_of_grey_picture_is_the_brightest(tmp_path, kind):
+    grey = np.tile(np.linspace(0, 1, 4), (4, 1))
+    if kind == "8 bits":
+        picture = Image.fromarray(np.round(grey * 255).astype(np.uint8))
+    elif kind == "32 bits":
+        picture = Image.fromarray(np.round(grey * 65535).astype(np.int32))
+    else:
+        order = ">" if "big" in kind else "<"
+        picture = Image.fromarray(np.round(grey * 65535).astype(f"{order}u2"))
+    picture.save(tmp_path / "grey.tif")
+    depth = png(tmp_path / "depth.png", np.full((4, 4), 2000))
+    seen = load_scene(depth, 4, 4, colour=tmp_path / "grey.tif").reflectivity[0, :, 0]
+    assert seen[[0, -1]] == pytest.approx([DARKEST, BRIGHTEST])
+    linear = ((1 / 3 + 0.055) / 1.055) ** 2.4  # IEC 61966-2-1
+    assert seen[1] == pytest.approx(DARKEST + (BRIGHTEST - DARKEST) * linear)
+
+
 def test_invalid_samples_become_a_mask_and_a_note(tmp_path):
     depth_m = np.full((8, 8), 5.0)
     depth_m[0, 0], depth_m[0, 1], depth_m[1, 0], depth_m[1, 1] = 0, np.nan, -1, RANGE_M

@@ -40,3 +40,17 @@ def test_error_reaches_the_caller_and_nothing_new_begins(number):
     with Threads(number) as threads, pytest.raises(ZeroDivisionError):
         threads.map(work, range(1000))
     assert len(begun) <= number
+
+
+def test_an_error_of_another_thread_reaches_the_caller():
+    """Also if all items of the caller's own thread went well."""
+    caller = threading.current_thread()
+    together = threading.Barrier(2, timeout=60)
+
+    def work(item):
+        together.wait()  # so each thread has one of the items
+        if threading.current_thread() is not caller:
+            raise ZeroDivisionError
+
+    with Threads(2) as threads, pytest.raises(ZeroDivisionError):
+        threads.map(work, range(2))

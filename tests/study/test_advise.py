@@ -12,7 +12,14 @@ from coincid.lab.setup import Setup
 from coincid.model.contract.config import load_config, parse_config
 from coincid.study.advise import Advice, Tried, advise, cheapest, write_advice
 from coincid.study.explain import meaning, warnings
-from coincid.study.price import UM2_PER_PIXEL, UW_PER_PIXEL, um2_per_pixel
+from coincid.study.price import (
+    MEASURED_MHZ,
+    UM2_PER_PIXEL,
+    UW_PER_PIXEL,
+    um2_per_pixel,
+    uw_per_pixel,
+)
+from coincid.study.usefulness import useless_sentence
 
 from ..command import command
 
@@ -95,6 +102,13 @@ def test_where_no_setting_helps_the_advice_begins_with_what_would(tmp_path):
     assert any(line.startswith("The least bad: take ") for line in others)
 
 
+def test_what_would_help_a_near_scene_stays_in_front_of_the_sensor(monkeypatch):
+    monkeypatch.setattr("coincid.study.usefulness._least_wrong", lambda setup, *given: 0.9)
+    setup = Setup.of("flat:0.08", sensor={"rows": 8, "cols": 8}, frame={"pulses": 5}, klux=1.0)
+    told = useless_sentence(0.9, setup, window=32)
+    assert "half the distance, 0.05 m in the middle" in told and "0.08 to 0.08 m" in told
+
+
 def test_the_curve_of_a_window_has_each_threshold_once(monkeypatch, tmp_path):
     drawn = []
     monkeypatch.setattr(
@@ -142,6 +156,17 @@ def test_what_is_wasted(document, words):
     assert any(words in sentence for sentence in warnings(parse_config(document)))
     lean = {"sensor": {"window_max": 16, "coarse_bits": 8}, "frame": {"format": "compact"}}
     assert not any(words in sentence for sentence in warnings(parse_config(lean)))
+
+
+def test_power_is_that_of_the_light_and_in_proportion_to_clock_and_area():
+    config = parse_config({})
+    for klux, uw in zip(*UW_PER_PIXEL, strict=True):
+        assert uw_per_pixel(config.with_frame(clock_mhz=MEASURED_MHZ), klux) == pytest.approx(uw)
+        slower = config.with_frame(clock_mhz=MEASURED_MHZ / 4)
+        assert uw_per_pixel(slower, klux) == pytest.approx(uw / 4)
+    lean = load_config("lean").with_frame(clock_mhz=MEASURED_MHZ)
+    smaller = um2_per_pixel(lean.sensor) / um2_per_pixel(config.sensor)
+    assert smaller < 1 and uw_per_pixel(lean, 50.0) == pytest.approx(37.0 * smaller)
 
 
 def test_prices_are_those_of_the_pages():

@@ -37,6 +37,7 @@ from coincid.study.simulate import (
 from coincid.tb import wave_views
 
 from ..command import command
+from ..random_cases import SENSORS, configurations, drawn
 
 # Sensors that other tests compile, too. Rows and columns differ, so that swapping them shows; the
 # period covers the letter's 8 m.
@@ -292,3 +293,14 @@ def test_a_long_stage_says_that_it_lasts(monkeypatch):
         bar.stage("depth")
     lines = text.getvalue().splitlines()
     assert lines[0] == "photons" and lines[1] == "photons: 0 s" and "depth" in lines
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_the_configuration_in_a_report_repeats_the_run(sensor):
+    """Settings of every kind, also those that differ between subgroups."""
+    for config in drawn(configurations(SENSORS[sensor]), 6):
+        told = json.loads(json.dumps(job.settings_of(config)))
+        again = parse_config({"sensor": told["sensor"], "frame": told["frame"]})
+        again = again.with_settings(**told["subgroup"])
+        assert again.sensor == config.sensor and again.frame == config.frame
+        assert again.register_writes() == config.register_writes()

@@ -23,6 +23,7 @@ from coincid.lab import dask_workers
 from coincid.lab.measures import MEASURES, SWEPT, Measure
 from coincid.model.contract.config import parse_config
 from coincid.study import sweep as job
+from coincid.study.sweep_plot import PANELS, write_plot
 from coincid.study.sweep_spec import SETTINGS, read_spec
 
 from ..command import assert_refused, command
@@ -192,6 +193,35 @@ def test_a_point_knows_what_a_scene_file_holds(tmp_path):
         return grid(tmp_path, BASE.replace("flat:5,0.4", str(tmp_path / "depth.npy"))).points[0].key
 
     assert key(4.0) == key(4.0) != key(5.0)
+
+
+def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, monkeypatch):
+    """Across is the first axis, a line each value of the second; bands span the third."""
+    drawn = []
+    monkeypatch.setattr("coincid.study.sweep_plot.save_figure", lambda one, path: drawn.append(one))
+    axes = ("klux = [5, 50]", "subgroup.threshold = [1, 2, 3]", "seed = [1, 2]")
+    text = "scene = 'flat:5'\n" + "\n".join(f"[[axis]]\n{axis}" for axis in axes)
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    spec = read_spec(tmp_path / "s.toml")
+    found = {}
+    for number, point in enumerate(spec.points):
+        found[point.key] = {name: 0.01 * number for name in PANELS}
+    write_plot(tmp_path / "s.png", "a sweep", spec, found)
+    places = drawn[0].axes
+    assert len(places) == len(PANELS)
+    for axis in places:
+        words = axis.get_ylabel().split(" in ")
+        factor = {"%": 100, "mm": 1000}[words[1]] if len(words) == 2 else 1
+        # of 12 points in the order of the axes: klux, threshold, seed
+        for threshold, line in enumerate(axis.lines):
+            means = [0.01 * (2 * threshold + 6 * klux + 0.5) * factor for klux in range(2)]
+            assert line.get_xdata().tolist() == [5.0, 50.0]
+            assert line.get_ydata().tolist() == pytest.approx(means)
+        for threshold, band in enumerate(axis.collections):
+            ends = band.get_paths()[0].vertices[:, 1]
+            least = 0.01 * 2 * threshold * factor
+            assert (ends.min(), ends.max()) == pytest.approx((least, least + 0.07 * factor))
+        assert len(axis.lines) == len(axis.collections) == 3
 
 
 def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path, quick, monkeypatch):
