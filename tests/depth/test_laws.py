@@ -7,10 +7,17 @@ import pytest
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.counters import COUNTER_NAMES
+from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.pixels import pixel_table
-from coincid.model.depth.arrivals import pulse_sigma_ticks
+from coincid.model.depth.arrivals import arrival_ticks, lead_sigmas, photons_of, pulse_sigma_ticks
+from coincid.model.depth.belief import BELIEVED_MIN, Reason
+from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import PEAKS, PLANES, RETURNS_MAX, estimate_depth
-from coincid.model.depth.histograms import SOURCES, subgroup_histograms
+from coincid.model.depth.histograms import SOURCES, frame_events, subgroup_histograms
+from coincid.model.depth.peaks import live_share, record_live
+from coincid.model.golden.frame import golden_result
+
+from ..random_cases import SENSORS, configured, random_edges
 
 METHODS = (PLANES, *PEAKS)
 SENSOR = {"rows": 16, "cols": 16, "phases": 16}
@@ -142,3 +149,100 @@ def test_darkness_has_no_surface(method):
     depth = estimate_depth(run.result, run.config, method=method, returns=2)
     assert np.isnan(depth.depth_m).all()
     assert not depth.confidence.any()
+
+
+def test_a_frame_among_others_with_moving_gates_is_the_frame_alone():
+    """The gates begin anew with each frame, in the middle of their steps."""
+    gates = {"gating": True, "gate_start": 20, "gate_len": 60}
+    steps = {"gate_every": 16, "gate_step": 25, "gate_steps": 4}
+    run = run_of("flat:5", frames=FRAMES, **steps).but(subgroup=gates)
+    assert_equal_depths(run.depth(frame=2), estimate_depth(*of_one(run, 2)))
+
+
+class Wall:
+    """An estimator that knows the distance."""
+
+    name = "wall"
+    version = "1"
+    reads = ("opened",)
+
+    def estimate(self, reading):
+        sensor = reading.config.sensor
+        return Depth.of(np.full((sensor.rows, sensor.cols), 5.0))
+
+
+@pytest.mark.parametrize("number", (None, 1))
+def test_the_light_at_known_distances_is_that_of_the_frame(number):
+    """Of all frames together, or of one among others."""
+    run = run_of("flat:5", frames=FRAMES)
+    found = run.depth(Wall(), frame=number).signal_per_pulse
+    result, config = merged(run) if number is None else of_one(run, number)
+    alone = estimate_depth(result, config, method=Wall()).signal_per_pulse
+    assert np.allclose(found, alone, rtol=0.02, equal_nan=True)
+    known = run.light.signal_per_pulse.mean()
+    assert np.nanmedian(found) == pytest.approx(known, rel=0.5)
+
+
+def test_dropped_events_leave_the_share_of_live_periods():
+    """Of the events, every second one is dropped: the windows blocked the tree all the same."""
+    run = run_of("flat:5", klux=100.0, pulses=400)
+    whole = run.result
+    kept = np.flatnonzero(np.arange(len(whole["pulse"])) % 2 == 0)
+    thin = dict(whole)
+    for name in ("subgroup", "pulse", "stamp", "count", "winner", "overrun", "hits"):
+        thin[name] = whole[name][kept]
+    number = np.bincount(thin["subgroup"], minlength=run.config.sensor.subgroups)
+    thin["stored"] = number[None, :]
+    thin["dropped"] = whole["committed"] - thin["stored"]
+    shares = []
+    for result in (whole, thin):
+        events = frame_events(result, run.config, sigma_ticks=2.0)
+        shares.append(live_share(result, events, run.config, None))
+    lost = 1 - shares[0].mean(axis=1)
+    assert lost.min() > 0.05
+    assert 1 - shares[1].mean(axis=1) == pytest.approx(lost, rel=0.1)
+
+
+def test_a_minigroup_is_live_until_the_quarter_after_its_stamp():
+    sensor = Sensor(rows=8, cols=8)
+    quarter = sensor.quarter_ticks
+    stamp = np.full((3, sensor.minigroups), 3)
+    stamp[2, :] = 5
+    maps = np.ones((3, sensor.minigroups), int)
+    maps[:, 1] = 0  # this one has not latched
+    live = record_live((stamp, maps), 2.0, sensor, 8 * quarter, periods=20)
+    in_quarters = live[:, ::quarter]
+    assert in_quarters[0] == pytest.approx([1, 1, 1, 1, 0.8, 0.8, 0.7, 0.7])
+    assert np.array_equal(live[0], np.repeat(in_quarters[0], quarter)) and np.all(live[1] == 1)
+
+
+@pytest.mark.parametrize("confidence", (BELIEVED_MIN, np.nextafter(BELIEVED_MIN, 0)))
+def test_a_depth_is_believed_from_the_lowest_confidence_on(confidence):
+    depth = Depth.of([[5.0, np.nan]], confidence)
+    believed = confidence >= BELIEVED_MIN
+    expected = Reason.BELIEVED if believed else Reason.FEW_PHOTONS
+    assert depth.reason.tolist() == [[expected, Reason.NO_LIGHT]]
+
+
+@pytest.mark.parametrize("name", ("wide", "odd"))
+def test_an_event_of_format_short_has_its_winner_in_the_map(name):
+    """Also of subgroups with more than 64 pixels."""
+    config = configured(SENSORS[name], {"format": "short", "pulses": 20}, {"threshold": 1})
+    result = golden_result(config, random_edges(config, 4000, 1))
+    events = frame_events(result, config, sigma_ticks=2.0)
+    pixels = config.sensor.pixels
+    for subgroup in range(config.sensor.subgroups):
+        maps = events.maps(subgroup, pixels)
+        rows = slice(events.bounds[subgroup], events.bounds[subgroup + 1])
+        assert maps.sum(axis=1).tolist() == [1] * len(maps)
+        assert np.array_equal(maps.argmax(axis=1), events.winner[rows])
+    assert events.winner.max() > pixels - pixels // 4
+
+
+def test_masked_pixels_do_not_take_part_in_the_lead_of_the_first_photon():
+    half = configured({"rows": 8, "cols": 8}, {}, {"mask": "ffffffff"})
+    one = np.zeros(1, np.int64)
+    for count in (1, 8, 32):
+        lead = lead_sigmas(np.maximum(photons_of(count, 32), 1))
+        arrival = arrival_ticks(one, one + 100, one + count, half, sigma_ticks=3.0)
+        assert arrival == pytest.approx(100.5 + 3.0 * lead)
