@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from typer.main import get_command
 
-from coincid.cli import app
+from coincid.cli import Commands, app
 from coincid.flow.register_files import HEADER, JSON, MARKDOWN
 from coincid.flow.release import CELLS_LIST
 from coincid.flow.waivers import OF_CELLS, OF_SENSOR
@@ -32,6 +32,7 @@ from coincid.model.contract.result import differences, stall
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.link_budget import link_budget
 from coincid.model.shared.errors import InputError
+from coincid.model.shared.interrupts import Terminated
 from coincid.tb.rtl_errors import Mismatch, SimulationError
 from coincid.tools.build import ToolchainError
 
@@ -143,6 +144,16 @@ def test_each_kind_of_error_has_its_sentence_and_exit_code(files, monkeypatch, e
     told = str(error) or "interrupted"
     assert done.stderr.splitlines()[-1] == f"coincid: {told}"
     assert not (files / "out" / "result.npz").exists()
+
+
+@pytest.mark.parametrize(("signal_raised", "code"), [(KeyboardInterrupt, 130), (Terminated, 143)])
+def test_a_signal_while_the_words_are_read_ends_the_command(monkeypatch, signal_raised, code):
+    def parse(group, ctx, words):
+        raise signal_raised
+
+    monkeypatch.setattr(Commands, "parse_args", parse)
+    done = command("show")
+    assert (done.exit_code, done.stderr) == (code, "coincid: interrupted\n")
 
 
 def test_files_that_are_no_edges(files):

@@ -48,6 +48,15 @@ console = Console(stderr=True, highlight=False)
 class Commands(TyperGroup):
     """The group of commands. It turns errors that are meant for users into messages and exit codes."""
 
+    def make_context(self, *names: Any, **options: Any) -> Any:
+        """Read the words of a command. Typer imports its parser for that, which takes long enough
+        for an interrupt.
+        """
+        try:
+            return super().make_context(*names, **options)
+        except KeyboardInterrupt as why:
+            raise _failed("interrupted", exit_code(why)) from None
+
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
