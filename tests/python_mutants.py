@@ -5,17 +5,21 @@
 build/mutation/python.md. The golden model has more of them (`golden_mutants.py`), so it is no room
 here. A run that was stopped continues: fates are kept in build/mutation/python.json, as long as
 neither the mutated file nor a test of the room has changed.
+
+A mutant that no test can notice has an excuse in `python_excuses.toml`. It is not judged.
 """
 
 import argparse
 import ast
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from hashlib import sha256
 from pathlib import Path
 
@@ -24,7 +28,7 @@ from attrs import frozen
 
 from coincid.tb.toolchain import build_root
 
-from .fates import Fate, count
+from .fates import EQUAL, Fate, count
 from .golden_mutants import Mutator
 from .planted import ROOT
 
@@ -40,21 +44,37 @@ ROOMS = {
     "host": ["tests/host", "tests/board"],
     "flow": ["tests/flow"],
     "study": ["tests/study"],
+    "tb": ["tests/tb"],
+    "slices": ["tests/slices", "tests/tb/test_sliced.py"],
+    "tools": ["tests/tb/test_toolchain.py", "tests/test_setup.py", "tests/test_needs.py"],
+    "src/coincid": ["tests/test_cli.py", "tests/test_commands.py"],
 }
 NUMBER = 8  # mutants of a room
 SLACK_S = 60.0  # a mutant may take so much longer than the room without mutation,
 SLOWER = 3  # and so many times as long
 LEFT_OUT = {"__init__.py"}
+EXCUSES = Path(__file__).with_name("python_excuses.toml")
 LARGE = shutil.ignore_patterns(".git", ".venv", "build", "__pycache__")  # of a checkout
 
 
 @frozen
+class PythonExcuse:
+    """Why no test can notice a mutant. code: its line, without indentation; what: it does."""
+
+    file: str
+    code: str
+    what: str
+    reason: str
+
+
+@frozen
 class PythonMutant:
-    """A mutant of a file. number: of the mutation; line, what: where it is and what it does."""
+    """A mutant of a file. number: of the mutation; line, code, what: where it is and what it does."""
 
     file: str
     number: int
     line: int
+    code: str
     what: str
 
     def __str__(self) -> str:
@@ -77,9 +97,24 @@ def mutants_of(room: str) -> list[PythonMutant]:
     for path in sorted((ROOT / room).glob("*.py")):
         if path.name not in LEFT_OUT:
             file = str(path.relative_to(ROOT))
+            lines = path.read_text(encoding="utf-8").splitlines()
             for number, (line, what) in enumerate(_mutated(file)[1].found):
-                mutants.append(PythonMutant(file, number, line, what))
+                mutants.append(PythonMutant(file, number, line, lines[line - 1].strip(), what))
     return mutants
+
+
+def excuses() -> list[PythonExcuse]:
+    """Return the excuses of the table."""
+    table = tomllib.loads(EXCUSES.read_text(encoding="utf-8"))
+    return [PythonExcuse(**excuse) for excuse in table.get("excuse", [])]
+
+
+def excuse_of(mutant: PythonMutant, known: list[PythonExcuse]) -> PythonExcuse | None:
+    """Return the excuse of a mutant that is known to be equivalent."""
+    for excuse in known:
+        if (excuse.file, excuse.code, excuse.what) == (mutant.file, mutant.code, mutant.what):
+            return excuse
+    return None
 
 
 def source_of(mutant: PythonMutant) -> str:
@@ -96,10 +131,22 @@ def sample_of(room: str, number: int, seed: int) -> list[PythonMutant]:
     return [mutants[k] for k in sorted(chosen.tolist())]
 
 
-def passes(room: str, folder: Path, seconds: float | None = None) -> bool:
+def files_of(room: str, file: str = "") -> list[str]:
+    """Return the files of tests of a room and its users, those first that import a mutated file."""
+    paths: list[Path] = []
+    for name in ROOMS[room]:
+        path = ROOT / name
+        paths += sorted(path.rglob("test_*.py")) if path.is_dir() else [path]
+    module = re.compile(rf"\b{Path(file).stem} import |import {Path(file).stem}\b")
+    near = {path: bool(file and module.search(path.read_text(encoding="utf-8"))) for path in paths}
+    ordered = sorted(paths, key=lambda path: not near[path])
+    return [str(path.relative_to(ROOT)) for path in ordered]
+
+
+def passes(room: str, folder: Path, seconds: float | None = None, file: str = "") -> bool:
     """Return whether the tests of a room and its users pass in a copy of the sources.
 
-    One that takes longer than `seconds` does not.
+    One that takes longer than `seconds` does not. file: that is mutated.
     """
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(folder / "src"), str(folder)]),
@@ -107,9 +154,10 @@ def passes(room: str, folder: Path, seconds: float | None = None) -> bool:
         "COINCID_BUILD": str(build_root() / "mutants"),
     }
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    command += ["-p", "no:randomly"]
     try:
         done = subprocess.run(
-            [*command, *ROOMS[room]],
+            [*command, *files_of(room, file)],
             cwd=folder,
             env=environment,
             timeout=seconds,
@@ -156,7 +204,14 @@ def key_of(room: str, mutant: PythonMutant) -> str:
 def judge_room(room: str, mutants: list[PythonMutant], fates: Fates) -> list[Fate]:
     """Return the fates of a room's mutants. Raises `SystemExit` if the room itself fails."""
     found = []
-    known = {key_of(room, mutant): mutant for mutant in mutants}
+    excused = excuses()
+    known = {}
+    for mutant in mutants:
+        excuse = excuse_of(mutant, excused)
+        if excuse is None:
+            known[key_of(room, mutant)] = mutant
+        else:
+            found.append(Fate(room, str(mutant), f"{EQUAL}: {excuse.reason}"))
     if any(fates.get(key) is None for key in known):
         with tempfile.TemporaryDirectory(prefix="coincid-mutants-") as name:
             folder = Path(name)
@@ -169,7 +224,7 @@ def judge_room(room: str, mutants: list[PythonMutant], fates: Fates) -> list[Fat
                 if fates.get(key) is None:
                     original = (folder / mutant.file).read_bytes()
                     (folder / mutant.file).write_text(source_of(mutant), encoding="utf-8")
-                    fates.keep(key, "" if passes(room, folder, limit_s) else "tests")
+                    fates.keep(key, "" if passes(room, folder, limit_s, mutant.file) else "tests")
                     (folder / mutant.file).write_bytes(original)
                     print(f"{room}: {fates.get(key) or 'SURVIVED'}: {mutant}", flush=True)
     for key, mutant in known.items():
@@ -178,15 +233,20 @@ def judge_room(room: str, mutants: list[PythonMutant], fates: Fates) -> list[Fat
 
 
 def report(fates: list[Fate], seed: int) -> str:
-    """Return the report as Markdown: the rate of every room, and the survivors."""
+    """Return the report as Markdown: the rate of every room, the survivors, and the excuses."""
     lines = [f"# Mutants of Python, seed {seed}", ""]
-    lines += ["| room | mutants | killed | rate |", "| --- | ---: | ---: | ---: |"]
+    lines += ["| room | mutants | killed | equivalent | survivors | rate |"]
+    lines += ["| --- | ---: | ---: | ---: | ---: | ---: |"]
     for room in ROOMS:
         total = count([fate for fate in fates if fate.where == room])
         if total.all:
-            lines.append(f"| {room} | {total.all} | {total.killed} | {total.rate:.0%} |")
+            rate = "" if total.rate is None else f"{total.rate:.0%}"
+            numbers = f"{total.all} | {total.killed} | {total.equal} | {total.survived}"
+            lines.append(f"| `{room}` | {numbers} | {rate} |")
     lines += ["", "## Survivors", ""]
     lines += [f"* {fate.what}" for fate in fates if fate.survived]
+    lines += ["", "## Equivalent", ""]
+    lines += [f"* {fate.what} ({fate.by})" for fate in fates if fate.is_equal]
     return "\n".join([*lines, ""])
 
 

@@ -60,13 +60,13 @@ def test_what_registers_and_memories_hold_at_first_is_in_the_order_of_their_bits
     }
     module = {
         "ports": {"clk": {"direction": "input", "bits": [2]}},
-        "netnames": {"count": {"bits": [10, 11, 12], "attributes": {"init": "01x"}}},
+        "netnames": {"count": {"bits": [10, 11, 12], "attributes": {"init": "0x1"}}},
         "cells": {**flops, "memory": memory},
     }
     (tmp_path / "netlist.json").write_text(
         json.dumps({"modules": {"top": module}}), encoding="utf-8"
     )
     top = read_netlist(tmp_path / "netlist.json")["top"]
-    assert {flop.output: flop.init for flop in top.flops} == {10: 0, 11: 1, 12: 0}
+    assert {flop.output: flop.init for flop in top.flops} == {10: 1, 11: 0, 12: 0}
     (rows,) = top.memories
     assert (rows.name, rows.init) == ("rows", [0b10, 0b01, 0b01])
