@@ -5,18 +5,21 @@ that end with their parent.
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing import active_children, get_context
 from subprocess import Popen
+from threading import Timer
 from typing import Any, TypeVar
 
 _Result = TypeVar("_Result")
 
 PROGRAMS: set[Popen[Any]] = set()  # programs that run at this moment
 KILL_S = 0.1  # seconds between two looks for programs
+AGAIN_S = 0.05  # seconds until a signal that was lost comes again
 INTERRUPTED, TERMINATED = 130, 143  # exit codes: 128 plus the number of the signal
 
 
@@ -34,15 +37,33 @@ def interruptible() -> None:
     and background shells do.
 
     Programs that it starts get the default handling. A second SIGTERM changes nothing: the
-    cleaning up goes on.
+    cleaning up goes on. Where nothing can be raised, as in a callback of the compiler, the signal
+    comes again a little later.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, _terminate)
+    sys.unraisablehook = _repeat_signal
 
 
 def _terminate(number: int, frame: object) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise Terminated
+
+
+def _repeat_signal(lost: Any) -> None:
+    """Send a signal again whose exception was lost; show other lost exceptions. lost: as of
+    `sys.unraisablehook`.
+    """
+    if not issubclass(lost.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(lost)
+        return
+    number = signal.SIGINT
+    if issubclass(lost.exc_type, Terminated):
+        number = signal.SIGTERM
+        signal.signal(signal.SIGTERM, _terminate)
+    again = Timer(AGAIN_S, os.kill, (os.getpid(), number))
+    again.daemon = True
+    again.start()
 
 
 @contextmanager
