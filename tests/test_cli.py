@@ -189,6 +189,10 @@ def test_files_that_are_no_edges(files):
         ("sim --out out --klux -1", ("klux = -1",)),
         ("sim --out out --klux nan", ("klux = nan",)),
         ("sim --out out --pulses 0", ("pulses = 0", "from 1 to 65536")),
+        ("sim --out out --pulses 65537", ("pulses = 65537", "from 1 to 65536")),
+        ("sim --out out --frames 0", ("frames = 0", "from 1 to 1000")),
+        ("sim --out out --frames 1001", ("frames = 1001", "from 1 to 1000")),
+        (f"{REPLAY} --stall 16777217", ("stall = 16777217", "from 0 to 16777216")),
         ("sim --out out --seed -1", ("seed = -1", "from 0 to")),
         ("sim --out out --engine vcs", ("engine = 'vcs'", "golden, sliced, verilator, icarus")),
         (

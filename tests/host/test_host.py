@@ -56,6 +56,21 @@ def test_clear_without_names_clears_every_sticky_bit():
     assert memory.written[1:] == [(address("status"), 1 << BY_NAME["status"].bit("done"))]
 
 
+def test_a_setting_that_is_not_known_is_written_whatever_its_value():
+    """Also 0; what is known is written only where it changes."""
+    memory = Memory()
+    writes = config(frame={"dither_bits": 0}).register_writes()
+    assert 0 in [value for _, value in writes]
+    driver = Driver(memory, SENSOR)
+    assert driver.write_settings(writes) == len(writes) and memory.written == writes
+    assert driver.write_settings(writes) == 0 and memory.written == writes
+    at, value = writes[-1]
+    assert driver.write_settings([*writes[:-1], (at, value ^ 1)]) == 1
+    assert memory.written[len(writes) :] == [(at, value ^ 1)]
+    fresh = Driver(Memory(), SENSOR, fresh=True)
+    assert fresh.write_settings(list(registers.reset_values(SENSOR).items())) == 0
+
+
 def test_names():
     assert find(SENSOR, "period").address == address("period")
     assert find(SENSOR, ("auto_bounds", 2)).address == address("auto_bounds", index=2)

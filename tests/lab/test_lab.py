@@ -90,6 +90,17 @@ def test_a_changed_setting_keeps_the_photons_and_another_seed_does_not():
     assert alone.config.frames == 1 and np.array_equal(alone.edges.tick, run.frame_edges(1).tick)
 
 
+def test_a_frame_by_an_estimator_is_of_that_estimator():
+    """In any order, and again."""
+    run = Run(small(klux=20.0, estimators=("matched", "maximum")))
+    for name in ("maximum", "matched", "maximum", "matched/subgroup"):
+        expected = run.depth(name, frame=0).depth_m[:, :, 0]
+        for frame in (run.frame(0, name), run.frame(0).by(name)):
+            assert np.array_equal(frame.depth_m, expected, equal_nan=True)
+    assert run.frame(0, "matched") is run.frame(-2, "matched")
+    assert np.array_equal(run.frame(0).depth_m, run.frame(0, "matched").depth_m, equal_nan=True)
+
+
 def test_a_cache_keeps_what_was_asked_for_last():
     made = []
     cache = StageCache(2)

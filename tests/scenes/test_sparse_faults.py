@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from coincid.model.light.timing import RANGE_M
 from coincid.model.scenes.depth_file import depth_scene
 from coincid.model.scenes.meaning import Meaning
 
@@ -19,6 +20,9 @@ FAULTS = {  # what a sample without depth may hold, and the meaning that says so
     "beyond the range": (1000.0, Meaning()),
     "a mark": (7.0, Meaning(missing=7.0)),
     "the sky": (60.0, Meaning(sky_m=50.0)),
+    "where the sky begins": (50.0, Meaning(sky_m=50.0)),
+    "the largest half float": (65504.0, Meaning()),
+    "where the range ends": (RANGE_M, Meaning()),
 }
 
 
