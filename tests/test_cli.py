@@ -268,6 +268,19 @@ def test_interrupt_leaves_nothing(files, number, code, inherited):
     assert not (files / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("closed", "words", "code"),
+    [
+        (">&- 2>&- <&-", "show", 0),
+        (">&- 2>&-", "replay --edges none.npz --out x.npz", 2),
+    ],
+)
+def test_a_closed_standard_output_changes_nothing(files, closed, words, code):
+    line = f"exec {sys.executable} -m coincid {words} {closed}"
+    done = subprocess.run(["sh", "-c", line], capture_output=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (code, b"", b"")
+
+
 @pytest.mark.parametrize("words", ["show", "--help"])
 def test_a_full_standard_output_is_told_in_one_line(words):
     with open("/dev/full", "w", encoding="utf-8") as full:

@@ -13,10 +13,12 @@ import sys
 BAD_INPUT = 2
 FAILED = 1
 SIGNALS = signal.SIGINT, signal.SIGTERM
+STDERR = 2  # number of the last of the standard files
 
 
 def main() -> None:
     """Entry point of the console script."""
+    _replace_closed_files()
     # A shell starts what runs in the background with SIGINT ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     code = _run()
@@ -54,6 +56,18 @@ def _command() -> int | str | None:
     except SystemExit as ended:
         return ended.code
     return None
+
+
+def _replace_closed_files() -> None:
+    """Discard what is written to a standard output or error that is closed. No file that the
+    program opens gets its number, so no output of another program ends up in it.
+    """
+    number = os.open(os.devnull, os.O_RDWR)
+    while number <= STDERR:
+        number = os.open(os.devnull, os.O_RDWR)
+    os.close(number)
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")
 
 
 def _told(error: OSError) -> str:

@@ -14,7 +14,7 @@ from coincid.model.depth.belief import BELIEVED_MIN, Reason
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import PEAKS, PLANES, RETURNS_MAX, estimate_depth
 from coincid.model.depth.histograms import SOURCES, frame_events, subgroup_histograms
-from coincid.model.depth.peaks import live_share, record_live
+from coincid.model.depth.peaks import APART_SIGMAS, live_share, pixel_peaks, record_live
 from coincid.model.golden.frame import golden_result
 
 from ..random_cases import SENSORS, configured, random_edges
@@ -246,3 +246,18 @@ def test_masked_pixels_do_not_take_part_in_the_lead_of_the_first_photon():
         lead = lead_sigmas(np.maximum(photons_of(count, 32), 1))
         arrival = arrival_ticks(one, one + 100, one + count, half, sigma_ticks=3.0)
         assert arrival == pytest.approx(100.5 + 3.0 * lead)
+
+
+@pytest.mark.parametrize("side", (-1, 1))
+def test_a_second_return_is_farther_from_the_first_than_its_pulse_is_wide(side):
+    """By at least one tick more than `APART_SIGMAS`, before it or after it."""
+    sigma_ticks = 2.0
+    apart = round(APART_SIGMAS * sigma_ticks)
+    for distance, returns in ((apart, 1), (apart + 1, 2)):
+        histogram = np.zeros((1, 200), np.int32)
+        histogram[0, 100] = 90
+        histogram[0, 100 + side * distance] = 80
+        ticks, _ = pixel_peaks(histogram, "maximum", None, sigma_ticks, 3)
+        expected = [100.5, 100.5 + side * distance][:returns]
+        assert ticks[0, :returns].tolist() == expected
+        assert np.isnan(ticks[0, returns:]).all()

@@ -17,7 +17,7 @@ from coincid.model.contract.edges import NAMES, Edges, load_edges
 from coincid.model.contract.result import differences
 from coincid.model.light.timing import Timing
 from coincid.model.recorded.exchange import SUFFIXES, parse_channels, read_recording, write_edges
-from coincid.model.recorded.recordings import period_note, recorded_edges
+from coincid.model.recorded.recordings import Recording, period_note, recorded_edges
 from coincid.model.shared.errors import InputError
 from coincid.tb.replay import replay
 
@@ -188,6 +188,18 @@ def test_tables_by_hand(tmp_path):
         found, lost = edges_of(tmp_path / name, sync_channel=9, channels={1: 11, 2: 12})
         assert found == [(0, 11, 2), (1, 12, 0)] and lost == {"before the first sync": 1}
         assert not period_note(read_recording(tmp_path / name, 9), TIMING)
+
+
+def test_an_image_larger_than_the_sensor_loses_its_borders():
+    """A position beyond the last column is no pixel of the next row."""
+    rows, cols = 9, 10
+    places = np.arange(rows * cols)
+    whole = np.zeros(len(places), np.int64)
+    image = Recording(sync=whole, channel=places, time_ps=whole + 1.0, grid=(rows, cols), kind="")
+    found, lost = recorded_edges(image, CONFIG, TIMING)
+    row, col = np.divmod(places, cols)
+    assert sorted(found.pixel.tolist()) == list(range(64))
+    assert sum(lost.values()) == np.count_nonzero((row >= 8) | (col >= 8))
 
 
 @pytest.mark.parametrize("unit_ps", {"ps": 1, "ns": 10**3, "us": 10**6, "s": 10**12}.items())
