@@ -26,13 +26,15 @@ from scipy import signal, special
 from ..model.contract.coincidence import rises
 from ..model.contract.config import Config, parse_config
 from ..model.contract.latency import armed_cycle, close_cycle
-from ..model.depth.arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
+from ..model.depth.arrivals import SYSTEM_FWHM_S
 from ..model.depth.likelihood import DEAD_S
+from ..model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from ..model.depth.quality import OTHER_SURFACE_M
 from ..model.depth.tree import kept_shares
 from ..model.light.light import Light, background_cps, signal_per_pulse
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
-from ..model.shared.errors import InputError, check_integer
+from ..model.shared.errors import check_integer
+from ..model.shared.pulse import PulseSource, pulse_of
 from ..model.shared.quantities import check_real
 
 REACH_SIGMAS = 5.0  # from the centre of a pulse to its beginning and end
@@ -79,6 +81,7 @@ def bound(
     reflectivity: float = 0.4,
     klux: float = 50.0,
     system_fwhm_s: float = SYSTEM_FWHM_S,
+    pulse: PulseSource | None = None,
     trials: int = TRIALS,
     **settings: float | bool,
 ) -> Bound:
@@ -91,7 +94,9 @@ def bound(
     distance_m, reflectivity, klux : float
         Distance of the wall (from 0.05 m), its reflectivity from 0 to 1, and the ambient light.
     system_fwhm_s : float
-        FWHM of laser pulse and jitter combined, in seconds.
+        FWHM of laser pulse and jitter combined, in seconds, of a Gaussian.
+    pulse : Pulse, numpy.ndarray, str, Path or None
+        Measured shape of laser pulse and jitter combined, instead of that Gaussian (`pulse_of`).
     trials : int
         Frames from which `gross_share` is estimated; 0: it is NaN.
     settings
@@ -111,8 +116,9 @@ def bound(
     check_integer("trials", trials, 0, 1_000_000)
     light = float(signal_per_pulse(distance_m, reflectivity))
     noise_cps = float(background_cps(check_real("klux", klux, 0), reflectivity))
-    words = word_bounds_mm(chosen, light, noise_cps, system_fwhm_s)
-    photons_mm = photon_bound_mm(chosen, light, noise_cps, system_fwhm_s)
+    shape = pulse_ticks(chosen, system_fwhm_s, pulse_of(pulse))
+    words = word_bounds_mm(chosen, light, noise_cps, shape)
+    photons_mm = photon_bound_mm(chosen, light, noise_cps, shape)
     return Bound(
         signal_per_pulse=light,
         background_cps=noise_cps,
@@ -120,7 +126,7 @@ def bound(
         bound_mm=words.pixel_mm,
         wall_photons_mm=photons_mm / math.sqrt(chosen.sensor.pixels),
         wall_bound_mm=words.wall_mm,
-        gross_share=gross_share(chosen, light, noise_cps, system_fwhm_s, trials),
+        gross_share=gross_share(chosen, light, noise_cps, shape, trials),
     )
 
 
@@ -133,6 +139,13 @@ def _noise_per_tick(config: Config, noise_cps: float) -> float:
     return noise_cps * config.tick_s
 
 
+def _reach(pulse: PulseTicks) -> int:
+    """Return the ticks from a surface's time to the beginning and the end of its light."""
+    if not pulse.times:
+        return math.ceil(REACH_SIGMAS * pulse.sigma)
+    return math.ceil(max(-pulse.times[0], pulse.times[-1]))
+
+
 def _alive(noise_cps: float) -> float:
     """Return the chance that a SPAD is not dead from its background."""
     return 1 / (1 + noise_cps * DEAD_S)
@@ -142,22 +155,48 @@ def photon_bound_mm(
     config: Config,
     signal_per_pulse: float,
     noise_cps: float,
-    system_fwhm_s: float = SYSTEM_FWHM_S,
+    pulse: PulseTicks | None = None,
 ) -> float:
     """Return the lowest RMS error of a pixel's distance from all its avalanches, in millimetres.
 
     signal_per_pulse: detected photons. noise_cps: detected background, counts per second.
     """
-    sigma = pulse_sigma_ticks(config, system_fwhm_s)
+    shape = pulse or pulse_ticks(config)
+    noise = _noise_per_tick(config, noise_cps)
+    if shape.times:
+        places = np.arange(PHASES) / PHASES
+        told = [_tick_information(shape, place, signal_per_pulse, noise) for place in places]
+        information = config.pulses * _alive(noise_cps) * float(np.mean(told))
+        return mm_per_tick(config) / math.sqrt(max(1e-300, information))
+    sigma = shape.sigma
     step = sigma / (FINE * 4)
     at = np.arange(-REACH_SIGMAS * sigma, REACH_SIGMAS * sigma, step)
-    pulse = np.exp(-0.5 * (at / sigma) ** 2) / (math.sqrt(2 * math.pi) * sigma)
-    rate = signal_per_pulse * pulse + _noise_per_tick(config, noise_cps)
-    rise = signal_per_pulse * pulse * at / sigma**2
+    density = np.exp(-0.5 * (at / sigma) ** 2) / (math.sqrt(2 * math.pi) * sigma)
+    rate = signal_per_pulse * density + noise
+    rise = signal_per_pulse * density * at / sigma**2
     before = np.concatenate([[0.0], np.cumsum(rate[:-1])]) * step
     alive = _alive(noise_cps) * np.exp(-before)
     information = config.pulses * np.sum(rise**2 / np.maximum(rate, 1e-300) * alive) * step
     return mm_per_tick(config) / math.sqrt(max(1e-300, information))
+
+
+def _tick_information(
+    shape: PulseTicks, place: float, signal_per_pulse: float, noise_per_tick: float
+) -> float:
+    """Return what the first photon of a pulse tells about its time to a SPAD that is ready, per
+    squared tick.
+
+    place: of the pulse in a tick. The TDC's ticks count, as a table's density has no slope between
+    its samples.
+    """
+    reach = _reach(shape) + 1
+    border = np.arange(-reach, reach + 1) - place
+    rate = signal_per_pulse * np.diff(shape.share_before(border)) + noise_per_tick
+    later = np.diff(shape.share_before(border - SHIFT_TICKS))
+    earlier = np.diff(shape.share_before(border + SHIFT_TICKS))
+    rise = signal_per_pulse * (later - earlier) / (2 * SHIFT_TICKS)
+    before = np.concatenate([[0.0], np.cumsum(rate[:-1])])
+    return float(np.sum(rise**2 / np.maximum(rate, 1e-300) * np.exp(-before)))
 
 
 class WordBounds(NamedTuple):
@@ -185,7 +224,7 @@ class Wall(NamedTuple):
     signal: float  # photons per pulse
     noise: float  # photons per tick
     alive: float
-    sigma: float
+    pulse: PulseTicks
     pixels: int
     window: int
     phases: int
@@ -199,13 +238,13 @@ def word_bounds_mm(
     config: Config,
     signal_per_pulse: float,
     noise_cps: float,
-    system_fwhm_s: float = SYSTEM_FWHM_S,
+    pulse: PulseTicks | None = None,
 ) -> WordBounds:
     """Return the lowest RMS errors from the sensor's words, with the settings of subgroup 0.
 
     signal_per_pulse: detected photons of each pixel. noise_cps: detected background of each.
     """
-    wall = subgroup_wall(config, signal_per_pulse, noise_cps, system_fwhm_s)
+    wall = subgroup_wall(config, signal_per_pulse, noise_cps, pulse)
     return WordBounds(
         pixel_mm=_lowest_mm(config, wall, of_all=False),
         wall_mm=_lowest_mm(config, wall, of_all=True),
@@ -228,15 +267,7 @@ class MedianLight(NamedTuple):
 
 
 def median_light(light: Light) -> MedianLight | None:
-    """Return the medians over the pixels that have some light; None: no pixel has.
-
-    Raises `InputError` if the light has a measured pulse: the bounds are those of a Gaussian.
-    """
-    if light.pulse is not None:
-        raise InputError(
-            "pulse: the bounds are those of a Gaussian, and the light has a measured pulse",
-            field="pulse",
-        )
+    """Return the medians over the pixels that have some light; None: no pixel has."""
     lit = light.total_signal > 0
     if not lit.any():
         return None
@@ -267,9 +298,10 @@ def pixel_bounds_mm(config: Config, light: Light) -> np.ndarray:
     lights = np.geomspace(total[lit].min(), total[lit].max(), LIGHTS)
     if lights[0] == lights[-1]:
         lights = lights[:1]
+    pulse = pulse_ticks(config, pulse=light.pulse)
     lowest = []
     for one in lights:
-        wall = subgroup_wall(config, float(one), usual.noise_cps)
+        wall = subgroup_wall(config, float(one), usual.noise_cps, pulse)
         lowest.append(_lowest_mm(config, wall, of_all=False))
     found[lit] = np.exp(np.interp(np.log(total[lit]), np.log(lights), np.log(lowest)))
     return found
@@ -279,22 +311,22 @@ def subgroup_wall(
     config: Config,
     signal_per_pulse: float,
     noise_cps: float,
-    system_fwhm_s: float = SYSTEM_FWHM_S,
+    pulse: PulseTicks | None = None,
 ) -> Wall:
     """Return subgroup 0 before a wall; the others are as in `word_bounds_mm`."""
     sensor = config.sensor
     coincidence = bool(config.coincidence[0])
     threshold = int(config.threshold[0]) if coincidence else 1
     kept = kept_shares(rises(sensor.rule, sensor.subgroup, threshold), sensor.pixels)
-    sigma = pulse_sigma_ticks(config, system_fwhm_s)
+    shape = pulse or pulse_ticks(config)
     window = int(config.window[0]) if coincidence else 1
-    reach = math.ceil(REACH_SIGMAS * sigma)
+    reach = _reach(shape)
     before = -(-(reach + window) // sensor.phases)
     return Wall(
         signal=signal_per_pulse,
         noise=_noise_per_tick(config, noise_cps),
         alive=_alive(noise_cps),
-        sigma=sigma,
+        pulse=shape,
         pixels=sensor.pixels,
         window=window,
         phases=sensor.phases,
@@ -411,8 +443,8 @@ def windows(wall: Wall, place: float, shift: float, *, of_all: bool) -> Windows:
 def _photons(wall: Wall, place: float, ticks: int) -> np.ndarray:
     """float64[more than ticks]: mean photons of a pixel in each tick."""
     edge = wall.start + np.arange(ticks + wall.window + wall.phases + 1)
-    pulse = np.diff(special.ndtr((edge - place) / wall.sigma))
-    return wall.alive * (wall.signal * pulse + wall.noise)
+    share = np.diff(wall.pulse.share_before(edge - place))
+    return wall.alive * (wall.signal * share + wall.noise)
 
 
 def _binomial(counts: np.ndarray, trials: int, chance: np.ndarray) -> np.ndarray:
@@ -440,7 +472,7 @@ def gross_share(
     config: Config,
     signal_per_pulse: float,
     noise_cps: float,
-    system_fwhm_s: float = SYSTEM_FWHM_S,
+    pulse: PulseTicks | None = None,
     trials: int = TRIALS,
 ) -> float:
     """Return the share of frames in which the likeliest time is off by more than 15 cm, for all
@@ -448,11 +480,11 @@ def gross_share(
     """
     if not trials:
         return math.nan
-    sigma = pulse_sigma_ticks(config, system_fwhm_s)
-    reach = math.ceil(REACH_SIGMAS * sigma)
+    shape = pulse or pulse_ticks(config)
+    reach = min(_reach(shape), config.period_ticks // 2 - 1)
     noise = max(_noise_per_tick(config, noise_cps), RARE)
     edge = np.arange(-reach, reach + 2) - 0.5
-    rate = signal_per_pulse * np.diff(special.ndtr(edge / sigma)) + noise
+    rate = signal_per_pulse * np.diff(shape.share_before(edge)) + noise
     before = np.concatenate([[0.0], np.cumsum(rate[:-1])])
     rate = _alive(noise_cps) * rate * np.exp(-before)
     floor = _alive(noise_cps) * noise

@@ -13,6 +13,7 @@ from attrs import frozen
 from ..model.contract.config import Config
 from ..model.contract.groups import FIRST_PIXELS, PAYLOAD_BITS, group_widths
 from ..model.contract.packet import BEAT_BITS, FORMATS, RECORD, layout
+from ..model.depth.pulse_ticks import pulse_ticks
 from ..model.depth.quality import (
     OTHER_SURFACE_M,
     TOLERANCE_M,
@@ -123,7 +124,8 @@ def _bound_mm(frame: MeasuredFrame) -> float | None:
     if usual is None:
         return None
     config = with_usual_threshold(frame.config, frame.threshold)
-    return word_bounds_mm(config, *usual).pixel_mm
+    pulse = pulse_ticks(config, pulse=frame.light.pulse)
+    return word_bounds_mm(config, *usual, pulse).pixel_mm
 
 
 def _per_s(counter: str) -> Callable[[MeasuredFrame], float]:

@@ -25,6 +25,7 @@ from ..model.golden.frame import Golden, Trace
 from ..model.light.light import Light
 from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError, check_integer, wrong_value
+from ..model.shared.pulse import Pulse, with_pulse
 from ..tb.replay import replay
 from .compile_ahead import compile_ahead
 from .long_frames import PlayedFrames, SeenEdges, is_long, play_long_frames
@@ -139,6 +140,12 @@ class Run:
         """Detected signal and background of every pixel, in the first frame."""
         return self.light_of(0)
 
+    @property
+    def pulse(self) -> Pulse | None:
+        """Measured shape of the pulse that the estimators are told; None: a Gaussian."""
+        light = self.setup.light
+        return self.setup.pulse if light is None else light.pulse
+
     def light_of(self, frame: int) -> Light:
         """Return the detected signal and background of every pixel in a frame."""
         if self._light is not None:
@@ -245,7 +252,7 @@ class Run:
     def result(self) -> dict[str, np.ndarray]:
         """The arrays of the result file (docs/files.md) for all frames, from the setup's engine."""
         if self._result is None:
-            self._result = self._played()
+            self._result = with_pulse(self._played(), self.pulse)
         return self._result
 
     @property
@@ -269,8 +276,8 @@ class Run:
     def depth(self, estimator: Method | None = None, **options: Any) -> Depth:
         """Estimate the distance of every pixel by METHOD, METHOD/SOURCE or an estimator of your own.
 
-        options: those of `estimate_depth`. The estimator is told the measured pulse of the setup's
-        light, unless `pulse` is given.
+        options: those of `estimate_depth`. The estimator is told the measured pulse of the setup,
+        unless `pulse` is given.
         """
         if estimator is not None and not isinstance(estimator, str | Estimator):
             raise InputError(
@@ -285,7 +292,7 @@ class Run:
             "method": method,
             "source": source,
             "workers": self.workers,
-            "pulse": None if self.setup.light is None else self.setup.light.pulse,
+            "pulse": self.pulse,
         } | options
         return estimate_depth(self.result, self.config, **given)
 

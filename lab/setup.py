@@ -27,6 +27,7 @@ from ..model.scenes.recorded_light import RecordedLight
 from ..model.scenes.scene import Scene, scene_light
 from ..model.shared.errors import InputError
 from ..model.shared.own_part import OwnPart
+from ..model.shared.pulse import Pulse, pulse_of
 from ..model.shared.sources import digest, sources_digest
 from ..tb.replay import DEFAULT_VIEW
 
@@ -124,6 +125,10 @@ class Setup:
         Ambient light on the scene; see `scene_light`.
     light : Light or None
         Light of every pixel, instead of `klux` and `background`.
+    pulse : Pulse or None
+        Measured shape of laser pulse and jitter together, instead of a Gaussian; also as an array
+        or a file (`pulse_of`). Recorded histograms have the shape of their recording, so for them,
+        only the estimators use it. A `light` has its own.
     spad : Spad
         The detector.
     spad_gate : bool
@@ -146,6 +151,7 @@ class Setup:
     klux: Ambient = 50.0
     background: str = BACKGROUNDS[0]
     light: Light | None = None
+    pulse: Pulse | None = field(default=None, converter=pulse_of)
     spad: Spad = field(factory=Spad)
     spad_gate: bool = False
     seed: int = 1
@@ -153,6 +159,10 @@ class Setup:
     engine: str = "golden"
     view: "str | View" = DEFAULT_VIEW
     estimators: tuple[Method, ...] = field(default=(DEFAULT_METHOD,), converter=taken_along)
+
+    def __attrs_post_init__(self) -> None:
+        if self.light is not None and self.pulse is not None:
+            raise InputError("pulse: goes with a scene, a Light has its own", field="pulse")
 
     @classmethod
     def of(
@@ -223,6 +233,8 @@ class Setup:
         shape: dict[str, Any] = {}
         if isinstance(scene.transient, RecordedLight):  # their shape is that of the recording
             shape["system_fwhm_s"] = self.spad.jitter_fwhm_s
+        else:
+            shape["pulse"] = self.pulse
         return scene_light(scene, self.klux, background=self.background, **shape)
 
     @cached_property

@@ -20,6 +20,7 @@ from ..lab.outcomes import Frame, Run
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config, toml_text
 from ..model.contract.packet import BEAT_BITS
+from ..model.depth.pulse_ticks import pulse_ticks
 from ..model.golden.frame import Golden
 from ..model.light.photons import edge_chunks
 from ..model.shared.files import whole_file, write_csv
@@ -229,11 +230,12 @@ def _limit(run: Run, config: Config) -> str:
     if light is None:
         return "No pixel has light."
     usual = config.with_settings(coincidence=True, auto=False)
+    pulse = pulse_ticks(usual, pulse=run.light.pulse)
     of_words = []
     for threshold in LIMITED:
-        lowest = word_bounds_mm(usual.with_settings(threshold=threshold), *light)
+        lowest = word_bounds_mm(usual.with_settings(threshold=threshold), *light, pulse)
         of_words.append(f"{lowest.pixel_mm:.1f} mm at threshold {threshold}")
-    photons_mm = photon_bound_mm(usual, *light)
+    photons_mm = photon_bound_mm(usual, *light, pulse)
     return (
         f"The limit of a pixel with the median light ({light.signal_per_pulse:.2g} photons per"
         f" pulse), without its neighbours' distances: {photons_mm:.1f} mm from all photons; from the words"

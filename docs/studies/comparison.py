@@ -23,9 +23,9 @@ from coincid.lab.outcomes import Run
 from coincid.lab.setup import SETTLING, Setup
 from coincid.model.contract.packet import BEAT_BITS, FORMATS, layout
 from coincid.model.contract.parameters import bits_for
-from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.histograms import pixel_image
-from coincid.model.depth.peaks import APART_SIGMAS, NEAR_SIGMAS, pixel_peaks
+from coincid.model.depth.peaks import APART_SIGMAS, pixel_peaks
+from coincid.model.depth.pulse_ticks import NEAR_SIGMAS, pulse_ticks
 from coincid.model.light.light import Light
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
@@ -54,7 +54,7 @@ class Shot:
             run.frame_edges(-1), run.config.sensor, run.config.pulses
         )
         self.window, self.threshold = int(self.config.window[0]), int(self.config.threshold[0])
-        self.sigma_ticks = pulse_sigma_ticks(self.config)
+        self.pulse = pulse_ticks(self.config)
 
 
 class Found(NamedTuple):
@@ -118,9 +118,9 @@ def _zoomed(shot: Shot, bins: int) -> Found:
         shot.photons.pulses,
         shot.config.sensor.array_pixels,
     )
-    margin = math.ceil(PULSE_SIGMAS * shot.sigma_ticks)
+    margin = math.ceil(PULSE_SIGMAS * shot.pulse.sigma)
     widths = [-(-period // bins)]
-    while widths[-1] > FINE_SIGMAS * shot.sigma_ticks:
+    while widths[-1] > FINE_SIGMAS * shot.pulse.sigma:
         widths.append(-(-(widths[-1] + 2 * margin) // bins))
     begin = [number * pulses // len(widths) for number in range(len(widths) + 1)]
     start, counts = np.zeros(pixels, np.int64), np.empty(0)
@@ -134,7 +134,7 @@ def _zoomed(shot: Shot, bins: int) -> Found:
     # the last histogram, and its first tick
     bits = bins * bits_for(pulses - begin[-2]) + _stamp_bits(shot)
     return _of_pixels(
-        shot, start[:, None] + coarse_peaks(counts, widths[-1], shot.sigma_ticks), bits
+        shot, start[:, None] + coarse_peaks(counts, widths[-1], shot.pulse.sigma), bits
     )
 
 
@@ -144,7 +144,7 @@ def _fourier(shot: Shot, codes: int) -> Found:
     """
     period, photons = shot.config.period_ticks, shot.photons
     sums = other_schemes.fourier_sums(photons, codes, period)
-    pulse = np.exp(-0.5 * (2 * np.pi / period * np.arange(sums.shape[1]) * shot.sigma_ticks) ** 2)
+    pulse = np.exp(-0.5 * (2 * np.pi / period * np.arange(sums.shape[1]) * shot.pulse.sigma) ** 2)
     ticks = np.full((len(sums), RETURNS), np.nan)
     for part in (
         slice(first, first + photons.pixels) for first in range(0, len(sums), photons.pixels)
@@ -162,8 +162,8 @@ def _equi_depth(shot: Shot, bins: int) -> Found:
     background = np.maximum(np.diff(edges), 1) / shot.config.period_ticks
     best, ticks = np.full(len(edges), -np.inf), np.full((len(edges), RETURNS), np.nan)
     for boundary, offset, signal in product(range(1, bins), OFFSETS_SIGMAS, SIGNAL_SHARES):
-        time = edges[:, boundary] + offset * shot.sigma_ticks
-        pulse = np.diff(special.ndtr((edges - time[:, None]) / shot.sigma_ticks), axis=1)
+        time = edges[:, boundary] + offset * shot.pulse.sigma
+        pulse = np.diff(special.ndtr((edges - time[:, None]) / shot.pulse.sigma), axis=1)
         likelihood = np.log(signal * pulse + (1 - signal) * background).sum(axis=1)
         better = likelihood > best
         best[better], ticks[better, 0] = likelihood[better], time[better] + 0.5
@@ -222,8 +222,7 @@ def _by_stamps(shot: Shot, words: other_schemes.Words, arrival: np.ndarray, bits
         shot.photons, words, arrival, shot.config.sensor, shot.config.period_ticks
     )
     peaks = [
-        pixel_peaks(histogram, "matched", None, shot.sigma_ticks, RETURNS)[0]
-        for histogram in histograms
+        pixel_peaks(histogram, "matched", None, shot.pulse, RETURNS)[0] for histogram in histograms
     ]
     return Found(_pixel_metres(shot, np.concatenate(peaks)), bits)
 
@@ -236,7 +235,7 @@ def _by_memory(shot: Shot, histogram: np.ndarray, width: int) -> Found:
     bits = histogram.shape[1] * (shot.photons.pulses * sensor.pixels).bit_length()
     if bits > MEMORY_BITS:
         raise ValueError(f"a histogram of {bits} bits, the memory holds {MEMORY_BITS}")
-    ticks = np.repeat(coarse_peaks(histogram, width, shot.sigma_ticks), sensor.pixels, axis=0)
+    ticks = np.repeat(coarse_peaks(histogram, width, shot.pulse.sigma), sensor.pixels, axis=0)
     return Found(_pixel_metres(shot, ticks), bits * sensor.subgroups)
 
 

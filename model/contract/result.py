@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ..shared import pulse
 from ..shared.files import FilePath, read_npz, write_npz
 from .config import Config
 from .counters import COUNTER_NAMES
@@ -15,7 +16,9 @@ EVENT_FIELDS = ("subgroup", "pulse", "stamp", "count", "winner", "overrun")
 EVENT_COLUMNS = (*EVENT_FIELDS, "commit_cycle")  # arrays with one value per event
 RECORD_COLUMNS = ("mg_subgroup", "mg_pulse", "mg_stamp", "mg_map")
 COMMIT_UNKNOWN = np.int64(-1)  # commit cycle of an event that was received from a chip
-OPTIONAL = ("hits", "mg_offset", "fate")  # present only in some formats or engines
+# present only in some formats, engines or lights
+OPTIONAL = ("hits", "mg_offset", "fate", *pulse.ARRAYS)
+NOT_SENT = {"fate", *pulse.ARRAYS}  # known of a simulation, not sent by the sensor
 
 
 class ResultBuilder:
@@ -149,11 +152,9 @@ def read_result(path: FilePath) -> dict[str, np.ndarray]:
 
 
 def differences(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> list[str]:
-    """Return the differences of two results, one line per array; `fate`, which only the golden
-    model has, is left out.
-    """
+    """Return the differences of two results, one line per array, without `NOT_SENT`."""
     lines = []
-    for name in sorted((first.keys() | second.keys()) - {"fate"}):
+    for name in sorted((first.keys() | second.keys()) - NOT_SENT):
         a, b = first.get(name), second.get(name)
         if a is None or b is None:
             lines.append(f"{name}: only in one")

@@ -5,13 +5,16 @@ The stamp of an event is the time of its earliest photon, and its count is the n
 that fired in the window. The earliest of N photons of a Gaussian pulse comes before the pulse's
 centre: by 2 sigma for N = 35, which is more than the tolerance of the paper (230 ps). The paper
 does not mention this lead, so the correction is our own choice: each event is moved later by the
-expected lead of the earliest of its photons.
+expected lead of the earliest of its photons. With a measured pulse, this lead is that of the
+centre of these earliest photons, as the peaks of histograms find it (`PulseTicks.lead`).
 
 There are two limits. First, the window should be longer than the pulse. If it is shorter, or
 coincidence is off, the count is too low, and the stamps stay early (the estimator of planes
 models this). Second, an event should come from one flat surface. If a subgroup sees surfaces
 closer to each other than the window, the event is placed at the first of them.
 """
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import special
@@ -20,6 +23,9 @@ from ..contract.config import Config
 from ..shared.constants import SIGMA_PER_FWHM
 from ..shared.quantities import Numbers, check_real
 from . import portable
+
+if TYPE_CHECKING:
+    from .pulse_ticks import PulseTicks
 
 SYSTEM_FWHM_S = 500e-12  # laser pulse and jitter combined (paper IV)
 
@@ -46,13 +52,12 @@ def photons_of(count: Numbers, pixels: Numbers) -> np.ndarray:
 
 
 def arrival_ticks(
-    subgroup: np.ndarray, stamp: np.ndarray, count: np.ndarray, config: Config, sigma_ticks: float
+    subgroup: np.ndarray, stamp: np.ndarray, count: np.ndarray, config: Config, pulse: "PulseTicks"
 ) -> np.ndarray:
     """Return the expected centre of each event's pulse in ticks since the laser trigger,
     float64[n].
 
-    subgroup, stamp, count: int64[n], per event. sigma_ticks: sigma of laser pulse and jitter
-    combined.
+    subgroup, stamp, count: int64[n], per event. pulse: laser pulse and jitter combined.
     """
     pixels = np.maximum(config.mask.sum(axis=1), 1)[subgroup]
-    return stamp + 0.5 + sigma_ticks * lead_sigmas(np.maximum(photons_of(count, pixels), 1))
+    return stamp + 0.5 + pulse.lead(np.maximum(photons_of(count, pixels), 1))

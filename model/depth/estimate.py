@@ -85,8 +85,9 @@ def estimate_depth(
     system_fwhm_s : float
         FWHM of laser pulse and jitter combined, in seconds, of a Gaussian.
     pulse : Pulse or None
-        Measured shape of laser pulse and jitter combined, instead of that Gaussian. Only `planes`
-        can use it.
+        Measured shape of laser pulse and jitter combined, instead of that Gaussian. None: that of
+        the result (docs/files.md), if it has one. `Pulse.gaussian` stands for a Gaussian in spite
+        of it.
 
     Returns
     -------
@@ -98,12 +99,8 @@ def estimate_depth(
         If an argument is out of range.
     """
     chosen = chosen_method(method)
-    if pulse is not None and chosen != PLANES:
-        name = chosen if isinstance(chosen, str) else chosen.name
-        raise InputError(
-            f"pulse: the estimator {name} assumes a Gaussian, only {PLANES} takes a measured pulse",
-            field="pulse",
-        )
+    if pulse is None:
+        pulse = Pulse.of_result(arrays)
     if not isinstance(chosen, str):
         check_no_source(chosen.name, source)
         check_integer("returns", returns, 1, RETURNS_MAX)
@@ -114,6 +111,7 @@ def estimate_depth(
             returns=returns,
             system_fwhm_s=system_fwhm_s,
             workers=workers,
+            pulse=pulse,
         )
         own = _filled(chosen.name, chosen.estimate(reading), config, returns)
         if own.light is not None:
@@ -196,8 +194,8 @@ def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
 def _light_at(depth_m: np.ndarray, reading: Reading, arrays: dict[str, np.ndarray]) -> Intensity:
     """Return the light at the distances that an estimator of a user's own found."""
     config = reading.config
-    pulse = pulse_ticks(config, reading.system_fwhm_s)
-    events = frame_events(arrays, config, pulse.sigma, reading.frame)
+    pulse = pulse_ticks(config, reading.system_fwhm_s, reading.pulse)
+    events = frame_events(arrays, config, pulse, reading.frame)
     pulses = _pulses(arrays, config, reading.frame)
     ticks = depth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
     with Threads(reading.workers) as threads:
@@ -262,8 +260,7 @@ def find_returns(
     check_choice("method", method, (PLANES, *PEAKS))
     check_integer("returns", returns, 1, RETURNS_MAX)
     shape = pulse_ticks(config, system_fwhm_s, pulse)
-    sigma_ticks = shape.sigma
-    events = frame_events(arrays, config, sigma_ticks, frame)
+    events = frame_events(arrays, config, shape, frame)
     pulses = _pulses(arrays, config, frame)
     if method == PLANES:
         parts = find_surfaces(
@@ -280,13 +277,13 @@ def find_returns(
         _live(arrays, events, config, source, frame) if method == "background" else (None, None)
     )
     step_ticks = 1 if source != "minigroup" else minigroup_step_ticks(config)
-    histograms = subgroup_histograms(arrays, config, sigma_ticks, source=source, frame=frame)
+    histograms = subgroup_histograms(arrays, config, shape, source=source, frame=frame)
     peaks = [
         pixel_peaks(
             histogram,
             method,
             live(s) if live else None,
-            sigma_ticks,
+            shape,
             returns,
             group=group,
             step_ticks=step_ticks,

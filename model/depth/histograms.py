@@ -19,8 +19,10 @@ from ..contract.parameters import OFFSET_NONE, Sensor
 from ..contract.pixels import Pixels, pixel_table
 from ..shared.compiled import njit, part
 from ..shared.errors import InputError, check_integer
+from ..shared.pulse import Pulse
 from ..shared.quantities import check_choice
-from .arrivals import SYSTEM_FWHM_S, arrival_ticks, lead_sigmas, photons_of, pulse_sigma_ticks
+from .arrivals import SYSTEM_FWHM_S, arrival_ticks, photons_of
+from .pulse_ticks import PulseTicks, pulse_ticks
 
 SOURCES = {
     "map": "the subgroup's stamp, for the pixels of the ID map",
@@ -61,7 +63,7 @@ class Events:
 
 
 def frame_events(
-    arrays: dict[str, np.ndarray], config: Config, sigma_ticks: float, frame: int | None = None
+    arrays: dict[str, np.ndarray], config: Config, pulse: PulseTicks, frame: int | None = None
 ) -> Events:
     """Return the events of a result (`result.py`) in one frame, or in all frames (None).
 
@@ -91,7 +93,7 @@ def frame_events(
         count=count,
         winner=winner,
         overrun=arrays["overrun"][row].astype(bool),
-        arrival=arrival_ticks(subgroup, stamp, count, config, sigma_ticks),
+        arrival=arrival_ticks(subgroup, stamp, count, config, pulse),
         mapped="hits" in arrays,
         hits=hits,
         offset=offset,
@@ -138,7 +140,7 @@ def _photon_rate(opened: np.ndarray, window: np.ndarray, config: Config) -> np.n
 def subgroup_histograms(
     arrays: dict[str, np.ndarray],
     config: Config,
-    sigma_ticks: float,
+    pulse: PulseTicks,
     *,
     source: str = "map",
     frame: int | None = None,
@@ -147,7 +149,7 @@ def subgroup_histograms(
 
     Only one subgroup is held in memory.
     """
-    of_subgroup = _histogram_maker(arrays, config, sigma_ticks, source, frame)
+    of_subgroup = _histogram_maker(arrays, config, pulse, source, frame)
     return map(of_subgroup, range(config.sensor.subgroups))
 
 
@@ -159,6 +161,7 @@ def pixel_histogram(
     source: str = "map",
     frame: int | None = None,
     system_fwhm_s: float = SYSTEM_FWHM_S,
+    pulse: Pulse | None = None,
 ) -> np.ndarray:
     """Return the histogram of one pixel.
 
@@ -170,7 +173,7 @@ def pixel_histogram(
         The configuration of the run.
     pixel : int
         row * cols + col.
-    source, frame, system_fwhm_s
+    source, frame, system_fwhm_s, pulse
         As in `estimate_depth`.
 
     Returns
@@ -185,15 +188,15 @@ def pixel_histogram(
     """
     table = pixel_table(config.sensor)
     check_integer("pixel", pixel, 0, config.sensor.array_pixels - 1)
-    sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
-    of_subgroup = _histogram_maker(arrays, config, sigma_ticks, source, frame)
+    shape = pulse_ticks(config, system_fwhm_s, pulse or Pulse.of_result(arrays))
+    of_subgroup = _histogram_maker(arrays, config, shape, source, frame)
     return of_subgroup(table.subgroup[pixel])[table.inside[pixel]]
 
 
 def _histogram_maker(
     arrays: dict[str, np.ndarray],
     config: Config,
-    sigma_ticks: float,
+    pulse: PulseTicks,
     source: str,
     frame: int | None,
 ) -> Callable[[int], np.ndarray]:
@@ -203,14 +206,20 @@ def _histogram_maker(
     Raises `InputError`.
     """
     check_choice("source", source, tuple(SOURCES))
-    events = frame_events(arrays, config, sigma_ticks, frame)
+    events = frame_events(arrays, config, pulse, frame)
     if not events.mapped:
         raise InputError("hits: the result has no ID map, its format must be id or full")
+    if source == "minigroup" and pulse.times:
+        raise InputError(
+            "pulse: histograms of minigroup stamps (source minigroup) assume a Gaussian, the sources"
+            " map and subgroup take a measured pulse",
+            field="pulse",
+        )
     if source != "minigroup":
         return partial(_of_events, events, config, source == "subgroup")
     pixels = config.sensor.minigroup_pixels
     photons = photons_of(np.arange(pixels + 1), pixels)
-    lead = sigma_ticks * lead_sigmas(np.maximum(photons, 1))
+    lead = pulse.lead(np.maximum(photons, 1))
     if config.frame.minigroup_records:
         return partial(_of_records, frame_records(arrays, config, frame), config, lead)
     if events.offset.shape[1]:

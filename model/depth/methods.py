@@ -9,6 +9,7 @@ from attrs import frozen
 from ..contract.config import Config
 from ..shared.errors import InputError, wrong_value
 from ..shared.own_part import OwnPart, check_part
+from ..shared.pulse import Pulse
 from ..shared.quantities import check_choice
 from .depth import Depth
 
@@ -40,6 +41,8 @@ class Reading:
         FWHM of laser pulse and jitter combined, in seconds.
     workers : int or None
         Threads that it may use; None is one per core. The number must not change the result.
+    pulse : Pulse or None
+        Measured shape of laser pulse and jitter combined, instead of that Gaussian.
     """
 
     arrays: dict[str, np.ndarray]
@@ -48,6 +51,7 @@ class Reading:
     returns: int
     system_fwhm_s: float
     workers: int | None
+    pulse: Pulse | None = None
 
 
 @runtime_checkable

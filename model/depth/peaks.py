@@ -15,10 +15,10 @@ from ..contract.parameters import Sensor
 from ..shared.compiled import njit, part
 from . import portable
 from .histograms import Events
+from .pulse_ticks import NEAR_SIGMAS, PulseTicks
 
-FILTER_SIGMAS = 4.0  # half width of the matched filter
-NEAR_SIGMAS = 1.2  # half width of the bins that determine the centre of a peak,
-CENTRINGS = 5  # which are moved to that centre so many times at most
+FILTER_SIGMAS = 4.0  # half width of the matched filter of a Gaussian
+CENTRINGS = 5  # the bins that determine a centre are moved to it so many times at most
 APART_SIGMAS = 4.0  # distance between the returns of a pixel
 ACCIDENT_MAX = 0.01  # probability that a second or further return is background
 LIVE_MIN = 0.05  # share of periods; below it, pile-up cannot be corrected
@@ -28,7 +28,7 @@ def pixel_peaks(
     histogram: np.ndarray,
     method: str,
     live: np.ndarray | None,
-    sigma_ticks: float,
+    pulse: PulseTicks,
     returns: int,
     *,
     group: np.ndarray | None = None,
@@ -41,21 +41,20 @@ def pixel_peaks(
     """
     bins = histogram.shape[1]
     single = method == "maximum"
-    apart = round(APART_SIGMAS * sigma_ticks)
+    apart = round(APART_SIGMAS * pulse.sigma)
     step_sigma = math.sqrt((step_ticks**2 - 1) / 12)  # of an even spread over a step, in bins
-    sigma_ticks = math.hypot(sigma_ticks, step_sigma)
-    half = 0 if single else int(FILTER_SIGMAS * sigma_ticks + 0.5)
-    pulse = portable.exp(-0.5 * (np.arange(-half, half + 1) / sigma_ticks) ** 2)
-    width = pulse.sum()
+    sigma_ticks = math.hypot(pulse.sigma, step_sigma)
+    hits = np.ones(1) if single else _hits_of_pulse(pulse, sigma_ticks)
+    width = hits.sum()
     if live is None:
         live = shape = np.ones((1, bins))
     else:
         live = np.atleast_2d(live)
         relative = live / live.mean(axis=1, keepdims=True)
         # NumPy's own correlation depends on the processor.
-        shape = ndimage.correlate1d(relative, pulse / width, mode="constant")
+        shape = ndimage.correlate1d(relative, hits / width, mode="constant")
     law = _Law(
-        pulse=pulse,
+        hits=hits,
         width=width,
         shapes=shape,
         lives=live,
@@ -76,10 +75,25 @@ def pixel_peaks(
     return ticks, confidence
 
 
+def _hits_of_pulse(pulse: PulseTicks, sigma_ticks: float) -> np.ndarray:
+    """float64[n], n odd: the hits of a surface in the bins around its own, relative to the most.
+
+    sigma_ticks: of a Gaussian and of the steps of its stamps; those of a table are ticks.
+    """
+    if not pulse.times:
+        half = int(FILTER_SIGMAS * sigma_ticks + 0.5)
+        return portable.exp(-0.5 * (np.arange(-half, half + 1) / sigma_ticks) ** 2)
+    lead = float(pulse.lead(np.ones(1))[0])  # by which the histogram's hits are later
+    half = pulse.reach + math.ceil(abs(lead) + 0.5)
+    bins = np.arange(-half, half + 1) - lead
+    share = pulse.share_before(bins + 0.5) - pulse.share_before(bins - 0.5)
+    return share / share.max()
+
+
 class _Law(NamedTuple):
     """How peaks are found."""
 
-    pulse: np.ndarray  # float64[n]: a hit in its middle counts exactly 1, not a little more
+    hits: np.ndarray  # float64[n], of a pulse: one in its peak counts exactly 1, not a little more
     width: float  # bins of even light that count as much as the pulse
     shapes: np.ndarray  # float64[groups, bins], background relative to its mean
     lives: np.ndarray  # float64[groups, bins], share of the periods in which hits could come
@@ -127,7 +141,7 @@ def _peaks(
     for i in range(len(histogram)):
         group = law.group[i]
         pixel = _Pixel(histogram[i], law.shapes[group], law.lives[group])
-        total, number = _filter(pixel.hits, law.pulse, work)
+        total, number = _filter(pixel.hits, law.hits, work)
         if total:
             found = _weigh(pixel, law, total, number, work)
             _take(pixel, law, found, number, work, ticks[i], confidence[i])
@@ -136,7 +150,10 @@ def _peaks(
 
 @part
 def _filter(hits: np.ndarray, pulse: np.ndarray, work: _Workspace) -> tuple[int, int]:
-    """Compute `seen` and `reached` of a pixel; return its hits and how many bins are reached."""
+    """Compute `seen` and `reached` of a pixel; return its hits and how many bins are reached.
+
+    pulse: `_Law.hits`. A late hit speaks for an early surface, hence the order.
+    """
     bins = len(hits)
     half = len(pulse) // 2
     total = 0
@@ -150,7 +167,7 @@ def _filter(hits: np.ndarray, pulse: np.ndarray, work: _Workspace) -> tuple[int,
                 number += 1
             until = min(bins, k + half + 1)
             for j in range(max(0, k - half), until):
-                work.seen[j] += hits[k] * pulse[j - k + half]
+                work.seen[j] += hits[k] * pulse[k - j + half]
     return total, number
 
 

@@ -3,18 +3,25 @@
 the response of an instrument.
 """
 
+import os
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from attrs import field, frozen
 
-from .errors import InputError
+from .constants import SIGMA_PER_FWHM
+from .errors import InputError, wrong_value
 from .files import FilePath, reading
-from .quantities import given, real_array
+from .quantities import check_real, given, real_array
 
+PULSE_FILES = (".csv", ".npy")
 SAMPLES_MAX = 1 << 16
 TIME_MAX_S = 20e-9  # from time 0 to the first and to the last sample
 PS = 1e-12
+ARRAYS = ("pulse_time_s", "pulse_density")  # of a result that has its pulse with it
+GAUSSIAN_SIGMAS = 5.0  # from the centre of a table of a Gaussian to its ends
+GAUSSIAN_SAMPLES = 401
 
 
 @frozen(kw_only=True, eq=False)
@@ -76,12 +83,62 @@ class Pulse:
         an array [n, 2]. Raises `InputError`.
         """
         columns = _npy(path) if Path(path).suffix.lower() == ".npy" else _csv(path)
+        return cls._of_columns(str(path), columns)
+
+    @classmethod
+    def gaussian(cls, fwhm_s: float) -> "Pulse":
+        """Return the table of a Gaussian of this full width at half maximum, 1 ps to 9 ns. Raises
+        `InputError`.
+        """
+        sigma_s = check_real("fwhm_s", fwhm_s, PS, 9e-9) * SIGMA_PER_FWHM
+        at = np.linspace(-GAUSSIAN_SIGMAS, GAUSSIAN_SIGMAS, GAUSSIAN_SAMPLES)
+        return cls(time_s=at * sigma_s, density=np.exp(-(at**2) / 2))
+
+    @classmethod
+    def of_result(cls, arrays: dict[str, np.ndarray]) -> "Pulse | None":
+        """Return the pulse that a result has with it; None: it has none. Raises `InputError`."""
+        found = [name for name in ARRAYS if name in arrays]
+        if not found:
+            return None
+        if len(found) < len(ARRAYS):
+            raise InputError(
+                f"{found[0]}: the result must have both of {' and '.join(ARRAYS)}", field="pulse"
+            )
+        time_s, density = (arrays[name] for name in ARRAYS)
+        return cls(time_s=time_s, density=density)
+
+    @classmethod
+    def _of_columns(cls, name: str, columns: np.ndarray) -> "Pulse":
+        """Return the pulse of an array [n, 2], time in ps and density. Raises `InputError`."""
         if columns.ndim != 2 or columns.shape[1] != 2:
             raise InputError(
-                f"{path}: has shape {columns.shape}, must have two columns: time_ps,density",
+                f"{name}: has shape {columns.shape}, must have two columns: time_ps,density",
                 field="pulse",
             )
         return cls(time_s=columns[:, 0] * PS, density=columns[:, 1])
+
+
+PulseSource: TypeAlias = Pulse | np.ndarray | FilePath
+
+
+def with_pulse(arrays: dict[str, np.ndarray], pulse: Pulse | None) -> dict[str, np.ndarray]:
+    """Return a result that has its pulse with it, for `Pulse.of_result`."""
+    if pulse is None:
+        return arrays
+    return arrays | dict(zip(ARRAYS, (pulse.time_s, pulse.density), strict=True))
+
+
+def pulse_of(source: PulseSource | None) -> Pulse | None:
+    """Return the pulse of an array [n, 2], time in ps and density, or of a file (`Pulse.load`);
+    None: None. Raises `InputError`.
+    """
+    if source is None or isinstance(source, Pulse):
+        return source
+    if isinstance(source, str | os.PathLike):
+        return Pulse.load(source)
+    if isinstance(source, np.ndarray) and source.dtype.kind in "iuf":
+        return Pulse._of_columns("pulse", source)
+    raise wrong_value("pulse", source, "a Pulse, an array [n, 2] of time_ps and density, or a file")
 
 
 def _npy(path: FilePath) -> np.ndarray:

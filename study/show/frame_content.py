@@ -13,8 +13,8 @@ from ...lab.measures import SWEPT
 from ...lab.outcomes import Frame
 from ...model.contract.config import Config
 from ...model.contract.pixels import pixel_table
-from ...model.depth.arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
 from ...model.depth.histograms import Events, frame_events, pixel_image
+from ...model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from ...model.depth.quality import wrong_pixels
 from ...model.light.light import Light
 from ...model.scenes.scene import Scene
@@ -70,7 +70,7 @@ class FrameView:
             frame.light,
             (config.sensor.rows, config.sensor.cols),
         )
-        sigma_ticks = pulse_sigma_ticks(config, SYSTEM_FWHM_S)
+        pulse = pulse_ticks(config, pulse=run.pulse)
         nearest = np.where(np.isnan(scene.distance_m), np.inf, scene.distance_m).argmin(axis=2)[
             :, :, None
         ]
@@ -96,9 +96,9 @@ class FrameView:
         self.background = light.background_cps.reshape(shape) * (
             config.period_ticks * config.tick_s
         )
-        self.events = frame_events(run.result, config, sigma_ticks, frame.number)
+        self.events = frame_events(run.result, config, pulse, frame.number)
         self.numbers = {name: frame[name] for name in SHOWN}
-        self.numbers["sun_share"] = _sun_share(self.events, scene, config, sigma_ticks)
+        self.numbers["sun_share"] = _sun_share(self.events, scene, config, pulse)
         self.objects = seen_objects(scene, light, self.depth_m)
 
     @property
@@ -162,23 +162,20 @@ def _of_subgroups(values: np.ndarray, config: Config) -> np.ndarray:
     ).astype(np.float64)
 
 
-def _sun_share(events: Events, scene: Scene, config: Config, sigma_ticks: float) -> float | None:
+def _sun_share(events: Events, scene: Scene, config: Config, pulse: PulseTicks) -> float | None:
     """Return the share of the events that arrived when no visible surface sends light back; None
     without events.
     """
     subgroup_of = pixel_table(config.sensor).subgroup
     arrival = scene.distance_m.reshape(config.sensor.array_pixels, -1) / metres_per_tick(config)
+    reach = pulse.reach if pulse.times else LIGHT_SIGMAS * pulse.sigma
     alone = 0
     for s in range(config.sensor.subgroups):
         light = np.unique(arrival[subgroup_of == s])
         light = np.concatenate([[-np.inf], light[~np.isnan(light)], [np.inf]])
         at = events.arrival[events.bounds[s] : events.bounds[s + 1]]
         after = np.searchsorted(light, at)
-        alone += int(
-            np.sum(
-                np.minimum(at - light[after - 1], light[after] - at) > LIGHT_SIGMAS * sigma_ticks
-            )
-        )
+        alone += int(np.sum(np.minimum(at - light[after - 1], light[after] - at) > reach))
     return alone / len(events.stamp) if len(events.stamp) and scene.transient is None else None
 
 

@@ -10,6 +10,7 @@ from coincid.lab.setup import Setup
 from coincid.model.depth.arrivals import lead_sigmas, photons_of
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import SOURCES, subgroup_histograms
+from coincid.model.depth.pulse_ticks import PulseTicks
 from coincid.model.depth.quality import (
     TOLERANCE_M,
     off_surfaces,
@@ -23,6 +24,7 @@ from coincid.model.shared.errors import InputError
 from coincid.study.pictures import Panel, depth_row
 
 SIGMA_TICKS = 500e-12 * SIGMA_PER_FWHM / Timing().tick_s
+PULSE = PulseTicks(SIGMA_TICKS)
 
 
 def capture(scene, klux, **others):
@@ -89,7 +91,7 @@ def test_every_hit_is_in_the_histogram_of_its_pixel():
     _, config, result = capture(
         "five-objects", 50, sensor={"rows": 16, "cols": 32, "subgroup": [4, 8]}
     )
-    histograms = list(subgroup_histograms(result, config, SIGMA_TICKS))
+    histograms = list(subgroup_histograms(result, config, PULSE))
     assert len(histograms) == config.sensor.subgroups
     for s, histogram in enumerate(histograms):
         of_subgroup = result["subgroup"] == s
@@ -97,7 +99,7 @@ def test_every_hit_is_in_the_histogram_of_its_pixel():
         assert histogram.sum(axis=1).tolist() == [
             int(np.sum(hits >> np.uint64(i) & np.uint64(1))) for i in range(32)
         ]
-    everywhere = list(subgroup_histograms(result, config, SIGMA_TICKS, source="subgroup"))
+    everywhere = list(subgroup_histograms(result, config, PULSE, source="subgroup"))
     for s, histogram in enumerate(everywhere):
         assert np.all(histogram == histogram[0]) and histogram[0].sum() == np.sum(
             result["subgroup"] == s

@@ -32,7 +32,7 @@ def events_of_wall(
     )
     run = Run(setup)
     pulse = pulse_ticks(run.config)
-    return frame_events(run.result, run.config, pulse.sigma), run.config, pulse
+    return frame_events(run.result, run.config, pulse), run.config, pulse
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,13 @@ from coincid.lab.setup import Setup
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.pixels import pixel_table
-from coincid.model.depth.arrivals import arrival_ticks, lead_sigmas, photons_of, pulse_sigma_ticks
+from coincid.model.depth.arrivals import arrival_ticks, lead_sigmas, photons_of
 from coincid.model.depth.belief import BELIEVED_MIN, Reason
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import PEAKS, PLANES, RETURNS_MAX, estimate_depth
 from coincid.model.depth.histograms import SOURCES, frame_events, subgroup_histograms
 from coincid.model.depth.peaks import APART_SIGMAS, live_share, pixel_peaks, record_live
+from coincid.model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from coincid.model.golden.frame import golden_result
 
 from ..random_cases import SENSORS, configured, random_edges
@@ -90,10 +91,10 @@ def test_a_frame_among_others_is_the_frame_alone(three_frames, method, number):
 @pytest.mark.parametrize("source", SOURCES)
 def test_histograms_of_the_frames_add_up_to_that_of_all(three_frames, source):
     result, config = three_frames.result, three_frames.config
-    sigma_ticks = pulse_sigma_ticks(config, 500e-12)
+    pulse = pulse_ticks(config)
 
     def histograms(frame):
-        found = subgroup_histograms(result, config, sigma_ticks, source=source, frame=frame)
+        found = subgroup_histograms(result, config, pulse, source=source, frame=frame)
         return np.stack(list(found)).sum(axis=2)
 
     total = histograms(None)
@@ -196,7 +197,7 @@ def test_dropped_events_leave_the_share_of_live_periods():
     thin["dropped"] = whole["committed"] - thin["stored"]
     shares = []
     for result in (whole, thin):
-        events = frame_events(result, run.config, sigma_ticks=2.0)
+        events = frame_events(result, run.config, PulseTicks(2.0))
         shares.append(live_share(result, events, run.config, None))
     lost = 1 - shares[0].mean(axis=1)
     assert lost.min() > 0.05
@@ -229,7 +230,7 @@ def test_an_event_of_format_short_has_its_winner_in_the_map(name):
     """Also of subgroups with more than 64 pixels."""
     config = configured(SENSORS[name], {"format": "short", "pulses": 20}, {"threshold": 1})
     result = golden_result(config, random_edges(config, 4000, 1))
-    events = frame_events(result, config, sigma_ticks=2.0)
+    events = frame_events(result, config, PulseTicks(2.0))
     pixels = config.sensor.pixels
     for subgroup in range(config.sensor.subgroups):
         maps = events.maps(subgroup, pixels)
@@ -244,7 +245,7 @@ def test_masked_pixels_do_not_take_part_in_the_lead_of_the_first_photon():
     one = np.zeros(1, np.int64)
     for count in (1, 8, 32):
         lead = lead_sigmas(np.maximum(photons_of(count, 32), 1))
-        arrival = arrival_ticks(one, one + 100, one + count, half, sigma_ticks=3.0)
+        arrival = arrival_ticks(one, one + 100, one + count, half, PulseTicks(3.0))
         assert arrival == pytest.approx(100.5 + 3.0 * lead)
 
 

@@ -90,7 +90,7 @@ def test_the_light_is_learned_from_the_frame(link_gbps):
     config, result = run.config, run.result
     assert (result["dropped"].sum() > result["stored"].sum()) == (link_gbps > 0)
     pulse = pulse_ticks(config)
-    events = frame_events(result, config, pulse.sigma)
+    events = frame_events(result, config, pulse)
     time = by_subgroup(scene.truth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2), config.sensor)
     light = by_subgroup(signal_per_pulse(scene.truth_m, scene.reflectivity[:, :, 0]), config.sensor)
     never = unheard(windows_of(events, config, config.pulses, pulse), config, pulse)

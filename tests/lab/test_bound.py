@@ -9,7 +9,9 @@ from coincid.lab import bound as bounds
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
+from coincid.model.depth.arrivals import SYSTEM_FWHM_S
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+from coincid.model.shared.pulse import Pulse
 
 # distance, reflectivity at 50 klux: mm for one pulse, by a program that counts ties otherwise:
 # from all photons of a pixel; from the words at thresholds 1 and 3, of a pixel and of a wall
@@ -116,3 +118,18 @@ def test_gross_errors_of_an_ideal_estimator():
 def test_errors_name_the_value(given, says):
     with pytest.raises(coincid.InputError, match=says):
         coincid.bound(parse_config({}), **given)
+
+
+def test_bounds_of_a_measured_pulse():
+    """A table of the Gaussian has its bounds; a tail takes light away from the edge of the pulse."""
+    wall = {"distance_m": 8.0, "klux": 10, "threshold": 2, "trials": 20}
+    usual = coincid.bound(**wall)
+    same = coincid.bound(pulse=Pulse.gaussian(SYSTEM_FWHM_S), **wall)
+    for name in ("photons_mm", "bound_mm", "wall_photons_mm", "wall_bound_mm"):
+        assert getattr(same, name) == pytest.approx(getattr(usual, name), rel=0.02)
+    assert same.gross_share == pytest.approx(usual.gross_share, abs=0.1)
+    time_s = np.arange(-1000, 3000, 25) * 1e-12
+    early = np.exp(-((time_s / 212e-12) ** 2) / 2)
+    tail = np.where(time_s > 0, np.exp(-np.maximum(time_s, 0) / 250e-12), 0)
+    tailed = coincid.bound(pulse=Pulse(time_s=time_s, density=early + 0.8 * tail), **wall)
+    assert 1.02 < tailed.bound_mm / usual.bound_mm < 2

@@ -10,7 +10,7 @@ from coincid.model.light.photons import generate_edges
 from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
 from coincid.model.shared.errors import InputError
-from coincid.model.shared.pulse import Pulse
+from coincid.model.shared.pulse import Pulse, pulse_of
 
 TIME_S = np.array([-500, 0, 200, 1500]) * 1e-12
 DENSITY = np.array([0.0, 4.0, 1.0, 0.0])
@@ -42,6 +42,17 @@ def test_pulse_of_csv_and_npy_files(tmp_path):
         pulse = Pulse.load(tmp_path / name)
         np.testing.assert_allclose(pulse.time_s, TIME_S, atol=1e-18)
         np.testing.assert_array_equal(pulse.density, DENSITY)
+
+
+def test_array_of_a_pulse_is_its_file(tmp_path):
+    columns = np.stack([TIME_S * 1e12, DENSITY], axis=1)
+    np.save(tmp_path / "pulse.npy", columns)
+    for source in (columns, tmp_path / "pulse.npy", str(tmp_path / "pulse.npy")):
+        np.testing.assert_array_equal(pulse_of(source).density, DENSITY)
+    assert pulse_of(None) is None
+    for source in (5, columns.T, columns.astype(str)):
+        with pytest.raises(InputError, match="^pulse"):
+            pulse_of(source)
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,9 @@ from packaging.utils import canonicalize_name
 
 import coincid
 from coincid.model.contract.result import EVENT_COLUMNS, differences, map_numbers
-from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.histograms import subgroup_histograms
+from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.light.link_budget import Optics
 
 RTL = {
@@ -114,7 +114,7 @@ def test_the_table_of_events_has_the_maps(run):
 
 def test_histogram_of_a_pixel(run):
     of_subgroups = np.stack(
-        list(subgroup_histograms(run.result, run.config, pulse_sigma_ticks(run.config)))
+        list(subgroup_histograms(run.result, run.config, pulse_ticks(run.config)))
     )
     row, col = 9, 5  # in the second subgroup
     for pixel in (8 * row + col, (row, col)):
