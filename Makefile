@@ -20,6 +20,7 @@ help:
 	@echo '  MISSING=7 SKY=80 CHANNEL=Z     no depth, nothing to see from 80 m on, EXR channel,'
 	@echo '  Z=1 FOV=90 REFLECTIVITY=0.4    along the axis, its field of view, without colours'
 	@echo '  KLUX=100 PULSES=100 SEED=1     ambient light ("2|100": half sun), laser pulses'
+	@echo '  PULSE=pulse.csv                measured pulse of laser and detector'
 	@echo '  THRESHOLD=2 FRAMES=8           threshold of one frame; frames of the controller'
 	@echo '  LINK_GBPS=8 CONFIG=FILE        link (0: without limit), sensor and settings (TOML)'
 	@echo '  SIM=sliced VIEW=async WAVES=1  engine: golden, sliced, verilator, icarus;'
@@ -34,7 +35,7 @@ sim: ## simulate a scene and check every word of the RTL; results in build/sim/
 	@$(BIN)/coincid sim $(call option,engine,SIM) $(call option,scene,SCENE) $(call option,scale,SCALE) $(call option,unit,UNIT) \
 		$(call option,missing,MISSING) $(call option,sky,SKY) $(call option,channel,CHANNEL) $(if $(filter-out 0,$(Z)),--z) \
 		$(call option,fov,FOV) $(call option,reflectivity,REFLECTIVITY) $(call option,threshold,THRESHOLD) \
-		$(call option,frames,FRAMES) $(call option,link-gbps,LINK_GBPS) $(call option,klux,KLUX) \
+		$(call option,frames,FRAMES) $(call option,link-gbps,LINK_GBPS) $(call option,klux,KLUX) $(call option,pulse,PULSE) \
 		$(call option,pulses,PULSES) $(call option,config,CONFIG) $(call option,seed,SEED) \
 		$(call option,view,VIEW) $(if $(filter-out 0,$(WAVES)),--waves) --out build/sim
 

@@ -97,6 +97,11 @@ _ALL = (
         name="background", kind="str", metavar="LAW", default="reflected",
         doc="Background light: reflected (in proportion to each surface's reflectivity) or even.",
     ),
+    Option(
+        name="pulse", kind="Pulse, numpy.ndarray, str or None", metavar="FILE",
+        doc="Measured shape of the pulse, of laser and detector together: CSV (time_ps,density) or NPY (these two columns). "
+        "Default: a Gaussian of 500 ps.",
+    ),
     Option(name="seed", kind="int", default=1, high=SEED_MAX, doc="Seed of the photons."),
     Option(
         name="spad", kind="Spad or None", metavar="NAME=VALUE",

@@ -31,6 +31,7 @@ from ..model.scenes.scene import REFLECTIVITY, Scene
 from ..model.shared.compiled import is_compiled
 from ..model.shared.errors import InputError
 from ..model.shared.files import check_suffix
+from ..model.shared.pulse import PulseSource, pulse_of
 from ..tb.replay import DEFAULT_VIEW
 from .point_cloud import point_cloud, write_ply
 from .progress import COMPILES
@@ -166,6 +167,7 @@ def simulate(
     reflectivity: float | np.ndarray = REFLECTIVITY,
     klux: Ambient | None = None,
     background: str = BACKGROUNDS[0],
+    pulse: PulseSource | None = None,
     seed: int = 1,
     spad: Spad | None = None,
     spad_gate: bool = False,
@@ -239,6 +241,7 @@ def simulate(
         if klux is None
         else klux,
         background=background,
+        pulse=pulse_of(pulse),
         seed=seed,
         spad=spad or Spad(),
         spad_gate=spad_gate,

@@ -39,6 +39,7 @@ from ..model.scenes.ambient import told_klux
 from ..model.shared.errors import InputError, extra
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import in_background
+from ..model.shared.pulse import with_pulse
 from ..tb.frame_record import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.rtl_errors import Mismatch
@@ -265,7 +266,7 @@ def simulate_to_folder(
             bar.stage("depth of all frames")
             shares |= _write_frames(out, heading, played)
             results += [out / DEPTHS, out / ANIMATION]
-    write_result(out / EVENTS, played.arrays)
+    write_result(out / EVENTS, with_pulse(played.arrays, run.pulse))
     list(played.frames.values())[-1].first.save(out / DEPTH)
     if not _write_report_page(out / PAGE, heading, titles, played.frames):
         results.remove(out / PAGE)

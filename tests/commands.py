@@ -59,7 +59,7 @@ BEGINS = re.compile(
     | python3?\ (-m\ \w|\S+\.py)
     | \.venv/bin/\w
     | scripts/\w+($|\ )
-    | (SCENE|UNIT|SCALE|MISSING|SKY|CHANNEL|Z|FOV|REFLECTIVITY|KLUX|PULSES|FRAMES|SIM|VIEW|WAVES|CONFIG)=  # an option of `make sim`
+    | (SCENE|UNIT|SCALE|MISSING|SKY|CHANNEL|Z|FOV|REFLECTIVITY|KLUX|PULSE|PULSES|FRAMES|SIM|VIEW|WAVES|CONFIG)=  # an option of `make sim`
     | echo\ .*>           # a setting of the system
     | ({PROGRAMS.replace(" ", "|")})\ \S
     """,

@@ -70,6 +70,7 @@ def make_files(folder):
     arrived = np.zeros((8, 8, 200))
     arrived[:, :, 100:105] = 200
     np.savez(folder / "counts.npz", counts=arrived)
+    (folder / "pulse.csv").write_text("time_ps,density\n-300,0\n0,1\n900,0\n", encoding="utf-8")
     (folder / "frames").mkdir()
     (folder / "colours").mkdir()
     for number in range(2):

@@ -167,6 +167,7 @@ DESCRIBING = {
 }
 KluxOption = Annotated[str | None, tabled("klux")]
 BackgroundOption = Annotated[str, tabled("background")]
+PulseOption = Annotated[str | None, tabled("pulse")]
 SeedOption = Annotated[int, tabled("seed")]
 SpadOption = Annotated[list[str] | None, tabled("spad")]
 ViewOption = Annotated[str, tabled("view")]
@@ -195,6 +196,7 @@ def sim(
     described: Described,
     klux: KluxOption = None,
     background: BackgroundOption = "reflected",
+    pulse: PulseOption = None,
     pulses: Annotated[
         int | None,
         option(
@@ -261,6 +263,7 @@ def sim(
             klux=klux,
             described=described,
             background=background,
+            pulse=pulse,
             seed=seed,
             spad=_spad(spad),
             spad_gate=spad_gate,
@@ -284,6 +287,7 @@ def advise(
     described: Described,
     klux: KluxOption = None,
     background: BackgroundOption = "reflected",
+    pulse: PulseOption = None,
     config: ConfigOption = None,
     changes: ChangesOption = None,
     seed: SeedOption = 1,
@@ -307,6 +311,7 @@ def advise(
         klux=klux,
         described=described,
         background=background,
+        pulse=pulse,
         seed=seed,
         spad=_spad(spad),
     )
@@ -500,6 +505,7 @@ def photons(
     described: Described,
     klux: KluxOption = None,
     background: BackgroundOption = "reflected",
+    pulse: PulseOption = None,
     config: ConfigOption = None,
     changes: ChangesOption = None,
     seed: SeedOption = 1,
@@ -518,6 +524,7 @@ def photons(
         klux=klux,
         described=described,
         background=background,
+        pulse=pulse,
         seed=seed,
         spad=_spad(spad),
     )

@@ -30,6 +30,7 @@ from ...model.scenes.catalogue import load_scene
 from ...model.scenes.conventions import ARCHIVES, DEPTH_FILES_TOLD
 from ...model.scenes.scene import REFLECTIVITY, Scene, scene_light
 from ...model.shared.errors import InputError, check_integer, out_of_range, wrong_value
+from ...model.shared.pulse import Pulse
 from ...model.shared.quantities import check_choice, check_real
 from .controls import CONTROL, CONTROLS, DEFAULTS, SCENES, UNITS, Control, Value
 from .uploads import KINDS, Uploads
@@ -83,6 +84,7 @@ class Settings:
             scene=scene,
             klux=self.klux(),
             background=self.values["background"],
+            pulse=self.pulse(),
             spad=self.spad,
             spad_gate=self.values["spad_gate"],
             seed=self.values["seed"],
@@ -168,9 +170,22 @@ class Settings:
         klux: np.ndarray = share * values["klux"] + (1 - share) * values["shade_klux"]
         return klux
 
+    def pulse(self) -> Pulse | None:
+        """Return the measured pulse; None: a Gaussian. Raises `InputError`."""
+        if self.values["pulse"] != "file":
+            return None
+        if self.uploads.pulse is None:
+            message = (
+                "pulse = 'file': choose a file of the pulse (CSV with time_ps,density, or NPY)"
+            )
+            raise InputError(message, field="pulse")
+        return Pulse.load(self.uploads.pulse)
+
     def light(self, scene: Scene) -> Light:
         """Return the light of `scene` in the first frame. Raises `InputError`."""
-        return scene_light(scene, self.klux(), background=self.values["background"])
+        return scene_light(
+            scene, self.klux(), background=self.values["background"], pulse=self.pulse()
+        )
 
 
 def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Settings:
@@ -330,14 +345,18 @@ def values_of_link(given: dict[str, str]) -> tuple[dict[str, Any], str]:
 
 
 def without_lost_pictures(values: dict[str, Any], uploads: Uploads) -> tuple[dict[str, Any], str]:
-    """Return values without choices of pictures that are not there any more, and a message about
+    """Return values without choices of files that are not there any more, and a message about
     them.
     """
-    needed = {"scene": ("upload", uploads.depth), "sun": ("picture", uploads.sun)}
+    needed = {
+        "scene": ("upload", uploads.depth),
+        "sun": ("picture", uploads.sun),
+        "pulse": ("file", uploads.pulse),
+    }
     lost = [
         name for name, (asking, path) in needed.items() if values.get(name) == asking and not path
     ]
-    messages = [f"{CONTROL[name].label}: the picture is not here any more" for name in lost]
+    messages = [f"{CONTROL[name].label}: the file is not here any more" for name in lost]
     kept = {name: value for name, value in values.items() if name not in lost}
     return kept, " ".join(f"{message}; please choose it again." for message in messages)
 

@@ -43,6 +43,7 @@ UNITS = ("of its kind", *PER_METRE, *DATA_SETS)
 NUMBER_MAX = 1e10  # in a depth file
 SKY_MAX_M = 10_000.0  # beyond the range of every laser period
 SUN = ("everywhere", "left half", "picture")
+PULSE_SHAPES = ("Gaussian", "file")
 SLIDERS = {"klux": 100, "threshold": 16, "window": 64}  # control: upper end of its slider
 PULSES_MAX, FRAMES_MAX, KLUX_MAX = 10_000, 64, 200
 _OWN = ("flat", "two-targets", "two-returns")  # scenes whose surfaces have controls
@@ -375,6 +376,13 @@ _DESCRIBED: tuple[Control, ...] = (
         unit="klux",
         step=1,
         sentence="Background light where the sun does not shine.",
+    ),
+    _choice(
+        name="pulse",
+        group="Light",
+        label="Pulse",
+        choices=PULSE_SHAPES,
+        sentence="Shape of laser pulse and jitter together: a Gaussian of 500 ps, or an uploaded measurement.",
     ),
     _integer(
         name="pulses",

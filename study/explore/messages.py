@@ -165,7 +165,7 @@ MESSAGES: dict[str, type] = {
 
 @frozen(kw_only=True)
 class Upload:
-    """Use a picture of the user's."""
+    """Use a file of the user's."""
 
     kind: str  # one of `uploads.KINDS`
     name: str  # of the file

@@ -196,7 +196,9 @@ function upload(input) {
   }
   const reader = new FileReader();
   reader.onload = () => {
-    if (kind !== "sun") write("scene", "upload"); else write("sun", "picture");
+    if (kind === "sun") write("sun", "picture");
+    else if (kind === "pulse") write("pulse", "file");
+    else write("scene", "upload");
     changed = `file ${kind} ${file.name}`;
     const content = reader.result.split(",")[1] ?? "";
     order("upload", {kind, name: file.name, content});

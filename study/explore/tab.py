@@ -166,11 +166,12 @@ class Page:
         self._run = self._runner.start(lambda progress: self._explorer.run(settings, progress))
 
     def _check_uploads(self, values: dict[str, str]) -> None:
-        """Raise `InputError` if `values` need a picture that was refused."""
+        """Raise `InputError` if `values` need a file that was refused."""
         for kind, control, asking in (
             ("depth", "scene", "upload"),
             ("colour", "scene", "upload"),
             ("sun", "sun", "picture"),
+            ("pulse", "pulse", "file"),
         ):
             if kind in self.bad_uploads and values[control] == asking:
                 raise InputError(self.bad_uploads[kind], field=control)

@@ -15,6 +15,7 @@ from ...model.scenes.archives import shapes_in_archive
 from ...model.scenes.conventions import ARCHIVES, ARRAYS, DEPTH_FILES
 from ...model.scenes.image_files import COLOUR_FILES, picture_shape, read_channels
 from ...model.shared.errors import InputError
+from ...model.shared.pulse import PULSE_FILES, Pulse
 from ...model.shared.quantities import check_choice
 
 BYTES_MAX = 32 << 20
@@ -22,18 +23,25 @@ SAMPLES_MAX = 16_000_000  # in a picture
 NAME_MAX = 60  # characters; every file system accepts such names
 FORMATS = ("PNG", "TIFF", "JPEG")  # accepted formats; the file's name does not matter
 HEADED = (".pfm", ".exr", ".pgm", ".tif", ".tiff")  # Pillow reads only some of them
-KINDS = {"depth": DEPTH_FILES, "colour": COLOUR_FILES, "sun": COLOUR_FILES}
+KINDS = {
+    "depth": DEPTH_FILES,
+    "colour": COLOUR_FILES,
+    "sun": COLOUR_FILES,
+    "pulse": PULSE_FILES,
+}
+TOLD = {"depth": "depth file", "pulse": "table of a pulse"}  # kinds that are no pictures
 
 
 @frozen
 class Uploads:
-    """Paths of the depth picture, its colour picture, and the picture of sun and shade; None = not
-    uploaded.
+    """Paths of the depth picture, its colour picture, the picture of sun and shade, and the
+    measured pulse; None = not uploaded.
     """
 
     depth: Path | None = None
     colour: Path | None = None
     sun: Path | None = None
+    pulse: Path | None = None
 
     def files(self) -> dict[str, Path]:
         """Return the files that exist, by kind."""
@@ -54,7 +62,7 @@ class Uploads:
         suffix = Path(name).suffix.lower()
         if suffix not in KINDS[kind]:
             raise InputError(
-                f"{name}: must be a {'depth file' if kind == 'depth' else 'picture'} ({', '.join(KINDS[kind])})"
+                f"{name}: must be a {TOLD.get(kind, 'picture')} ({', '.join(KINDS[kind])})"
             )
         if not 0 < len(content) <= BYTES_MAX:
             raise InputError(f"{name}: holds {len(content)} bytes, must hold 1 to {BYTES_MAX}")
@@ -65,11 +73,11 @@ class Uploads:
 
     def with_path(self, kind: str, path: Path) -> "Uploads":
         """Return a copy with the file at `path`. Raises `InputError` if it is missing, too large,
-        or not a picture.
+        or not what its kind says.
         """
         if not path.is_file():
             raise InputError(f"{path}: no such file")
-        _check_samples(path)
+        _check_pulse(path) if kind == "pulse" else _check_samples(path)
         return evolve(self, **{kind: path})
 
     def sun_share(self, rows: int, cols: int) -> np.ndarray:
@@ -152,6 +160,14 @@ def _check_samples(path: Path) -> None:
         raise _unreadable(path, error) from None
     if not 0 < np.prod(shape, dtype=np.float64) <= SAMPLES_MAX:
         raise _of_size(path, " x ".join(map(str, shape)))
+
+
+def _check_pulse(path: Path) -> None:
+    """Raise `InputError` for a file that holds no pulse."""
+    try:
+        Pulse.load(path)
+    except InputError as error:
+        raise InputError(str(error).replace(str(path), path.name), field="pulse") from None
 
 
 def _of_size(path: Path, size: str) -> InputError:

@@ -314,7 +314,7 @@ def test_uploads(tabs, address, tmp_path):
     assert "truth 3.00 m" in figure_title(tab, "histogram")
     tab.goto(f"{address}?scene=upload&uploads=99")
     shown(tab)
-    assert "Scene: the picture is not here any more" in tab.locator("#ignored").text_content()
+    assert "Scene: the file is not here any more" in tab.locator("#ignored").text_content()
     tab.go_back()
     shown(tab)
     tab.click("[data-do=reset]")

@@ -132,7 +132,7 @@ def test_a_lost_picture_is_said_and_the_default_counts():
     values = {"scene": "upload", "sun": "picture", "threshold": 3}
     kept, told = without_lost_pictures(values, Uploads())
     assert kept == {"threshold": 3}
-    assert "Scene: the picture is not here any more" in told and "The sun shines:" in told
+    assert "Scene: the file is not here any more" in told and "The sun shines:" in told
     there = Uploads(depth=Path("a.png"), sun=Path("b.png"))
     assert without_lost_pictures(values, there) == (values, "")
 
