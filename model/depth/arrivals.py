@@ -14,7 +14,7 @@ models this). Second, an event should come from one flat surface. If a subgroup 
 closer to each other than the window, the event is placed at the first of them.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 from scipy import special
@@ -23,9 +23,6 @@ from ..contract.config import Config
 from ..shared.constants import SIGMA_PER_FWHM
 from ..shared.quantities import Numbers, check_real
 from . import portable
-
-if TYPE_CHECKING:
-    from .pulse_ticks import PulseTicks
 
 SYSTEM_FWHM_S = 500e-12  # laser pulse and jitter combined (paper IV)
 
@@ -52,12 +49,17 @@ def photons_of(count: Numbers, pixels: Numbers) -> np.ndarray:
 
 
 def arrival_ticks(
-    subgroup: np.ndarray, stamp: np.ndarray, count: np.ndarray, config: Config, pulse: "PulseTicks"
+    subgroup: np.ndarray,
+    stamp: np.ndarray,
+    count: np.ndarray,
+    config: Config,
+    lead: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
     """Return the expected centre of each event's pulse in ticks since the laser trigger,
     float64[n].
 
-    subgroup, stamp, count: int64[n], per event. pulse: laser pulse and jitter combined.
+    subgroup, stamp, count: int64[n], per event. lead: ticks by which the first of so many photons
+    comes before this centre, `PulseTicks.lead`.
     """
     pixels = np.maximum(config.mask.sum(axis=1), 1)[subgroup]
-    return stamp + 0.5 + pulse.lead(np.maximum(photons_of(count, pixels), 1))
+    return stamp + 0.5 + lead(np.maximum(photons_of(count, pixels), 1))

@@ -93,7 +93,7 @@ def frame_events(
         count=count,
         winner=winner,
         overrun=arrays["overrun"][row].astype(bool),
-        arrival=arrival_ticks(subgroup, stamp, count, config, pulse),
+        arrival=arrival_ticks(subgroup, stamp, count, config, pulse.lead),
         mapped="hits" in arrays,
         hits=hits,
         offset=offset,
