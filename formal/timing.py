@@ -13,7 +13,7 @@ from ..hdl.controller import SETTLED
 from ..hdl.gating import Gating
 from ..hdl.sequencer import LEAD, TO_FINISH, Sequencer
 from ..hdl.tdc import START_TO_PHASE, Tdc
-from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
+from ..model.contract.dither import DITHER_BITS_MAX, GAP_BITS, LFSR_BITS, LFSR_TAPS
 from ..model.contract.parameters import Sensor
 from ..model.contract.settings import GATE_BITS
 from .proof_bench import Bench, proof
@@ -140,19 +140,22 @@ class Periods:
     """The periods as the contract counts them, one cycle behind the sequencer's own counters.
 
     `timing` of the sequencer is as late. since: cycles since the period began; number: of the
-    period; in_period: one runs; wait: cycles of a dither wait that are left; alive: either;
-    last: a period's last cycle; over: the cycle after it; aborting: no period follows this one;
-    lfsr: draws the waits; exact: the gate's shift, without a limit; pulses, steps: where
-    progressive gating is.
+    period; in_period: one runs; gap: cycles of a gap that are left; wait: cycles of dither's wait
+    that are left, also while it is in the gap; alive: any of the three; last: a period's last
+    cycle; over: the cycle after it; cut: the cycle after an abort in a gap; aborting: no period
+    follows this one; lfsr: draws the waits; exact: the gate's shift, without a limit; pulses,
+    steps: where progressive gating is.
     """
 
     since: Signal
     number: Signal
     in_period: Signal
+    gap: Signal
     wait: Signal
     alive: Signal
     last: Signal
     over: Signal
+    cut: Signal
     aborting: Signal
     lfsr: Signal
     exact: Signal
@@ -162,10 +165,10 @@ class Periods:
 
 @proof(depth=6, cover=40)
 def sequencer(b: Bench):
-    """A frame has `pulses` periods of `period` cycles with dither waits, or ends with the aborted
-    one; windows obey the guard.
+    """A frame has `pulses` periods of `period` cycles with gaps and dither's waits, or ends with
+    the aborted one or in the aborted gap; windows obey the guard.
 
-    No window opens in the guard or in a wait.
+    No window opens in the guard, in a gap or in a wait.
     """
     unit = b.place(Sequencer(SMALL))
     busy = _front_obeys(b, unit)
@@ -182,12 +185,20 @@ def sequencer(b: Bench):
 
     plan = unit.plan
     timing = unit.timing
+    gap = periods.gap
     wait = periods.wait
     starts_after_wait = timing.start & b.past(wait == 1) & b.past(wait == 3, 3)
+    starts_after_gap = timing.start & b.past(gap == 1) & b.past(gap == 3, 3)
+    starts_after_both = timing.start & b.past(wait == 1) & b.past(gap == 1, 2)
+    was_cut = Signal()
+    b.m.d.sync += was_cut.eq(was_cut | periods.cut)
     b.cover(unit.done & (plan.pulses == 2) & (unit.number == 1))
     b.cover(unit.done & (plan.pulses == 9))
     b.cover(timing.start & (timing.shift == 3))
     b.cover(starts_after_wait & (periods.number == 2))
+    b.cover(starts_after_gap & (periods.number == 1))
+    b.cover(starts_after_both)
+    b.cover(unit.done & was_cut & (unit.pulse == 1))
 
 
 def _front_obeys(b: Bench, unit: Sequencer) -> Signal:
@@ -216,27 +227,39 @@ def _periods(b: Bench, unit: Sequencer) -> Periods:
     number = Signal(bus.PULSE_BITS + 1)
     in_period = Signal()
     over = Signal()
+    cut = Signal()
     aborting = Signal()
     lfsr = Signal(LFSR_BITS)
+    gap = Signal(GAP_BITS)
     wait = Signal(DITHER_BITS_MAX)
 
     last = b.same("last", in_period & (since == plan.period - 1))
     more = b.same("more", (number != plan.pulses - 1) & ~aborting)
     stepped = b.same("stepped", (lfsr >> 1) ^ Mux(lfsr[0], LFSR_TAPS, 0))
     chosen = b.same("chosen", stepped & ((1 << plan.dither_bits) - 1))
-    alive = b.same("alive", in_period | (wait != 0))
+    in_gap = b.same("in_gap", gap != 0)
+    alive = b.same("alive", in_period | in_gap | (wait != 0))
+    aborted_now = b.past(unit.abort_frame)
 
-    m.d.sync += since.eq(Mux(last | (wait != 0) | begins, 0, since + 1))
+    m.d.sync += since.eq(Mux(last | ~in_period | begins, 0, since + 1))
     with m.If(begins):
         m.d.sync += in_period.eq(1)
         m.d.sync += number.eq(0)
         m.d.sync += lfsr.eq(plan.dither_seed)
+        m.d.sync += gap.eq(0)
         m.d.sync += wait.eq(0)
     with m.Elif(last):
         m.d.sync += number.eq(number + 1)
-        m.d.sync += in_period.eq(more & (chosen == 0))
+        m.d.sync += in_period.eq(more & (plan.gap == 0) & (chosen == 0))
+        m.d.sync += gap.eq(Mux(more, plan.gap, 0))
         m.d.sync += wait.eq(Mux(more, chosen, 0))
         m.d.sync += lfsr.eq(stepped)
+    with m.Elif(in_gap & aborted_now):
+        m.d.sync += gap.eq(0)
+        m.d.sync += wait.eq(0)
+    with m.Elif(in_gap):
+        m.d.sync += gap.eq(gap - 1)
+        m.d.sync += in_period.eq((gap == 1) & (wait == 0))
     with m.Elif(wait != 0):
         m.d.sync += wait.eq(wait - 1)
         m.d.sync += in_period.eq(wait == 1)
@@ -245,6 +268,7 @@ def _periods(b: Bench, unit: Sequencer) -> Periods:
     takes_abort = unit.abort_frame & unit.running
     m.d.sync += aborting.eq(Mux(b.past(unit.start_frame, 2), 0, aborting | takes_abort))
     m.d.sync += over.eq(last)
+    m.d.sync += cut.eq(in_gap & aborted_now)
 
     exact = Signal(2 * GATE_BITS)
     pulses = Signal(GATE_BITS)
@@ -266,10 +290,12 @@ def _periods(b: Bench, unit: Sequencer) -> Periods:
         since=since,
         number=number,
         in_period=in_period,
+        gap=gap,
         wait=wait,
         alive=alive,
         last=last,
         over=over,
+        cut=cut,
         aborting=aborting,
         lfsr=lfsr,
         exact=exact,
@@ -308,7 +334,7 @@ def _frame_is_done_once(b: Bench, unit: Sequencer, periods: Periods) -> Signal:
     """
     ending = Signal()
     settled = Signal(range(SETTLED + 1))
-    periods_end = periods.over & ~periods.alive
+    periods_end = (periods.over | periods.cut) & ~periods.alive
     b.m.d.sync += ending.eq(Mux(periods_end, 1, ending & ~unit.done))
     b.m.d.sync += settled.eq(Mux(unit.delivered, settled + (settled != SETTLED), 0))
     b.always(ending & b.past(settled == SETTLED), where=unit.done)
@@ -340,15 +366,23 @@ def _periods_are_in_registers(b: Bench, unit: Sequencer, periods: Periods) -> No
     """Help the induction: the sequencer's registers are one cycle ahead of its outputs."""
     plan = unit.plan
     alive = periods.alive
+    gap = periods.gap
     wait = periods.wait
     pulses = periods.pulses
     steps = periods.steps
     in_step = periods.in_period & (periods.since != 0)
     b.always(b.past(unit.running) == alive)
-    b.always(~periods.in_period, where=wait != 0)
-    b.always(periods.since == 0, where=wait != 0)
+    between = (gap != 0) | (wait != 0)
+    b.always(~periods.in_period, where=between)
+    b.always(periods.since == 0, where=between)
+    b.always(b.past(unit.in_gap) == (gap != 0), where=alive)
     b.always(b.past(unit.left) == wait, where=alive)
-    b.always(unit.waiting == (unit.left != 0))
+    b.always(unit.waiting == (unit.in_gap | (unit.left != 0)))
+    b.always(unit.has_gap == b.past(plan.gap != 0), where=b.past(1))
+    begun = Mux(gap == 0, 0, plan.gap - gap + 1)
+    b.always(b.past(unit.waited) == begun[:GAP_BITS], where=alive)
+    b.always(gap <= plan.gap, where=alive)
+    b.always(b.past(unit.gap_over) == (gap == 1), where=gap != 0)
     b.always(b.past(unit.lfsr) == periods.lfsr, where=alive)
     b.always(unit.mask == b.past((1 << plan.dither_bits) - 1), where=b.past(1))
     b.always((b.past(unit.pulses) == pulses) & (b.past(unit.steps) == steps), where=alive)
@@ -366,7 +400,8 @@ def _end_is_in_registers(b: Bench, unit: Sequencer, ending: Signal) -> None:
     """Help the induction: what the sequencer holds while a frame's results leave."""
     b.always(ending == b.past(unit.draining))
     b.always(unit.draining == (unit.drained != 0))
-    active = unit.running | unit.wrap | unit.draining
+    cut = b.past(unit.running & unit.in_gap & unit.abort_frame)
+    active = unit.running | unit.wrap | cut | unit.draining
     b.always(unit.active == active, where=~unit.running | ~unit.wrap)
     b.always(unit.active, where=unit.running)
     b.always(unit.number_voted.agree)

@@ -24,6 +24,7 @@ PLAN_SETTINGS = (
     "gate_step",
     "gate_every",
     "gate_steps",
+    "gap",
     "dither_bits",
     "dither_seed",
 )

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frame sequencer: back-to-back laser periods, progressive gating, and the frame's beginning and
-end.
+"""Frame sequencer: laser periods and the waits between them, progressive gating, and the frame's
+beginning and end.
 
 The paper gives the laser's repetition rate and the laser pulses of a frame; the sequencing is our
 choice.
@@ -10,7 +10,7 @@ from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import latency
-from ..model.contract.dither import DITHER_BITS_MAX, LFSR_BITS, LFSR_TAPS
+from ..model.contract.dither import DITHER_BITS_MAX, GAP_BITS, LFSR_BITS, LFSR_TAPS
 from ..model.contract.parameters import Sensor
 from ..model.contract.settings import GATE_BITS
 from . import bus
@@ -39,8 +39,9 @@ class Sequencer(Unit):
     delivered : in, all readouts have sent their end packets; done : out, strobe
     resting : out, no frame is in progress
 
-    With dither, the cycles between two periods belong to the frame but to no period, and no edge
-    counts in them. An abort in such a cycle makes the next period the last one.
+    Between two periods comes the gap, then dither's wait. Their cycles belong to the frame but to
+    no period, and no edge counts in them. An abort in the gap ends the frame; in dither's wait it
+    makes the next period the last one.
 
     Reset ends a frame at once and sets the frame number to 0. No upset makes a frame last for ever:
     a counter beyond its end counts as being at its end, and a frame without a running period ends.
@@ -75,9 +76,13 @@ class Sequencer(Unit):
         self.ends = Signal()  # the cycle is the last of a period
         self.wrap = Signal()  # the cycle before was the last of a period
         self.aborted = Signal()  # this period is the last one
-        # Dither.
-        self.waiting = Signal()  # between two periods
-        self.left = Signal(DITHER_BITS_MAX)  # cycles of this wait
+        # Between two periods.
+        self.waiting = Signal()  # in the gap or in dither's wait
+        self.in_gap = Signal()  # where it waits
+        self.has_gap = Signal()  # the frame has gaps
+        self.waited = Signal(GAP_BITS)  # cycles of the gap, with this one
+        self.gap_over = Signal()  # this cycle is the gap's last one
+        self.left = Signal(DITHER_BITS_MAX)  # cycles of dither's wait
         self.mask = Signal(DITHER_BITS_MAX)  # the bits of `lfsr` that give it
         self.lfsr = Signal(LFSR_BITS)
         # Progressive gating. `step` and `last_step` are registers, because `pulses` and `steps`
@@ -95,6 +100,7 @@ class Sequencer(Unit):
     def elaborate(self, platform):
         m = Module()
         self._periods(m)
+        self._gap(m)
         self._dither(m)
         self._shift(m)
         self._timing(m)
@@ -117,6 +123,8 @@ class Sequencer(Unit):
         m.d.comb += self.ends.eq(self.running & ~self.waiting & (self.cycle >= last_cycle))
         with m.If(self.abort_frame & self.running):
             m.d.sync += self.aborted.eq(1)
+            with m.If(self.in_gap):
+                m.d.sync += self.running.eq(0)
         with m.If(self.ends):
             m.d.sync += self.pulse.eq(self.pulse + 1)
             with m.If(self.aborted | self.abort_frame | (self.pulse >= last_pulse)):
@@ -130,22 +138,44 @@ class Sequencer(Unit):
                 self.active.eq(1),
             ]
 
+    def _gap(self, m):
+        """Count the cycles of the gap. The comparison is one cycle ahead, in a register."""
+        last = Signal.like(self.waited)
+        m.d.sync += [
+            self.has_gap.eq(self.plan.gap != 0),
+            last.eq(self.plan.gap - 1),
+            self.gap_over.eq(self.waited >= last),
+            self.waited.eq(0),
+        ]
+        with m.If((self.in_gap & ~self.gap_over) | (self.ends & self.has_gap)):
+            m.d.sync += self.waited.eq(self.waited + 1)
+
     def _dither(self, m):
-        """Count the cycles until the next period. The LFSR steps in every cycle of the periods."""
+        """Draw dither's wait, and wait: for the gap, then for the cycles that are drawn. The LFSR
+        steps in every cycle of the periods.
+        """
         following = Signal(LFSR_BITS)
+        drawn = Signal.like(self.left)
         m.d.comb += following.eq((self.lfsr >> 1) ^ Mux(self.lfsr[0], LFSR_TAPS, 0))
+        m.d.comb += drawn.eq(following & self.mask)
         m.d.sync += self.mask.eq((1 << self.plan.dither_bits) - 1)
-        with m.If(self.waiting):
+        with m.If(self.waiting & self.in_gap):
+            with m.If(self.gap_over):
+                m.d.sync += [self.in_gap.eq(0), self.waiting.eq(self.left.any())]
+        with m.Elif(self.waiting):
             m.d.sync += [self.left.eq(self.left - 1), self.waiting.eq(self.left > 1)]
         with m.Elif(self.running):
             m.d.sync += self.lfsr.eq(following)
             with m.If(self.ends):
                 m.d.sync += [
-                    self.left.eq(following & self.mask),
-                    self.waiting.eq((following & self.mask).any()),
+                    self.left.eq(drawn),
+                    self.waiting.eq(self.has_gap | drawn.any()),
+                    self.in_gap.eq(self.has_gap),
                 ]
         with m.If(self.restart):
-            m.d.sync += [self.lfsr.eq(self.plan.dither_seed), self.left.eq(0), self.waiting.eq(0)]
+            m.d.sync += self.lfsr.eq(self.plan.dither_seed)
+        with m.If(self.restart | ~self.running):
+            m.d.sync += [self.left.eq(0), self.waiting.eq(0), self.in_gap.eq(0)]
 
     def _shift(self, m):
         """Progressive gating: compute the gate's shift in this period, saturated at a shift with

@@ -194,7 +194,7 @@ class Driver:
         self._write(*registers.control("start"))
 
     def abort(self) -> None:
-        """Make the running period the last one of the frame."""
+        """Make the running period the last one of the frame; in a gap, end the frame."""
         self._write(*registers.control("abort"))
 
     def reset(self) -> None:

@@ -257,8 +257,15 @@ class SlicedSensor:
         """Play some cycles of the frame, and return whether it goes on."""
         return bool(self._engine.call("run", cycles))
 
+    @property
+    def cycle(self) -> int:
+        """Cycle of the frame that `begin` has started, -1 before its first one."""
+        return self._call("cycle")
+
     def abort(self) -> None:
-        """Make the running period the last one of the frame that `begin` has started."""
+        """Make the running period the last one of the frame that `begin` has started; in a gap,
+        end it.
+        """
         self._call("write_during_frame", *registers.control("abort"))
 
     def reset(self) -> None:

@@ -53,20 +53,22 @@ USED: Features = {
     "gate": ("none", "inner", "beyond the period", "empty"),
     "gate steps": ("none", "slow", "many"),
     "mask": ("all", "half", "one subgroup dark"),
+    "gap": (0, 1, 2, 90),
     "dither_bits": (0, 3),
-    "abort": ("none", "first period", "later"),
+    "abort": ("none", "first period", "later", "in a gap"),
     "frames": (1, 3),
     "link_gbps": (0.0, 9.0),
     "receiver": READY_KINDS,
     "light": ("some", "none", "one edge", "crowded"),
 }
 # What is not built cannot be used.
-IMPOSSIBLE: frozenset[Pair] = frozenset(
+REFUSED: frozenset[Pair] = frozenset(
     [frozenset([("offsets", 0), ("format", name)]) for name in UNBUILT]
     + [frozenset([("records", 0), ("minigroup_records", True)])]
     + [frozenset([("controller", 0), ("auto", True)])]
     + [frozenset([("controller", 0), ("threshold_floor", floor)]) for floor in (0, 3)]
 )
+IMPOSSIBLE: frozenset[Pair] = REFUSED | {frozenset([("gap", 0), ("abort", "in a gap")])}
 # Values with which most frames have events, in which a bug can show.
 LIVELY: Features = {
     "light": ("some", "crowded"),
@@ -78,7 +80,7 @@ LIVELY: Features = {
 DARK: frozenset[Pair] = frozenset([frozenset([("sizes", "wide"), ("mask", "one subgroup dark")])])
 DENSITY = {"some": 12.0, "none": 0.0, "one edge": 0.0, "crowded": 40.0}
 PULSES = 8
-ABORTED_AFTER = {"none": PULSES, "first period": 1, "later": 5}
+ABORTED_AFTER = {"none": PULSES, "first period": 1, "later": 5, "in a gap": 3}
 
 
 def legal_pairs(features: Features, impossible: Iterable[Pair] = IMPOSSIBLE) -> set[Pair]:
@@ -151,10 +153,10 @@ def _best_value(
 
 def features_on(sensors: Mapping[str, dict[str, Any]]) -> tuple[Features, frozenset[Pair]]:
     """Return the features of frames on some sensors, by name, and the pairs that no frame has."""
-    impossible = set()
+    impossible = set(IMPOSSIBLE - REFUSED)
     for name, table in sensors.items():
         built = {choice for choice in table.items() if choice[0] in BUILT}
-        for pair in IMPOSSIBLE:
+        for pair in REFUSED:
             if pair & built:
                 (used,) = pair - built
                 impossible.add(frozenset([("sensor", name), used]))
@@ -201,7 +203,15 @@ def config_of(sensor: dict[str, Any], case: Case) -> Config:
         "auto_bounds": [0, 0, 4, 8, 30, 60] if case["auto_bounds"] == "rising" else [0] * 6,
         "capacity": 1000 if case["capacity"] == "ample" else 3 * built.subgroups,
     }
-    names = ("format", "minigroup_records", "mg_window", "dither_bits", "frames", "link_gbps")
+    names = (
+        "format",
+        "minigroup_records",
+        "mg_window",
+        "gap",
+        "dither_bits",
+        "frames",
+        "link_gbps",
+    )
     frame |= {name: case[name] for name in names} | steps[case["gate steps"]]
     if built.controller or case["threshold_floor"] != 1:
         frame["threshold_floor"] = case["threshold_floor"]
@@ -224,12 +234,14 @@ def config_of(sensor: dict[str, Any], case: Case) -> Config:
 class Played:
     """A case as it is played: consecutive frames of one configuration.
 
-    config: of a frame that is not aborted; pulses: that are played of each frame; frames: the edges
-    of each frame; ready: `tready` of the receiver.
+    config: of a frame that is not aborted; pulses: that are played of each frame; into_gap: cycles
+    of the gap after them up to the abort, 0 if that is not in a gap; frames: the edges of each
+    frame; ready: `tready` of the receiver.
     """
 
     config: Config
     pulses: int
+    into_gap: int
     frames: list[Edges]
     ready: np.ndarray
 
@@ -250,7 +262,9 @@ class Played:
     def traces(self, golden: Golden) -> list[Trace]:
         """Return the frames as the golden model predicts them."""
         pulses = None if self.pulses == self.config.pulses else self.pulses
-        return [golden.frame(self.config, of, self.ready, pulses) for of in self.frames]
+        return [
+            golden.frame(self.config, of, self.ready, pulses, self.into_gap) for of in self.frames
+        ]
 
 
 def played(sensor: dict[str, Any], case: Case, number: int) -> Played:
@@ -265,4 +279,7 @@ def played(sensor: dict[str, Any], case: Case, number: int) -> Played:
             edges = trouble(one_frame, 100 * number + k, 6.0).take(slice(0, 1))
         frames.append(edges)
     ready = ready_pattern(number, case["receiver"], one_frame.frame_cycles + 100)
-    return Played(config, pulses, frames, ready)
+    into_gap = 0
+    if case["abort"] == "in a gap":
+        into_gap = (1, config.gap, 1 + number % config.gap)[number % 3]
+    return Played(config, pulses, into_gap, frames, ready)

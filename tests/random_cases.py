@@ -130,6 +130,7 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
         "gate_step": st.integers(0, 40),
         "gate_every": st.integers(0, 3),
         "gate_steps": st.integers(1, 3),
+        "gap": st.sampled_from((0, 0, 1, 2, 13, 100)),
         "dither_bits": st.integers(0, 5),
         "auto_bounds": st.lists(st.integers(0, 300), min_size=6, max_size=6).map(sorted),
         "capacity": st.integers(0, 400),
@@ -279,6 +280,19 @@ def dithered(sensor: dict) -> Config:
         ),
         {"threshold": 1},
     )
+
+
+def apart(sensor: dict) -> list[Config]:
+    """Return frames with gaps that use many bits and their carries, alone and before dither."""
+    built = built_sensor(sensor)
+    return [
+        configured(
+            sensor,
+            dict(period=built.guard + 8, pulses=3, gap=gap, dither_bits=dither_bits),
+            {"threshold": 1},
+        )
+        for gap, dither_bits in ((1, 0), (1, 1), (2, 3), (255, 0), (256, 4), (2731, 0))
+    ]
 
 
 def overfull(sensor: dict) -> Config:

@@ -20,6 +20,7 @@ from ..shared.errors import InputError, check_integer, out_of_range, wrong_value
 from ..shared.files import FilePath
 from . import registers
 from .coincidence import AT_LEAST, Rule
+from .counters import EVENTS_MAX
 from .dither import start_cycles
 from .groups import LARGE_PIXELS, PAYLOAD_BITS, group_widths
 from .link import beats_waiting_max, check_link, link_share, takes_beats
@@ -117,6 +118,11 @@ class Config(SubgroupSettings):
         return self.frame.period
 
     @property
+    def gap(self) -> int:
+        """Cycles from the end of one period to the next one, without dither's wait."""
+        return self.frame.gap
+
+    @property
     def pulses(self) -> int:
         """Laser periods per frame."""
         return self.frame.pulses
@@ -149,20 +155,27 @@ class Config(SubgroupSettings):
 
     @property
     def capacity(self) -> int:
-        """Events that a stream carries in a frame; by default, as many as its link takes."""
-        given: int | None = self.frame.capacity
-        return (
-            self.capacity_of(int(self.pulses * self.period * self.link_share))
-            if given is None
-            else given
-        )
+        """Events that a stream carries in a frame; by default, as many as its link takes.
 
-    def capacity_of(self, beats: int) -> int:
-        """Return the number of events that `beats` of a stream carry in a frame.
+        In the gaps it takes no more than what the FIFOs hold at the end of a period.
+        """
+        given: int | None = self.frame.capacity
+        if given is not None:
+            return given
+        waiting_cycles = (self.pulses - 1) * self.gap
+        held_events = (self.pulses - 1) * self.sensor.fifo_depth * self._fewest_subgroups
+        all_cycles = self._capacity_in(self.pulses * self.period + waiting_cycles)
+        in_periods = self._capacity_in(self.pulses * self.period)
+        return min(all_cycles, in_periods + held_events, EVENTS_MAX)
+
+    def _capacity_in(self, cycles: int) -> int:
+        """Return the number of events that a stream's link takes in `cycles` of a frame.
 
         With minigroup records, every subgroup may send one record per pulse before its events.
         """
-        parts, packet = layout(self.sensor), FORMATS[self.format]
+        beats = int(cycles * self.link_share)
+        parts = layout(self.sensor)
+        packet = FORMATS[self.format]
         if self.frame.minigroup_records:
             subgroups = max(
                 len(self.sensor.stream_subgroups(stream)) for stream in range(self.sensor.streams)
@@ -170,10 +183,7 @@ class Config(SubgroupSettings):
             beats -= self.pulses * subgroups * parts.length(RECORD)
         if packet.grouped:
             bits = group_widths(self.sensor).listed_bits(packet, self.period_ticks, LARGE_PIXELS)
-            return min(
-                max(0, beats) * PAYLOAD_BITS // bits,
-                self.pulses * self.period // parts.length(packet),
-            )
+            return min(max(0, beats) * PAYLOAD_BITS // bits, cycles // parts.length(packet))
         return max(0, beats) // parts.length(packet)
 
     @property
@@ -187,6 +197,11 @@ class Config(SubgroupSettings):
         )
 
     @property
+    def _fewest_subgroups(self) -> int:
+        """Subgroups of the smallest stream."""
+        return self.sensor.subgroups // self.sensor.streams
+
+    @property
     def controlled(self) -> np.ndarray:
         """bool[subgroups]: True where the controller sets the threshold."""
         return self.auto & self.coincidence
@@ -196,7 +211,7 @@ class Config(SubgroupSettings):
         last element ends the frame.
         """
         starts = start_cycles(
-            self.pulses, self.period, self.frame.dither_bits, self.frame.dither_seed
+            self.pulses, self.period, self.frame.dither_bits, self.frame.dither_seed, self.gap
         )
         starts[-1] = starts[-2] + self.period
         return starts

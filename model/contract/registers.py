@@ -26,7 +26,7 @@ SUBGROUP_BASE = 0x1000
 SUBGROUP_STRIDE = 0x80
 ID_VALUE = 0x434F494E  # "COIN"
 VERSION_VALUE = (
-    0x00020004  # 16 bits each for major and minor; every change that software can see raises it
+    0x00020005  # 16 bits each for major and minor; every change that software can see raises it
 )
 
 Value = Callable[[Sensor], int]
@@ -147,7 +147,11 @@ GLOBAL: tuple[Register, ...] = (
         high=7,
         bits=(
             Bits("start", 0, "Begins a frame."),
-            Bits("abort", 1, "Makes the running period the last of the frame."),
+            Bits(
+                "abort",
+                1,
+                "Makes the running period the last of the frame; in a gap, ends the frame.",
+            ),
             Bits(
                 "reset",
                 2,

@@ -13,7 +13,7 @@ import numpy as np
 from attrs import field, frozen
 
 from .counters import EVENTS_MAX
-from .dither import DITHER_BITS_MAX, LFSR_BITS
+from .dither import DITHER_BITS_MAX, GAP_MAX, LFSR_BITS
 from .packet import FORMATS
 from .parameters import CLOCK_MHZ, Sensor
 from .table import NO_BIT, Kind, Limit, settings_of_class
@@ -129,6 +129,14 @@ class FrameSettings:
     )
     gate_steps: int = _integer(
         1, 1, GATE_MAX, f"{GATE}: number of steps before it starts over.", offset=0x68
+    )
+    gap: int = _integer(
+        0,
+        0,
+        GAP_MAX,
+        "Cycles from the end of one period to the next one, before dither's wait; 0: back to back.",
+        unit="cycles",
+        offset=0x94,
     )
     dither_bits: int = _integer(
         0,

@@ -78,24 +78,30 @@ class Golden:
         edges: Edges,
         ready: np.ndarray | None = None,
         pulses: int | None = None,
+        into_gap: int = 0,
     ) -> Trace:
         """Run one frame; the pulses of `edges` count from the frame's start.
 
         ready: uint8[n] or None; the receiver behind the streams' links (`contract/link.py`)
         takes a beat in cycle c if ready[c] is 1, and always from cycle n on. pulses: fewer than
-        the configuration has means an aborted frame.
+        the configuration has means an aborted frame. into_gap: cycles of the gap after these
+        pulses, up to the one of the abort; 0: the frame is not aborted in a gap.
         """
-        opened = self.begin(config, ready, pulses)
+        opened = self.begin(config, ready, pulses, into_gap)
         return opened.end(opened.take_all(edges))
 
     def begin(
-        self, config: Config, ready: np.ndarray | None = None, pulses: int | None = None
+        self,
+        config: Config,
+        ready: np.ndarray | None = None,
+        pulses: int | None = None,
+        into_gap: int = 0,
     ) -> "OpenFrame":
         """Begin a frame, which takes its edges in pieces. It must end before the next one begins.
 
-        ready, pulses: as in `frame`.
+        ready, pulses, into_gap: as in `frame`.
         """
-        plan = _plan(config, self.controller.begin(config), ready, pulses)
+        plan = _plan(config, self.controller.begin(config), ready, pulses, into_gap)
         opened = OpenFrame(self, config, plan, self.frames)
         self.frames += 1
         return opened
@@ -238,8 +244,8 @@ def _of_stream(rows: Events | Records, span: range) -> list[np.ndarray]:
 class _Plan(NamedTuple):
     """What the frames of a configuration share, as the kernels need it.
 
-    threshold: as programmed or controlled, with coincidence or without. end: of the last period,
-    in cycles.
+    threshold: as programmed or controlled, with coincidence or without. end: of the last period
+    or of the gap in which the frame is aborted, in cycles.
     """
 
     shape: Shape
@@ -255,6 +261,7 @@ def _plan(
     threshold: np.ndarray,
     ready: np.ndarray | None = None,
     pulses: int | None = None,
+    into_gap: int = 0,
 ) -> _Plan:
     frame = config.frame
     start = config.start_cycles()
@@ -278,7 +285,7 @@ def _plan(
         threshold=threshold,
         settings=settings,
         timeline=Timeline(start=start, gate_shift=frame.gate_step * steps),
-        end=int(start[played - 1]) + config.period,
+        end=int(start[played - 1]) + config.period + into_gap,
         receiver=receiver_of(config, ready),
     )
 

@@ -56,7 +56,7 @@ from .walk import (
 
 CHUNK_EDGES = 1 << 16  # edges generated and sorted at a time: they fit a core's cache
 PULSES_MAX = 1 << 40
-DITHERED_PULSES_MAX = 1 << 24  # pulses whose starts are kept
+APART_PULSES_MAX = 1 << 24  # pulses whose starts are kept
 
 
 def generate_edges(light: Light, spad: Spad, timing: Timing, **options: Any) -> Edges:
@@ -189,10 +189,11 @@ def _in_ticks(
         for name in ("start_cycles", "len_cycles", "step_cycles")
     )
     other = light.interferer or Interferer(photons_per_pulse=0.0)
-    if timing.dither_bits:
-        check_integer("pulses", pulse_stop, 0, DITHERED_PULSES_MAX, "with dither")
+    if timing.waits:
+        check_integer("pulses", pulse_stop, 0, APART_PULSES_MAX, "with a gap or dither")
     physics = Physics(
         period_ticks=float(period_ticks),
+        spacing_ticks=float(timing.spacing_ticks),
         phases=timing.phases,
         dead=spad.dead_time_s / tick_s,
         paralyzable=bool(spad.paralyzable),
@@ -215,7 +216,7 @@ def _in_ticks(
     arrays = Arrays(
         noise=rate_cps * timing.period_s,
         signal=np.where(seen, light.signal_per_pulse, 0.0),
-        centre=flight_ticks % period_ticks,
+        centre=flight_ticks % timing.spacing_ticks,
         sigma=np.sqrt(pulse_variance_s2) * SIGMA_PER_FWHM / tick_s,
         gate_start=gate_start,
         gate_len=gate_len,
@@ -223,14 +224,14 @@ def _in_ticks(
         taps=np.empty(0)
         if timing.tap_width_lsb is None
         else np.cumsum(timing.tap_width_lsb, dtype=np.float64)[:-1],
-        laps=(flight_ticks // period_ticks).astype(np.int64),
+        laps=(flight_ticks // timing.spacing_ticks).astype(np.int64),
         bin_first=bin_first,
         bin_start=bin_start,
         bin_photons=bin_photons,
         other=real_array("photons_per_pulse", other.photons_per_pulse, (pixels,), 0, SIGNAL_MAX),
         other_first=(other.phase_s + real_array("delay_s", other.delay_s, (pixels,), 0)) / tick_s,
         starts=timing.start_cycles(pulse_stop) * float(timing.phases)
-        if timing.dither_bits
+        if timing.waits
         else np.empty(0),
         shape=np.empty(0) if pulse is None else pulse.time_s / tick_s,
         shape_share=np.empty(0) if pulse is None else pulse.share_before,

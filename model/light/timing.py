@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clock and TDC of the photon model: tick, laser period, dither."""
+"""Clock and TDC of the photon model: tick, laser period, gap, dither."""
 
 import numpy as np
 from attrs import frozen
 
 from ..contract.config import Config
-from ..contract.dither import DITHER_BITS_MAX, LFSR_BITS, start_cycles
+from ..contract.dither import DITHER_BITS_MAX, GAP_MAX, LFSR_BITS, start_cycles
 from ..contract.parameters import CLOCK_MHZ
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError, check_integer
@@ -18,8 +18,8 @@ class Timing:
 
     clock_hz: system clock. phases: ticks per clock cycle. period_cycles: laser period.
     tap_width_lsb: float64[phases], widths of the TDC's phases, which sum to `phases`; None = all
-    1. dither_bits, dither_seed: settings of the wait between two periods (docs/contract.md).
-       frame_pulses: number of pulses after which the sequence of waits starts
+    1. gap_cycles, dither_bits, dither_seed: settings of the wait between two periods
+       (docs/contract.md). frame_pulses: number of pulses after which the sequence of waits starts
     again; 0: all pulses are one frame.
     """
 
@@ -27,6 +27,7 @@ class Timing:
     phases: int = 32
     period_cycles: int = 250
     tap_width_lsb: np.ndarray | None = None
+    gap_cycles: int = 0
     dither_bits: int = 0
     dither_seed: int = 1
     frame_pulses: int = 0
@@ -34,6 +35,7 @@ class Timing:
     def __attrs_post_init__(self) -> None:
         check_integer("phases", self.phases, 1, 1024)
         check_integer("period_cycles", self.period_cycles, 1, 1 << 20)
+        check_integer("gap_cycles", self.gap_cycles, 0, GAP_MAX)
         check_integer("dither_bits", self.dither_bits, 0, DITHER_BITS_MAX)
         check_integer("dither_seed", self.dither_seed, 1, (1 << LFSR_BITS) - 1)
         check_integer("frame_pulses", self.frame_pulses, 0, 1 << 16)
@@ -46,12 +48,13 @@ class Timing:
 
     @classmethod
     def from_config(cls, config: Config, tap_width_lsb: np.ndarray | None = None) -> "Timing":
-        """Return clock, phases, period and dither of a configuration."""
+        """Return clock, phases, period, gap and dither of a configuration."""
         return cls(
             clock_hz=config.clock_mhz * 1e6,
             phases=config.sensor.phases,
             period_cycles=config.period,
             tap_width_lsb=tap_width_lsb,
+            gap_cycles=config.gap,
             dither_bits=config.frame.dither_bits,
             dither_seed=config.frame.dither_seed,
             frame_pulses=config.pulses,
@@ -66,6 +69,16 @@ class Timing:
         return self.period_cycles * self.phases
 
     @property
+    def spacing_ticks(self) -> int:
+        """From the beginning of a period to that of the next one, without dither's wait."""
+        return (self.period_cycles + self.gap_cycles) * self.phases
+
+    @property
+    def waits(self) -> bool:
+        """Whether there may be cycles between two periods."""
+        return self.gap_cycles > 0 or self.dither_bits > 0
+
+    @property
     def period_s(self) -> float:
         return self.period_cycles / self.clock_hz
 
@@ -77,11 +90,15 @@ class Timing:
         return SPEED_OF_LIGHT_M_S * self.period_s / 2
 
     def start_cycles(self, pulses: int) -> np.ndarray:
-        """int64[pulses + 1]: start of each pulse's period, in cycles from the first one. Frames
-        follow without a gap.
+        """int64[pulses + 1]: start of each pulse's period, in cycles from the first one. A frame
+        begins where the frame before would have had one more period.
         """
         frame = start_cycles(
-            self.frame_pulses or pulses, self.period_cycles, self.dither_bits, self.dither_seed
+            self.frame_pulses or pulses,
+            self.period_cycles,
+            self.dither_bits,
+            self.dither_seed,
+            self.gap_cycles,
         )
         number, pulse = np.divmod(np.arange(pulses + 1), max(1, len(frame) - 1))
         return number * frame[-1] + frame[pulse]

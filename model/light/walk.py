@@ -49,6 +49,7 @@ class Physics(NamedTuple):
     """Scalars of the walk; times in ticks."""
 
     period_ticks: float
+    spacing_ticks: float  # from a period to the next one, without dither
     phases: int
     dead: float  # time from an avalanche until the SPAD is alive again
     paralyzable: bool  # a photon within the dead time extends it
@@ -73,13 +74,13 @@ class Arrays(NamedTuple):
 
     noise: np.ndarray  # [pixels], photons per period
     signal: np.ndarray  # [pixels, targets], photons per period
-    centre: np.ndarray  # [pixels, targets], of the pulse in the period
+    centre: np.ndarray  # [pixels, targets], of the pulse, from the beginning of a period on
     sigma: np.ndarray  # [pixels, targets], of the pulse
     gate_start: np.ndarray  # [pixels]
     gate_len: np.ndarray  # [pixels]
     gate_step: np.ndarray  # [pixels], of progressive gating
     taps: np.ndarray  # inner borders of the TDC's phases, empty if they are ideal
-    laps: np.ndarray  # int64[pixels, targets], whole periods of the flight
+    laps: np.ndarray  # int64[pixels, targets], whole periods of the flight, with their gaps
     bin_first: np.ndarray  # int64[pixels + 1], first of the pixel's bins; the next pixel's follow
     bin_start: np.ndarray  # [bins], beginning of each
     bin_photons: np.ndarray  # [bins], sum of the photons of the pixel's bins up to it
@@ -338,15 +339,17 @@ def _arrival(
         mark -= arrays.signal[pixel, target]
         target = 0
         begins = _start_in_bin(at, i, mark, physics, arrays)
-        lap = np.int64(begins // period_ticks)
-        begins -= lap * period_ticks
+        lap = np.int64(begins // physics.spacing_ticks)
+        begins -= lap * physics.spacing_ticks
     if arrays.shape.size:
         t = begins + interpolated(uniform(at.key, SHAPE, i), arrays.shape_share, arrays.shape)
     else:
         t = begins + arrays.sigma[pixel, target] * normal(at.key, SHAPE, i)
-    if arrays.starts.size and lap:  # from an earlier pulse, whose distance in time varies
+    apart = physics.spacing_ticks > period_ticks
+    if arrays.starts.size and (lap or apart):  # from an earlier pulse, whose distance varies
         emitted = max(pulse - lap, 0)
-        t += (pulse - emitted) * period_ticks - (arrays.starts[pulse] - arrays.starts[emitted])
+        regular = (pulse - emitted) * physics.spacing_ticks
+        t += regular - (arrays.starts[pulse] - arrays.starts[emitted])
         if not 0 <= t < period_ticks:
             return -1.0
     return _modulo(t, period_ticks)

@@ -152,7 +152,7 @@ def period_starts(config: Config) -> list[int]:
         for _ in range(config.period):
             bit, register = register & 1, register >> 1
             register ^= 0b1011_0100_0000_0000 * bit
-        at += config.period + register % 2**config.frame.dither_bits
+        at += config.period + config.frame.gap + register % 2**config.frame.dither_bits
     return starts
 
 

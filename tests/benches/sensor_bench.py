@@ -495,13 +495,19 @@ async def gate_output_leads_the_spads(dut):
 async def no_edge_counts_between_two_periods(dut):
     bench = await fresh(dut)
     of = config(
-        frame={"period": 40, "pulses": 6, "dither_bits": 5, "minigroup_records": True},
+        frame={
+            "period": 40,
+            "pulses": 6,
+            "gap": 9,
+            "dither_bits": 5,
+            "minigroup_records": True,
+        },
         subgroup={"threshold": 1},
     )
     await bench.program(of)
     starts, all_lines = period_starts(of), (1 << len(bench.spad[0])) - 1
     dark = {cycle for start in starts for cycle in range(start, start + of.period)}
-    assert starts[-1] + of.period - len(dark) > 10
+    assert starts[-1] + of.period - len(dark) > 5 * 9 + 10
     await bench.write("control", 1)
     await laser_fires(dut)
     everywhere = dict.fromkeys(range(of.sensor.subgroups), all_lines)

@@ -34,6 +34,7 @@ FRAME = {
     "gate_every": 1,
     "gate_steps": 5,
     "link_gbps": 4.0,
+    "gap": 11,
     "dither_bits": 3,
     "dither_seed": 9,
     "auto_bounds": [1, 2, 3, 4, 5, 6],

@@ -196,7 +196,7 @@ def test_bad_values():
         ),
         (
             lambda: edges_of(dark(), Timing(dither_bits=1), pulses=1 << 25),
-            "pulses = 33554432.*with dither",
+            "pulses = 33554432.*with a gap or dither",
         ),
     ):
         with pytest.raises(InputError, match=words):

@@ -19,7 +19,7 @@ from coincid.tb.scoreboard import check
 from coincid.tb.sliced import SlicedSensor
 
 from .. import random_cases
-from ..feature_pairs import features_on, paired_cases, played
+from ..feature_pairs import Played, features_on, paired_cases, played
 
 # The simulators compile the same Verilog as the sliced engine, so some sensors suffice for them: on
 # Verilator the one that `test_ports.py` compiles, on Icarus the one with a single subgroup, which
@@ -114,6 +114,19 @@ PAIRED = tuple(
 ABORT_CYCLES = 24
 
 
+# Cycles from the one at whose end the host begins to write an abort to the one that the abort ends.
+ABORT_LATENCY = 10
+
+
+def abort_in_gap(rtl: SlicedSensor, frames: Played) -> None:
+    """Play a frame up to the cycle of a gap in which it is to be aborted."""
+    begin = int(frames.config.start_cycles()[frames.pulses - 1])
+    abort_in = begin + frames.config.period + frames.into_gap - 1
+    while rtl.cycle < abort_in - ABORT_LATENCY:
+        rtl.step()
+    rtl.abort()
+
+
 @pytest.mark.parametrize("sensor", PAIRED)
 def test_every_pair_of_features(sensor):
     """Each sensor plays its cases of those that have every pair; the host receives the same."""
@@ -126,7 +139,9 @@ def test_every_pair_of_features(sensor):
                 frames = played(SENSORS[sensor], case, number)
                 for edges, trace in zip(frames.frames, frames.traces(golden), strict=True):
                     rtl.begin(frames.config, edges, frames.ready)
-                    if frames.pulses < frames.config.pulses:
+                    if frames.into_gap:
+                        abort_in_gap(rtl, frames)
+                    elif frames.pulses < frames.config.pulses:
                         last = int(frames.config.start_cycles()[frames.pulses - 1])
                         rtl.step(last + ABORT_CYCLES)
                         rtl.abort()
@@ -141,6 +156,7 @@ def test_every_mode_in_every_format(sensor, tmp_path):
     jobs, golden = [], Golden(random_cases.built_sensor(table))
     configs = [config for config in random_cases.modes(table) for _ in range(2)]
     configs += [*random_cases.gate_bits(table), *random_cases.collections(table)]
+    configs += random_cases.apart(table)
     configs += [
         case(table) for case in (random_cases.overfull, random_cases.lengthy, random_cases.dithered)
     ]
