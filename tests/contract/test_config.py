@@ -248,6 +248,10 @@ def test_default_bounds_keep_noise_rare(window, rearm):
         ({}, {"minigroup_records": True}, (25_000 - 100 * 16 * 5) // 2, [531]),
         ({"rows": 64, "cols": 64}, {"minigroup_records": True}, 0, [0]),
         ({}, {"capacity": 100}, 100, [6]),
+        ({}, {"gap": 100}, (25_000 + 99 * 100) // 2, [1090]),
+        ({}, {"gap": 10_000}, 12_500 + 99 * 16 * 16, [2365]),
+        ({}, {"gap": 10_000, "link_gbps": 8.0}, 3125 + 99 * 16 * 16, [1779]),
+        ({"streams": 4}, {"gap": 10_000}, 12_500 + 99 * 16 * 4, [4709] * 4),
     ],
 )
 def test_capacity_of_a_stream(sensor, frame, capacity, shares):

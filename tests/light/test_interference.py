@@ -104,6 +104,9 @@ def test_every_frame_waits_alike():
     )
     waits = np.diff(Timing.from_config(config).start_cycles(21)) - 250
     assert waits.any() and waits[:7].tolist() == waits[7:14].tolist() == waits[14:].tolist()
+    gap = config.with_frame(gap=1000)
+    assert np.diff(Timing.from_config(gap).start_cycles(21)).tolist() == (1250 + waits).tolist()
+    assert np.diff(gap.start_cycles()).tolist() == [*(1250 + waits[:6]), 250]
     # A frame ends with its last period.
     assert np.diff(config.start_cycles()).tolist() == (250 + np.r_[waits[:6], 0]).tolist()
 
@@ -148,6 +151,38 @@ def test_afterpulses_in_a_wait_are_lost():
     # mostly in the next period
     released = np.exp(-(waits_of(400, 8) / timing.clock_hz) / trap_s).mean()
     assert np.sum(~primary) == pytest.approx(0.1 * primary.sum() * released, rel=0.25)
+
+
+def test_after_a_long_gap_every_pulse_is_like_the_first():
+    """Dead time and trapped carriers do not outlive a gap of 4 us."""
+    spad = Spad(dead_time_s=300e-9, afterpulse_probability=0.2, afterpulse_s=50e-9)
+    bright = Light(rows=2, cols=4, distance_m=60.0, signal_per_pulse=1.0, background_cps=1e8)
+    apart = edges_of(bright, Timing(gap_cycles=2000), spad, pulses=20)
+    alone = [edges_of(bright, Timing(), spad, pulses=1, pulse_start=k) for k in range(20)]
+    assert len(apart) > 200
+    for name in ("pulse", "pixel", "tick"):
+        together = np.concatenate([getattr(edges, name) for edges in alone])
+        assert np.array_equal(getattr(apart, name), together)
+    assert not same(apart, edges_of(bright, Timing(), spad, pulses=20))
+
+
+@pytest.mark.parametrize(
+    ("flight", "arrives"),
+    [(0.7, 0.7), (1.2, None), (1.7, 0.2), (2.2, 0.7), (2.6, None), (4.6, 0.1)],
+)
+def test_where_light_arrives_with_gaps(flight, arrives):
+    """Periods begin 1.5 periods apart; numbers are in periods."""
+    timing = Timing(gap_cycles=125)
+    wall = Light(
+        rows=1,
+        cols=1,
+        distance_m=(flight * timing.period_s + 1e-12) * SPEED_OF_LIGHT_M_S / 2,
+        signal_per_pulse=20.0,
+        system_fwhm_s=0.0,
+    )
+    edges = edges_of(wall, timing, pulses=10)
+    ticks = [] if arrives is None else [round(arrives * timing.period_ticks)]
+    assert np.unique(edges.tick).tolist() == ticks
 
 
 def test_dither_spreads_what_is_out_of_range():
