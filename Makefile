@@ -23,6 +23,7 @@ help:
 	@echo '  PULSE=pulse.csv                measured pulse of laser and detector'
 	@echo '  THRESHOLD=2 FRAMES=8           threshold of one frame; frames of the controller'
 	@echo '  LINK_GBPS=8 CONFIG=FILE        link (0: without limit), sensor and settings (TOML)'
+	@echo '  GAP=1000                       cycles between two laser periods'
 	@echo '  SIM=sliced VIEW=async WAVES=1  engine: golden, sliced, verilator, icarus;'
 	@echo '                                 asynchronous front end; waveform (verilator, icarus)'
 	@echo 'options of all: PYTHON=python3.12 (makes .venv), COINCID_BUILD=DIR (compiled designs)'
@@ -37,7 +38,8 @@ sim: ## simulate a scene and check every word of the RTL; results in build/sim/
 		$(call option,fov,FOV) $(call option,reflectivity,REFLECTIVITY) $(call option,threshold,THRESHOLD) \
 		$(call option,frames,FRAMES) $(call option,link-gbps,LINK_GBPS) $(call option,klux,KLUX) $(call option,pulse,PULSE) \
 		$(call option,pulses,PULSES) $(call option,config,CONFIG) $(call option,seed,SEED) \
-		$(call option,view,VIEW) $(if $(filter-out 0,$(WAVES)),--waves) --out build/sim
+		$(if $(value GAP),--set gap='$(value GAP)') $(call option,view,VIEW) $(if $(filter-out 0,$(WAVES)),--waves) \
+		--out build/sim
 
 explore: ## the effect of every setting in the browser (PORT=5006)
 	@scripts/setup rtl explore

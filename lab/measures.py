@@ -26,6 +26,7 @@ from ..model.light.light import Light
 from ..model.scenes.scene import Scene
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
 from .bound import median_light, with_usual_threshold, word_bounds_mm
+from .pace import LASER_MEAN_W, frame_s, frames_per_s, pulse_energy_j
 
 Number: TypeAlias = int | float | None
 
@@ -217,6 +218,21 @@ _OTHERS: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
         lambda frame: float(
             frame.beats.max() / (frame.config.frame_cycles * frame.config.link_share)
         ),
+    ),
+    "frames_per_s": (
+        float,
+        "frames per second if one begins as soon as the periods of the last one end",
+        lambda frame: frames_per_s(frame.config),
+    ),
+    "mean_gbps": (
+        float,
+        "mean rate of the busiest stream's link over the frame with all waits, in Gbit/s",
+        lambda frame: BEAT_BITS * float(frame.beats.max()) / frame_s(frame.config) * 1e-9,
+    ),
+    "pulse_nj": (
+        float,
+        f"energy of a laser pulse at a mean power of {LASER_MEAN_W * 1e3:g} mW, in nJ",
+        lambda frame: pulse_energy_j(frame.config) * 1e9,
     ),
     "capacity_share": (
         float,

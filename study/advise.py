@@ -17,8 +17,10 @@ from attrs import evolve, frozen
 
 from ..lab.bound import median_light, photon_bound_mm, word_bounds_mm
 from ..lab.outcomes import Frame, Run
+from ..lab.pace import told_pace
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config, toml_text
+from ..model.contract.link import SHARE_MIN, stream_gbps
 from ..model.contract.packet import BEAT_BITS
 from ..model.depth.pulse_ticks import pulse_ticks
 from ..model.golden.frame import Golden
@@ -35,6 +37,7 @@ THRESHOLDS = (1, 2, 3, 4, 5, 6)
 LIMITED = (1, 2, 3)  # thresholds whose cost in millimetres is told
 WINDOWS_NS = (0.5, 1.0, 2.0)
 LINKS_GBPS = (1.0, 2.0, 4.0, 8.0, 16.0)
+SLOW_LINKS_GBPS = (0.05, 0.1, 0.25, 0.5)  # that are tried if the pulses are apart
 FIRST_LINK_GBPS = 8.0  # with which thresholds and windows are compared
 FORMATS = ("compact", "id")
 # more wrong pixels that count as equal: as a share of all, and of the best one's wrong pixels
@@ -145,7 +148,15 @@ class Advice:
             f" pixels are wrong ({best.far:.1%} by more than 15 cm), for {best.bits:,} bits per"
             f" frame ({rate_gbps:.2g} Gbit/s), and {self.price}."
         )
-        return f"{text} {self._overload()}".strip()
+        return f"{text} {self._pace(rate_gbps)}{self._overload()}".strip()
+
+    def _pace(self, rate_gbps: float) -> str:
+        """Return what is to be said about a frame with gaps."""
+        config = self.best.config
+        if not config.gap:
+            return ""
+        mean = f"a stream carries {rate_gbps * 1e3:.3g} Mbit/s in the mean"
+        return f"With this gap there are {told_pace(config)}, and {mean}. "
 
     def _overload(self) -> str:
         """Return what is to be said about an overloaded link."""
@@ -205,7 +216,9 @@ def advise(
     stage = first_time("thresholds and windows", Golden.__module__)
     settings = tell(stage, _settings(run, thresholds, windows), rows)
     chosen = cheapest(settings, lambda one: one.bits)
-    links = tell("links and formats", _links(run, chosen.config), len(LINKS_GBPS) * len(FORMATS))
+    rates_gbps = links_of(run.config)
+    found = _links(run, chosen.config, rates_gbps)
+    links = tell("links and formats", found, len(rates_gbps) * len(FORMATS))
     best = cheapest(links, lambda one: (one.link_gbps, one.bits))
     useless = ""
     least_wrong = min(one.wrong for one in (*settings, *links))
@@ -261,11 +274,18 @@ def _settings(run: Run, thresholds: list[int], windows: list[int]) -> Iterator[T
             yield _tried(run.but(subgroup={"auto": True, "coincidence": True, "window": window}))
 
 
-def _links(run: Run, chosen: Config) -> Iterator[Tried]:
+def links_of(config: Config) -> list[float]:
+    """Return the rates of the links that are tried. Links may be slower if the pulses are apart."""
+    slow = SLOW_LINKS_GBPS if config.gap else ()
+    slowest_gbps = float(stream_gbps(config.clock_mhz) * SHARE_MIN)
+    return [rate_gbps for rate_gbps in (*slow, *LINKS_GBPS) if rate_gbps >= slowest_gbps]
+
+
+def _links(run: Run, chosen: Config, rates_gbps: list[float]) -> Iterator[Tried]:
     """Try the links and formats for the settings of `chosen`."""
     subgroup = {name: getattr(chosen, name) for name in ("auto", "threshold", "window")}
     start = run.but(subgroup=subgroup) if chosen.auto.any() else run.alone(-1, subgroup=subgroup)
-    for link_gbps in LINKS_GBPS:
+    for link_gbps in rates_gbps:
         for packets in FORMATS:
             yield _tried(start.but(frame={"link_gbps": link_gbps, "format": packets}))
 

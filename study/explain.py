@@ -4,6 +4,7 @@
 import numpy as np
 
 from ..lab.measures import event_beats, stream_beats
+from ..lab.pace import LASER_MEAN_W, pulse_energy_j
 from ..model.contract.config import Config
 from ..model.contract.link import stream_gbps
 from ..model.contract.packet import BEAT_BITS, FORMATS, WITH_MAP
@@ -49,6 +50,7 @@ def meaning(config: Config) -> list[tuple[str, str]]:
         ("window", f"{window} ticks, {_span(config.window, tick_s * 1e9)} ns"),
         ("threshold", f"{threshold} pixels{controlled}{off}"),
         ("laser period", f"{config.period} cycles, {period_ns:.4g} ns: {1e6 / period_ns:.4g} kHz"),
+        *_pace(config),
         ("range", f"{range_m:.4g} m; no window opens in the last {sensor.guard} cycles"),
         (
             "frame",
@@ -62,6 +64,19 @@ def meaning(config: Config) -> list[tuple[str, str]]:
         ),
         ("area", f"about {um2_per_pixel(sensor):.0f} um2 per pixel in 45 nm"),
         ("power", f"about {uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux"),
+    ]
+
+
+def _pace(config: Config) -> list[tuple[str, str]]:
+    """Return the rows of a frame with gaps."""
+    if not config.gap:
+        return []
+    gap_us = config.gap / config.clock_mhz
+    energy_nj = pulse_energy_j(config) * 1e9
+    power = f"{LASER_MEAN_W * 1e3:g} mW of mean power"
+    return [
+        ("gap", f"{config.gap:,} cycles, {gap_us:.4g} us, between two periods"),
+        ("laser", f"{power} are {energy_nj:.4g} nJ per pulse"),
     ]
 
 
@@ -135,6 +150,7 @@ def warnings(config: Config) -> list[str]:
         "dither_seed has no effect: dither_bits is 0.": (
             _any_given(config, "frame.dither_seed") and not frame.dither_bits
         ),
+        "gap has no effect: a frame has one pulse.": config.gap > 0 and config.pulses == 1,
         "capacity is 0: the controller raises every threshold to the highest.": (
             controlled and config.capacity == 0
         ),

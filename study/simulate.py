@@ -23,6 +23,7 @@ from rich.table import Table
 
 from ..lab.measures import Number
 from ..lab.outcomes import Frame, Run
+from ..lab.pace import frames_per_s, pulse_energy_j, told_pace
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config, frame_table, own_rule, sensor_table
 from ..model.contract.parameters import TOP, Sensor
@@ -231,6 +232,8 @@ def simulate_to_folder(
         "tick_s": timing.tick_s,
         "range_m": timing.range_m,
         "spad_gate": setup.spad_gate,
+        "frames_per_s": frames_per_s(config),
+        "pulse_nj": pulse_energy_j(config) * 1e9,
         "configuration": settings_of(config),
     }
     results = [out / name for name in (*PICTURES, LIGHT, EVENTS, DEPTH, PAGE)]
@@ -425,6 +428,7 @@ def _report(played: Played) -> dict[str, Any]:
             f"beats_{name}": frame["beats"],
             f"load_{name}": frame["link_load"],
             f"stream_load_{name}": frame["stream_load"],
+            f"mean_gbps_{name}": frame["mean_gbps"],
             f"threshold_{name}": frame.threshold.tolist(),
         }
     return report
@@ -490,6 +494,9 @@ def _tell(
             console.print("  " + " ".join(map(str, row)))
     for note in notes:
         console.print(note, markup=False, emoji=False, soft_wrap=True)
+    if config.gap:
+        rates = ", ".join(f"{report[f'mean_gbps_{name}'] * 1e3:.4g}" for name in titles)
+        console.print(f"{told_pace(config)}; mean rate of the link: {rates} Mbit/s")
     checked = (
         f"{report['checked']:,} beats and commits equal the golden model's"
         if report["checked"]

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What follows from the pace of a frame: frames per second, the mean rate of a link, the energy of a
+laser pulse. All of it is arithmetic.
+
+Ref: paper, for the laser's mean power of 10 mW.
+"""
+
+from fractions import Fraction
+
+from ..model.contract.config import Config
+from ..model.contract.dither import GAP_MAX
+from ..model.shared.errors import InputError
+from ..model.shared.quantities import check_real
+
+LASER_MEAN_W = 10e-3
+
+
+def frame_s(config: Config) -> float:
+    """Return the seconds from the first cycle of a frame's first period to the last cycle of its
+    last one, with all waits.
+    """
+    return config.frame_cycles / (config.clock_mhz * 1e6)
+
+
+def frames_per_s(config: Config) -> float:
+    """Return the frames per second if one begins as soon as the periods of the last one end."""
+    return 1 / frame_s(config)
+
+
+def pulse_energy_j(config: Config, mean_power_w: float = LASER_MEAN_W) -> float:
+    """Return the energy of a laser pulse in joules at a mean power, over frames without pauses."""
+    return mean_power_w * frame_s(config) / config.pulses
+
+
+def gap_for(config: Config, rate_per_s: float) -> int:
+    """Return the longest gap, in cycles, with which a configuration has so many frames per second.
+
+    Raises `InputError` if not even a gap of 0 is short enough, or the gap would be longer than the
+    longest one.
+    """
+    check_real("rate_per_s", rate_per_s, 0)
+    back_to_back = config.with_frame(gap=0)
+    if config.pulses == 1:
+        return 0
+    cycles = int(Fraction(str(config.clock_mhz)) * 1_000_000 / Fraction(str(rate_per_s)))
+    free_cycles = cycles - back_to_back.frame_cycles
+    gap = free_cycles // (config.pulses - 1)
+    if not 0 <= gap <= GAP_MAX:
+        low = config.clock_mhz * 1e6 / (back_to_back.frame_cycles + GAP_MAX * (config.pulses - 1))
+        high = frames_per_s(back_to_back)
+        raise InputError(
+            f"rate_per_s = {rate_per_s:g}: must be from {low:.6g} to {high:.6g} with these periods",
+            field="rate_per_s",
+        )
+    return gap
+
+
+def told_pace(config: Config) -> str:
+    """Return frames per second and energy of a pulse as a phrase."""
+    energy_j = pulse_energy_j(config)
+    return (
+        f"{frames_per_s(config):.4g} frames per second, in which a laser of"
+        f" {LASER_MEAN_W * 1e3:g} mW has {energy_j * 1e9:.4g} nJ per pulse"
+    )

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames per second, rates of links and energies of pulses, against numbers by hand."""
+
+import pytest
+
+from coincid.lab.outcomes import Run
+from coincid.lab.pace import frames_per_s, gap_for, pulse_energy_j, told_pace
+from coincid.lab.setup import Setup
+from coincid.model.contract.config import parse_config
+from coincid.model.shared.errors import InputError
+from coincid.study.explain import meaning, warnings
+
+
+def test_pace_by_hand():
+    """100 periods of 250 cycles and 99 gaps of 1000 cycles take 124,000 cycles of 2 ns."""
+    config = parse_config({"frame": {"gap": 1000}})
+    assert config.frame_cycles == 124_000
+    assert frames_per_s(config) == pytest.approx(1 / 248e-6)
+    assert pulse_energy_j(config) == pytest.approx(10e-3 * 248e-6 / 100)
+    assert told_pace(config) == (
+        "4032 frames per second, in which a laser of 10 mW has 24.8 nJ per pulse"
+    )
+    rows = dict(meaning(config))
+    assert rows["gap"] == "1,000 cycles, 2 us, between two periods"
+    assert rows["laser"] == "10 mW of mean power are 24.8 nJ per pulse"
+
+
+def test_gap_for_a_rate_by_hand():
+    """A thirtieth of a second has 16,666,666 cycles; 25,000 of them are periods."""
+    config = parse_config({"frame": {"gap": 7}})
+    assert gap_for(config, 30) == (16_666_666 - 25_000) // 99 == 168_097
+    assert 30 <= frames_per_s(config.with_frame(gap=168_097)) < 30.001
+    assert gap_for(config, 20_000) == 0
+    with pytest.raises(InputError, match="rate_per_s = 20001: must be from 0.0188.* to 20000"):
+        gap_for(config, 20_001)
+    with pytest.raises(InputError, match="rate_per_s = 0.01: must be from 0.0188"):
+        gap_for(config, 0.01)
+
+
+def test_measures_count_the_gaps():
+    frame = {"period": 60, "pulses": 20, "gap": 940, "format": "id"}
+    run = Run(Setup.of("flat:5,0.4", sensor={"rows": 8, "cols": 16, "streams": 2}, frame=frame))
+    frame_s = (20 * 60 + 19 * 940) * 2e-9
+    assert run["frames_per_s"] == pytest.approx(1 / frame_s)
+    assert run["pulse_nj"] == pytest.approx(10e-3 * frame_s / 20 * 1e9)
+    beats = run.frame().beats.max()
+    assert beats > 0
+    assert run["mean_gbps"] == pytest.approx(64 * beats / frame_s / 1e9)
+
+
+def test_a_gap_of_a_single_pulse_is_reported():
+    config = parse_config({"frame": {"gap": 5, "pulses": 1}})
+    assert "gap has no effect: a frame has one pulse." in warnings(config)
+    assert not any(line.startswith("gap") for line in warnings(config.with_frame(pulses=2)))
