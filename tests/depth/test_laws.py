@@ -258,7 +258,7 @@ def test_a_second_return_is_farther_from_the_first_than_its_pulse_is_wide(side):
         histogram = np.zeros((1, 200), np.int32)
         histogram[0, 100] = 90
         histogram[0, 100 + side * distance] = 80
-        ticks, _ = pixel_peaks(histogram, "maximum", None, sigma_ticks, 3)
+        ticks, _ = pixel_peaks(histogram, "maximum", None, PulseTicks(sigma_ticks), 3)
         expected = [100.5, 100.5 + side * distance][:returns]
         assert ticks[0, :returns].tolist() == expected
         assert np.isnan(ticks[0, returns:]).all()

@@ -32,6 +32,7 @@ from coincid.study.simulate import (
     PAGE,
     PICTURES,
     REPORT,
+    settings_of,
     simulate_to_folder,
 )
 from coincid.tb import wave_views
@@ -299,7 +300,7 @@ def test_a_long_stage_says_that_it_lasts(monkeypatch):
 def test_the_configuration_in_a_report_repeats_the_run(sensor):
     """Settings of every kind, also those that differ between subgroups."""
     for config in drawn(configurations(SENSORS[sensor]), 6):
-        told = json.loads(json.dumps(job.settings_of(config)))
+        told = json.loads(json.dumps(settings_of(config)))
         again = parse_config({"sensor": told["sensor"], "frame": told["frame"]})
         again = again.with_settings(**told["subgroup"])
         assert again.sensor == config.sensor and again.frame == config.frame
