@@ -216,9 +216,12 @@ def test_bad_options(files, words, told):
 
 
 def test_result_is_the_golden_models(files):
-    assert command(f"{REPLAY} --stall 100 --set threshold=1 --set format=full").exit_code == 0
+    given = "--set threshold=1 --set format=full --set fifo_depth=1"
+    assert command(f"{REPLAY} --stall 100 {given}").exit_code == 0
     config = load_config("config.toml").with_settings(threshold=1).with_frame(format="full")
+    config = config.with_sensor(fifo_depth=1)
     expected = golden_result(config, Edges(**some_edges()), stall(100))
+    assert differences(golden_result(config, Edges(**some_edges())), expected)
     with np.load("out/result.npz") as found:
         assert not differences(dict(found), expected)
         assert np.array_equal(found["fate"], expected["fate"])

@@ -101,6 +101,16 @@ def test_a_frame_by_an_estimator_is_of_that_estimator():
     assert np.array_equal(run.frame(0).depth_m, run.frame(0, "matched").depth_m, equal_nan=True)
 
 
+def test_the_load_is_that_of_the_busiest_stream():
+    frame = Run(small(klux=20.0)).frame(0)
+    busiest, other = sorted(frame.beats.tolist(), reverse=True)
+    assert busiest > other > 0
+    assert frame["stream_load"] == busiest / frame.config.frame_cycles
+    assert frame["link_load"] == busiest / (
+        frame.config.frame_cycles * float(frame.config.link_share)
+    )
+
+
 def test_a_cache_keeps_what_was_asked_for_last():
     made = []
     cache = StageCache(2)

@@ -11,6 +11,7 @@ from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.scene import scene_light
 from coincid.model.shared.errors import InputError
 from coincid.study.run import simulate
 
@@ -85,6 +86,8 @@ def test_the_sensor_measures_what_moves():
     for number, wall_m in enumerate(WALLS_M):
         frame = run.frame(number)
         assert np.all(frame.truth_m == wall_m)
+        own = scene_light(run.setup.scene.at(number), 0)
+        assert np.array_equal(frame.light.signal_per_pulse, own.signal_per_pulse)
         assert np.nanmedian(frame.depth_m) == pytest.approx(wall_m, abs=0.02)
     assert run.frame(-1)["wrong_share"] == run.alone(-1)["wrong_share"]
 

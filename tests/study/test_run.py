@@ -19,6 +19,7 @@ from coincid.model.depth.depth import Depth
 from coincid.model.depth.histograms import subgroup_histograms
 from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.light.link_budget import Optics
+from coincid.model.scenes.view import View
 
 RTL = {
     canonicalize_name(Requirement(one).name)
@@ -188,6 +189,22 @@ def test_normals_of_a_wall_look_along_the_axis():
     )
     with pytest.raises(coincid.InputError, match="method must be planes"):
         coincid.point_cloud(evolve(depth, slope_m=None), normals=True)
+
+
+def test_normals_of_a_slanted_wall_in_a_view_that_is_wider_than_high():
+    """The wall slants by other angles to the right and down."""
+    normal = np.array([0.3, -0.5, -0.8]) / np.linalg.norm([0.3, -0.5, -0.8])
+    optics = Optics(fov_h_deg=60, fov_v_deg=30)
+    right, down = View(h_deg=60, v_deg=30).tangents(24, 40)
+    ray = np.stack([right, down, np.ones_like(right)], axis=2)
+    ray /= np.linalg.norm(ray, axis=2, keepdims=True)
+    depth_m = -4.0 / (ray @ normal)
+    slope_m = np.stack(np.gradient(depth_m, edge_order=2), axis=2)
+    sure = np.ones((24, 40, 1))
+    depth = Depth(depth_m[:, :, None], sure, np.zeros((24, 40), np.uint8), slope_m=slope_m)
+    points = coincid.point_cloud(depth, optics, normals=True)
+    found = np.stack([points[name] for name in ("nx", "ny", "nz")], axis=1)
+    assert np.allclose(found, normal, atol=0.01)
 
 
 def test_ply_holds_the_points(run, tmp_path):
