@@ -496,7 +496,8 @@ def _tell(
         console.print(note, markup=False, emoji=False, soft_wrap=True)
     if config.gap:
         rates = ", ".join(f"{report[f'mean_gbps_{name}'] * 1e3:.4g}" for name in titles)
-        console.print(f"{told_pace(config)}; mean rate of the link: {rates} Mbit/s")
+        pace = f"{told_pace(config)}; mean rate of the link: {rates} Mbit/s"
+        console.print(pace, soft_wrap=True)
     checked = (
         f"{report['checked']:,} beats and commits equal the golden model's"
         if report["checked"]
