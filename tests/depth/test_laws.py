@@ -245,7 +245,7 @@ def test_masked_pixels_do_not_take_part_in_the_lead_of_the_first_photon():
     one = np.zeros(1, np.int64)
     for count in (1, 8, 32):
         lead = lead_sigmas(np.maximum(photons_of(count, 32), 1))
-        arrival = arrival_ticks(one, one + 100, one + count, half, PulseTicks(3.0))
+        arrival = arrival_ticks(one, one + 100, one + count, half, PulseTicks(3.0).lead)
         assert arrival == pytest.approx(100.5 + 3.0 * lead)
 
 

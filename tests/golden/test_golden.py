@@ -128,7 +128,7 @@ def assert_whole_frames(frames, traces):
     """Check that frames that are aborted equal those that have only these pulses."""
     shorter = Golden(frames.config.sensor)
     for edges, trace in zip(frames.frames, traces, strict=True):
-        whole = shorter.frame(frames.shorter, edges, frames.ready)
+        whole = shorter.frame(frames.shorter, edges, frames.ready, into_gap=frames.into_gap)
         for name in ("beats", "beat_cycle"):
             pairs = zip(getattr(trace, name), getattr(whole, name), strict=True)
             assert all(np.array_equal(one, other) for one, other in pairs), name

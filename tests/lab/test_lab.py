@@ -25,6 +25,7 @@ from coincid.model.golden.frame import golden_result
 from coincid.model.light.spad import Spad
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.interrupts import worker_processes
+from coincid.model.shared.pulse import Pulse
 
 SMALL = {
     "sensor": {"rows": 8, "cols": 24, "streams": 2},
@@ -157,6 +158,7 @@ def test_equal_content_has_equal_keys_and_every_field_counts():
         "config": setup.config.with_settings(threshold=3),
     }
     changes["light"] = Run(setup).light
+    changes["pulse"] = Pulse.gaussian(300e-12)
     assert changes.keys() == {field.name for field in Setup.__attrs_attrs__}
     keys = {name: setup.but(**{name: value}).key for name, value in changes.items()}
     assert len({setup.key, *keys.values()}) == 1 + len(changes)

@@ -346,6 +346,7 @@ def test_the_timing_of_a_configuration_has_every_field():
                 "pulses": 7,
                 "dither_bits": 3,
                 "dither_seed": 5,
+                "gap": 11,
             },
         }
     )
@@ -353,7 +354,13 @@ def test_the_timing_of_a_configuration_has_every_field():
     assert timing.tap_width_lsb is tap_width_lsb
     shown = {name: getattr(timing, name) for name in fields_dict(Timing) if "tap" not in name}
     assert shown == dict(
-        clock_hz=200e6, phases=4, period_cycles=50, dither_bits=3, dither_seed=5, frame_pulses=7
+        clock_hz=200e6,
+        phases=4,
+        period_cycles=50,
+        dither_bits=3,
+        dither_seed=5,
+        frame_pulses=7,
+        gap_cycles=11,
     )
 
 
