@@ -3,8 +3,12 @@
 of the pixels around each pixel.
 
 Near its peak, the log likelihood of a pixel is a parabola. A surface through the peaks of
-neighbours, each weighted by how sharp it is, has the error that their photons allow. The more
-neighbours, the smaller this error, until the surface has another shape. So two shapes are fitted to
+neighbours, each weighted by how sharp it is, has the error that their photons allow. With few hits,
+a pixel's own peak is skewed, and the mean of such peaks leans. So the surface through the peaks is
+only the first of two: from it, each pixel says by the slope of its log likelihood there how far its
+peak is, and these are summed without a lean (one step of Newton's method for all pixels together).
+
+The more neighbours, the smaller this error, until the surface has another shape. So two shapes are fitted to
 discs of growing size, a plane and a curved surface:
 
 - The curved surface says how far the plane is off. What exceeds the noise of this difference is
@@ -26,6 +30,7 @@ from .seeds import Blocks
 
 CLIMB = 2  # steps from the plane's time to a pixel's own peak, at most
 PEAK_STEPS = 1.5  # from the highest of these to the peak of the parabola, at most
+FROM_SLOPE_TICKS = 6.0  # from the first surface to a peak, at most
 BESIDE_TICKS = 4.0  # from the plane to that of a neighbour on the same surface, at most
 OFF_SIGMAS = 3.5  # from the plane to the peak of such a neighbour, at most
 SLOPE_TICKS = 1.0  # per pixel: standard deviation of the slopes of `fit_planes`
@@ -35,7 +40,7 @@ AGREE_SIGMAS = 2.5  # of the difference of two discs' curved surfaces, at most,
 AGREE_TICKS = 0.1  # and so much more
 SMALLER = 2  # discs from one to the smaller one that says how far its curved surface is off
 SMALLER_GROWTH = 1.8  # from the squared difference of these two to the squared bias
-GROWTH = 1.2  # of the standard error, because the disc is chosen by the same peaks
+GROWTH = 1.1  # of the standard error, because the disc is chosen by the same peaks
 ERROR_TICKS = 0.06  # what the likelihood leaves out, at any number of photons
 MOVE_TICKS = 3.0  # by which a time changes, at most
 DISCS = (0, 1, 2, 5, 10, 17, 26, 37, 50, 68)  # squared radii, pixels
@@ -104,16 +109,6 @@ def refine(field: Field, planes: Planes, blocks: Blocks) -> Refined:
     shape = planes.time.shape
     peaks = _Peaks(np.empty(shape), np.empty(shape))
     blocks(partial(_find_peaks, field, planes, peaks))
-    refined = Refined(
-        Planes(
-            time=np.empty(shape),
-            down=np.empty(shape),
-            right=np.empty(shape),
-            score=planes.score,
-            new=planes.new,
-        ),
-        np.empty(shape),
-    )
     rows = shape[0]
     discs = len(DISCS)
     work = _Work(
@@ -123,8 +118,26 @@ def refine(field: Field, planes: Planes, blocks: Blocks) -> Refined:
         curved=np.empty((rows, discs), _FIT),
         bias=np.empty((rows, discs)),
     )
-    blocks(partial(_fit, field, planes, peaks, _neighbours(), work, refined))
-    return refined
+    near = _neighbours()
+    first = _room_for(planes)
+    blocks(partial(_fit, field, planes, peaks, near, work, first))
+    blocks(partial(_follow_slopes, field, first.planes, peaks))
+    second = _room_for(planes)
+    blocks(partial(_fit, field, first.planes, peaks, near, work, second))
+    return second
+
+
+def _room_for(planes: Planes) -> Refined:
+    """Return room for the refined `planes`."""
+    shape = planes.time.shape
+    refined = Planes(
+        time=np.empty(shape),
+        down=np.empty(shape),
+        right=np.empty(shape),
+        score=planes.score,
+        new=planes.new,
+    )
+    return Refined(refined, np.empty(shape))
 
 
 def _neighbours() -> _Neighbours:
@@ -174,6 +187,26 @@ def _find_peaks(field: Field, planes: Planes, peaks: _Peaks, begin: int, end: in
                 off = float((after - before) / 2 / bend)
                 peaks.time[r, c] += step * min(PEAK_STEPS, max(-PEAK_STEPS, off))
                 peaks.bend[r, c] = bend / step**2
+
+
+@njit(allocates=False)
+def _follow_slopes(field: Field, planes: Planes, peaks: _Peaks, begin: int, end: int) -> None:
+    """Put the peaks of the pixels of some rows where the parabolas at their planes have them."""
+    for r in range(begin, end):
+        for c in range(planes.time.shape[1]):
+            step, middle, here = own_level(field, planes, r, c, 0)
+            before = own_level(field, planes, r, c, -1)[2]
+            after = own_level(field, planes, r, c, 1)[2]
+            bend = 2 * here - before - after
+            if bend > 0:
+                peaks.bend[r, c] = bend / step**2
+            if peaks.bend[r, c] <= 0:
+                continue
+            at = (planes.time[r, c] - middle) / step
+            slope = (float(after - before) / 2 - float(bend) * at) / step
+            move = slope / peaks.bend[r, c]
+            move = min(FROM_SLOPE_TICKS, max(-FROM_SLOPE_TICKS, move))
+            peaks.time[r, c] = planes.time[r, c] + move
 
 
 @njit(allocates=False)

@@ -155,7 +155,7 @@ def test_darkness_has_no_surface(method):
 def test_a_frame_among_others_with_moving_gates_is_the_frame_alone():
     """The gates begin anew with each frame, in the middle of their steps."""
     gates = {"gating": True, "gate_start": 20, "gate_len": 60}
-    steps = {"gate_every": 16, "gate_step": 25, "gate_steps": 4}
+    steps = {"gate_every": 24, "gate_step": 25, "gate_steps": 2}
     run = run_of("flat:5", frames=FRAMES, **steps).but(subgroup=gates)
     assert_equal_depths(run.depth(frame=2), estimate_depth(*of_one(run, 2)))
 

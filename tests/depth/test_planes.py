@@ -82,6 +82,27 @@ def test_much_light_leaves_no_bias(near_m):
     assert abs(np.median(depth.depth_m[:, :, 0] - scene.truth_m)) < 0.015
 
 
+@pytest.mark.parametrize(
+    ("scene", "klux", "threshold", "pulses"),
+    [("flat:16,0.1", 10, 3, 1000), ("flat:4,0.4", 50, 2, 100)],
+)
+def test_walls_with_few_hits_do_not_lean(scene, klux, threshold, pulses):
+    """A pixel's own peak is skewed then, which a mean of peaks would keep."""
+    setup = Setup.of(
+        scene,
+        klux=klux,
+        sensor={"rows": 32, "cols": 32},
+        frame={"pulses": pulses},
+        subgroup={"threshold": threshold},
+    )
+    leans_m = []
+    for seed in range(1, 7):
+        run = Run(setup.but(seed=seed), workers=2)
+        off_m = run.frame().depth_m - run.frame().truth_m
+        leans_m.append(off_m[abs(off_m) < TOLERANCE_M].mean())
+    assert abs(np.mean(leans_m)) < 0.0012
+
+
 @pytest.mark.parametrize("link_gbps", [0.0, 1.0])
 def test_the_light_is_learned_from_the_frame(link_gbps):
     """Also where the link drops most windows, and single pixels say little about their light."""

@@ -129,7 +129,6 @@ def test_arrays_of_equal_bytes_have_keys_of_their_own():
 
 
 def test_a_table_holds_counts_beyond_32_bits():
-    pytest.importorskip("pyarrow", reason="the extra sweep")
     from coincid.lab.outcome_table import to_table
 
     found = [{"photons": 1 << 40, "wrong_share": 1 / 3}, {"photons": 1, "wrong_share": None}]

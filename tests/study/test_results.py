@@ -114,21 +114,21 @@ INTERFERENCE = dict(
     PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "936b3b1e18bf5a11"),
-    "sim": (sim, "8e61e8f22edbf5db"),
-    "sweep": (sweep, "b59b10181d5de07e"),
-    "explorer": (explorer, "31d154bcde2126cd"),
+    "library": (library, "046f717f96fad98f"),
+    "sim": (sim, "63ad8caa4b7efbc1"),
+    "sweep": (sweep, "216bee0682ab29ca"),
+    "explorer": (explorer, "1fd925aed976a96a"),
     "surfaces": (surface, "24908ca5f16e37ea"),
-    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "7bd3e4757d5bfabc"),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "2936c6709b65a411"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "99eac7ac8106013b",
+        "c9ee7ce2252b69e3",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
-        "b3efedc12e62f14f",
+        "cdffdab48c136d64",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "6d0395bd798b5ae1"),
+    "interference": (section(interference.interference, **INTERFERENCE), "e8ac76b3abe8ad0e"),
 }
 
 
