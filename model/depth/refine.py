@@ -191,17 +191,20 @@ def _find_peaks(field: Field, planes: Planes, peaks: _Peaks, begin: int, end: in
 
 @njit(allocates=False)
 def _follow_slopes(field: Field, planes: Planes, peaks: _Peaks, begin: int, end: int) -> None:
-    """Put the peaks of the pixels of some rows where the parabolas at their planes have them."""
+    """Put the peaks of the pixels of some rows where the parabolas at their planes have them.
+
+    A peak that rules out its plane stays where it is: between two surfaces the slope is small.
+    """
     for r in range(begin, end):
         for c in range(planes.time.shape[1]):
+            if peaks.bend[r, c] <= 0 or _rules_out(planes, peaks, r, c):
+                continue
             step, middle, here = own_level(field, planes, r, c, 0)
             before = own_level(field, planes, r, c, -1)[2]
             after = own_level(field, planes, r, c, 1)[2]
             bend = 2 * here - before - after
             if bend > 0:
                 peaks.bend[r, c] = bend / step**2
-            if peaks.bend[r, c] <= 0:
-                continue
             at = (planes.time[r, c] - middle) / step
             slope = (float(after - before) / 2 - float(bend) * at) / step
             move = slope / peaks.bend[r, c]
@@ -293,16 +296,22 @@ def _add_pixel(
     step = (planes.time[rr, cc] - there) - (planes.time[r, c] - here)
     if abs(step) > 2 * BESIDE_TICKS:
         return
-    weight = peaks.bend[rr, cc]
-    missed = max(0.0, abs(peaks.time[rr, cc] - planes.time[rr, cc]) - CURVED_TICKS)
-    if missed * missed * weight > OFF_SIGMAS**2:
+    if _rules_out(planes, peaks, rr, cc):
         return
+    weight = peaks.bend[rr, cc]
     terms = near.terms[k]
     for i in range(TERMS):
         weighted = weight * terms[i]
         for j in range(i, TERMS):
             sums[i, j] += weighted * terms[j]
         sums[i, TERMS] += weighted * (peaks.time[rr, cc] - there)
+
+
+@part
+def _rules_out(planes: Planes, peaks: _Peaks, r: int, c: int) -> bool:
+    """Return whether the peak of a pixel is too far from its plane to be of the same surface."""
+    missed = max(0.0, abs(peaks.time[r, c] - planes.time[r, c]) - CURVED_TICKS)
+    return missed * missed * peaks.bend[r, c] > OFF_SIGMAS**2
 
 
 @part

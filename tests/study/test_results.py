@@ -114,15 +114,15 @@ INTERFERENCE = dict(
     PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "046f717f96fad98f"),
+    "library": (library, "afcb61d616f0dfb5"),
     "sim": (sim, "63ad8caa4b7efbc1"),
-    "sweep": (sweep, "216bee0682ab29ca"),
+    "sweep": (sweep, "a7575357c32939b3"),
     "explorer": (explorer, "1fd925aed976a96a"),
     "surfaces": (surface, "24908ca5f16e37ea"),
     "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "2936c6709b65a411"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "c9ee7ce2252b69e3",
+        "dadbe66a1cb251bd",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
