@@ -144,7 +144,8 @@ class Sequencer(Unit):
         m.d.sync += [
             self.has_gap.eq(self.plan.gap != 0),
             last.eq(self.plan.gap - 1),
-            self.gap_over.eq(self.waited >= last),
+            # Without a gap `last` wraps: an upset that begins one ends in the next cycle.
+            self.gap_over.eq((self.waited >= last) | ~self.has_gap),
             self.waited.eq(0),
         ]
         with m.If((self.in_gap & ~self.gap_over) | (self.ends & self.has_gap)):
