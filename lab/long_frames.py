@@ -69,6 +69,15 @@ def frame_pieces(chunks: Iterator[Edges], pulses: int) -> Pieces:
             yield number, evolve(own, pulse=own.pulse - number * pulses)
 
 
+def _told_pieces(chunks: Iterator[Edges], pulses: int, frames: int, progress: Progress) -> Pieces:
+    """Yield what `frame_pieces` yields, and tell the progress after each piece."""
+    done = 0
+    for number, edges in frame_pieces(chunks, pulses):
+        yield number, edges
+        done += len(edges)
+        progress((number + (edges.pulse.max(initial=0) + 1) / pulses) / frames, done)
+
+
 def play_long_frames(
     golden: Golden,
     config: Config,
@@ -80,18 +89,13 @@ def play_long_frames(
     chunks: the edges of all frames, as `PhotonInputs.chunks` makes them. progress: is told the
     finished share, and the edges so far.
     """
-    pieces = frame_pieces(chunks, config.pulses)
+    pieces = _told_pieces(chunks, config.pulses, config.frames, progress)
     upcoming = next(pieces, None)
     played = PlayedFrames([], [])
-    done = 0
     for number in range(config.frames):
         frame = _LongFrame(golden.begin(config), config.pulses, EDGES_SHOWN_MAX // config.frames)
         while upcoming is not None and upcoming[0] == number:
-            edges = upcoming[1]
-            frame.take(edges)
-            done += len(edges)
-            share = (number + (edges.pulse.max(initial=0) + 1) / config.pulses) / config.frames
-            progress(share, done)
+            frame.take(upcoming[1])
             upcoming = next(pieces, None)
         trace, seen = frame.end()
         played.traces.append(trace)
@@ -114,13 +118,10 @@ def play_last_frame(
     pulses = players[0][1].pulses
     kept_max = EDGES_SHOWN_MAX // len(players)
     opened = [_LongFrame(golden.begin(config), pulses, kept_max) for golden, config in players]
-    done = 0
     with Threads(workers) as threads:
-        for number, edges in frame_pieces(chunks, pulses):
+        for number, edges in _told_pieces(chunks, pulses, frames, progress):
             if number == frames - 1:
                 threads.map(partial(_LongFrame.take, edges=edges), opened)
-            done += len(edges)
-            progress((number + (edges.pulse.max(initial=0) + 1) / pulses) / frames, done)
     ended = [frame.end() for frame in opened]
     return [PlayedFrames([trace], [seen]) for trace, seen in ended]
 
@@ -128,7 +129,7 @@ def play_last_frame(
 class _LongFrame:
     """A frame of the golden model that keeps the edges of its first pulses, and their fates.
 
-    kept_max: edges; a pulse is kept whole or not at all.
+    pulses: of the frame. kept_max: edges; a pulse is kept whole or not at all.
     """
 
     def __init__(self, opened: OpenFrame, pulses: int, kept_max: int) -> None:

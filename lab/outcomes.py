@@ -73,9 +73,9 @@ class Run:
         Number of threads for photons, golden frames and depth. It does not change the results.
     watch : callable
         Is told the progress, and may raise an exception to end the run.
-    light, edges, traces, played, result
+    light, edges, played, result
         Outcomes of stages that exist already, such as the `result` of a file or of a board; None:
-        not yet. `played` are the traces of a long run.
+        not yet. `played` are the golden model's frames.
     """
 
     def __init__(
@@ -87,7 +87,6 @@ class Run:
         watch: Watch = unwatched,
         light: Light | None = None,
         edges: Edges | None = None,
-        traces: list[Trace] | None = None,
         played: PlayedFrames | None = None,
         result: dict[str, np.ndarray] | None = None,
     ) -> None:
@@ -97,7 +96,7 @@ class Run:
         self.watch = watch
         self._light = light
         self._edges = edges
-        self._played_frames = played if traces is None else PlayedFrames(traces, [])
+        self._played_frames = played
         self._result = result
         self._frames: dict[tuple[int, str | None], Frame] = {}
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..lab.long_frames import play_last_frame, play_long_frames
+from ..lab.long_frames import PlayedFrames, Progress, play_last_frame, play_long_frames
 from ..lab.measures import Number
 from ..lab.outcomes import Run
 from ..lab.setup import fixed_thresholds
@@ -48,12 +48,19 @@ def best_threshold(run: Run) -> int:
     """Return the threshold with the fewest wrong pixels in the last frame of the golden model, the
     lowest among equals.
     """
-    _, settings = SCHEMES["fixed"]
     wrong = {
-        threshold: run.alone(-1, subgroup=settings | {"threshold": threshold})["wrong_share"]
+        threshold: run.alone(-1, subgroup=_settings("fixed", threshold))["wrong_share"]
         for threshold in fixed_thresholds(run.config.sensor)
     }
     return _least_wrong(wrong)
+
+
+def _settings(scheme: str, threshold: ArrayLike | None) -> dict[str, Any]:
+    """Return the settings of the subgroups that a scheme has. threshold: of `fixed`; the others have
+    none.
+    """
+    _, settings = SCHEMES[scheme]
+    return settings | ({"threshold": threshold} if scheme == "fixed" else {})
 
 
 def _least_wrong(wrong: dict[int, Number]) -> int:
@@ -67,14 +74,16 @@ def scheme_runs(run: Run, threshold: ArrayLike) -> dict[str, Run]:
     """
     golden, runs = Golden(run.config.sensor), {}
     all_frames = seeing_all(run.config.sensor, run.scene)
-    for name, (_, settings) in schemes_of(run.config.sensor).items():
-        own_settings = settings | ({"threshold": threshold} if name == "fixed" else {})
+    for name in schemes_of(run.config.sensor):
+        settings = _settings(name, threshold)
         if name in all_frames:
-            own = run.but(subgroup=own_settings)
+            own = run.but(subgroup=settings)
         else:
-            own = run.alone(-1, subgroup=own_settings)
+            own = run.alone(-1, subgroup=settings)
         traces = [golden.frame(own.config, own.frame_edges(k)) for k in range(own.config.frames)]
-        runs[name] = Run(own.setup, workers=run.workers, edges=own.edges, traces=traces)
+        runs[name] = Run(
+            own.setup, workers=run.workers, edges=own.edges, played=PlayedFrames(traces, [])
+        )
     return runs
 
 
@@ -90,15 +99,12 @@ def long_scheme_runs(
     sensor = run.config.sensor
     all_frames = seeing_all(sensor, run.scene)
     schemes = schemes_of(sensor)
-    _, of_fixed = schemes["fixed"]
-    settings: dict[str | int, dict[str, Any]] = {
-        name: own for name, (_, own) in schemes.items() if name not in all_frames
-    }
-    if threshold is None:
-        settings |= {one: of_fixed | {"threshold": one} for one in fixed_thresholds(sensor)}
-        settings.pop("fixed", None)
-    elif "fixed" in settings:
-        settings["fixed"] = of_fixed | {"threshold": threshold}
+    settings: dict[str | int, dict[str, Any]] = {}
+    for name in schemes:
+        if name == "fixed" and threshold is None:
+            settings |= {one: _settings(name, one) for one in fixed_thresholds(sensor)}
+        elif name not in all_frames:
+            settings[name] = _settings(name, threshold)
     alone = _last_frame_runs(run, settings, bar)
     if threshold is None:
         bar.stage("best threshold")
@@ -108,10 +114,10 @@ def long_scheme_runs(
 
     golden = Golden(sensor)
     runs = {}
-    for name, (_, own) in schemes.items():
+    for name in schemes:
         if name in all_frames:
-            given = own | ({"threshold": threshold} if name == "fixed" else {})
-            runs[name] = _all_frames_run(golden, run.but(subgroup=given), bar)
+            own = run.but(subgroup=_settings(name, threshold))
+            runs[name] = _all_frames_run(golden, own, bar)
         else:
             runs[name] = alone[name]
             golden.follow(runs[name].config, runs[name].traces[0].counters)
@@ -125,13 +131,12 @@ def _last_frame_runs(
     frames = run.config.frames
     last = run.setup.but(frame={"frames": 1}, scene=run.scene.at(frames - 1))
     setups = {name: last.but(subgroup=own) for name, own in settings.items()}
-    bar.stage("photons, and thresholds of the last frame", PROGRESS_PARTS)
     played = play_last_frame(
         [(Golden(setup.config.sensor), setup.config) for setup in setups.values()],
         frames,
         run.setup.photons.chunks(run.workers),
         run.workers,
-        lambda share, _: bar.done(int(share * PROGRESS_PARTS)),
+        _stage(bar, "photons, and thresholds of the last frame"),
     )
     return {
         name: Run(setup, workers=run.workers, played=one)
@@ -141,11 +146,16 @@ def _last_frame_runs(
 
 def _all_frames_run(golden: Golden, run: Run, bar: Bar) -> Run:
     """Return a run whose frames the golden model has played behind the ones before."""
-    bar.stage("photons and golden model", PROGRESS_PARTS)
     played = play_long_frames(
         golden,
         run.config,
         run.setup.photons.chunks(run.workers),
-        lambda share, _: bar.done(int(share * PROGRESS_PARTS)),
+        _stage(bar, "photons and golden model"),
     )
     return Run(run.setup, workers=run.workers, played=played)
+
+
+def _stage(bar: Bar, name: str) -> Progress:
+    """Begin a stage, and return what shows its progress."""
+    bar.stage(name, PROGRESS_PARTS)
+    return lambda share, _: bar.done(int(share * PROGRESS_PARTS))

@@ -125,27 +125,6 @@ def with_link(config: Config, link_gbps: float | None = None) -> Config:
     return config if "frame.format" in config.given else config.with_frame(format=LINK_FORMAT)
 
 
-def play_schemes(
-    run: Run,
-    threshold: ArrayLike,
-    engine: str,
-    out: Path,
-    *,
-    waves: bool = False,
-    progress: Progressed = lambda cycles: None,
-    view: "str | View" = DEFAULT_VIEW,
-) -> Played:
-    """Play the frames of `scheme_runs` through an engine of `tb/engines.py`; a simulator's log goes
-    to `out`.
-
-    progress: called with the number of finished cycles; view: as in `replay.chosen_view`. Raises
-    `Mismatch` at the first difference between RTL and golden model, `SimulationError`,
-    `ToolchainError`.
-    """
-    golden = GoldenRuns.of(run, threshold)
-    return play_runs(golden, engine, out, waves=waves, progress=progress, view=view)
-
-
 def play_runs(
     golden: GoldenRuns,
     engine: str,
@@ -155,7 +134,13 @@ def play_runs(
     progress: Progressed = lambda cycles: None,
     view: "str | View" = DEFAULT_VIEW,
 ) -> Played:
-    """As `play_schemes`, with frames that the golden model has played."""
+    """Play the frames of the golden model through an engine of `tb/engines.py`, too; a simulator's
+    log goes to `out`.
+
+    progress: called with the number of finished cycles; view: as in `replay.chosen_view`. Raises
+    `Mismatch` at the first difference between RTL and golden model, `SimulationError`,
+    `ToolchainError`.
+    """
     runs = golden.runs
     config = next(iter(runs.values())).config
     chosen = chosen_view(engine, view, config.clock_mhz)
@@ -204,7 +189,7 @@ def simulate_to_folder(
     in a still scene. A scene that moves also leaves `DEPTHS` and `ANIMATION`, of the last scheme.
     told: further entries of the report. events.npz
     is a result file of all frames, in the order of `SCHEMES`; depth.npz is `Depth.save` of the last
-    frame. Raises `InputError`, and the errors of `play_schemes`; after a `Mismatch`, only the
+    frame. Raises `InputError`, and the errors of `play_runs`; after a `Mismatch`, only the
     report exists, with `mismatches` = 1.
     """
     config, engine, view = setup.config, setup.engine, setup.view

@@ -124,13 +124,19 @@ def split(
     left = np.empty(rows, np.bool_)
     commits = Commits(*(np.empty(rows, np.int64) for _ in Commits._fields))
     gone = _let_go(queues, events, left, commits)
-    _renumber(queues, _EVENT_INDICES, left)
-    left_record = np.empty(int(records.bounds[-1]), np.bool_)
-    _let_records_go(queues, records, left_record)
-    number = _renumber(queues, _RECORD_INDICES, left_record)
+    number = _before(left)
+    for name in _EVENT_INDICES:
+        queues[name] = number[queues[name]]
+    still_events = Events(*_chosen(events, left, number))
+
+    left = np.empty(int(records.bounds[-1]), np.bool_)
+    _let_records_go(queues, records, left)
+    number = _before(left)
+    for name in _RECORD_INDICES:
+        queues[name] = number[queues[name]]
     waiting = queues["waiting"] != NONE
     queues["waiting"][waiting] = number[queues["waiting"][waiting]]
-    still = Events(*_chosen(events, left)), Records(*_chosen(records, left_record))
+    still = still_events, Records(*_chosen(records, left, number))
     return still, Commits(*(column[:gone].copy() for column in commits))
 
 
@@ -161,20 +167,10 @@ def _let_records_go(queues: np.ndarray, records: Records, left: np.ndarray) -> N
             left[k] = k >= queues[s].next_record or k == queues[s].waiting
 
 
-def _renumber(queues: np.ndarray, names: tuple[str, ...], left: np.ndarray) -> np.ndarray:
-    """Let the indices `names` of the queues follow the rows that are left; return the new number
-    of each row.
-    """
-    number = _before(left)
-    for name in names:
-        queues[name] = number[queues[name]]
-    return number
-
-
-def _chosen(rows: Events | Records, left: np.ndarray) -> list[np.ndarray]:
-    """Return bounds and columns of the rows that are left."""
+def _chosen(rows: Events | Records, left: np.ndarray, number: np.ndarray) -> list[np.ndarray]:
+    """Return bounds and columns of the rows that are left. number: `_before(left)`."""
     index = np.flatnonzero(left)
-    return [_before(left)[rows.bounds], *(column[index] for column in rows[1:])]
+    return [number[rows.bounds], *(column[index] for column in rows[1:])]
 
 
 def _before(left: np.ndarray) -> np.ndarray:

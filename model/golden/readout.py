@@ -77,10 +77,11 @@ class Readout:
             packed=room_for_groups(0, shape, receiver),
             receiver=receiver,
         )
-        self._kept = (
+        self._nothing = (
             room_for_events(0, shape, stream.subgroups),
             room_for_records(0, shape, stream.subgroups),
         )
+        self._kept = self._nothing
         self._commits: list[Commits] = []
         self._make_room(_HEAD_BEATS)
         _begin(stream, shape, self._room, self._place, self._packers)
@@ -113,9 +114,7 @@ class Readout:
         """End the frame, whose last period ends in cycle `end`. Return its beats, the cycles of
         their transfer, and the commits; set the counters of FIFOs in `counters`.
         """
-        nothing = room_for_events(0, self._shape, self._stream.subgroups)
-        no_record = room_for_records(0, self._shape, self._stream.subgroups)
-        self.take(nothing, no_record, int(_NEVER))
+        self.take(*self._nothing, int(_NEVER))
         self._make_room(_END_BEATS + self._stream.subgroups * self._shape.counter_beats)
         _end(self._stream, self._shape, self._room, self._place, self._packers, end, counters)
         done = int(self._place["done"][0])

@@ -77,7 +77,10 @@ class Uploads:
         """
         if not path.is_file():
             raise InputError(f"{path}: no such file")
-        _check_pulse(path) if kind == "pulse" else _check_samples(path)
+        if kind == "pulse":
+            _check_pulse(path)
+        else:
+            _check_samples(path)
         return evolve(self, **{kind: path})
 
     def sun_share(self, rows: int, cols: int) -> np.ndarray:

@@ -19,7 +19,7 @@ from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.markdown import text_table
 from coincid.study.pictures import Panel, depth_row
 from coincid.study.schemes import SCHEMES
-from coincid.study.simulate import play_schemes
+from coincid.study.simulate import GoldenRuns, play_runs
 from coincid.tools.pages import picture, put
 
 KLUX, PULSES, SEED = 50, 400, 1
@@ -36,7 +36,8 @@ def draw(name: str) -> list[tuple[float, float]]:
     scene = scene_of(config, PREFIX + name)
     run = Run(Setup(config=config, scene=scene, klux=KLUX, seed=SEED))
     with tempfile.TemporaryDirectory() as folder:
-        frames = play_schemes(run, config.threshold, "sliced", Path(folder)).frames
+        golden = GoldenRuns.of(run, config.threshold)
+        frames = play_runs(golden, "sliced", Path(folder)).frames
     depths = [frame.depth_m for frame in frames.values()]
     panels = [
         Panel(title.format(threshold=np.unique(config.threshold)[0]), depth)
