@@ -152,6 +152,20 @@ class Bench:
         elaborated(unit)
         return unit
 
+    def drive(self, unit: Unit, name: str, **inputs) -> Fragment:
+        """Place a unit under a name, and return it elaborated, for `registers_in`. Its inputs get
+        the values in `inputs`, by the names of its ports, or else any value.
+        """
+        for port, (flow, signal) in unit.flat_ports().items():
+            if flow.name == "In":
+                self.m.d.comb += signal.eq(
+                    inputs.pop(port) if port in inputs else self.anything(len(signal))
+                )
+        assert not inputs, f"no such ports: {', '.join(inputs)}"
+        fragment = Fragment.get(unit, None)
+        self.m.submodules[name] = fragment
+        return fragment
+
     def free(self, unit: Any) -> dict[str, Signal]:
         """Let the outputs of a unit inside another one have any value in any cycle, and return them
         by name.

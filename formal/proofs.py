@@ -7,6 +7,7 @@ from . import controller as controller
 from . import dpcu as dpcu
 from . import fifo as fifo
 from . import groups as groups
+from . import idle as idle
 from . import readout as readout
 from . import registers as registers
 from . import soft_reset as soft_reset

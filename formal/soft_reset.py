@@ -10,7 +10,6 @@ from amaranth.hdl import Fragment, ResetSignal
 
 from ..hdl.sensor import Core
 from ..hdl.subgroup_pair import SensorModule
-from ..hdl.unit import Unit
 from .proof_bench import Bench, proof, registers_in
 from .sensors import SMALL
 
@@ -24,7 +23,7 @@ def soft_reset(b: Bench):
     after `rst`; only the register bus keeps its accesses.
     """
     unit = Core(SMALL)
-    dut = _driven(b, unit)
+    dut = b.drive(unit, "dut")
     was_reset = b.last(unit.soft_reset)
     for part, name, _ in dut.subfragments:
         _is_reset(b, _part(part, BEHIND_PORT) if name == FRONT else part, was_reset)
@@ -36,15 +35,8 @@ def module_reset(b: Bench):
     """From any state, one cycle of reset gives every register of a module its first value, a cycle
     later.
     """
-    _is_reset(b, _driven(b, SensorModule(SMALL)), b.last(b.last(ResetSignal())))
+    _is_reset(b, b.drive(SensorModule(SMALL), "dut"), b.last(b.last(ResetSignal())))
     b.cover(b.last(b.last(ResetSignal())))
-
-
-def _driven(b: Bench, unit: Unit) -> Fragment:
-    """Place a unit with any inputs, and return it elaborated."""
-    b.vary(*(signal for flow, signal in unit.flat_ports().values() if flow.name == "In"))
-    b.m.submodules.dut = dut = Fragment.get(unit, None)
-    return dut
 
 
 def _part(fragment: Fragment, name: str) -> Fragment:

@@ -24,6 +24,8 @@ END_TO_GRANT = 1  # from `finish` to the readout's earliest grant of the end pac
 # Cycles from `wrap` after the last period, which comes LEAD + 1 cycles before the first cycle after
 # it, to `finish`.
 TO_FINISH = LEAD + 1 + latency.FINISH - END_TO_GRANT
+# Cycles of a gap after which only its counter changes, until the gap is over.
+IDLE_AFTER = SETTLED + 2
 
 
 class Sequencer(Unit):

@@ -6,6 +6,7 @@ subgroups, and `auto` has the thresholds of the controller, which first settles 
 photons. The compared frames see the same photons.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -108,9 +109,8 @@ def long_scheme_runs(
     alone = _last_frame_runs(run, settings, bar)
     if threshold is None:
         bar.stage("best threshold")
-        best = _least_wrong({one: alone[one]["wrong_share"] for one in fixed_thresholds(sensor)})
+        best, alone["fixed"] = _take_best(alone, fixed_thresholds(sensor))
         threshold = np.full_like(run.config.threshold, best)
-        alone["fixed"] = alone[best]
 
     golden = Golden(sensor)
     runs = {}
@@ -122,6 +122,22 @@ def long_scheme_runs(
             runs[name] = alone[name]
             golden.follow(runs[name].config, runs[name].traces[0].counters)
     return runs, threshold
+
+
+def _take_best(runs: dict[str | int, Run], thresholds: Iterable[int]) -> tuple[int, Run]:
+    """Take the runs of these thresholds out of `runs`; return the best threshold and its run.
+
+    At most two runs have their depth in memory at the same time.
+    """
+    wrong: dict[int, Number] = {}
+    best: tuple[int, Run] | None = None
+    for threshold in thresholds:
+        candidate = runs.pop(threshold)
+        wrong[threshold] = candidate["wrong_share"]
+        if _least_wrong(wrong) == threshold:
+            best = threshold, candidate
+    assert best is not None, "a sensor has at least one threshold"
+    return best
 
 
 def _last_frame_runs(

@@ -9,6 +9,7 @@ inputs. The rising edge that ends the cycle takes these.
 import os
 import pickle
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from coincid.host.transport import changes
 from coincid.model.contract import registers
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
+from coincid.model.contract.link import takes_beat
 from coincid.model.contract.parameters import CLOCK_MHZ, Sensor
 from coincid.tb.frame_record import (
     JOB_VARIABLE,
@@ -107,10 +109,8 @@ class SensorBench:
         golden model.
         """
         words = self.shine(config, edges)
-        ready = config.tready(ready)
-        stalled = {int(cycle) for cycle in np.flatnonzero(ready == 0)}
         await self.program(config)
-        inputs = _Inputs(self, words, stalled)
+        inputs = _Inputs(self, words, config.link_share, ready)
         outputs = _Outputs(self, board)
         falling = FallingEdge(self.dut.clk)
         started = await self._start(falling)
@@ -161,16 +161,22 @@ class SensorBench:
 class _Inputs:
     """The light and `tready` of a frame. A line is written only when its value changes.
 
-    words: (subgroup, word) by cycle of the frame. stalled: cycles without `tready`.
+    words: (subgroup, word) by cycle of the frame. link_share: of the cycles in which the link takes
+    a beat. receiver: as `ready` of a `FrameJob`.
     """
 
     def __init__(
-        self, bench: SensorBench, words: dict[int, list[tuple[int, int]]], stalled: set[int]
+        self,
+        bench: SensorBench,
+        words: dict[int, list[tuple[int, int]]],
+        link_share: Fraction,
+        receiver: np.ndarray,
     ):
         self._spad = bench.spad
         self._tready = bench.tready
         self._words = words
-        self._stalled = stalled
+        self._link_share = link_share
+        self._refused = {int(cycle) for cycle in np.flatnonzero(receiver == 0)}
         self._driven: set[int] = set()  # subgroups with light in the cycle before
         self._was_ready: bool | None = None
 
@@ -183,7 +189,7 @@ class _Inputs:
         for subgroup in self._driven - driven:
             self._spad[subgroup].value = 0
         self._driven = driven
-        is_ready = cycle not in self._stalled
+        is_ready = cycle not in self._refused and takes_beat(self._link_share, cycle)
         if is_ready is not self._was_ready:
             for line in self._tready:
                 line.value = int(is_ready)

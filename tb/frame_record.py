@@ -62,8 +62,9 @@ def load_job(path: Path) -> tuple[list[FrameJob], bool]:
     return pickle.loads(path.read_bytes())
 
 
-def cycle_limit(config: Config, ready_cycles: int) -> int:
-    """Return the number of cycles after which any frame must have ended; a sensor that needs
-    more hangs.
+def cycle_limit(config: Config, receiver_cycles: int) -> int:
+    """Return the number of cycles after which any frame must have ended; a sensor that needs more
+    hangs. receiver_cycles: cycles in which the receiver may refuse beats.
     """
-    return config.frame_cycles + ready_cycles + FINISH + 2 * beats_waiting_max(config.sensor) + 1000
+    waiting = int(2 * beats_waiting_max(config.sensor) / config.link_share)
+    return config.frame_cycles + receiver_cycles + FINISH + waiting + 1000

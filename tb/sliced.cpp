@@ -6,21 +6,29 @@
 //
 // wiring.h is generated: sizes, the names of the ports that depend on the number of streams, addresses.
 
+#include <algorithm>
 #include <array>
 #include <coroutine>
 #include <cstdint>
 #include <deque>
+#include <limits>
 #include <memory>
 #include <type_traits>
 #include <vector>
 
 #include "Vcore.h"
 #include "Vcore___024root.h"
+#include "Vcore__Syms.h"
 #include "lanes.h"
 #include "verilated.h"
 #include "wiring.h"
 
+void Vcore___024root___eval_settle(Vcore___024root*);  // of Verilator: all logic that follows from the registers
+
 namespace {
+
+constexpr int64_t NO_END = std::numeric_limits<int64_t>::max();
+constexpr int64_t BEFORE_GAP_ENDS = 2;  // cycles that are played at the end of a gap
 
 // Bits of a port, for any type that Verilator gives it.
 template <class T> uint32_t* words_of(T& port) {
@@ -37,12 +45,27 @@ template <class Model> void rise(Model& model) {
     model.eval();
 }
 
-struct Edge { int32_t bit, subgroup; };
+struct Edge {
+    int64_t cycle;
+    int32_t bit, subgroup;
+};
+// A stream's link takes `beats` beats in `cycles` cycles.
+struct Link {
+    int64_t beats, cycles;
+    // The rule of `takes_beats` in model/contract/link.py.
+    bool takes(int64_t cycle) const {
+        int64_t since = cycle % cycles;
+        return (since + 1) * beats / cycles > since * beats / cycles;
+    }
+};
 struct Frame {
-    std::vector<Edge> edges;      // by cycle
-    std::vector<int64_t> first;   // of each cycle, and the end
-    std::vector<uint8_t> ready;
-    int64_t cycles, limit;
+    std::vector<Edge> edges;        // by cycle
+    std::vector<uint8_t> receiver;  // whether it takes a beat in a cycle; afterwards it always does
+    Link link;
+    int64_t limit;  // cycles within which it ends
+    bool ready(int64_t cycle) const {
+        return link.takes(cycle) && (cycle >= int64_t(receiver.size()) || receiver[cycle]);
+    }
 };
 struct Op {
     enum Kind { WRITE, READ, WAIT, FRAME } kind;  // WAIT: read until a bit of `value` is set
@@ -110,6 +133,7 @@ public:
         during_.clear();
         records_.clear();
         frame_.reset();
+        next_edge_ = 0;
         cycle_ = -1;
         outcome_ = FINE;
         idle_ = write_busy_ = false;
@@ -135,6 +159,38 @@ public:
     void forget() { records_.clear(); outcome_ = FINE; }
     const std::vector<std::unique_ptr<Record>>& records() const { return records_; }
     Vcore& core() { return *core_; }
+
+    // Idle cycles. See formal/idle.py for what makes skipping them the same as playing them.
+
+    // Cycles from the next one on in which this sensor only waits in a gap, if it has nothing left to send.
+    int64_t idle_cycles() const {
+        if (!taps_.empty()) return 0;
+        if (idle_) return NO_END;
+        const auto& gap = sequencer();
+        bool waits = gap.__PVT__running && gap.__PVT__waiting && gap.__PVT__in_gap && !gap.__PVT__draining;
+        if (cycle_ < 0 || !waits || write_busy_ || !during_.empty()) return 0;
+        int64_t of_gap = int64_t(gap.__PVT__last) - int64_t(gap.__PVT__waited) - BEFORE_GAP_ENDS;
+        int64_t dark = next_edge_ < frame_->edges.size() ? frame_->edges[next_edge_].cycle - cycle_ - 1 : NO_END;
+        return std::min(of_gap, dark);
+    }
+    // Keep `tready` low while there is no beat, and note whether anything moves.
+    void watch(bool on) {
+        watched_ = on;
+        moved_ = false;
+        delivered_ = sequencer().__PVT__delivered;
+    }
+    void remember() { copy_state(before_); }
+    // Whether nothing has moved since `watch`, and the state is the one that was remembered.
+    bool as_before() {
+        copy_state(now_);
+        return !moved_ && now_ == before_;
+    }
+    void skip(int64_t cycles) {
+        if (idle_) return;
+        cycle_ += cycles;
+        sequencer().__PVT__waited += cycles;
+        Vcore___024root___eval_settle(core_->rootp);
+    }
 
     // Before the clock edge: the host acts, and outputs go to inputs. beats: whether any subgroup of any sensor sends one.
     void before(bool beats, bool data) {
@@ -261,13 +317,15 @@ private:
         set = any;
     }
 
-    // The SPADs' edges of a cycle.
+    // The SPADs' edges of a cycle: they come on, and then go off.
     void light(bool on) {
-        if (cycle_ < 0 || !frame_ || cycle_ + 1 >= int64_t(frame_->first.size())) return;
+        if (cycle_ < 0 || !frame_) return;
+        const std::vector<Edge>& edges = frame_->edges;
         const Lanes* all = lanes_[STREAMS].data();
         int shift = low(*all);
-        for (int64_t e = frame_->first[cycle_]; e < frame_->first[cycle_ + 1]; e++) {
-            Edge edge = frame_->edges[e];
+        size_t e = next_edge_;
+        for (; e < edges.size() && edges[e].cycle == cycle_; e++) {
+            Edge edge = edges[e];
             const Lanes& lanes = all[(edge.subgroup + shift) / 64];
             uint64_t bit = 1ull << ((edge.subgroup + shift) % 64);
             uint64_t& chunk = lanes.slice->chunk(IN_words[edge.bit], lanes.chunk);
@@ -276,6 +334,17 @@ private:
                 for (int flag : FLAGS_OF_words[edge.bit]) lanes.slice->flags()[flag] = 1;
             } else chunk &= ~bit;
         }
+        if (!on) next_edge_ = e;
+    }
+
+    Vcore_coincid_sequencer& sequencer() const { return core_->rootp->vlSymsp->TOP__coincid_core__sequencer; }
+
+    // Copy the state of the core without its sequencer, which counts the gap.
+    void copy_state(std::vector<char>& to) const {
+        const char* begin = reinterpret_cast<const char*>(core_->rootp->vlSymsp);
+        const char* counts = reinterpret_cast<const char*>(&sequencer());
+        to.assign(begin, counts);
+        to.insert(to.end(), counts + sizeof(Vcore_coincid_sequencer), begin + sizeof(Vcore__Syms));
     }
 
     void begin_write(uint32_t address, uint32_t value) {
@@ -326,6 +395,7 @@ private:
                 continue;
             }
             frame_ = op.frame;
+            next_edge_ = 0;
             records_.push_back(std::make_unique<Record>());
             Record& record = *records_.back();
             bool ended[STREAMS] = {};
@@ -334,9 +404,12 @@ private:
                 if (!write_busy_ && write_response_) outcome_ = REFUSED;
             }
             for (cycle_ = 0; !outcome_; cycle_++) {
-                bool ready = cycle_ >= int64_t(frame_->ready.size()) || frame_->ready[cycle_], all_ended = true;
+                bool ready = frame_->ready(cycle_);
+                bool all_ended = true;
+                if (watched_) moved_ |= sequencer().__PVT__delivered != delivered_;
                 for_each_stream(*core_, [&](int s, auto& tdata, auto& tvalid, auto& tready, auto& tlast, auto&...) {
-                    tready = ready;
+                    tready = ready && (tvalid || !watched_);
+                    moved_ |= tvalid;
                     if (ready && tvalid && !ended[s]) {
                         record.beats[s].push_back({tdata, cycle_});
                         ended[s] = tlast;
@@ -351,7 +424,7 @@ private:
                     for (uint64_t rest = of(lanes, OUT_stored[0]); rest; rest &= rest - 1)
                         record.commits.push_back({lanes.subgroup + __builtin_ctzll(rest) - low(lanes), cycle_ - STORED_TO_COMMIT});
                 co_await CYCLE;
-                if (all_ended && cycle_ + 1 >= frame_->cycles) break;
+                if (all_ended) break;
                 if (cycle_ + 1 >= frame_->limit) outcome_ = HANGS;
             }
             cycles_ += cycle_ + 1;
@@ -372,7 +445,11 @@ private:
     int response_ = 0, write_response_ = 0;
     std::deque<Op> todo_, during_;
     std::shared_ptr<Frame> frame_;
+    size_t next_edge_ = 0;             // of the frame
     int64_t cycle_ = -1, cycles_ = 0;  // of the frame, and of all frames before
+    // While it is watched whether the sensor is idle.
+    bool watched_ = false, moved_ = false, delivered_ = false;
+    std::vector<char> before_, now_;
     uint32_t value_ = 0;
     Outcome outcome_ = FINE;
     std::vector<std::unique_ptr<Record>> records_;
@@ -399,15 +476,54 @@ public:
 
     // Go on for some cycles, or until no sensor has anything to do; return how many have.
     int run(int64_t cycles) {
-        for (int64_t k = 0;; k++) {
-            int busy = 0;
-            for (auto& sensor : sensors_) busy += !sensor->idle();
-            if (!busy || k == cycles) return busy;
+        for (int64_t k = 0; k < cycles && busy(); k++) step();
+        return busy();
+    }
+
+    // The same, but idle cycles of gaps are skipped and do not count.
+    int run_busy(int64_t cycles) {
+        for (int64_t k = 0; k < cycles && busy(); k++) {
             step();
+            if (idle_cycles() >= 2 * IDLE_PERIOD) k += skip_idle();
         }
+        return busy();
     }
 
 private:
+    int busy() const {
+        int busy = 0;
+        for (auto& sensor : sensors_) busy += !sensor->idle();
+        return busy;
+    }
+
+    // Cycles from the next one on in which all sensors are idle, if they have nothing left to send.
+    int64_t idle_cycles() const {
+        int64_t cycles = NO_END;
+        for (auto& sensor : sensors_) cycles = std::min(cycles, sensor->idle_cycles());
+        return cycles;
+    }
+
+    // Play IDLE_PERIOD cycles. If the state is the same then, it will be after each further IDLE_PERIOD: skip as many of
+    // them as there are in the gap. Return the cycles that were played.
+    int64_t skip_idle() {
+        for (auto& sensor : sensors_) sensor->watch(true);
+        step();  // with `tready` low
+        std::vector<std::vector<W>> before;
+        for (auto& slice : slices_) before.emplace_back(&slice->word(0), &slice->word(0) + SLICE_WORDS);
+        for (auto& sensor : sensors_) sensor->remember();
+        for (int64_t k = 0; k < IDLE_PERIOD; k++) step();
+        bool idle = true;
+        for (auto& sensor : sensors_) idle &= sensor->as_before();
+        for (size_t k = 0; k < slices_.size(); k++)
+            idle &= !std::memcmp(before[k].data(), &slices_[k]->word(0), sizeof(W) * SLICE_WORDS);
+        int64_t rest = idle_cycles() / IDLE_PERIOD * IDLE_PERIOD;
+        for (auto& sensor : sensors_) {
+            if (idle && rest > 0) sensor->skip(rest);
+            sensor->watch(false);
+        }
+        return 1 + IDLE_PERIOD;
+    }
+
     // One clock edge of all sensors.
     void step() {
         bool beats = false, data = false;
@@ -438,6 +554,7 @@ Engine* sliced_new(int sensors) { return new Engine(sensors); }
 void sliced_delete(Engine* engine) { delete engine; }
 int64_t sliced_cycles(Engine* engine) { return engine->cycles(); }
 int sliced_run(Engine* engine, int64_t cycles) { return engine->run(cycles); }
+int sliced_run_busy(Engine* engine, int64_t cycles) { return engine->run_busy(cycles); }
 void sliced_write(Engine* engine, int sensor, uint32_t address, uint32_t value) {
     engine->sensor(sensor).post({Op::WRITE, address, value, {}});
 }
@@ -448,14 +565,12 @@ void sliced_wait(Engine* engine, int sensor, uint32_t address, uint32_t mask) {
 
 // A frame that a write starts. Edge k is in cycle[k] at bit[k] (pixel * phases + phase) of subgroup[k], in any order.
 void sliced_frame(Engine* engine, int sensor, uint32_t address, uint32_t value, int64_t edges, const int64_t* cycle,
-                  const int64_t* subgroup, const int64_t* bit, const uint8_t* ready, int64_t ready_cycles, int64_t cycles,
-                  int64_t limit) {
+                  const int64_t* subgroup, const int64_t* bit, const uint8_t* receiver, int64_t receiver_cycles, int64_t link_beats,
+                  int64_t link_cycles, int64_t limit) {
     auto frame = std::make_shared<Frame>();
-    *frame = {std::vector<Edge>(edges), std::vector<int64_t>(cycles + 1), {ready, ready + ready_cycles}, cycles, limit};
-    for (int64_t k = 0; k < edges; k++) frame->first[cycle[k] + 1]++;
-    for (int64_t c = 0; c < cycles; c++) frame->first[c + 1] += frame->first[c];
-    std::vector<int64_t> next(frame->first);
-    for (int64_t k = 0; k < edges; k++) frame->edges[next[cycle[k]]++] = {int32_t(bit[k]), int32_t(subgroup[k])};
+    *frame = {std::vector<Edge>(edges), {receiver, receiver + receiver_cycles}, {link_beats, link_cycles}, limit};
+    for (int64_t k = 0; k < edges; k++) frame->edges[k] = {cycle[k], int32_t(bit[k]), int32_t(subgroup[k])};
+    std::stable_sort(frame->edges.begin(), frame->edges.end(), [](const Edge& a, const Edge& b) { return a.cycle < b.cycle; });
     engine->sensor(sensor).post({Op::FRAME, address, value, frame});
 }
 void sliced_write_during_frame(Engine* engine, int sensor, uint32_t address, uint32_t value) {

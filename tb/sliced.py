@@ -21,6 +21,7 @@ import numpy as np
 
 from ..hdl.minigroup import Minigroup
 from ..hdl.sensor import CORE
+from ..hdl.sequencer import IDLE_AFTER
 from ..hdl.subgroup import shared_ports
 from ..hdl.subgroup_pair import Slice
 from ..host.driver import Driver
@@ -91,12 +92,18 @@ def wiring_header(sensor: Sensor) -> str:
             # Two more words, so that 64 bits can be read from any place.
             f"constexpr int GRANT_WORDS = {-(-most // 32) + 2}, SHARED_WORDS = {-(-widest // 32)}, RESET_CYCLES = {RESET_CYCLES};",
             f"constexpr int STREAM_FIRST[] = {{{', '.join(map(str, firsts))}}};",
+            f"constexpr int64_t IDLE_PERIOD = {_idle_period(sensor)};",
             "template <class Visit> void for_each_stream(Vcore& core, Visit visit) {",
             *visits,
             "}",
             "",
         ]
     )
+
+
+def _idle_period(sensor: Sensor) -> int:
+    """Return the cycles after which an idle slice is as it was: its coarse counter has wrapped."""
+    return max(1 << sensor.coarse_bits, 1 << IDLE_AFTER.bit_length())
 
 
 def build_library(sensor: Sensor, sensors: int = 1) -> ctypes.CDLL:
@@ -128,13 +135,28 @@ def _library(sensor: Sensor, width: int, root: Path) -> ctypes.CDLL:
         "new": (pointer, [i32]),
         "delete": (None, [pointer]),
         "run": (i32, [pointer, i64]),
+        "run_busy": (i32, [pointer, i64]),
         "cycles": (i64, [pointer]),
         "write": (None, [pointer, i32, u32, u32]),
         "read": (None, [pointer, i32, u32]),
         "wait": (None, [pointer, i32, u32, u32]),
         "frame": (
             None,
-            [pointer, i32, u32, u32, i64, pointer, pointer, pointer, pointer, i64, i64, i64],
+            [
+                pointer,
+                i32,
+                u32,
+                u32,
+                i64,
+                pointer,
+                pointer,
+                pointer,
+                pointer,
+                i64,
+                i64,
+                i64,
+                i64,
+            ],
         ),
         "write_during_frame": (None, [pointer, i32, u32, u32]),
         "reset": (None, [pointer, i32]),
@@ -184,7 +206,7 @@ class Engine:
 
     def run(self, progress: Callable[[], None] = lambda: None) -> None:
         """Run until no sensor has anything left to do."""
-        while self.call("run", CHUNK_CYCLES):
+        while self.call("run_busy", CHUNK_CYCLES):
             progress()
 
     def words(self, sensor: int, subgroup: int, words: int) -> tuple[np.ndarray, int]:
@@ -303,17 +325,18 @@ class SlicedSensor:
         self._call("write", registers.address("status"), done)
 
     def _post(self, config: Config, edges: Edges, ready: np.ndarray | None) -> None:
-        ready = np.ascontiguousarray(config.tready(ready))
+        receiver = np.ascontiguousarray([] if ready is None else ready, np.uint8)
         columns = [np.ascontiguousarray(column, np.int64) for column in port_bits(config, edges)]
         self._call(
             "frame",
             *registers.control("start"),
             len(columns[0]),
             *(column.ctypes.data for column in columns),
-            ready.ctypes.data,
-            len(ready),
-            config.frame_cycles,
-            cycle_limit(config, len(ready)),
+            receiver.ctypes.data,
+            len(receiver),
+            config.link_share.numerator,
+            config.link_share.denominator,
+            cycle_limit(config, len(receiver)),
         )
 
     def _finish(self, what: str, progress: Callable[[], None] = lambda: None) -> None:

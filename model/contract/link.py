@@ -59,6 +59,13 @@ def takes_beats(share: Fraction, cycles: int) -> np.ndarray:
     return np.diff(taken).astype(np.uint8)
 
 
+def takes_beat(share: Fraction, cycle: int) -> bool:
+    """Return whether a link takes a beat in a cycle: the rule of `takes_beats`."""
+    before = cycle * share.numerator // share.denominator
+    after = (cycle + 1) * share.numerator // share.denominator
+    return after > before
+
+
 def next_taken(cycle: int, beats: int, cycles: int) -> int:
     """Return the first cycle from `cycle` on in which a link takes a beat: the rule of
     `takes_beats` without a loop.

@@ -120,6 +120,63 @@ def test_soft_reset_with_a_dead_receiver():
             assert check(config.sensor, golden.expected, record) > 50
 
 
+@pytest.mark.parametrize("link_gbps", [0, 8, 0.3])
+@pytest.mark.parametrize("kind", random_cases.READY_KINDS)
+def test_idle_cycles_of_gaps_are_not_played(kind, link_gbps):
+    """The frame lasts for hundreds of millions of cycles. Playing them would take an hour."""
+    config = random_cases.configured(
+        ODD,
+        {
+            "period": 60,
+            "pulses": 3,
+            "gap": 100_000_001,
+            "link_gbps": link_gbps,
+            "dither_bits": 3,
+            "format": "compact",
+            "minigroup_records": True,
+        },
+        {"threshold": 1, "window": 12},
+    )
+    golden = Golden(random_cases.built_sensor(ODD))
+    frames = [job(golden, config, seed, kind) for seed in (1, 2)]
+    with SlicedSensor(config.sensor) as rtl:
+        for number, frame in enumerate(frames):
+            record = rtl.frame(config, frame.edges, frame.ready)
+            assert record.cycles > config.frame_cycles > 2 * config.gap
+            assert check(config.sensor, frame.expected, record, number) > 50
+
+
+def test_idle_cycles_are_skipped_where_all_sensors_are_idle():
+    """Sensors that share words are in gaps of different lengths, or have nothing left to do."""
+    chains = []
+    for number, gap in enumerate((50_000, 20_000_000, 20_007_777)):
+        golden = Golden(random_cases.built_sensor(ODD))
+        config = random_cases.configured(
+            ODD, {"period": 70, "pulses": 3, "gap": gap}, {"threshold": 1, "auto": number == 1}
+        )
+        chains.append([job(golden, config, 5 * number + k) for k in range(1 + number)])
+    for chain, records in zip(chains, play_side_by_side(chains, threads=1), strict=True):
+        for number, (frame, record) in enumerate(zip(chain, records, strict=True)):
+            assert check(frame.config.sensor, frame.expected, record, number) > 50
+
+
+@pytest.mark.parametrize("cycle", [5_000, 120_000])
+def test_abort_in_a_long_gap(cycle):
+    """The frame ends in the gap, and has the periods that have begun."""
+    config = random_cases.configured(
+        SENSOR, {"period": 60, "pulses": 4, "gap": 100_000}, {"threshold": 1, "window": 12}
+    )
+    first = job(Golden(config.sensor), config, 4)
+    begun = 1 + cycle // (config.period + config.gap)
+    edges = first.edges.take(first.edges.pulse < begun)
+    shorter = Golden(config.sensor).frame(config, edges, pulses=begun)
+    with SlicedSensor(config.sensor) as rtl:
+        rtl.begin(config, first.edges)
+        rtl.step(cycle)
+        rtl.abort()
+        assert np.array_equal(rtl.end().beats[0], shorter.beats[0])
+
+
 @pytest.mark.parametrize("cycle", [100, 130, 290])
 def test_abort_makes_a_shorter_frame(cycle):
     """The frame equals one of as many pulses as have begun when the command arrives."""
