@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Asks how many laser pulses a frame should have, and which threshold, if the laser's mean power and
+the frames per second are fixed.
+
+`python -m docs.studies.pulses_apart` writes the tables of docs/gap.md.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from attrs import evolve
+
+from coincid.lab.campaign import FinishedFiles, Processes, campaign, read_measures
+from coincid.lab.pace import gap_for, pulse_energy_j
+from coincid.lab.setup import Setup
+from coincid.model.light.link_budget import Laser
+from coincid.model.scenes.scene import Scene, scene_light
+from coincid.model.shared.folders import build_root
+from coincid.model.shared.markdown import text_table
+from coincid.tools.pages import counted, put
+
+from .confidence import SIDE, room_in_perspective
+
+PAGE = "docs/gap.md"
+RATE_PER_S = 30.0
+PULSES = (100, 300, 1_000, 3_000, 10_000)
+ROOMS = (40, 41)
+LARGER = 3.0  # than a room for people
+KLUX = (10.0, 100.0)
+THRESHOLDS = (1, 2, 3)
+LARGE = (256, 128)  # rows and columns of the sensor whose link is asked for
+LARGE_GBPS = 8.0
+AREAS = LARGE[0] * LARGE[1] // SIDE**2  # simulated sensors in the large one
+NO_LIMIT_GBPS = 0.0
+MEASURES = ("wrong_share", "mean_gbps", "dropped_share")
+_LASER = Laser()
+PRESET_J = _LASER.average_power_w / _LASER.repetition_hz  # pulses of `scene_light`
+
+
+class Case(NamedTuple):
+    """A frame of a room."""
+
+    room: int
+    klux: float
+    pulses: int
+    apart: bool  # or back to back
+    link_gbps: float
+    threshold: int
+
+    @property
+    def key(self) -> str:
+        return "_".join(f"{part:g}" for part in self)
+
+    def setup(self) -> Setup:
+        """Return what is simulated. The pulses of a frame have the energy of all its time, also
+        where they are back to back.
+        """
+        distance_m, reflectivity = room_in_perspective(self.room)
+        scene = Scene(
+            name=f"room {self.room}", distance_m=LARGER * distance_m, reflectivity=reflectivity
+        )
+        setup = Setup.of(
+            scene,
+            sensor={"rows": SIDE, "cols": SIDE},
+            frame={"pulses": self.pulses, "link_gbps": self.link_gbps, "format": "compact"},
+            subgroup={"threshold": self.threshold},
+            seed=self.room,
+        )
+        apart = setup.config.with_frame(gap=gap_for(setup.config, RATE_PER_S))
+        light = scene_light(scene, self.klux)
+        signal_per_pulse = light.signal_per_pulse * pulse_energy_j(apart) / PRESET_J
+        return setup.but(
+            config=apart if self.apart else setup.config,
+            light=evolve(light, signal_per_pulse=signal_per_pulse),
+        )
+
+
+Measured: TypeAlias = dict[Case, dict[str, Any]]  # measures by name, of each case
+
+
+def cases(apart: bool, link_gbps: float) -> list[Case]:
+    """Return all cases with pulses apart, or back to back, and one link."""
+    return [
+        Case(room, klux, pulses, apart, link_gbps, threshold)
+        for klux in KLUX
+        for pulses in PULSES
+        for room in ROOMS
+        for threshold in THRESHOLDS
+    ]
+
+
+def measured(asked: Sequence[Case]) -> Measured:
+    """Return the measures of each case."""
+    finished = FinishedFiles(build_root() / "pages" / "pulses-apart", MEASURES)
+    finished.folder.mkdir(parents=True, exist_ok=True)
+    with Processes(progress=counted) as run:
+        found: dict[str, dict[str, Any]] = campaign(
+            {case.key: case.setup() for case in asked},
+            partial(read_measures, names=MEASURES),
+            run,
+            finished=finished,
+        )
+    return {case: found[case.key] for case in asked}
+
+
+def make() -> None:
+    """Write the tables into the page."""
+    apart = measured(cases(True, NO_LIMIT_GBPS))
+    put(PAGE, "pulses", pulses_table(apart))
+    limited = {
+        distance: measured(cases(distance, LARGE_GBPS / AREAS)) for distance in (False, True)
+    }
+    put(PAGE, "link", link_table(limited[False], limited[True]))
+
+
+def pulses_table(found: Measured) -> str:
+    """Return the table of a link without limit."""
+    rows = []
+    for klux in KLUX:
+        for pulses in PULSES:
+            config = Case(ROOMS[0], klux, pulses, True, NO_LIMIT_GBPS, THRESHOLDS[0]).setup().config
+            rows.append(
+                (
+                    f"{klux:g} klux",
+                    f"{pulses:,}",
+                    f"{1e9 * pulse_energy_j(config):,.0f} nJ",
+                    _by_threshold(found, klux, pulses, "wrong_share", "{:.1%}"),
+                    _by_threshold(found, klux, pulses, "dropped_share", "{:.0%}"),
+                    _by_threshold(found, klux, pulses, "mean_gbps", "{:.1f}", AREAS),
+                )
+            )
+    thresholds = " / ".join(map(str, THRESHOLDS))
+    head = (
+        "light",
+        "pulses",
+        "energy of one",
+        f"wrong at {thresholds}",
+        f"dropped at {thresholds}",
+        f"Gbit/s for {LARGE[0]} x {LARGE[1]} at {thresholds}",
+    )
+    return text_table(head, rows)
+
+
+def link_table(back_to_back: Measured, apart: Measured) -> str:
+    """Return the table of a link with a limit."""
+    rows = [
+        (
+            f"{klux:g} klux",
+            f"{pulses:,}",
+            _by_threshold(back_to_back, klux, pulses, "wrong_share", "{:.1%}"),
+            _by_threshold(apart, klux, pulses, "wrong_share", "{:.1%}"),
+        )
+        for klux in KLUX
+        for pulses in PULSES
+    ]
+    thresholds = " / ".join(map(str, THRESHOLDS))
+    head = (
+        "light",
+        "pulses",
+        f"back to back: wrong at {thresholds}",
+        f"apart: wrong at {thresholds}",
+    )
+    return text_table(head, rows)
+
+
+def _by_threshold(
+    found: Measured, klux: float, pulses: int, measure: str, form: str, factor: float = 1.0
+) -> str:
+    """Return the mean of a measure over the rooms, for each threshold."""
+    means = []
+    for threshold in THRESHOLDS:
+        values = [
+            measures[measure]
+            for case, measures in found.items()
+            if (case.klux, case.pulses, case.threshold) == (klux, pulses, threshold)
+        ]
+        means.append(form.format(factor * float(np.mean(values))))
+    return " / ".join(means)
+
+
+if __name__ == "__main__":
+    make()
