@@ -113,20 +113,7 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
             stack.enter_context(
                 dask.config.set({"distributed.scheduler.allowed-failures": LOST_WORKERS_MAX})
             )
-            # Everything stays on loopback. Even without a dashboard, the scheduler serves its
-            # health page on a free port.
-            scheduler = stack.enter_context(
-                LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    host=LOOPBACK,
-                    memory_limit=None,
-                    silence_logs="CRITICAL",
-                    preload=DEAF_TO_CTRL_C,
-                    dashboard_address=None,
-                    scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
-                )
-            )
+            scheduler = stack.enter_context(_local_cluster(workers))
         # A lost scheduler is reported by `SchedulerLost`.
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         try:
@@ -136,6 +123,29 @@ def cluster(workers: int, scheduler: str | None = None) -> Iterator[Client]:
                 f"scheduler = {scheduler!r}: no Dask scheduler answers ({error})"
             ) from None
         yield stack.enter_context(client)
+
+
+def _local_cluster(workers: int) -> LocalCluster:
+    """Start a cluster of processes. Raises `InputError` if the system does not let them start.
+
+    Everything stays on loopback. Even without a dashboard, the scheduler serves its health page on
+    a free port.
+    """
+    # what a process that cannot start says of itself
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)
+    try:
+        return LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            host=LOOPBACK,
+            memory_limit=None,
+            silence_logs="CRITICAL",
+            preload=DEAF_TO_CTRL_C,
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
+        )
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"workers = {workers}: they do not start ({error})") from None
 
 
 def _check_address(scheduler: str) -> None:

@@ -2,6 +2,7 @@
 """Shows the progress of long work on the terminal."""
 
 import time
+from contextlib import suppress
 from threading import Event, Thread
 
 from rich.console import Console
@@ -48,11 +49,15 @@ class Bar:
         return self
 
     def _tell(self) -> None:
-        """Print every few seconds which stage is running, for output without a bar."""
-        while not self._ended.wait(LINE_EVERY_S):
-            seconds = time.monotonic() - self._began
-            if self._stage and seconds >= LINE_EVERY_S:
-                self._progress.console.print(f"{self._stage}: {seconds:.0f} s")
+        """Print every few seconds which stage is running, for output without a bar.
+
+        Where the output takes no more, the command says so by itself.
+        """
+        with suppress(OSError):
+            while not self._ended.wait(LINE_EVERY_S):
+                seconds = time.monotonic() - self._began
+                if self._stage and seconds >= LINE_EVERY_S:
+                    self._progress.console.print(f"{self._stage}: {seconds:.0f} s")
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()

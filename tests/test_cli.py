@@ -295,7 +295,40 @@ def test_a_full_standard_output_is_told_in_one_line(words):
             encoding="utf-8",
         )
     told = f"coincid: standard output: {os.strerror(errno.ENOSPC)}\n"
-    assert (done.returncode, done.stderr) == (1, told)
+    assert (done.returncode, done.stderr) == (2, told)
+
+
+def test_where_nothing_can_be_said_the_exit_code_tells():
+    line = f"exec {sys.executable} -m coincid show none.toml > /dev/full 2> /dev/full"
+    done = subprocess.run(["sh", "-c", line], capture_output=True, check=False)
+    assert done.returncode == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        ("MemoryError('Unable to allocate 9 GiB')", "not enough memory. Unable to allocate 9 GiB"),
+        ("MemoryError()", "not enough memory"),
+        ("ImportError('a.so: failed to map segment')", "a.so: failed to map segment"),
+        ("OSError('no more files')", "no more files"),
+    ],
+)
+def test_a_lack_of_memory_is_told_in_one_line(tmp_path, error, told):
+    program = tmp_path / "program.py"
+    program.write_text(
+        "from coincid import __main__\n"
+        "def command():\n"
+        "    try:\n"
+        f"        raise {error}\n"
+        "    except ImportError as cause:\n"
+        "        raise ImportError('many\\nlines') from cause\n"
+        "__main__._command = command\n"
+        "__main__.main()\n",
+        encoding="utf-8",
+    )
+    words = [sys.executable, "-m", program.stem]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (2, f"coincid: {told}\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -193,6 +193,23 @@ def test_data_files_and_versions_count(copied):
     }
 
 
+def test_each_file_that_the_table_names_counts(copied):
+    """Alone, and for its own programs only."""
+    programs_of = {}
+    for name, program in PAGES.programs.items():
+        for file in program.data:
+            programs_of.setdefault(file, set()).add(name)
+    pages = pages_of(copied)
+    for file, names in programs_of.items():
+        path = copied / file
+        before = path.read_bytes()
+        path.write_bytes(before + b"\n")
+        for name in names:
+            program = PAGES.programs[name]
+            assert pages.stamp(program) != PAGES.stamp(program), (file, name)
+        path.write_bytes(before)
+
+
 def test_stamps_ignore_the_folder_and_other_modules(copied):
     (copied / "study" / "other.py").write_text("import numpy\n", encoding="utf-8")
     assert named(PAGES, pages_of(copied)) == set()

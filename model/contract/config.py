@@ -459,6 +459,10 @@ def read_toml(path: FilePath) -> dict[str, Any]:
         raise InputError(f"no such file (presets: {', '.join(PRESETS)})") from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"is not TOML: {error}") from None
+    except RecursionError:
+        raise InputError(
+            "is not TOML that can be read: its lists lie too deep in each other"
+        ) from None
     except (OSError, ValueError) as error:  # bytes that are no UTF-8, or a NUL in the name
         raise InputError(f"cannot be read ({error})") from None
 

@@ -114,7 +114,7 @@ class Setting:
             text = f"[{text.strip('[]').replace('x', ',')}]"
         try:
             return tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):  # no TOML, or more than Python reads
             return text
 
     def checked(self, where: str, value: Any, sensor: Any) -> Any:

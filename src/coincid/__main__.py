@@ -5,13 +5,12 @@ Signals are handled before the command line and its libraries are imported, whic
 second. Once a command has ended, its exit code stands, and signals change nothing.
 """
 
-import errno
 import os
 import signal
 import sys
+from contextlib import suppress
 
 BAD_INPUT = 2
-FAILED = 1
 SIGNALS = signal.SIGINT, signal.SIGTERM
 STDERR = 2  # number of the last of the standard files
 
@@ -35,19 +34,44 @@ def _run() -> int | str | None:
     except KeyboardInterrupt as why:
         from coincid.model.shared.interrupts import exit_code
 
-        print("coincid: interrupted", file=sys.stderr)
+        _tell("interrupted")
         _forget_interrupt()
         return exit_code(why)
     except OSError as error:
         _forget_output()
-        print(f"coincid: {_told(error)}", file=sys.stderr)
-        return BAD_INPUT if error.errno == errno.ENAMETOOLONG else FAILED
+        _tell(_told(error))
+        return BAD_INPUT
+    except MemoryError as error:
+        _tell(f"not enough memory. {error}".strip(" ."))
+        return BAD_INPUT
+    except ImportError as error:
+        if isinstance(error, ModuleNotFoundError):  # our own mistake
+            raise
+        _tell(_first_cause(error))
+        return BAD_INPUT
     return code
+
+
+def _tell(message: str) -> None:
+    """Print the one line that says why the program ends, if the standard error takes it."""
+    with suppress(OSError):
+        print(f"coincid: {message}", file=sys.stderr, flush=True)
+
+
+def _first_cause(error: BaseException) -> str:
+    """Return the first line of the error that all others follow from, such as a library that finds
+    no memory.
+    """
+    while error.__cause__ or error.__context__:
+        error = error.__cause__ or error.__context__ or error
+    return str(error).strip().partition("\n")[0]
 
 
 def _command() -> int | str | None:
     from coincid.model.shared.interrupts import interruptible
 
+    # Pictures are files; the surroundings may name a way to windows that is not there.
+    os.environ["MPLBACKEND"] = "agg"
     interruptible()
     from coincid.cli import app
 
@@ -73,7 +97,7 @@ def _replace_closed_files() -> None:
 def _told(error: OSError) -> str:
     """Return what the operating system refused, in one line."""
     place = "standard output" if error.filename is None else str(error.filename)
-    return f"{place}: {error.strerror}"
+    return f"{place}: {error.strerror}" if error.strerror else str(error)
 
 
 def _forget_interrupt() -> None:

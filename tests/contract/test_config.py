@@ -417,3 +417,20 @@ def test_a_message_begins_with_the_key_that_was_written(preset, changes, begins)
     with pytest.raises(InputError) as error:
         load_config(preset, changes)
     assert str(error.value).startswith(begins)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a = " + "[" * 5000, "[frame]\npulses = " + "9" * 5000, "\0", "\ufeff[frame]", "x" * 10_000],
+    ids=["deep lists", "digits", "NUL", "a mark of the byte order", "a long word"],
+)
+def test_what_no_reader_of_toml_takes_is_refused(tmp_path, text):
+    (tmp_path / "odd.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="odd.toml: "):
+        load_config(tmp_path / "odd.toml")
+
+
+@pytest.mark.parametrize("value", ["9" * 5000, "[" * 5000])
+def test_a_value_of_the_command_line_that_no_reader_takes_is_refused(value):
+    with pytest.raises(InputError, match="frame.pulses = "):
+        load_config(None, changes_of_text([f"pulses={value}"]))

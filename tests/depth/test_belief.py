@@ -6,11 +6,14 @@ import pytest
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.depth.belief import SENTENCES, Reason
+from coincid.model.depth.belief import SENTENCES, Reason, find_signs
+from coincid.model.depth.histograms import frame_events
 from coincid.model.depth.methods import METHODS
+from coincid.model.depth.pulse_ticks import PulseTicks
 from coincid.model.depth.quality import TOLERANCE_M
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+from coincid.model.shared.threads import Threads
 from docs.studies.confidence import NINETY, perspective_setup, random_setup, truth_m
 
 SENSOR = {"rows": 16, "cols": 16}
@@ -41,6 +44,19 @@ def test_most_pixels_have_the_reason(reason):
     assert np.mean(found == reason) > 0.5, {
         SENTENCES[Reason(k)]: int(np.sum(found == k)) for k in np.unique(found)
     }
+
+
+def test_the_gates_edges_are_those_of_its_first_and_its_last_place():
+    """A wall is beside no edge where the gate would be after one more step."""
+    moving = {"gate_every": 50, "gate_step": 10, "gate_steps": 3}
+    gate = {"gating": True, "gate_start": 10, "gate_len": 30}
+    dark = Run(Setup.of("flat:5,0", klux=0, sensor=SENSOR, frame=moving, subgroup=gate))
+    events = frame_events(dark.result, dark.config, PulseTicks(2.0))
+    for cycle, is_edge in ((10, True), (60, True), (50, False), (70, False), (30, False)):
+        ticks = np.full((16, 16), float(cycle * dark.config.sensor.phases))
+        with Threads(1) as threads:
+            signs = find_signs(events, dark.config, 2.0, 100, ticks, ticks, False, threads)
+        assert np.all(signs.at_edge == is_edge), cycle
 
 
 @pytest.mark.parametrize("method", METHODS)

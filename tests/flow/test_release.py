@@ -581,6 +581,27 @@ def test_ip_xact_has_the_ports_and_bus_interfaces_of_the_top(releases, preset):
     assert sorted(connected) == sorted([*buses, "clk", "rst"])
 
 
+@pytest.mark.parametrize("preset", SMALL)
+def test_ip_xact_tells_clock_and_reset_as_the_rtl_has_them(releases, preset):
+    """Which buses belong to the clock, and at which level the reset resets."""
+    root = ElementTree.parse(releases / preset / IP_XACT).getroot()
+    names = {"ipxact": root.tag.partition("}")[0].strip("{")}
+    told = {}
+    for one in root.findall("ipxact:busInterfaces/ipxact:busInterface", names):
+        parameters = one.findall("ipxact:parameters/ipxact:parameter", names)
+        told[one.findtext("ipxact:name", "", names)] = {
+            each.findtext("ipxact:name", "", names): each.findtext("ipxact:value", "", names)
+            for each in parameters
+        }
+    buses = [name for name in told if name not in ("clk", "rst")]
+    assert told["clk"]["ASSOCIATED_BUSIF"].strip('"').split(":") == buses
+    assert told["clk"]["ASSOCIATED_RESET"] == '"rst"'
+    verilog = "".join(path.read_text(encoding="utf-8") for path in releases.glob(f"{preset}/*.v"))
+    level = {'"ACTIVE_HIGH"': r"if \(rst\)", '"ACTIVE_LOW"': r"if \([!~]rst\)"}
+    of_reset = {polarity for polarity, test in level.items() if re.search(test, verilog)}
+    assert of_reset == {told["rst"]["POLARITY"]}
+
+
 def test_limits_hold_where_every_edge_is_an_event():
     of = parse_config(
         {

@@ -39,6 +39,14 @@ def test_verdicts(monkeypatch, highest, reached, complaint):
     assert complaint in verdict.reason if complaint else not verdict.reason
 
 
+def test_a_proof_that_does_not_end_does_not_hold(monkeypatch):
+    monkeypatch.setattr("coincid.formal.prove.SECONDS_MAX", 0)
+    proof = Proof("endless", "A counter.", partial(_counter, 9, 9), 2, 14)
+    monkeypatch.setitem(PROOFS, "endless", proof)
+    (verdict,) = prove(["endless"])
+    assert verdict.reason and " FAILS " in str(verdict)
+
+
 def test_unknown_proof():
     assert_refused(command("formal nothing"), "nothing")
 

@@ -55,7 +55,13 @@ def mat(at):
     return f"{at / 'h.mat'}:counts"
 
 
-@pytest.mark.parametrize("source", [lambda at: counts(), npy, npz, hdf5, mat])
+def mat_73(at):
+    with h5py.File(at / "h.mat", "w") as archive:
+        archive["counts"] = counts().T
+    return str(at / "h.mat")
+
+
+@pytest.mark.parametrize("source", [lambda at: counts(), npy, npz, hdf5, mat, mat_73])
 def test_the_truth_is_the_peak_of_each_histogram(tmp_path, source):
     scene = load_scene(source(tmp_path), *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES)
     assert scene.truth_m == pytest.approx(WALL_M, abs=0.01)

@@ -54,6 +54,14 @@ def mat_of(at):
     return f"{at / 'a.mat'}:depth"
 
 
+def mat_73_of(at):
+    """MATLAB's later files are HDF5, which lists the last axis first."""
+    stacked = np.moveaxis(pictures(), 0, 2)
+    with h5py.File(at / "b.mat", "w") as archive:
+        archive["depth"] = stacked.T
+    return str(at / "b.mat")
+
+
 def npy_of(at):
     np.save(at / "a.npy", (pictures() * 1000).astype(">u2"))
     return str(at / "a.npy")
@@ -68,6 +76,7 @@ SOURCES = {
     "NPZ": npz_of,
     "HDF5": hdf5_of,
     "MATLAB": mat_of,
+    "MATLAB 7.3": mat_73_of,
 }
 
 

@@ -90,6 +90,24 @@ def test_advice_overloads_no_link_where_it_need_not():
     assert "overload" not in sentence(fits)
 
 
+@pytest.mark.parametrize("streams", (1, 3))
+@pytest.mark.parametrize("gap", (0, 40_000))
+def test_the_rates_of_an_advice_are_those_of_one_stream(streams, gap):
+    """In the mean of the streams: bits over the time in which they are sent."""
+    config = parse_config({"sensor": {"streams": streams}, "frame": {"gap": gap, "pulses": 50}})
+    bits = 123_456_789
+    best = Tried(config=config, wrong=0.1, far=0.0, error_mm=9.0, bits=bits, dropped=0.0, load=0.1)
+    told = Advice(settings=[best], chosen=best, links=[best], best=best, klux=1.0).sentence
+    cycles = 50 * 250 + 49 * gap
+    gbps = bits / streams / (cycles * 2e-9) * 1e-9
+    assert float(re.search(r"frame \(([\d.e+]+) Gbit/s\)", told)[1]) == pytest.approx(
+        gbps, rel=0.05
+    )
+    if gap:
+        mbps = float(re.search(r"carries ([\d.e+]+) Mbit/s", told)[1])
+        assert mbps == pytest.approx(gbps * 1e3, rel=0.05)
+
+
 def test_where_no_setting_helps_the_advice_begins_with_what_would(tmp_path):
     given = "--klux 100 --set rows=8 --set cols=8 --set pulses=5"
     done = command(f"advise flat:9,0.05 {given} --out {tmp_path}/out")

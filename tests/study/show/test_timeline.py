@@ -10,7 +10,7 @@ from coincid.model.contract.config import parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges, Fate
 from coincid.model.golden.frame import Golden
-from coincid.study.show.timeline import Verdict, frame_timeline
+from coincid.study.show.timeline import Verdict, frame_timeline, gate_of
 
 from ...random_cases import random_edges
 
@@ -101,6 +101,20 @@ def test_periods_hold_every_edge_once_in_time_order_and_inside_windows_as_the_fa
         assert period.fill_cycle[0] == 0 and np.all(period.fill_cycle < config.period)
         assert np.all(np.diff(period.fill_cycle) >= 0)
     assert seen == len(edges)
+
+
+@pytest.mark.parametrize(("first", "length"), [(5, 9), (5, 40), (39, 2), (0, 255), (39, 1)])
+def test_a_gate_lies_within_the_period(first, length):
+    """Also one that moves out of it step by step: each cycle of the period is in it or not."""
+    moving = {"gate_step": 8, "gate_every": 1, "gate_steps": 7, "pulses": 6, "period": 40}
+    gate = {"gating": True, "gate_start": first, "gate_len": length}
+    config = parse_config({"sensor": SENSOR, "frame": moving, "subgroup": gate})
+    for pulse in range(config.pulses):
+        start = first + 8 * pulse
+        within = set(range(start, start + length)) & set(range(config.period))
+        shown = gate_of(config, 0, pulse)
+        assert set(range(*shown)) == within
+        assert 0 <= shown[0] <= shown[1] <= config.period
 
 
 def test_a_known_period():
