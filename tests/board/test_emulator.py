@@ -258,6 +258,22 @@ def test_a_reset_is_noticed(port):
     assert session.tally.recoveries >= 1 and session.tally.frames == 2
 
 
+def test_frames_from_before_an_error_do_not_come_after_it(port):
+    """Two frames wait in the buffer; one was taken, and the other one was read with it."""
+    session = Session(
+        EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S)), config(1), source(6)
+    )
+    driver = session.driver
+    for _ in range(2):
+        driver.start()
+        driver.finish()
+    assert len(driver.receive()) == 1
+    driver.resume()
+    session._program()
+    beats = session.frame()
+    assert int(beats[0]) >> 32 & 0xFFFF == 2  # the number of the third frame
+
+
 def test_no_emulator():
     class Nothing:
         time = 0.0

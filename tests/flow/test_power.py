@@ -89,6 +89,20 @@ def test_transitions_of_frames_only():
         transitions(BytesIO(VCD), 1, [3, 2, 2], 1000)
 
 
+@pytest.mark.parametrize("lengths", [[3, 1], [1, 3], [2, 3]])
+def test_frames_of_unequal_lengths_count_their_own_cycles(lengths):
+    """A net changes once in each cycle, from the beginning of a frame to long after its end."""
+    header, _, _ = VCD.partition(b"#0 ")
+    changes = [b"#0 0! 1$ 0#", b"#500 0$"]
+    for frame in range(2):
+        begin = 1000 + 10_000 * frame
+        changes.append(b"#%d 1! 1#" % begin)
+        changes += [b"#%d %d#" % (begin + 1000 * k, (k + 1) % 2) for k in range(1, 8)]
+        changes.append(b"#%d 0!" % (begin + 7500))
+    toggles = transitions(BytesIO(header + b"\n".join(changes) + b"\n"), 1, lengths, 1000)
+    assert toggles["inner.net"][:, 0].tolist() == lengths
+
+
 def test_sum_by_hand():
     """clk clocks a flip-flop, whose output drives a buffer that drives nothing."""
     output = Pin(True, 0.0, always(1.0), False)

@@ -17,7 +17,7 @@ from scipy import ndimage, stats
 from coincid.model.contract.config import load_config
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.light.light import Arrivals, Light
-from coincid.model.light.link_budget import link_budget
+from coincid.model.light.link_budget import Laser, Optics, link_budget
 from coincid.model.light.photons import generate_edges
 from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
@@ -66,6 +66,23 @@ def test_energy_is_conserved_from_transient_to_edges():
     )
     per_pulse = np.bincount(edges.pulse, minlength=pulses)
     assert stats.chi2.sf(per_pulse.var() * pulses / per_pulse.mean(), pulses - 1) > LEVEL
+
+
+@pytest.mark.parametrize(
+    ("changed", "factor"),
+    [
+        ({"laser": Laser(average_power_w=20e-3)}, 2),
+        ({"laser": Laser(repetition_hz=4e6)}, 1 / 2),
+        ({"laser": Laser(wavelength_nm=940.0)}, 940 / 905),
+        ({"optics": Optics(lens_diameter_m=42e-3)}, 4),
+        ({"optics": Optics(transmission=0.4)}, 1 / 2),
+        ({"optics": Optics(pixels=4096)}, 1 / 4),
+    ],
+)
+def test_the_light_of_a_transient_is_in_proportion_to_laser_and_lens(changed, factor):
+    transient = synthetic(np.full((2, 3, 5), 1e-4))
+    usual = photons_in(transient.light(0.0))
+    assert photons_in(transient.light(0.0, **changed)) == pytest.approx(factor * usual)
 
 
 def test_one_unit_is_equation_1():

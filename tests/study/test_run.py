@@ -19,6 +19,7 @@ from coincid.model.depth.depth import Depth
 from coincid.model.depth.histograms import subgroup_histograms
 from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.light.link_budget import Optics
+from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.view import View
 
 RTL = {
@@ -172,6 +173,16 @@ def test_points_lie_where_their_pixels_look():
     assert (x / z, y / z) == pytest.approx((0.8, -2 / 3 * np.tan(np.radians(30))))
     assert np.linalg.norm((x, y, z)) == pytest.approx(4)
     assert behind[:3] == pytest.approx((1.5 * x, 1.5 * y, 1.5 * z))
+
+
+def test_points_of_a_run_lie_in_the_view_of_its_scene():
+    """A view that is wider than high, unlike that of the paper."""
+    wide = View(h_deg=80, v_deg=20)
+    scene = evolve(load_scene("flat:5,0.8", 8, 16), view=wide)
+    points = coincid.simulate(None, scene, klux=1, rows=8, cols=16, pulses=50).point_cloud()
+    right, down = wide.tangents(8, 16)
+    assert np.abs(points["x"] / points["z"]).max() == pytest.approx(right.max(), rel=1e-5)
+    assert np.abs(points["y"] / points["z"]).max() == pytest.approx(down.max(), rel=1e-5)
 
 
 def test_normals_of_a_wall_look_along_the_axis():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from coincid.model.golden.frame import Golden
-from coincid.tb.frame_record import Recorded
+from coincid.tb.frame_record import Recorded, cycle_limit
 from coincid.tb.rtl_errors import Mismatch
 from coincid.tb.scoreboard import Scoreboard, check
 
@@ -94,3 +94,12 @@ def test_a_frame_that_stops(trace):
     board = Scoreboard(CONFIG.sensor, trace)
     with pytest.raises(Mismatch, match="0 beats, golden model"):
         board.finish()
+
+
+@pytest.mark.parametrize("stalled", (0, 1000, 100_000))
+def test_a_frame_that_a_receiver_stalls_is_no_frame_that_hangs(stalled):
+    """The receiver takes no beat for so many cycles; the last beat leaves before the limit."""
+    ready = np.zeros(stalled, np.uint8)
+    stalled_trace = Golden(CONFIG.sensor).frame(CONFIG, trouble(CONFIG, 1, 4.0), ready)
+    last = max(int(cycles[-1]) for cycles in stalled_trace.beat_cycle)
+    assert stalled <= last < cycle_limit(CONFIG, stalled)

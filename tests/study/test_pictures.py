@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of depth: what stands where, in an array that is no square."""
+
+import numpy as np
+
+from coincid.study.pictures import Panel, draw_row
+
+ROWS, COLS = 8, 24
+
+
+def test_numbers_stand_in_the_middle_of_their_subgroups():
+    thresholds = np.arange(1, 13).reshape(2, 6)
+    truth_m = np.full((ROWS, COLS), 5.0)
+    panels = [Panel("depth", truth_m)]
+    figure, shares = draw_row(panels, truth_m, blocks=("thresholds", thresholds))
+    assert shares == [0.0]
+    (axis,) = [one for one in figure.axes if one.get_title() == "thresholds"]
+    found = {text.get_position(): int(text.get_text()) for text in axis.texts}
+    expected = {}
+    for (down, across), threshold in np.ndenumerate(thresholds):
+        expected[across * 4 + 1.5, down * 4 + 1.5] = threshold
+    assert found == expected
+    assert axis.images[0].get_extent() == [-0.5, COLS - 0.5, ROWS - 0.5, -0.5]
+
+
+def test_wrong_pixels_are_framed_and_pixels_without_a_truth_are_crossed():
+    truth_m = np.full((ROWS, COLS), 5.0)
+    truth_m[1, 20] = np.nan
+    depth_m = np.full((ROWS, COLS), 5.0)
+    depth_m[6, 3] = 7.0
+    depth_m[1, 20] = 7.0
+    figure, shares = draw_row([Panel("depth", depth_m)], truth_m)
+    assert shares == [1 / (ROWS * COLS - 1)]
+    truth, depth = figure.axes[:2]
+    (frame,) = depth.collections[0].get_paths()
+    assert frame.get_extents().bounds == (3 - 0.5, 6 - 0.5, 1, 1)
+    for axis in (truth, depth):
+        crosses = [line.get_xydata().mean(axis=0).tolist() for line in axis.lines]
+        assert crosses == [[20, 1], [20, 1]]
