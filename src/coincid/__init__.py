@@ -8,17 +8,17 @@ HDL), `coincid.hdl` (RTL in Amaranth), `coincid.tb` (simulators, cocotb, scorebo
 `coincid.study`, `coincid.board` (the emulator on an FPGA board). The command line is `coincid.cli`.
 """
 
+import os as _os
 from importlib import import_module as _import_module
-from importlib.metadata import version as _version
-from pathlib import Path as _Path
 
-if not (_Path(__file__).parent / "model").is_dir():
+# Only what is light is imported here: a command cannot handle an interrupt before.
+if not _os.path.isdir(_os.path.join(_os.path.dirname(__file__), "model")):
     raise ImportError(
         "src/coincid has no links to the rooms (model, hdl and so on); clone with Git where it may make symbolic links "
         "(git config --global core.symlinks true), or install the wheel"
     )
 
-__version__ = _version("coincid")
+__version__: str  # of the installation; see `__getattr__`
 
 _PLACES = {
     "lab.bound": ("bound",),
@@ -43,6 +43,10 @@ __all__ = sorted(_PLACE_OF)
 
 
 def __getattr__(name: str) -> object:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("coincid")
     if name not in _PLACE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     found = getattr(_import_module(f"{__name__}.{_PLACE_OF[name]}"), name)
@@ -51,4 +55,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({name for name in globals() if name.startswith("__")} | {*__all__})
+    own = {name for name in globals() if name.startswith("__")}
+    return sorted(own | {"__version__"} | {*__all__})

@@ -16,13 +16,14 @@ from coincid.board import serial_transport
 from coincid.board.driver import EmulatorDriver
 from coincid.board.parameters import (
     BUFFER_BASE,
+    DEAD_MAX,
     Emulator,
     background_address,
     echo_address,
     own_address,
 )
 from coincid.board.run import Session
-from coincid.board.serial_link import ESCAPE, FLAG, Operation
+from coincid.board.serial_link import ESCAPE, FLAG, Answer, Operation
 from coincid.board.serial_transport import Deframer, SerialTransport, frame
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.board.source_model import SourceSettings, source_edges
@@ -272,6 +273,62 @@ def test_frames_from_before_an_error_do_not_come_after_it(port):
     session._program()
     beats = session.frame()
     assert int(beats[0]) >> 32 & 0xFFFF == 2  # the number of the third frame
+
+
+class Device:
+    """The device's end of the serial link, as its protocol says: one register, and its answers."""
+
+    def __init__(self):
+        self.value = 0
+        self.greeted = self.used = False
+        self.last = 0  # number of the last request
+        self.last_written = None  # answer to it, if it was a write
+
+    def answer(self, number, operation, value):
+        """Return status and content of the answer to a request of one word, or of none."""
+        if operation == Operation.HELLO:
+            self.greeted, self.last, self.last_written = True, number, None
+            return (Answer.OKAY if self.used else Answer.FRESH), b""
+        if not self.greeted:
+            return Answer.FRESH, b""
+        if number not in (self.last, (self.last + 1) % 256):
+            return Answer.SEQUENCE, b""
+        if operation == Operation.WRITE and number == self.last:
+            return self.last_written or (Answer.SEQUENCE, b"")
+        self.last, self.used = number, True
+        if operation == Operation.READ:
+            self.last_written = None
+            return Answer.OKAY, self.value.to_bytes(4, "little")
+        legal = value < 1 << 32 and 1 <= value <= DEAD_MAX
+        self.value = value if legal else self.value
+        self.last_written = (Answer.OKAY, b"\1") if legal else (Answer.REFUSED, b"\0")
+        return self.last_written
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_any_requests_are_answered_as_the_protocol_says(port, seed):
+    """Numbers that repeat, follow or jump; greetings among them; values that are refused."""
+    rng = np.random.default_rng(seed)
+    device, deframer = Device(), Deframer()
+    address = own_address("dead_cycles").to_bytes(3, "little")
+    number = 0
+    for step in range(80):
+        operation = Operation(int(rng.choice([0, 1, 2, 2], p=[0.2, 0.3, 0.25, 0.25])))
+        number = (number + int(rng.choice([0, 1, 1, 7]))) % 256
+        value = int(rng.integers(0, 3 * DEAD_MAX))
+        has_word = operation != Operation.HELLO
+        head = bytes([number, operation, int(has_word)]) + (address if has_word else bytes(3))
+        data = value.to_bytes(4, "little") if operation == Operation.WRITE else b""
+        if device.value == 0 and operation == Operation.READ:
+            continue  # its value after a reset is not of the protocol
+        port.write(frame(head + data))
+        status, content = device.answer(number, operation, value)
+        found = []
+        end = port.now() + PATIENCE_S
+        while not found and port.now() < end:
+            found = deframer.add(port.read())
+        assert found == [bytes([number]) + content + bytes([status])], (step, operation)
+        number = device.last
 
 
 def test_no_emulator():
