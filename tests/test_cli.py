@@ -327,8 +327,8 @@ def test_a_lack_of_memory_is_told_in_one_line(tmp_path, error, told):
         encoding="utf-8",
     )
     words = [sys.executable, "-m", program.stem]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (2, f"coincid: {told}\n")
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False)
+    assert (done.returncode, done.stderr.decode()) == (2, f"coincid: {told}\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
