@@ -272,8 +272,11 @@ def test_setups_that_share_the_words_of_the_rtl_come_out_as_alone():
     alone = {seed: read(Run(setup)) for seed, setup in setups.items() if seed != "bad"}
     for opened in (Processes(1), nullcontext(Dask(2))):
         failed = {}
+        told = []
         with opened as workers:
-            assert campaign(setups, read, workers, failed=failed) == alone
+            found = campaign(setups, read, workers, failed=failed, progress=told.append)
+            assert found == alone
+            assert told == [0, 1, 2, 3, 4]  # one that fails is done, too
             with pytest.raises(InputError, match="guess"):
                 campaign(setups, read, workers)
         assert failed.keys() == {"bad"} and isinstance(failed["bad"], InputError)
