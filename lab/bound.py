@@ -34,7 +34,7 @@ from ..model.depth.tree import kept_shares
 from ..model.light.light import Light, background_cps, signal_per_pulse
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import check_integer
-from ..model.shared.pulse import PulseSource, pulse_of
+from ..model.shared.pulse import TIME_MAX_S, PulseSource, pulse_of
 from ..model.shared.quantities import check_real
 
 REACH_SIGMAS = 5.0  # from the centre of a pulse to its beginning and end
@@ -114,6 +114,7 @@ def bound(
     check_real("distance_m", distance_m, 0.05)
     check_real("reflectivity", reflectivity, 0, 1)
     check_integer("trials", trials, 0, 1_000_000)
+    check_real("system_fwhm_s", system_fwhm_s, 1e-15, TIME_MAX_S)
     light = float(signal_per_pulse(distance_m, reflectivity))
     noise_cps = float(background_cps(check_real("klux", klux, 0), reflectivity))
     shape = pulse_ticks(chosen, system_fwhm_s, pulse_of(pulse))

@@ -13,6 +13,7 @@ from ..model.shared.errors import InputError
 from ..model.shared.quantities import check_real
 
 LASER_MEAN_W = 10e-3
+RATE_MIN_PER_S = 1e-9  # below any frame rate
 
 
 def frame_s(config: Config) -> float:
@@ -38,7 +39,7 @@ def gap_for(config: Config, rate_per_s: float) -> int:
     Raises `InputError` if not even a gap of 0 is short enough, or the gap would be longer than the
     longest one.
     """
-    check_real("rate_per_s", rate_per_s, 0)
+    check_real("rate_per_s", rate_per_s, RATE_MIN_PER_S)
     back_to_back = config.with_frame(gap=0)
     if config.pulses == 1:
         return 0

@@ -25,9 +25,10 @@ from ..model.scenes.ambient import Ambient
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.recorded_light import RecordedLight
 from ..model.scenes.scene import Scene, scene_light
-from ..model.shared.errors import InputError
+from ..model.shared.errors import SEED_MAX, InputError, check_integer, wrong_value
 from ..model.shared.own_part import OwnPart
 from ..model.shared.pulse import Pulse, pulse_of
+from ..model.shared.quantities import check_choice, check_switch
 from ..model.shared.sources import digest, sources_digest
 from ..tb.replay import DEFAULT_VIEW
 
@@ -163,6 +164,11 @@ class Setup:
     def __attrs_post_init__(self) -> None:
         if self.light is not None and self.pulse is not None:
             raise InputError("pulse: goes with a scene, a Light has its own", field="pulse")
+        if not isinstance(self.spad, Spad):
+            raise wrong_value("spad", self.spad, "a Spad")
+        check_integer("seed", self.seed, 0, SEED_MAX)
+        check_choice("background", self.background, BACKGROUNDS)
+        check_switch("spad_gate", self.spad_gate)
 
     @classmethod
     def of(

@@ -226,7 +226,8 @@ def simulate(
     }
     if isinstance(scene, Scene):
         given = {"reflectivity": np.any(reflectivity != REFLECTIVITY)}
-        given |= {name: value != OPTIONS[name].default for name, value in meaning.items()}
+        for name, value in meaning.items():
+            given[name] = isinstance(value, np.ndarray) or value != OPTIONS[name].default
         for name in (name for name, is_given in given.items() if is_given):
             raise InputError(
                 f"{name}: goes with depth files and arrays of distances, not with a Scene"
@@ -243,7 +244,7 @@ def simulate(
         background=background,
         pulse=pulse_of(pulse),
         seed=seed,
-        spad=spad or Spad(),
+        spad=Spad() if spad is None else spad,
         spad_gate=spad_gate,
         engine=engine,
         view=view,

@@ -8,7 +8,10 @@ from hypothesis import strategies as st
 
 import coincid
 from coincid.lab.measures import MEASURES
+from coincid.lab.pace import gap_for
 from coincid.model.depth.methods import METHODS
+from coincid.model.light.code_density import code_density
+from coincid.model.light.link_budget import link_budget
 
 from .random_cases import SENSORS, configurations
 
@@ -84,3 +87,52 @@ def test_any_call_has_a_result_or_a_sentence(sensor, data):
         look_at(run, method)
     except coincid.InputError as error:
         assert str(error)
+
+
+ODD = (
+    b"x",
+    1 + 2j,
+    2**2000,
+    float("nan"),
+    "five",
+    (1, 2),
+    np.array([]),
+    np.array([1.0, 2.0]),
+    np.array(1 + 2j),
+    {},
+)
+# A call by its argument that is odd.
+CALLS = {
+    "klux": lambda value: coincid.simulate(None, "flat:5", klux=value, **SMALL),
+    "scale": lambda value: coincid.simulate(None, "flat:5", scale=value, **SMALL),
+    "unit": lambda value: coincid.simulate(None, np.full((8, 12), 5.0), unit=value, **SMALL),
+    "missing": lambda value: coincid.simulate(None, "flat:5", missing=value, **SMALL),
+    "spad": lambda value: coincid.simulate(None, "flat:5", spad=value, **SMALL),
+    "seed": lambda value: coincid.simulate(None, "flat:5", seed=value, **SMALL),
+    "background": lambda value: coincid.simulate(None, "flat:5", background=value, **SMALL),
+    "window_max": lambda value: coincid.parse_config({"sensor": {"window_max": value}}),
+    "clock_mhz": lambda value: coincid.parse_config({"frame": {"clock_mhz": value}}),
+    "format": lambda value: coincid.parse_config({"frame": {"format": value}}),
+    "dark_cps": lambda value: coincid.generate_edges(
+        coincid.Light(rows=2, cols=3, distance_m=5.0, signal_per_pulse=1.0),
+        coincid.Spad(dark_cps=value),
+        coincid.Timing(),
+        pulses=2,
+        seed=1,
+    ),
+    "distance_m": lambda value: link_budget(value, 0.4, 50.0),
+    "budget's klux": lambda value: link_budget(5.0, 0.4, value),
+    "bound's width": lambda value: coincid.bound(system_fwhm_s=value, trials=0),
+    "rate_per_s": lambda value: gap_for(coincid.parse_config({}), value),
+    "tick": lambda value: code_density(value, 8),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_an_argument_of_another_kind_is_refused_in_a_sentence(name):
+    """A call may take what it can read as a number, but no other error comes out of it."""
+    for value in ODD:
+        try:
+            CALLS[name](value)
+        except coincid.InputError as error:
+            assert str(error)

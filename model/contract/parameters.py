@@ -53,7 +53,7 @@ def _integer(default: int, low: int, high: Limit, offset: int, doc: str, unit: s
     def default_of(sensor: "Sensor") -> int:
         try:
             return min(default, number(high, sensor))
-        except TypeError:  # a field before it is of a wrong type, which is refused later
+        except (TypeError, ValueError, OverflowError):  # one before it is wrong: refused later
             return default
 
     of_sensor = Factory(default_of, takes_self=True)

@@ -34,6 +34,8 @@ def code_density(tick: np.ndarray, phases: int) -> CodeDensity:
     """
     check_integer("phases", phases, 2, 1024)
     tick = np.asarray(tick)
+    if tick.ndim != 1 or tick.dtype.kind not in "iu":
+        raise InputError(f"tick: holds {tick.dtype}{list(tick.shape)}, must hold integers [n]")
     if len(tick) < phases:
         raise InputError(
             f"tick: holds {len(tick)} edges, must hold at least one per phase ({phases})"

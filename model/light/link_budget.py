@@ -16,6 +16,7 @@ from attrs import field, fields, frozen
 from numpy.typing import ArrayLike
 
 from ..shared.constants import PLANCK_J_S, SPEED_OF_LIGHT_M_S
+from ..shared.errors import InputError
 from ..shared.quantities import Numbers, check_choice, check_real, real, real_array
 from .spad import Spad
 from .spectrum import FILTERS, SPECTRA, irradiance_w_m2
@@ -28,6 +29,9 @@ SBR_READINGS = {  # possible meanings of SBR in Fig. 2; the paper only says that
 }
 COINCIDENCE_WINDOW_S = 5e-9  # for reading F: the window that gives 0 dB at 4 m
 DISTANCE_MIN_M = 1e-3  # limit of the equations; scenes end at `light.NEAREST_M`
+DISTANCE_MAX_M = 1e9
+KLUX_MAX = 1e9  # limits within which all numbers of the budget are finite
+WINDOW_MAX_S = 1.0
 
 
 @frozen(kw_only=True)
@@ -138,8 +142,14 @@ def link_budget(
     check_real("reflectivity", reflectivity, 0, 1)
     if sbr_window_s is None:
         sbr_window_s = COINCIDENCE_WINDOW_S if sbr_reading == "F" else spad.jitter_fwhm_s
-    check_real("sbr_window_s", sbr_window_s, 0)
-    distance_m = real_array("distance_m", distance_m, np.shape(distance_m), DISTANCE_MIN_M)
+    check_real("sbr_window_s", sbr_window_s, 0, WINDOW_MAX_S)
+    check_real("klux", klux, 0, KLUX_MAX)
+    shape = np.shape(distance_m)
+    distance_m = real_array("distance_m", distance_m, shape, DISTANCE_MIN_M, DISTANCE_MAX_M)
+    if not distance_m.size:
+        raise InputError(
+            "distance_m: is empty, must hold at least one distance", field="distance_m"
+        )
 
     aperture_m2 = math.pi * (optics.lens_diameter_m / 2) ** 2
     photon_energy_j = PLANCK_J_S * SPEED_OF_LIGHT_M_S / (laser.wavelength_nm * 1e-9)

@@ -250,7 +250,7 @@ def _check_no_meaning(source: str, meaning: Meaning) -> None:
     """Raise `InputError` if something was said about a depth file, and the scene is none."""
     for one in fields(Meaning):
         value = getattr(meaning, one.name)
-        if value != one.default:
+        if isinstance(value, np.ndarray) or value != one.default:
             raise InputError(
                 f"{one.name} = {value!r}: goes with depth files only, not with scene {source!r}"
             )

@@ -109,6 +109,8 @@ _STORED = re.compile(
 
 def check_unit(unit: str) -> str:
     """Return `unit` if it is one. Raises `InputError`."""
+    if not isinstance(unit, str):
+        raise InputError(f"unit = {unit!r}: must be one of {UNIT_FORMS}")
     stored = stored_unit(unit)
     _, colon, _ = unit.partition(":")
     if not _STORED.fullmatch(stored) or (colon and not stored.startswith(DISPARITY)):
@@ -126,7 +128,9 @@ def stored_unit(unit: str) -> str:
 
 def convention(unit: str | None) -> Convention | None:
     """Return the convention that a unit names, if it does."""
-    name, _, _ = (unit or "").partition(":")
+    if not isinstance(unit, str):
+        return None
+    name, _, _ = unit.partition(":")
     return DATA_SETS.get(name)
 
 

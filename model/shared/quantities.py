@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checked physical quantities: attrs fields and arrays with a legal range."""
 
-from math import inf, isfinite
+from collections.abc import Hashable
+from contextlib import suppress
+from math import inf, isfinite, nan
+from numbers import Real
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -16,20 +19,19 @@ _T = TypeVar("_T")
 
 def check_real(name: str, value: Any, low: float, high: float = inf) -> float:
     """Return `value` as a float if it is finite and within [`low`, `high`]. Raises `InputError`."""
-    is_scalar: bool = np.isscalar(value)  # in the condition, it would narrow Any to unordered types
-    if (
-        isinstance(value, (bool, str))
-        or not is_scalar
-        or not low <= value <= high
-        or not isfinite(value)
-    ):
+    number = nan
+    if isinstance(value, Real) and not isinstance(value, bool):
+        with suppress(OverflowError):  # an integer that is larger than any float
+            number = float(value)
+    if not low <= number <= high or not isfinite(number):
         raise wrong_value(name, value, f"a number {_range(low, high)}", low=low, high=high)
-    return float(value)
+    return number
 
 
 def check_choice(name: str, value: _T, choices: tuple[_T, ...]) -> _T:
     """Return `value` if it is one of `choices`. Raises `InputError`."""
-    if value not in choices:
+    # an array, which is not hashable, has no truth when it is compared
+    if not isinstance(value, Hashable) or value not in choices:
         raise wrong_value(name, value, f"one of {', '.join(map(str, choices))}")
     return value
 
@@ -63,8 +65,10 @@ def real_array(
     `high`], or NaN with `nan`.
     """
     try:
+        if np.iscomplexobj(value):
+            raise TypeError
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(
             f"{name}: must hold numbers {_range(low, high)}", field=name, low=low, high=high
         ) from None
