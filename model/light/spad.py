@@ -11,7 +11,7 @@ from attrs import frozen
 
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
-from ..shared.errors import check_integer
+from ..shared.errors import SEED_MAX, check_integer
 from ..shared.quantities import Numbers, check_real, real
 
 
@@ -137,6 +137,7 @@ def dark_count_map(
     """
     check_integer("pixels", pixels, 1, 1 << 24)
     hot = round(pixels * check_real("hot_fraction", hot_fraction, 0, 1))
+    check_integer("seed", seed, 0, SEED_MAX)
     dark_cps = np.full(pixels, check_real("median_cps", median_cps, 0))
     dark_cps[np.random.default_rng(seed).permutation(pixels)[:hot]] = check_real(
         "hot_cps", hot_cps, 0

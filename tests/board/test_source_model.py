@@ -231,3 +231,14 @@ def test_ticks_fit_the_sensor():
     with pytest.raises(InputError, match="from 0 to 8191"):
         source(of, tick=8192).register_writes(of.sensor)
     assert len(evolve(source(of), seed=5).register_writes(of.sensor)) == 3 + 2 * 65
+
+
+def test_the_number_of_a_frame_has_16_bits():
+    """Frame 65536 has the light of frame 0, as the sensor counts its frames."""
+    of = config(2)
+    settings = source(of, background=8000, seed=5)
+    for frame in (0, 3):
+        first = source_edges(of, settings, frame)
+        again = source_edges(of, settings, frame + (1 << 16))
+        assert len(first) and np.array_equal(first.tick, again.tick)
+        assert np.array_equal(first.pixel, again.pixel)

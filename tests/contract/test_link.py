@@ -84,6 +84,15 @@ def test_slow_link_fills_the_fifos_and_engines_agree():
     assert not differences(found["slow"], replay("sliced", slow, edges))
 
 
+def test_a_receiver_that_stalls_fills_the_fifos_and_engines_agree():
+    config = configured()
+    edges = trouble(config, seed=5, per_subgroup_period=60)
+    stalled = np.zeros(config.frame_cycles // 2, np.uint8)
+    expected = replay("golden", config, edges, stalled)
+    assert expected["dropped"].sum() > replay("golden", config, edges)["dropped"].sum()
+    assert not differences(expected, replay("sliced", config, edges, stalled))
+
+
 @pytest.mark.parametrize("gbps", [-1, 0.001, float("nan"), "fast", True])
 def test_link_that_makes_no_sense_is_refused(gbps):
     with pytest.raises(InputError, match="frame.link_gbps"):

@@ -69,6 +69,23 @@ def test_depth_by_block(tmp_path):
     assert found == {"": 1, "parity": 3}  # an AND; eight inputs, three levels of XOR
 
 
+def test_a_path_ends_at_the_port_of_a_block_that_stays():
+    """Two gates lead to a block, and one from it to an output."""
+    gate = {"type": "$_AND_", "port_directions": {"A": "input", "B": "input", "Y": "output"}}
+    block = {"type": "memory", "port_directions": {"d": "input", "q": "output"}}
+    cells = {
+        "g": gate | {"connections": {"A": [2], "B": [3], "Y": [4]}},
+        "h": gate | {"connections": {"A": [4], "B": [3], "Y": [5]}},
+        "inner": block | {"connections": {"d": [5], "q": [6]}},
+        "k": gate | {"connections": {"A": [6], "B": [2], "Y": [7]}},
+    }
+    ports = {
+        "a": {"direction": "input", "bits": [2, 3]},
+        "y": {"direction": "output", "bits": [7]},
+    }
+    assert depths({"cells": cells, "ports": ports}) == {"": 2}
+
+
 def test_a_loop_is_reported():
     gate = {"type": "$_AND_", "port_directions": {"A": "input", "B": "input", "Y": "output"}}
     pins = {"g": {"A": [2], "B": [4], "Y": [3]}, "h": {"A": [3], "B": [2], "Y": [4]}}

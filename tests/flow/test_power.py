@@ -79,6 +79,14 @@ def test_liberty_at_its_slew_and_load(tmp_path):
         read_cells(path, {"NAND"})
 
 
+def test_numbers_with_exponents_are_the_same_numbers(tmp_path):
+    path = tmp_path / "toy.lib"
+    path.write_text(LIBRARY.replace('"3.0,4.0"', '"3.0e+00,40e-1"'), encoding="utf-8")
+    cell = read_cells(path, {"BUF"})["BUF"]
+    assert cell.pins["Z"].energies.at(1.0) == pytest.approx(3.0)
+    assert cell.pins["Z"].energies.at(100.0) == pytest.approx(4.0)
+
+
 def test_transitions_of_frames_only():
     """The laser's first rises are those of its random state before the reset."""
     toggles = transitions(BytesIO(VCD), 1, [3, 2], 1000)

@@ -9,6 +9,7 @@ from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.edges import Edges
 from coincid.model.golden.frame import Golden
+from coincid.model.scenes.catalogue import load_scene
 
 SENSOR = {"rows": 8, "cols": 16}
 
@@ -69,3 +70,14 @@ def test_chunks_are_cut_where_frames_end():
 def test_the_estimate_of_edges_is_above_their_number():
     setup = setup_of(pulses=200)
     assert len(setup.photons.edges()) < setup.photons.edges_at_most
+
+
+def test_the_estimate_for_a_scene_that_moves_is_the_sum_of_its_pictures():
+    walls = [np.full((8, 16), wall_m) for wall_m in (3.0, 6.0, 12.0)]
+    moving = load_scene(np.stack(walls), 8, 16)
+    together = setup_of(pulses=50).but(scene=moving).photons.edges_at_most
+    alone = [
+        setup_of(pulses=50, frames=1).but(scene=moving.at(k)).photons.edges_at_most
+        for k in range(3)
+    ]
+    assert together == pytest.approx(sum(alone))
