@@ -154,6 +154,36 @@ def test_what_a_configuration_means():
     assert "* streams = 3 does not divide 16 subgroups" in shown
 
 
+@pytest.mark.parametrize("clock_mhz", (125.0, 500.0))
+@pytest.mark.parametrize("gap", (0, 5000))
+def test_what_a_configuration_means_by_hand(clock_mhz, gap):
+    frame = {"clock_mhz": clock_mhz, "period": 200, "pulses": 40, "gap": gap, "link_gbps": 4.0}
+    config = parse_config({"frame": frame})
+    told = {
+        name: [float(number.replace(",", "")) for number in re.findall(r"[\d.,]*\d", text)]
+        for name, text in meaning(config)
+    }
+    cycle_ns = 1e3 / clock_mhz
+    frame_us = (40 * 200 + 39 * gap) * cycle_ns / 1e3
+    cm_per_ns = 29.9792458 / 2
+    near = {"rel": 1e-3}
+    assert told["clock"] == pytest.approx([clock_mhz, cycle_ns, cycle_ns * cm_per_ns], **near)
+    assert told["tick"][:2] == pytest.approx(
+        [cycle_ns * 1e3 / 32, cycle_ns * cm_per_ns / 32], **near
+    )
+    period_ns = 200 * cycle_ns
+    assert told["laser period"] == pytest.approx([200, period_ns, 1e6 / period_ns], **near)
+    assert told["range"][0] == pytest.approx(period_ns * cm_per_ns / 100, **near)
+    assert told["frame"][:2] == pytest.approx([40, frame_us], **near)
+    assert told["frame"][2] == pytest.approx(1e6 / frame_us, abs=0.51)
+    assert told["stream"][1] == pytest.approx(64 * clock_mhz / 1e3, **near)
+    assert told["stream"][2] == pytest.approx(100 * 4.0 / (64 * clock_mhz / 1e3), rel=0.02)
+    fitting = [config.capacity, config.capacity / frame_us]
+    assert told["events that fit"] == pytest.approx(fitting, **near)
+    if gap:
+        assert told["gap"] == pytest.approx([gap, gap * cycle_ns / 1e3], **near)
+
+
 @pytest.mark.parametrize(
     ("document", "words"),
     [
