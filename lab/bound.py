@@ -489,7 +489,7 @@ def gross_share(
     before = np.concatenate([[0.0], np.cumsum(rate[:-1])])
     rate = _alive(noise_cps) * rate * np.exp(-before)
     floor = _alive(noise_cps) * noise
-    ratio = np.log(rate / floor)
+    ratio = np.log(np.maximum(rate / floor, 1e-300))  # after many photons, none is left
     ticks = config.period_ticks
     far = round(OTHER_SURFACE_M / (mm_per_tick(config) / 1e3))
     middle = ticks // 2

@@ -12,6 +12,7 @@ from coincid.lab.pace import gap_for
 from coincid.model.depth.methods import METHODS
 from coincid.model.light.code_density import code_density
 from coincid.model.light.link_budget import link_budget
+from coincid.model.light.spad import dark_count_map
 
 from .random_cases import SENSORS, configurations
 
@@ -125,6 +126,11 @@ CALLS = {
     "bound's width": lambda value: coincid.bound(system_fwhm_s=value, trials=0),
     "rate_per_s": lambda value: gap_for(coincid.parse_config({}), value),
     "tick": lambda value: code_density(value, 8),
+    "spectrum": lambda value: link_budget(5.0, 0.4, 50.0, spectrum=value),
+    "pulse": lambda value: coincid.bound(pulse=value, trials=0),
+    "seed of a map": lambda value: dark_count_map(
+        16, median_cps=100.0, hot_fraction=0.1, hot_cps=1e5, seed=value
+    ),
 }
 
 

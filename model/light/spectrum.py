@@ -41,6 +41,7 @@ def irradiance_w_m2(
     Raises `InputError` for an unknown name, a negative illuminance or a band outside 280...4000 nm.
     """
     check_choice("filter_shape", filter_shape, FILTERS)
+    check_choice("spectrum", spectrum, SPECTRA)
     check_real("klux", klux, 0)
     check_real("fwhm_nm", fwhm_nm, 1e-3, 1000)
     sigma_nm = fwhm_nm * SIGMA_PER_FWHM

@@ -19,6 +19,8 @@ PULSE_FILES = (".csv", ".npy")
 SAMPLES_MAX = 1 << 16
 TIME_MAX_S = 20e-9  # from time 0 to the first and to the last sample
 PS = 1e-12
+DENSITY_MAX = 1e100  # of any scale, whose sums are still numbers,
+DENSITY_MIN = 1e-100  # from which on a sample is not nothing
 ARRAYS = ("pulse_time_s", "pulse_density")  # of a result that has its pulse with it
 GAUSSIAN_SIGMAS = 5.0  # from the centre of a table of a Gaussian to its ends
 GAUSSIAN_SAMPLES = 401
@@ -56,14 +58,14 @@ class Pulse:
                 field="pulse",
             )
         time_s = real_array("pulse.time_s", self.time_s, shape, -TIME_MAX_S, TIME_MAX_S)
-        density = real_array("pulse.density", self.density, shape, 0)
+        density = real_array("pulse.density", self.density, shape, 0, DENSITY_MAX)
         if np.any(np.diff(time_s) <= 0):
             raise InputError("pulse.time_s: must ascend", field="pulse")
         if not time_s[0] <= 0 <= time_s[-1]:
             raise InputError(
                 "pulse.time_s: 0, the time of flight, must lie within the samples", field="pulse"
             )
-        if not np.any(density > 0):
+        if not np.any(density > DENSITY_MIN):
             raise InputError("pulse.density: must have a sample above 0", field="pulse")
         object.__setattr__(self, "time_s", time_s)
         object.__setattr__(self, "density", density)
