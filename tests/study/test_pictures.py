@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of depth: what stands where, in an array that is no square."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
+from coincid.study import animation
 from coincid.study.pictures import Panel, draw_row
 
 ROWS, COLS = 8, 24
@@ -37,3 +40,21 @@ def test_wrong_pixels_are_framed_and_pixels_without_a_truth_are_crossed():
     for axis in (truth, depth):
         crosses = [line.get_xydata().mean(axis=0).tolist() for line in axis.lines]
         assert crosses == [[20, 1], [20, 1]]
+
+
+def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path):
+    """That of all their truths, so that the same colour is the same distance."""
+    spans = []
+
+    def draw(*given, span_m):
+        spans.append(span_m)
+        return draw_row(*given, span_m=span_m)
+
+    monkeypatch.setattr(animation, "draw_row", draw)
+    frames = []
+    for number, wall_m in enumerate((5.0, 3.0, 12.0)):
+        wall = np.full((4, 4), wall_m)
+        first = SimpleNamespace(reason=np.zeros((4, 4), np.uint8))
+        frames.append(SimpleNamespace(number=number, truth_m=wall, depth_m=wall, first=first))
+    animation.write_animation(tmp_path / "moves.gif", frames)
+    assert spans == [(3.0, 12.0)] * 3

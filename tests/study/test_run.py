@@ -166,7 +166,9 @@ def test_points_lie_where_their_pixels_look():
         depth_m, np.where(np.isnan(depth_m), 0, 0.5), np.zeros(depth_m.shape[:2], np.uint8)
     )
     depth.reason[0, 4] = 3
+    depth.confidence[0, 4, 1] = 0.25
     corner, behind, middle = coincid.point_cloud(depth, Optics(fov_h_deg=90, fov_v_deg=60)).tolist()
+    assert (corner[3], behind[3]) == (0.5, 0.25)
     assert middle[:4] == (0, 0, 2, 0.5) and middle[6] == 0 and corner[6] == behind[6] == 3
     assert np.isnan(middle[4:6]).all()
     x, y, z = corner[:3]
