@@ -11,6 +11,8 @@ The events of a pulse constrain the firing time of each pixel of the subgroup:
   the approximate surface times of the other pixels (`first_shares`).
 - A pixel outside the map did not fire inside the window, nor while the tree waited for its first
   photon. It may have fired while the tree was blind, between the window's end and the re-arming.
+- Without a map (format short), a pixel that is not the winner may have fired inside the window,
+  too; one with a higher number than the winner's also in the tick of the stamp.
 - Without an event nearby, it did not fire, or it left no trace (`unheard.py`).
 
 A pixel that sees a surface at time t with `light` photons per pulse fires at the first of them and
@@ -53,7 +55,7 @@ class Law(NamedTuple):
     """
 
     window: int
-    told: int  # ticks of the window whose hits are known: all, or the first (format short)
+    mapped: bool  # events have maps; if not, only their winners are known
     phases: int  # ticks per cycle
     offset: int  # ticks per step of an offset
     reach: int  # from the centre of a pulse to its beginning and end
@@ -238,6 +240,8 @@ def _add_cluster(
     cluster = _Cluster(begin, end, alike)
     for e in range(begin, end):
         _add_hits(law, events, e, cluster, pixels, rows, k0, k1)
+        if not law.mapped:
+            _add_others(law, events, e, cluster, pixels, rows, k0, k1)
         if e + 1 < end:
             _lose(law, events, e, rows.before, k0, k1)
 
@@ -257,7 +261,8 @@ def _lose(law: Law, events: SubgroupEvents, e: int, lost: np.ndarray, k0: int, k
 
     The pixel did not fire in the window, nor between the last event and it: before `quiet`, its
     photon would have made an event of its own; before `known`, it would have made this event's
-    stamp earlier.
+    stamp earlier. Without a map, this is a pixel with a lower number than the winner's, and it may
+    have fired after the stamp's tick.
     """
     here = slice(k0 * law.lights, k1 * law.lights)
     dropping = np.int64(events.overrun[e])
@@ -268,7 +273,8 @@ def _lose(law: Law, events: SubgroupEvents, e: int, lost: np.ndarray, k0: int, k
     since = law.fired[_by_tick(law, events.since[e], k0, k1)]
     quiet = law.fired[_by_tick(law, events.quiet[e], k0, k1)]
     known = law.fired[_by_tick(law, events.known[e], k0, k1)]
-    told = law.fired[_by_tick(law, events.stamp[e] + law.told, k0, k1)]
+    told_until = events.stamp[e] + (law.window if law.mapped else 1)
+    told = law.fired[_by_tick(law, told_until, k0, k1)]
     lost = lost[here]
     for j in range(len(lost)):
         in_window = alive * (told[j] - known[j])
@@ -352,6 +358,41 @@ def _add_hits(
                     _row(law, events, e, hit, share, noise, rows, low, high)
                 of_row = share if usual else np.float32(-1.0)
             _add(pixels, i, rows.logs, np.float32(number), k0, k1, law.lights)
+
+
+@part
+def _add_others(
+    law: Law,
+    events: SubgroupEvents,
+    e: int,
+    cluster: _Cluster,
+    pixels: Pixels,
+    rows: _Rows,
+    k0: int,
+    k1: int,
+) -> None:
+    """Add what event e of a cluster, and single ones alike it, say without maps about pixels with
+    higher numbers than their winners': they may have fired in the stamp's tick, too.
+    """
+    number = pixels.number[HIGHER]
+    number[:] = 0
+    for k in range(len(cluster.alike)):
+        x = cluster.alike[k] if k else e
+        for i in range(events.winner[x] + 1, len(number)):
+            number[i] += 1
+    here = slice(k0 * law.lights, k1 * law.lights)
+    begin = law.fired[_by_tick(law, events.stamp[e], k0, k1)]
+    until = law.fired[_by_tick(law, events.stamp[e] + 1, k0, k1)]
+    lost = rows.lost[here]
+    unseen = rows.unseen[here]
+    logs = rows.logs[here]
+    for j in range(len(logs)):
+        unnoticed = np.float32(1) - lost[j] + law.alive * (until[j] - begin[j])
+        logs[j] = fast_log(max(np.float32(RARE), unnoticed)) - unseen[j]
+    for i in range(len(number)):
+        won_before = cluster.begin <= pixels.counted[i] < e
+        if number[i] and pixels.mask[i] and not won_before:
+            _add(pixels, i, rows.logs, np.float32(number[i]), k0, k1, law.lights)
 
 
 @part

@@ -57,6 +57,20 @@ def learned_prior(chance: np.ndarray) -> np.ndarray:
     return portable.log(share / share.sum()).astype(np.float32)
 
 
+def measured_prior(signal: np.ndarray, error: np.ndarray, lights: np.ndarray) -> np.ndarray:
+    """float32[lights]: the same, from lights that were measured, float64[n], with these errors.
+
+    The log likelihood of a light is taken as that of a number of hits: a log(light) - b light, with
+    the highest point and the width that were measured.
+    """
+    known = signal > 0
+    own = signal[known, None]
+    weight = own / error[known, None] ** 2
+    highest = own * portable.log(own) - own
+    levels = weight * (own * portable.log(lights) - lights - highest)
+    return learned_prior(portable.exp(levels).astype(np.float32))
+
+
 @njit
 def _gain(chance: np.ndarray, share: np.ndarray) -> np.ndarray:
     """float64[lights]: sum over the pixels of each light's likelihood, relative to the mean over

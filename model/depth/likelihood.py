@@ -148,7 +148,9 @@ def log_likelihood(
     ratio = np.float32(math.log(grid.lights[-1] / grid.lights[0]) / max(1, len(grid.lights) - 1))
 
     def average(s: int, prior: np.ndarray, evidence: _Evidence) -> None:
-        own_prior = prior_of_met(prior) if events.threshold[s] > 1 else prior
+        own_prior = prior
+        if events.mapped and events.threshold[s] > 1:
+            own_prior = prior_of_met(prior)
         own_prior = np.ascontiguousarray(own_prior[lights[s]])
         lightest = lights[s].start
         common, pixels = evidence
@@ -215,7 +217,7 @@ def _law(frame: _Frame, s: int) -> Law:
     none = np.empty((0, 0), np.float32)
     law = Law(
         window=window,
-        told=window if events.mapped else 1,
+        mapped=events.mapped,
         phases=config.sensor.phases,
         offset=config.sensor.offset_ticks,
         reach=frame.reach,

@@ -24,7 +24,9 @@ from attrs import evolve
 from ..contract.config import Config
 from ..shared.threads import Threads
 from . import portable
-from .histograms import Events, by_subgroup, hits_away
+from .histograms import Events, by_subgroup, hits_away, pixel_image
+from .intensity import find_intensity
+from .lights import measured_prior
 from .likelihood import Grid, Levels, log_likelihood
 from .patchmatch import Field, fit_planes, level_on, posterior, widened
 from .portable import geometric_steps
@@ -99,7 +101,11 @@ def find_surfaces(
         activity=_activity(events, coarse.guess.time, sigma_ticks),
         bins=bins,
     )
-    levels = _around(frame, near, None, 1, first)
+    prior = None
+    if not events.mapped:
+        guess, prior = _counted_light(frame, coarse.guess, threads)
+        near = near._replace(guess=guess)
+    levels = _around(frame, near, prior, 1, first)
     prior = levels.prior
     field = Field.of([levels.level], [first], sigma_ticks, blocks)
     planes = fit_planes(field, blocks)
@@ -219,6 +225,22 @@ def _look_coarsely(frame: _Frame) -> _Coarse:
     )
     never = unheard_in_light(windows, rough, guess, config, frame.pulses, pulse, frame.spread)
     return _Coarse(step, level, lights, found, guess, never)
+
+
+def _counted_light(frame: _Frame, guess: Guess, threads: Threads) -> tuple[Guess, np.ndarray]:
+    """Return the guess with the lights that the events' numbers of hits ask for, and the prior of
+    these lights on the grid in single ticks.
+
+    It is for events without maps: a light that is too faint fits their winners as well as a time
+    that is too early does.
+    """
+    config = frame.config
+    time = pixel_image(guess.time, config.sensor)[:, :, None]
+    counted = find_intensity(frame.events, config, frame.pulse, frame.pulses, time, threads)
+    signal = counted.signal[:, :, 0]
+    prior = measured_prior(signal, counted.error[:, :, 0], _fine_lights(frame))
+    light = by_subgroup(np.nan_to_num(signal), config.sensor)
+    return guess._replace(light=light), prior
 
 
 def _around(

@@ -20,13 +20,18 @@ TICK_M = 62.5e-12 * SPEED_OF_LIGHT_M_S / 2
 
 
 def events_of_wall(
-    distance_m: float, reflectivity: float, klux: float, pulses: int, **subgroup: object
+    distance_m: float,
+    reflectivity: float,
+    klux: float,
+    pulses: int,
+    form: str = "compact",
+    **subgroup: object,
 ) -> tuple[Events, Config, PulseTicks]:
     """Return the events of one subgroup, all pixels of which see the same wall."""
     setup = Setup.of(
         f"flat:{distance_m},{reflectivity}",
         sensor={"rows": 8, "cols": 8},
-        frame={"pulses": pulses, "format": "compact", "link_gbps": 0},
+        frame={"pulses": pulses, "format": form, "link_gbps": 0},
         subgroup=subgroup,
         klux=klux,
     )
@@ -55,7 +60,29 @@ def test_the_likeliest_time_of_a_wall_is_the_true_one(distance_m, reflectivity, 
     in its tick, or if an early photon is not likelier to be heard than a late one.
     """
     pulses = 4000 if distance_m > 10 else 500
-    events, config, pulse = events_of_wall(distance_m, reflectivity, klux, pulses, **subgroup)
+    events = events_of_wall(distance_m, reflectivity, klux, pulses, **subgroup)
+    assert_true_time_is_likeliest(*events, distance_m, reflectivity, pulses)
+
+
+@pytest.mark.parametrize("subgroup", [{"coincidence": False}, {"threshold": 1}, {"threshold": 2}])
+def test_the_likeliest_time_of_a_bright_wall_is_the_true_one_without_maps(subgroup):
+    """A pixel with a higher number than the winner's may have fired in the tick of the stamp: if
+    not, the time is 0.4 ticks too late.
+    """
+    pulses = 1000
+    events = events_of_wall(4.0, 0.4, 50.0, pulses, "short", **subgroup)
+    assert_true_time_is_likeliest(*events, 4.0, 0.4, pulses)
+
+
+def assert_true_time_is_likeliest(
+    events: Events,
+    config: Config,
+    pulse: PulseTicks,
+    distance_m: float,
+    reflectivity: float,
+    pulses: int,
+) -> None:
+    """Assert it for the likelihoods of all pixels together, with the light of the wall known."""
     true_ticks = distance_m / TICK_M
     one_m = np.full((1, 1), distance_m)
     light = signal_per_pulse(one_m, np.full((1, 1), reflectivity))[0, 0]
@@ -82,6 +109,23 @@ def test_the_likeliest_time_of_a_wall_is_the_true_one(distance_m, reflectivity, 
     bend = 2 * here - before - after
     lean_ticks = first + best + 0.5 + (after - before) / 2 / bend - true_ticks
     assert abs(lean_ticks) < 3 / np.sqrt(bend) + 0.1
+
+
+@pytest.mark.parametrize("subgroup", [{"threshold": 1}, {"threshold": 2}])
+def test_a_bright_wall_without_maps_is_at_its_time(subgroup):
+    """The numbers of hits tell its light: from the winners alone, half as much light and a wall
+    that is 24 mm nearer are as likely.
+    """
+    distance_m = 4.0031
+    setup = Setup.of(
+        f"flat:{distance_m},0.4",
+        sensor={"rows": 16, "cols": 16},
+        frame={"pulses": 1000, "format": "short", "link_gbps": 0},
+        subgroup=subgroup,
+        klux=50.0,
+    )
+    error_m = Run(setup).depth().depth_m - distance_m
+    assert abs(error_m.mean()) < 10e-3
 
 
 def ramp() -> Scene:
