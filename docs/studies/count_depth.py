@@ -1,0 +1,464 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth from counts: the estimator of planes, with the likelihood of counts in place of that of
+events.
+
+A pixel with a surface at time t and `light` photons per pulse is hit by an event with the stamp a in
+two ways. It is the first, and opens the window: with `light * s(a - t)` per armed pulse and tick,
+where s is the pulse. Or another pixel opens it, and this one fires in the rest of the window. So
+hits are drawn from
+
+    armed(a) * (light * s(a - t) + background) + events(a) * (1 - exp(-light * S - background)),
+
+where S is the share of the pulse in the rest of the window. Pulses in which nothing happens at tick
+a say that the pixel did not fire there, and so do events without it.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from coincid.model.contract.config import Config
+from coincid.model.contract.latency import armed_cycle, close_cycle
+from coincid.model.contract.pixels import pixel_table
+from coincid.model.depth.evidence import WAYS, Pixels
+from coincid.model.depth.histograms import by_subgroup
+from coincid.model.depth.lights import add_light_chances, learned_prior, mean_over_lights
+from coincid.model.depth.likelihood import Levels
+from coincid.model.depth.patchmatch import Field, fit_planes, level_on, widened
+from coincid.model.depth.planes import (
+    BINS_LEAST,
+    BINS_SIGMAS,
+    BLOCK_ROWS,
+    COARSE_LIGHTS,
+    COARSE_SIGMAS,
+    LIGHTS,
+    SLANTED,
+    SLANTED_SHARE,
+    SPREAD_GAIN,
+    _first,
+    _in_perspective,
+    down_to,
+)
+from coincid.model.depth.pulse_ticks import PulseTicks, pulse_ticks
+from coincid.model.depth.refine import refine
+from coincid.model.depth.seeds import find_seeds
+from coincid.model.shared.compiled import njit, part
+
+from .counting import Counts, Rule
+
+COARSE_HITS = 2.0  # of the faintest light in all pulses, at most: of the first grid,
+HITS = 1.5  # and of the second
+PART = 4  # ticks: step of the stamps after which a pixel may be dead
+UNKNOWN = -1.0  # rate of events in bins that no gate has
+MISSED = -6.0  # log likelihood of a surface outside of all gates
+LEAST_RATE = 1e-7  # photons per tick and pixel: some background is everywhere
+RARE = 1e-9  # least share of armed pulses
+SHARE_MAX = 0.9999  # of the armed pulses that have an event in a bin
+_close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
+
+
+class Seen(NamedTuple):
+    """What the likelihood reads of a pixel's bins, [pixels, gates, bins, ...], pixels by subgroup."""
+
+    first: np.ndarray  # int64[pixels, gates], first tick of a gate; negative: none
+    hits: np.ndarray  # int64
+    events: np.ndarray  # float64, while the pixel counted
+    quiet: np.ndarray  # float64, armed pulses by ticks without an event there
+    others: np.ndarray  # float64, events per armed pulse and tick
+    within: np.ndarray  # float64, by tick of the bin, share of its armed pulses
+    background: np.ndarray  # float64[pixels], photons per tick
+    again: np.ndarray  # float64[subgroups, cycles, parts], of `armed_again`
+
+
+class Law(NamedTuple):
+    """Shares of a pulse by whole ticks after its time, float64[ticks]."""
+
+    reach: int  # ticks: the first one is for -reach
+    before: np.ndarray  # before the tick
+    opens: np.ndarray  # in the tick
+    joins: np.ndarray  # in the rest of a window that opens in it
+    window: int  # ticks
+    width: int  # ticks of a bin
+    phases: int  # ticks of a cycle
+
+
+class Watch(NamedTuple):
+    """When a subgroup's tree is armed, float64[subgroups, ticks], per pulse."""
+
+    armed: np.ndarray  # a window may open at the tick
+    events: np.ndarray  # one does
+
+
+def watch_of(counts: Counts, rule: Rule, config: Config, photons: np.ndarray) -> Watch:
+    """Return what the events in all gates of a subgroup say about its tree.
+
+    photons: float64[subgroups, ticks], expected per tick. Inside a bin, events come as these do,
+    while the tree is armed; outside of all gates, there are as many.
+    """
+    sensor = config.sensor
+    steps = photons.shape[1] // rule.bin_ticks
+    number = np.zeros((sensor.subgroups, steps + rule.bins))
+    pulses = np.zeros(number.shape)
+    begin = counts.start // rule.bin_ticks
+    for s, group, gate in zip(*np.nonzero(begin >= 0), strict=True):
+        first = begin[s, group, gate]
+        number[s, first : first + rule.bins] += counts.events[s, group, gate]
+        pulses[s, first : first + rule.bins] += counts.event_pulses[s, group]
+    rate = np.where(pulses > 0, number / np.maximum(pulses, 1), UNKNOWN)[:, :steps]
+    watch = Watch(np.zeros(photons.shape), np.zeros(photons.shape))
+    clock = (rule.second.window_ticks, sensor.phases, sensor.rearm)
+    _follow(rate, photons, rule.bin_ticks, *clock, watch)
+    return watch
+
+
+@njit
+def _follow(
+    rate: np.ndarray,
+    photons: np.ndarray,
+    width: int,
+    window: int,
+    phases: int,
+    rearm: int,
+    watch: Watch,
+) -> None:
+    """Follow the tree of each subgroup through the period.
+
+    rate: float64[subgroups, bins], events per pulse in each bin, or UNKNOWN.
+    """
+    ticks = watch.armed.shape[1]
+    for s in range(len(rate)):
+        again = np.zeros(ticks + (3 + rearm) * phases + window)
+        armed = 1.0
+        scale = 1.0
+        for tick in range(ticks):
+            armed = min(1.0, armed + again[tick])
+            number = rate[s, tick // width]
+            if tick % width == 0:
+                scale = 1.0
+                if number >= 0:
+                    share = min(SHARE_MAX, number / max(armed, RARE))
+                    scale = -math.log(1 - share) / photons[s, tick : tick + width].sum()
+            event = armed * (1 - math.exp(-scale * photons[s, tick]))
+            watch.armed[s, tick] = armed
+            watch.events[s, tick] = event
+            armed -= event
+            close = _close_cycle(tick, window, phases)
+            again[_armed_cycle(close, rearm) * phases] += event
+
+
+def photons_of(
+    surfaces: "Surfaces", pulse: PulseTicks, config: Config, background: np.ndarray, width: int
+) -> np.ndarray:
+    """float64[subgroups, ticks]: photons per tick that surfaces and background send to a subgroup.
+
+    background: float64[subgroups, pixels], per tick. The number of ticks is a multiple of `width`.
+    """
+    sensor = config.sensor
+    ticks = -(-config.period_ticks // width) * width
+    photons = np.repeat(background.sum(axis=1, keepdims=True), ticks, axis=1)
+    time = by_subgroup(surfaces.time, sensor)
+    light = by_subgroup(surfaces.light, sensor)
+    around = np.arange(-pulse.reach, pulse.reach + 1)
+    for s, i in zip(*np.nonzero(~np.isnan(time)), strict=True):
+        tick = int(time[s, i]) + around
+        inside = (tick >= 0) & (tick < ticks)
+        tick = tick[inside]
+        after = pulse.share_before(tick + 1 - time[s, i])
+        photons[s, tick] += light[s, i] * (after - pulse.share_before(tick - time[s, i]))
+    return photons
+
+
+def armed_again(watch: Watch, window: int, phases: int) -> np.ndarray:
+    """float64[subgroups, cycles, parts]: of the pulses in which the tree is armed when a cycle
+    begins, those in which it was blind just before, by the stamps of their events in steps of `PART`
+    ticks.
+    """
+    subgroups, ticks = watch.events.shape
+    cycles = -(-ticks // phases)
+    padded = np.zeros((subgroups, cycles * phases))
+    late = phases + window - 1
+    padded[:, late:] = watch.events[:, : cycles * phases - late]
+    of_parts = padded.reshape(subgroups, cycles, phases // PART, PART).sum(axis=3)
+    return of_parts / np.maximum(watch.armed[:, ::phases, None], RARE)
+
+
+def seen_of(
+    counts: Counts, watch: Watch, rule: Rule, config: Config, background: np.ndarray
+) -> Seen:
+    """Return what the likelihood reads. background: float64[subgroups, pixels], photons per tick."""
+    sensor = config.sensor
+    start = counts.start[:, pixel_table(sensor).minigroup]
+    n = sensor.array_pixels
+    gates, bins = counts.hits.shape[2:]
+    within = np.arange(rule.gate_ticks)
+    ticks = np.clip(start[..., None] + within, 0, watch.events.shape[1] - 1)
+    subgroup = np.arange(sensor.subgroups)[:, None, None, None]
+    pulses = counts.pulses[:, :, None, None]
+    by_bin = (n, gates, bins, rule.bin_ticks)
+    events = (watch.events[subgroup, ticks] * pulses).reshape(by_bin)
+    armed = (watch.armed[subgroup, ticks] * pulses).reshape(by_bin)
+    in_bin = events.sum(axis=3)
+    armed_in_bin = np.maximum(armed.sum(axis=3), RARE)
+    return Seen(
+        first=start.reshape(n, gates),
+        hits=counts.hits.reshape(n, gates, bins),
+        events=in_bin,
+        quiet=np.maximum(armed_in_bin - in_bin, 0),
+        others=in_bin / armed_in_bin,
+        within=armed / armed_in_bin[..., None],
+        background=np.maximum(background, LEAST_RATE).reshape(n),
+        again=armed_again(watch, rule.second.window_ticks, sensor.phases),
+    )
+
+
+def law_of(pulse: PulseTicks, rule: Rule, phases: int, fraction: float) -> Law:
+    """Return the law for times with this fraction of a tick."""
+    width = rule.bin_ticks
+    window = rule.second.window_ticks
+    reach = pulse.reach + window + width + 1
+    begin = np.arange(-reach, reach + width + 1) - fraction
+    before = pulse.share_before(begin)
+    after = pulse.share_before(begin + 1)
+    joins = pulse.share_before(begin + window) - after
+    return Law(reach, before, after - before, joins, window, width, phases)
+
+
+@part
+def _before(law: Law, tick: int) -> float:
+    """Return the share of the pulse before a tick after its time."""
+    return law.before[min(max(tick + law.reach, 0), 2 * law.reach)]
+
+
+@njit
+def _add_up(
+    seen: Seen, law: Law, lights: np.ndarray, first: np.ndarray, step: int, total: np.ndarray
+) -> None:
+    """Compute log likelihoods, float32[pixels, times * lights], of times step * (first + k + 1/2)."""
+    gates, bins = seen.hits.shape[1:]
+    number = len(lights)
+    subgroups = len(seen.again)
+    alive = np.ones((4 + 4 * law.reach // law.phases, number))
+    for i in range(len(total)):
+        again = seen.again[i // (len(total) // subgroups)]
+        for k in range(total.shape[1] // number):
+            tick = (step * (2 * (first[i] + k) + 1)) // 2
+            line = total[i, k * number : (k + 1) * number]
+            first_cycle = max(0, (tick - law.reach) // law.phases)
+            known = False
+            for g in range(gates):
+                begin = seen.first[i, g]
+                from_begin = tick - begin
+                if begin < 0 or not -law.reach <= from_begin <= bins * law.width + law.reach:
+                    continue
+                if not known:
+                    _find_alive(law, again, lights, tick, first_cycle, alive)
+                known = True
+                low = max(0, -((law.reach - from_begin) // law.width))
+                high = min(bins, (from_begin + law.reach) // law.width + 1)
+                for b in range(low, high):
+                    cycle = (begin + b * law.width) // law.phases
+                    _add_bin(seen, law, lights, i, g, b, tick, alive[cycle - first_cycle], line)
+            if not known:
+                line[:] = MISSED
+
+
+@part
+def _add_bin(
+    seen: Seen,
+    law: Law,
+    lights: np.ndarray,
+    i: int,
+    g: int,
+    b: int,
+    tick: int,
+    alive: np.ndarray,
+    line: np.ndarray,
+) -> None:
+    """Add what bin b of gate g says about a surface of pixel i at a tick, to float32[lights].
+
+    alive: float64[lights], chance that the pixel lives when the bin's cycle begins.
+    """
+    begin = seen.first[i, g] + b * law.width
+    off = begin - tick
+    opens = 0.0
+    joins = 0.0
+    for j in range(law.width):
+        share = seen.within[i, g, b, j]
+        opens += share * law.opens[off + law.reach + j]
+        joins += share * law.joins[off + law.reach + j]
+    back = seen.background[i]
+    alone = 1 - math.exp(-back * (law.window - 1))
+    cycle_begin = begin // law.phases * law.phases
+    watched = _before(law, off) - _before(law, cycle_begin - tick)
+    hits = seen.hits[i, g, b]
+    others = seen.others[i, g, b]
+    missed = max(0.0, seen.events[i, g, b] - hits)
+    quiet = seen.quiet[i, g, b] * opens + missed * joins
+    none = back + others * alone
+    for x in range(len(lights)):
+        light = lights[x]
+        lives = 1.0
+        if alive[x] < 1:
+            left = alive[x] * math.exp(-light * watched)
+            lives = left / (1 - alive[x] + left)
+        value = -light * quiet * lives
+        if hits:
+            join = lives * (1 - math.exp(-light * joins)) + alone
+            some = lives * light * opens + back + others * join
+            value += hits * math.log(some / none)
+        line[x] += value
+
+
+@part
+def _find_alive(
+    law: Law, again: np.ndarray, lights: np.ndarray, tick: int, first_cycle: int, alive: np.ndarray
+) -> None:
+    """Compute alive[cycle - first_cycle, light]: the chance that the pixel has not fired unseen when
+    the cycle begins, in a pulse in which the tree is armed then.
+    """
+    cycles, parts = again.shape
+    for x in range(len(lights)):
+        alive[0, x] = 1
+    for n in range(1, len(alive)):
+        cycle = first_cycle + n
+        end = cycle * law.phases - tick
+        if cycle >= cycles or end - law.phases > law.reach:
+            for x in range(len(lights)):
+                alive[n, x] = alive[n - 1, x]
+            continue
+        through = 1.0
+        for j in range(parts):
+            through -= again[cycle, j]
+        through = max(0.0, through)
+        for x in range(len(lights)):
+            alive[n, x] = through * alive[n - 1, x]
+        for j in range(parts):
+            if again[cycle, j] == 0:
+                continue
+            stamp = end - law.phases - law.window + 1 + j * PART + PART // 2
+            unseen = _before(law, end) - _before(law, stamp)
+            for x in range(len(lights)):
+                alive[n, x] += again[cycle, j] * alive[n - 1, x] * math.exp(-lights[x] * unseen)
+
+
+class Counted(NamedTuple):
+    """A frame of counts, and how the pulse looks."""
+
+    seen: Seen
+    config: Config
+    pulse: PulseTicks
+    rule: Rule
+    pulses: int
+
+
+def levels_of(
+    counted: Counted,
+    lights: np.ndarray,
+    prior: np.ndarray | None,
+    first: np.ndarray,
+    bins: int,
+    step: int,
+    width: int,
+) -> Levels:
+    """Return the likelihood of each pixel's times, as `likelihood.log_likelihood` does for events.
+
+    first: int64[rows, cols]. step: ticks. width: of the pulse, over the laser's. prior: None: to be
+    learned.
+    """
+    sensor = counted.config.sensor
+    number = len(lights)
+    n = sensor.array_pixels
+    fraction = 0.5 if step % 2 else 0.0
+    law = law_of(counted.pulse.widened(width), counted.rule, sensor.phases, fraction)
+    total = np.zeros((n, bins * number), np.float32)
+    own_first = by_subgroup(first, sensor).reshape(n)
+    _add_up(counted.seen, law, lights.astype(np.float64), own_first, step, total)
+    pixels = Pixels(  # of one group, each with the same times
+        minigroup=np.zeros(n, np.int64),
+        mask=np.ones(n, bool),
+        activity=np.ones(n),
+        first=np.zeros(n, np.int64),
+        total=total,
+        touched=np.ones((n, bins), np.bool_),
+        counted=np.full(n, -1),
+        number=np.empty((WAYS, n), np.int64),
+        hit=np.empty(n, np.int64),
+    )
+    common = np.zeros(bins * number, np.float32)
+    if prior is None:
+        chance = np.zeros((n, number), np.float32)
+        known = np.max(total, axis=1) > MISSED
+        add_light_chances(common, pixels, known, chance)
+        prior = learned_prior(chance[known])
+    ratio = np.float32(math.log(lights[-1] / lights[0]) / max(1, number - 1))
+    level = np.empty((n, bins), np.float32)
+    light = np.empty((n, bins), np.uint8)
+    place = by_subgroup(np.arange(n).reshape(sensor.rows, sensor.cols), sensor).reshape(n)
+    mean_over_lights(common, pixels, prior, ratio, 0, place, level, light)
+    shape = (sensor.rows, sensor.cols, bins)
+    return Levels(level.reshape(shape), light.reshape(shape), prior)
+
+
+class Surfaces(NamedTuple):
+    """What the pixels see, float64[rows, cols]."""
+
+    time: np.ndarray  # ticks; NaN: nothing
+    light: np.ndarray  # photons per pulse
+
+
+def surfaces_of(counted: Counted) -> Surfaces:
+    """Return the surfaces, as `planes.find_surfaces` finds them."""
+    config = counted.config
+    sensor = config.sensor
+    sigma_ticks = counted.pulse.sigma
+
+    def blocks(function: Callable[[int, int], None]) -> None:
+        for begin in range(0, sensor.rows, BLOCK_ROWS):
+            function(begin, min(sensor.rows, begin + BLOCK_ROWS))
+
+    step = max(1, round(COARSE_SIGMAS * sigma_ticks))
+    coarse_lights = down_to(COARSE_LIGHTS, COARSE_HITS / counted.pulses)
+    even = np.full(len(coarse_lights), -math.log(len(coarse_lights)), np.float32)
+    zero = np.zeros((sensor.rows, sensor.cols), np.int64)
+    coarse = levels_of(counted, coarse_lights, even, zero, -(-config.period_ticks // step), step, 1)
+    found = find_seeds(coarse.level, coarse.light, blocks)
+    middle = np.nan_to_num(found.time(step))
+    bins = max(BINS_LEAST, round(BINS_SIGMAS * sigma_ticks))
+    lights = down_to(LIGHTS, HITS / counted.pulses)
+    first = _first(middle, 1, bins)
+    levels = levels_of(counted, lights, None, first, bins, 1, 1)
+
+    def around(width: int, first: np.ndarray) -> Levels:
+        return levels_of(counted, lights, levels.prior, first, bins, width, width)
+
+    field = Field.of([levels.level], [first], sigma_ticks, blocks)
+    planes = fit_planes(field, blocks)
+    slanted = widened(planes.down, planes.right, sigma_ticks) > 4**SLANTED
+    if np.mean(slanted) > SLANTED_SHARE:
+        wide = _in_perspective(levels.level, middle, around, sigma_ticks, blocks)
+        in_space = fit_planes(wide, blocks)
+        if np.mean(level_on(wide, in_space) - level_on(field, planes)) > SPREAD_GAIN:
+            field, planes = wide, in_space
+    planes = refine(field, planes, blocks).planes
+    inside = np.clip(np.floor(planes.time) - first, 0, bins - 1).astype(np.int64)[:, :, None]
+    light = lights[np.take_along_axis(levels.light, inside, 2)[:, :, 0]]
+    return Surfaces(np.where(found.bin >= 0, planes.time, np.nan), light.astype(np.float64))
+
+
+def depth_of(counts: Counts, rule: Rule, config: Config, background: np.ndarray) -> Surfaces:
+    """Return the surfaces that counts show. background: float64[subgroups, pixels], per tick.
+
+    What the tree saw in a bin follows first from an even rate, then from the surfaces found.
+    """
+    pulse = pulse_ticks(config)
+    ticks = -(-config.period_ticks // rule.bin_ticks) * rule.bin_ticks
+    photons = np.repeat(background.sum(axis=1, keepdims=True), ticks, axis=1)
+    for last in (False, True):
+        watch = watch_of(counts, rule, config, photons)
+        seen = seen_of(counts, watch, rule, config, background)
+        surfaces = surfaces_of(Counted(seen, config, pulse, rule, counts.second_pulses))
+        if not last:
+            photons = photons_of(surfaces, pulse, config, background, rule.bin_ticks)
+    return surfaces

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Counts instead of events, on paper: what a sensor would count in gates that it finds itself.
+
+A frame has two passes. In the first, every minigroup fills a coarse histogram with its own hits, and
+takes its gates from it. In the second, every pixel counts its hits in the bins of its minigroup's
+gates, by the stamps of the events. The events are those of the golden model; no link and no FIFO
+stands between a window and its counter.
+
+A hit counts in the bin of its event's stamp. A pixel stops when one of its counters is full, and
+remembers after how many pulses, so that no bin saturates.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
+from coincid.model.contract.parameters import Sensor, bits_for
+from coincid.model.contract.pixels import pixel_table
+from coincid.model.depth.histograms import is_hit
+from coincid.model.shared.compiled import njit, part
+
+NO_GATE = -1
+
+
+class Pass(NamedTuple):
+    """Which events a pass sees."""
+
+    window_ticks: int
+    threshold: int
+
+
+class Rule(NamedTuple):
+    """What a sensor counts."""
+
+    first: Pass = Pass(window_ticks=16, threshold=1)
+    second: Pass = Pass(window_ticks=4, threshold=1)
+    first_share: float = 0.3  # of the pulses
+    coarse_ticks: int = 64  # width of a coarse bin
+    coarse_bits: int = 4
+    gates: int = 2
+    bins: int = 15  # of a gate
+    bin_ticks: int = 8
+    count_bits: int = 4
+    event_bits: int = 6
+    event_minigroups: int = 4  # one of so many minigroups counts events, too: 1, 2 or 4
+
+    @property
+    def gate_ticks(self) -> int:
+        """Length of a gate."""
+        return self.bins * self.bin_ticks
+
+    def first_pulses(self, pulses: int) -> int:
+        """Return the number of pulses of the first pass."""
+        return round(self.first_share * pulses)
+
+
+class Stops(NamedTuple):
+    """Events by subgroup, in the order of their pulses."""
+
+    bounds: np.ndarray  # int64[subgroups + 1]: subgroup s has the rows bounds[s] to bounds[s + 1]
+    pulse: np.ndarray  # int64[n]
+    stamp: np.ndarray  # int64[n], ticks
+    hits: np.ndarray  # uint64[n, words], maps
+
+
+class Counts(NamedTuple):
+    """What leaves the sensor, by subgroup."""
+
+    start: np.ndarray  # int64[subgroups, minigroups, gates], first tick of a gate, or NO_GATE
+    hits: np.ndarray  # int64[subgroups, pixels, gates, bins]
+    pulses: np.ndarray  # int64[subgroups, pixels], in which the pixel counted
+    events: np.ndarray  # int64[subgroups, minigroups, gates, bins]
+    event_pulses: np.ndarray  # int64[subgroups, minigroups], in which these were counted
+    second_pulses: int
+
+
+def stops_of(run: Run, seen: Pass) -> Stops:
+    """Return the events of a pass in all pulses of a run, whatever its settings."""
+    setup = unlimited(run.setup, seen)
+    played = Run(setup, cache=run.cache, workers=run.workers).result
+    order = np.argsort(played["subgroup"], kind="stable")
+    stops = Stops(
+        bounds=np.searchsorted(
+            played["subgroup"][order], np.arange(setup.config.sensor.subgroups + 1)
+        ),
+        pulse=played["pulse"][order].astype(np.int64),
+        stamp=played["stamp"][order].astype(np.int64),
+        hits=played["hits"][order],
+    )
+    return stops
+
+
+def unlimited(setup: Setup, seen: Pass) -> Setup:
+    """Return a setup in which every event of a pass leaves the sensor: each subgroup has its own
+    stream.
+    """
+    config = setup.config.with_sensor(streams=setup.config.sensor.subgroups)
+    return setup.but(
+        config=config,
+        frame={"format": "id", "link_gbps": 0},
+        subgroup={"window": seen.window_ticks, "threshold": seen.threshold},
+    )
+
+
+def coarse_histograms(
+    stops: Stops, sensor: Sensor, rule: Rule, pulses: int, period_ticks: int
+) -> np.ndarray:
+    """int64[subgroups, minigroups, bins]: hits of each minigroup in the first so many pulses."""
+    minigroup = pixel_table(sensor).minigroup
+    bins = -(-period_ticks // rule.coarse_ticks)
+    histogram = np.zeros((sensor.subgroups, sensor.minigroups, bins), np.int64)
+    most = (1 << rule.coarse_bits) - 1
+    _fill_coarsely(stops, minigroup, pulses, rule.coarse_ticks, most, histogram)
+    return histogram
+
+
+@njit
+def _fill_coarsely(
+    stops: Stops, minigroup: np.ndarray, pulses: int, width: int, most: int, histogram: np.ndarray
+) -> None:
+    """A minigroup stops when one of its bins is full."""
+    full = np.empty(histogram.shape[1], np.bool_)
+    for s in range(len(histogram)):
+        full[:] = False
+        for e in range(stops.bounds[s], stops.bounds[s + 1]):
+            if stops.pulse[e] >= pulses:
+                break
+            here = stops.stamp[e] // width
+            for i in range(len(minigroup)):
+                group = minigroup[i]
+                if full[group] or not is_hit(stops.hits, e, i):
+                    continue
+                histogram[s, group, here] += 1
+                full[group] = histogram[s, group, here] == most
+
+
+def gates_of(coarse: np.ndarray, rule: Rule) -> np.ndarray:
+    """int64[subgroups, minigroups, gates]: first ticks, multiples of a fine bin.
+
+    The middle of a gate is the centre of the highest pair of coarse bins. A further gate leaves out
+    the coarse bins with their middle in a gate, and does not overlap the first.
+    """
+    left = coarse.copy()
+    start = np.full((*coarse.shape[:2], rule.gates), NO_GATE)
+    row, column = np.indices(coarse.shape[:2])
+    middle = (np.arange(coarse.shape[2]) + 0.5) * rule.coarse_ticks
+    for gate in range(rule.gates):
+        pair = left[:, :, :-1] + left[:, :, 1:]
+        at = pair.argmax(axis=2)
+        height = pair[row, column, at]
+        later = left[row, column, at + 1] / np.maximum(height, 1)
+        centre = (at + 0.5 + later) * rule.coarse_ticks
+        steps = np.rint((centre - rule.gate_ticks / 2) / rule.bin_ticks).astype(np.int64)
+        first = np.maximum(0, rule.bin_ticks * steps)
+        for other in range(gate):
+            first = _beside(first, start[:, :, other], rule.gate_ticks)
+        found = (height > 0) & (first >= 0)
+        start[:, :, gate] = np.where(found, first, NO_GATE)
+        inside = (middle >= first[..., None]) & (middle < first[..., None] + rule.gate_ticks)
+        left[inside] = 0
+    return start
+
+
+def _beside(first: np.ndarray, other: np.ndarray, gate_ticks: int) -> np.ndarray:
+    """Move gates that overlap others to their side; int64, ticks."""
+    overlaps = np.abs(first - other) < gate_ticks
+    moved = np.where(first >= other, other + gate_ticks, other - gate_ticks)
+    return np.where(overlaps & (other >= 0), moved, first)
+
+
+def count(stops: Stops, start: np.ndarray, sensor: Sensor, rule: Rule, pulses: range) -> Counts:
+    """Count the hits of some pulses in gates that begin at the ticks `start`."""
+    gates = start.shape[2]
+    counts = Counts(
+        start=start,
+        hits=np.zeros((sensor.subgroups, sensor.pixels, gates, rule.bins), np.int64),
+        pulses=np.full((sensor.subgroups, sensor.pixels), len(pulses)),
+        events=np.zeros((sensor.subgroups, sensor.minigroups, gates, rule.bins), np.int64),
+        event_pulses=np.tile(len(pulses) * _counts_events(sensor, rule), (sensor.subgroups, 1)),
+        second_pulses=len(pulses),
+    )
+    minigroup = pixel_table(sensor).minigroup
+    most = (1 << rule.count_bits) - 1
+    most_events = (1 << rule.event_bits) - 1
+    _count_hits(stops, minigroup, pulses.start, pulses.stop, rule.bin_ticks, most, counts)
+    _count_events(stops, pulses.start, pulses.stop, rule.bin_ticks, most_events, counts)
+    return counts
+
+
+def _counts_events(sensor: Sensor, rule: Rule) -> np.ndarray:
+    """int64[minigroups]: 1 if a minigroup counts events; these are spread evenly."""
+    across = sensor.subgroup[1] // sensor.minigroup[1]
+    row, column = np.divmod(np.arange(sensor.minigroups), across)
+    if rule.event_minigroups == 4:
+        return ((row % 2 == 0) & (column % 2 == 0)).astype(np.int64)
+    return ((row + column) % rule.event_minigroups == 0).astype(np.int64)
+
+
+@part
+def _gate_at(start: np.ndarray, stamp: int, span: int) -> int:
+    """Return the gate of a minigroup in which a stamp is, or NO_GATE."""
+    for gate in range(len(start)):
+        if 0 <= start[gate] <= stamp < start[gate] + span:
+            return gate
+    return NO_GATE
+
+
+@njit
+def _count_hits(
+    stops: Stops,
+    minigroup: np.ndarray,
+    begin: int,
+    end: int,
+    width: int,
+    most: int,
+    counts: Counts,
+) -> None:
+    subgroups, pixels, _, bins = counts.hits.shape
+    for s in range(subgroups):
+        full = np.zeros(pixels, np.bool_)
+        for e in range(stops.bounds[s], stops.bounds[s + 1]):
+            if not begin <= stops.pulse[e] < end:
+                continue
+            for i in range(pixels):
+                if full[i] or not is_hit(stops.hits, e, i):
+                    continue
+                start = counts.start[s, minigroup[i]]
+                gate = _gate_at(start, stops.stamp[e], bins * width)
+                if gate < 0:
+                    continue
+                here = (stops.stamp[e] - start[gate]) // width
+                counts.hits[s, i, gate, here] += 1
+                if counts.hits[s, i, gate, here] == most:
+                    full[i] = True
+                    counts.pulses[s, i] = stops.pulse[e] - begin + 1
+
+
+@njit
+def _count_events(
+    stops: Stops, begin: int, end: int, width: int, most: int, counts: Counts
+) -> None:
+    subgroups, minigroups, _, bins = counts.events.shape
+    for s in range(subgroups):
+        full = counts.event_pulses[s] == 0
+        for e in range(stops.bounds[s], stops.bounds[s + 1]):
+            if not begin <= stops.pulse[e] < end:
+                continue
+            for group in range(minigroups):
+                start = counts.start[s, group]
+                gate = _gate_at(start, stops.stamp[e], bins * width)
+                if full[group] or gate < 0:
+                    continue
+                here = (stops.stamp[e] - start[gate]) // width
+                counts.events[s, group, gate, here] += 1
+                if counts.events[s, group, gate, here] == most:
+                    full[group] = True
+                    counts.event_pulses[s, group] = stops.pulse[e] - begin + 1
+
+
+def memory_bits(rule: Rule, sensor: Sensor, pulses: int, period_ticks: int) -> float:
+    """Return the mean bits of memory per pixel: the larger one of both passes, which share it."""
+    pixels = sensor.pixels // sensor.minigroups
+    coarse = -(-period_ticks // rule.coarse_ticks) * rule.coarse_bits
+    return max(coarse, sent_bits(rule, sensor, pulses, period_ticks)) / pixels
+
+
+def sent_bits(rule: Rule, sensor: Sensor, pulses: int, period_ticks: int) -> float:
+    """Return the bits that leave the sensor for each minigroup, as a mean."""
+    pixels = sensor.pixels // sensor.minigroups
+    of_pulses = bits_for(pulses - rule.first_pulses(pulses))
+    of_start = bits_for(-(-period_ticks // rule.bin_ticks))
+    bins = rule.gates * rule.bins
+    of_pixel = bins * rule.count_bits + of_pulses
+    of_events = (bins * rule.event_bits + of_pulses) / rule.event_minigroups
+    return pixels * of_pixel + of_events + rule.gates * of_start

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compares counts in gates (`counting.py`) with raw events and with rivals on the same photons, and
+says which part of the rule costs what.
+
+`python -m docs.studies.counts` writes the tables of docs/counts.md.
+"""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from coincid.lab.campaign import Processes, campaign
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
+from coincid.model.contract.config import Config
+from coincid.model.contract.pixels import pixel_table
+from coincid.model.depth.histograms import by_subgroup
+from coincid.model.depth.quality import OTHER_SURFACE_M, wrong_share
+from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.scene import Scene
+from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+from coincid.model.shared.markdown import text_table
+from coincid.tools.pages import counted, put
+
+from .comparison import schemes
+from .confidence import perspective_setup
+from .count_depth import depth_of
+from .counting import (
+    NO_GATE,
+    Rule,
+    coarse_histograms,
+    count,
+    gates_of,
+    memory_bits,
+    sent_bits,
+    stops_of,
+    unlimited,
+)
+
+PAGE = "docs/counts.md"
+SIDE = 32  # rows and columns
+RULE = Rule()
+RIVALS = ("zoomed: 16 bins", "equi-depth: 16 bins")
+DEFAULT_LINK_GBPS = 8.0
+LINK_THRESHOLD = 2
+TRUTH_MARGIN_TICKS = 16  # from the begin of an ideal gate to the first surface in it
+UNLIMITED_BITS = 30  # of a counter that is never full
+
+
+class Case(NamedTuple):
+    """A scene in its light. size: of a room, over its own."""
+
+    scene: str
+    klux: float
+    pulses: int
+    size: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """What a table calls it."""
+        larger = f" x {self.size:g}" if self.size != 1 else ""
+        return f"{self.scene}{larger}, {self.klux:g} klux, {self.pulses} pulses"
+
+
+# Rooms with the seeds 20 to 24 set the rule; the others did not.
+CASES = (
+    Case("room 31", 50, 1000),
+    Case("room 32", 50, 1000),
+    Case("room 33", 100, 1000),
+    Case("room 34", 10, 1000),
+    Case("room 35", 50, 300),
+    Case("room 36", 50, 1000, 2.0),
+    Case("five-objects", 100, 1000),
+    Case("sun-and-shade", 100, 1000),
+)
+DIVIDED = (Case("room 31", 50, 1000), Case("room 32", 50, 1000))
+
+
+class Way(NamedTuple):
+    """A rule, and whether its gates come from the truth."""
+
+    rule: Rule
+    ideal_gates: bool = False
+
+
+WAYS = {
+    "the rule": Way(RULE),
+    "gates from the truth": Way(RULE, ideal_gates=True),
+    "coarse bins of 32 ticks, 20 bits": Way(RULE._replace(coarse_ticks=32, coarse_bits=20)),
+    "gates of 12 bins": Way(RULE._replace(bins=12)),
+    "bins of 4 ticks, twice as many": Way(RULE._replace(bin_ticks=4, bins=2 * RULE.bins)),
+    "every minigroup counts events": Way(RULE._replace(event_minigroups=1)),
+    "counters that are never full": Way(
+        RULE._replace(count_bits=UNLIMITED_BITS, event_bits=UNLIMITED_BITS)
+    ),
+}
+
+
+def setup(case: Case) -> Setup:
+    """Return the setup of a case: no limit of the link, threshold 1."""
+    return Setup.of(
+        _scene(case),
+        sensor={"rows": SIDE, "cols": SIDE},
+        frame={"pulses": case.pulses, "link_gbps": 0},
+        subgroup={"threshold": 1},
+        klux=case.klux,
+        estimators=("planes",),
+    )
+
+
+def _scene(case: Case) -> Scene:
+    kind, _, seed = case.scene.partition(" ")
+    if kind != "room":
+        return load_scene(case.scene, SIDE, SIDE)
+    number = int(seed)
+    room = perspective_setup(number, threshold=2 - number % 2, pulses=case.pulses).seen
+    return Scene(
+        name=case.scene,
+        distance_m=case.size * room.distance_m,
+        reflectivity=room.reflectivity,
+    )
+
+
+def counted_depth_m(run: Run, way: Way) -> np.ndarray:
+    """float64[rows, cols]: depth from the counts of a run's photons."""
+    config = run.config
+    rule = way.rule
+    sensor = config.sensor
+    pulses = config.pulses
+    first_pulses = rule.first_pulses(pulses)
+    if way.ideal_gates:
+        start = ideal_gates(run.scene.truth_m, rule, config)
+    else:
+        first = stops_of(run, rule.first)
+        coarse = coarse_histograms(first, sensor, rule, first_pulses, config.period_ticks)
+        start = gates_of(coarse, rule)
+    second = stops_of(run, rule.second)
+    counts = count(second, start, sensor, rule, range(first_pulses, pulses))
+    background = run.light.background_cps * config.tick_s
+    of_subgroups = by_subgroup(background.reshape(sensor.rows, sensor.cols), sensor)
+    return depth_of(counts, rule, config, of_subgroups).time * _tick_m(config)
+
+
+def _tick_m(config: Config) -> float:
+    return config.tick_s * SPEED_OF_LIGHT_M_S / 2
+
+
+def ideal_gates(truth_m: np.ndarray, rule: Rule, config: Config) -> np.ndarray:
+    """int64[subgroups, minigroups, gates]: first ticks of gates that begin before the nearest
+    surface of a minigroup that no earlier gate has.
+    """
+    sensor = config.sensor
+    ticks = by_subgroup(truth_m / _tick_m(config), sensor)
+    minigroup = pixel_table(sensor).minigroup
+    start = np.full((sensor.subgroups, sensor.minigroups, rule.gates), NO_GATE)
+    for s, group in np.ndindex(start.shape[:2]):
+        left = ticks[s, minigroup == group]
+        least = 0
+        for gate in range(rule.gates):
+            left = left[left > least]
+            if not len(left):
+                break
+            first = max(least, int(left.min()) - TRUTH_MARGIN_TICKS)
+            start[s, group, gate] = first // rule.bin_ticks * rule.bin_ticks
+            least = start[s, group, gate] + rule.gate_ticks
+    return start
+
+
+class Seen(NamedTuple):
+    """Wrong shares of a case, (beyond 3.4 cm, beyond 15 cm), and bits of a frame."""
+
+    counts: tuple[float, float]
+    events: tuple[float, float]  # threshold 1, no limit of the link
+    event_bits: float
+    linked: tuple[float, float]  # threshold 2, the default link
+    rivals: list[tuple[float, float]]
+
+
+def _shares(depth_m: np.ndarray, run: Run) -> tuple[float, float]:
+    truth_m = run.scene.truth_m
+    return wrong_share(depth_m, truth_m), wrong_share(depth_m, truth_m, OTHER_SURFACE_M)
+
+
+def look(run: Run) -> Seen:
+    """Return what counts, events and rivals make of a run's photons."""
+    every = Run(unlimited(run.setup, RULE.first), cache=run.cache).frame(estimator="planes")
+    linked = run.but(
+        frame={"link_gbps": DEFAULT_LINK_GBPS}, subgroup={"threshold": LINK_THRESHOLD}
+    ).frame(estimator="planes")
+    rivals = schemes(run, RIVALS)
+    return Seen(
+        counts=_shares(counted_depth_m(run, Way(RULE)), run),
+        events=_shares(every.depth_m, run),
+        event_bits=float(every["bits"] or 0),
+        linked=_shares(linked.depth_m, run),
+        rivals=[_shares(rivals[name].depth_m[:, :, 0], run) for name in RIVALS],
+    )
+
+
+def divide(run: Run) -> list[tuple[float, float]]:
+    """Return the wrong shares of all ways."""
+    return [_shares(counted_depth_m(run, way), run) for way in WAYS.values()]
+
+
+def _words(shares: tuple[float, float]) -> str:
+    return " / ".join(f"{share:.1%}" for share in shares)
+
+
+def scene_rows(run: Processes) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table of scenes."""
+    found = campaign({case: setup(case) for case in CASES}, look, run)
+    for case, seen in found.items():
+        events = f"{_words(seen.events)} ({seen.event_bits / 1e6:.0f} Mbit)"
+        rivals = [_words(one) for one in seen.rivals]
+        yield (case.name, _words(seen.counts), events, _words(seen.linked), *rivals)
+
+
+def loss_rows(run: Processes) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table of ways."""
+    setups = {case: setup(case) for case in DIVIDED}
+    found = campaign(setups, divide, run)
+    config = next(iter(setups.values())).config
+    memory = partial(
+        memory_bits, sensor=config.sensor, pulses=config.pulses, period_ticks=config.period_ticks
+    )
+    for number, (name, way) in enumerate(WAYS.items()):
+        bits = f"{memory(way.rule):.0f}"
+        yield (name, bits, *(_words(found[case][number]) for case in DIVIDED))
+
+
+def budget() -> str:
+    """Return the sentence about memory and bits."""
+    config = setup(CASES[0]).config
+    arguments = (RULE, config.sensor, config.pulses, config.period_ticks)
+    groups = config.sensor.subgroups * config.sensor.minigroups
+    frame_kbit = sent_bits(*arguments) * groups / 1e3
+    return (
+        f"With {config.pulses} pulses, a pixel has {memory_bits(*arguments):.1f} bits of memory in "
+        f"the mean, and {frame_kbit:.0f} kbit leave the {SIDE} x {SIDE} pixels in a frame."
+    )
+
+
+def make() -> None:
+    """Write the tables into the page."""
+    put(PAGE, "budget", budget())
+    with Processes(progress=counted) as run:
+        head = (
+            "scene",
+            "counts",
+            "events, threshold 1, no limit of the link",
+            f"events, threshold {LINK_THRESHOLD}, {DEFAULT_LINK_GBPS:g} Gbit/s",
+            *RIVALS,
+        )
+        put(PAGE, "scenes", text_table(head, scene_rows(run)))
+        ways = ("what changes", "bits per pixel", *(case.name for case in DIVIDED))
+        put(PAGE, "loss", text_table(ways, loss_rows(run)))
+
+
+if __name__ == "__main__":
+    make()
