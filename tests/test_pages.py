@@ -153,8 +153,8 @@ SHOW_DEPTH = {
     *(
         f"docs/{page}.md"
         for page in (
-            "advise", "compact", "controller", "depth", "explorer", "gap", "limit", "modes", "paper-figures", "performance", "raytrace", "returns",
-            "rivals", "second-lidar", "silicon", "sweeps", "two-surfaces",
+            "advise", "compact", "controller", "counts", "depth", "explorer", "gap", "limit", "modes", "paper-figures", "performance", "raytrace",
+            "returns", "rivals", "second-lidar", "silicon", "sweeps", "two-surfaces",
         )
     ),
 }  # fmt: skip

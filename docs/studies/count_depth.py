@@ -67,7 +67,8 @@ class Seen(NamedTuple):
     events: np.ndarray  # float64, while the pixel counted
     quiet: np.ndarray  # float64, armed pulses by ticks without an event there
     others: np.ndarray  # float64, events per armed pulse and tick
-    within: np.ndarray  # float64, by tick of the bin, share of its armed pulses
+    watched: np.ndarray  # float64, by tick of the bin, share of its armed pulses,
+    stamped: np.ndarray  # and of its events
     background: np.ndarray  # float64[pixels], photons per tick
     again: np.ndarray  # float64[subgroups, cycles, parts], of `armed_again`
 
@@ -98,18 +99,18 @@ def watch_of(counts: Counts, rule: Rule, config: Config, photons: np.ndarray) ->
     while the tree is armed; outside of all gates, there are as many.
     """
     sensor = config.sensor
-    steps = photons.shape[1] // rule.bin_ticks
-    number = np.zeros((sensor.subgroups, steps + rule.bins))
+    steps = photons.shape[1] // rule.event_ticks
+    number = np.zeros((sensor.subgroups, steps + rule.event_bins))
     pulses = np.zeros(number.shape)
-    begin = counts.start // rule.bin_ticks
+    begin = counts.start // rule.event_ticks
     for s, group, gate in zip(*np.nonzero(begin >= 0), strict=True):
         first = begin[s, group, gate]
-        number[s, first : first + rule.bins] += counts.events[s, group, gate]
-        pulses[s, first : first + rule.bins] += counts.event_pulses[s, group]
+        number[s, first : first + rule.event_bins] += counts.events[s, group, gate]
+        pulses[s, first : first + rule.event_bins] += counts.event_pulses[s, group]
     rate = np.where(pulses > 0, number / np.maximum(pulses, 1), UNKNOWN)[:, :steps]
     watch = Watch(np.zeros(photons.shape), np.zeros(photons.shape))
     clock = (rule.second.window_ticks, sensor.phases, sensor.rearm)
-    _follow(rate, photons, rule.bin_ticks, *clock, watch)
+    _follow(rate, photons, rule.event_ticks, *clock, watch)
     return watch
 
 
@@ -207,7 +208,8 @@ def seen_of(
         events=in_bin,
         quiet=np.maximum(armed_in_bin - in_bin, 0),
         others=in_bin / armed_in_bin,
-        within=armed / armed_in_bin[..., None],
+        watched=armed / armed_in_bin[..., None],
+        stamped=events / np.maximum(in_bin, RARE)[..., None],
         background=np.maximum(background, LEAST_RATE).reshape(n),
         again=armed_again(watch, rule.second.window_ticks, sensor.phases),
     )
@@ -285,9 +287,8 @@ def _add_bin(
     opens = 0.0
     joins = 0.0
     for j in range(law.width):
-        share = seen.within[i, g, b, j]
-        opens += share * law.opens[off + law.reach + j]
-        joins += share * law.joins[off + law.reach + j]
+        opens += seen.watched[i, g, b, j] * law.opens[off + law.reach + j]
+        joins += seen.stamped[i, g, b, j] * law.joins[off + law.reach + j]
     back = seen.background[i]
     alone = 1 - math.exp(-back * (law.window - 1))
     cycle_begin = begin // law.phases * law.phases

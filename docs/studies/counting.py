@@ -40,9 +40,10 @@ class Rule(NamedTuple):
     coarse_ticks: int = 64  # width of a coarse bin
     coarse_bits: int = 4
     gates: int = 2
-    bins: int = 15  # of a gate
+    bins: int = 14  # of a gate
     bin_ticks: int = 8
     count_bits: int = 4
+    event_ticks: int = 4  # width of a bin of events
     event_bits: int = 6
     event_minigroups: int = 4  # one of so many minigroups counts events, too: 1, 2 or 4
 
@@ -50,6 +51,11 @@ class Rule(NamedTuple):
     def gate_ticks(self) -> int:
         """Length of a gate."""
         return self.bins * self.bin_ticks
+
+    @property
+    def event_bins(self) -> int:
+        """Number of a gate's bins of events."""
+        return self.gate_ticks // self.event_ticks
 
     def first_pulses(self, pulses: int) -> int:
         """Return the number of pulses of the first pass."""
@@ -71,7 +77,7 @@ class Counts(NamedTuple):
     start: np.ndarray  # int64[subgroups, minigroups, gates], first tick of a gate, or NO_GATE
     hits: np.ndarray  # int64[subgroups, pixels, gates, bins]
     pulses: np.ndarray  # int64[subgroups, pixels], in which the pixel counted
-    events: np.ndarray  # int64[subgroups, minigroups, gates, bins]
+    events: np.ndarray  # int64[subgroups, minigroups, gates, event bins]
     event_pulses: np.ndarray  # int64[subgroups, minigroups], in which these were counted
     second_pulses: int
 
@@ -177,7 +183,7 @@ def count(stops: Stops, start: np.ndarray, sensor: Sensor, rule: Rule, pulses: r
         start=start,
         hits=np.zeros((sensor.subgroups, sensor.pixels, gates, rule.bins), np.int64),
         pulses=np.full((sensor.subgroups, sensor.pixels), len(pulses)),
-        events=np.zeros((sensor.subgroups, sensor.minigroups, gates, rule.bins), np.int64),
+        events=np.zeros((sensor.subgroups, sensor.minigroups, gates, rule.event_bins), np.int64),
         event_pulses=np.tile(len(pulses) * _counts_events(sensor, rule), (sensor.subgroups, 1)),
         second_pulses=len(pulses),
     )
@@ -185,7 +191,7 @@ def count(stops: Stops, start: np.ndarray, sensor: Sensor, rule: Rule, pulses: r
     most = (1 << rule.count_bits) - 1
     most_events = (1 << rule.event_bits) - 1
     _count_hits(stops, minigroup, pulses.start, pulses.stop, rule.bin_ticks, most, counts)
-    _count_events(stops, pulses.start, pulses.stop, rule.bin_ticks, most_events, counts)
+    _count_events(stops, pulses.start, pulses.stop, rule.event_ticks, most_events, counts)
     return counts
 
 
@@ -273,5 +279,6 @@ def sent_bits(rule: Rule, sensor: Sensor, pulses: int, period_ticks: int) -> flo
     of_start = bits_for(-(-period_ticks // rule.bin_ticks))
     bins = rule.gates * rule.bins
     of_pixel = bins * rule.count_bits + of_pulses
-    of_events = (bins * rule.event_bits + of_pulses) / rule.event_minigroups
+    event_bins = rule.gates * rule.event_bins
+    of_events = (event_bins * rule.event_bits + of_pulses) / rule.event_minigroups
     return pixels * of_pixel + of_events + rule.gates * of_start

@@ -21,7 +21,15 @@ from docs.studies.counts import Way, counted_depth_m
 
 SENSOR = Sensor(rows=8, cols=8)
 PERIOD_TICKS = 1024
-RULE = Rule(coarse_ticks=64, bins=4, bin_ticks=8, count_bits=2, event_bits=2, event_minigroups=1)
+RULE = Rule(
+    coarse_ticks=64,
+    bins=4,
+    bin_ticks=8,
+    count_bits=2,
+    event_ticks=8,
+    event_bits=2,
+    event_minigroups=1,
+)
 
 
 def stops(rows):
@@ -92,8 +100,8 @@ def test_pixel_counts_by_the_stamp_and_stops_when_full():
 
 def test_bits_of_the_rule_are_those_of_its_fields():
     rule = Rule()
-    of_pixel = 2 * 15 * 4 + 10
-    of_minigroup = 4 * of_pixel + (2 * 15 * 6 + 10) / 4 + 2 * 10
+    of_pixel = 2 * 14 * 4 + 10
+    of_minigroup = 4 * of_pixel + (2 * 28 * 6 + 10) / 4 + 2 * 10
     assert sent_bits(rule, Sensor(), 1000, 8000) == of_minigroup
     assert memory_bits(rule, Sensor(), 1000, 8000) == of_minigroup / 4 <= 150
 
