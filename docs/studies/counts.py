@@ -45,7 +45,9 @@ RULE = Rule()
 RIVALS = ("zoomed: 16 bins", "equi-depth: 16 bins")
 DEFAULT_LINK_GBPS = 8.0
 LINK_THRESHOLD = 2
-TRUTH_MARGIN_TICKS = 16  # from the begin of an ideal gate to the first surface in it
+TRUTH_MARGIN_TICKS = (
+    16  # from the begin of an ideal gate to the first surface in it, and at its end
+)
 UNLIMITED_BITS = 30  # of a counter that is never full
 
 
@@ -88,14 +90,11 @@ class Way(NamedTuple):
 WAYS = {
     "the rule": Way(RULE),
     "gates from the truth": Way(RULE, ideal_gates=True),
+    "coarse bins of 32 ticks, 6 bits": Way(RULE._replace(coarse_ticks=32, coarse_bits=6)),
     "coarse bins of 32 ticks, 20 bits": Way(RULE._replace(coarse_ticks=32, coarse_bits=20)),
     "bins of 4 ticks, twice as many": Way(RULE._replace(bin_ticks=4, bins=2 * RULE.bins)),
     "every minigroup counts events, by tick": Way(
         RULE._replace(event_minigroups=1, event_ticks=1, event_bits=UNLIMITED_BITS)
-    ),
-    "the same, and gates from the truth": Way(
-        RULE._replace(event_minigroups=1, event_ticks=1, event_bits=UNLIMITED_BITS),
-        ideal_gates=True,
     ),
     "counters that are never full": Way(
         RULE._replace(count_bits=UNLIMITED_BITS, event_bits=UNLIMITED_BITS)
@@ -164,7 +163,7 @@ def ideal_gates(truth_m: np.ndarray, rule: Rule, config: Config) -> np.ndarray:
         left = ticks[s, minigroup == group]
         least = 0
         for gate in range(rule.gates):
-            left = left[left > least]
+            left = left[left > least - TRUTH_MARGIN_TICKS]
             if not len(left):
                 break
             first = max(least, int(left.min()) - TRUTH_MARGIN_TICKS)
