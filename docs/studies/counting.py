@@ -18,10 +18,8 @@ from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.parameters import Sensor, bits_for
 from coincid.model.contract.pixels import pixel_table
-from coincid.model.depth.histograms import is_hit
-from coincid.model.shared.compiled import njit, part
 
-NO_GATE = -1
+from .count_kernels import NO_GATE, Counts, Stops, count_events, count_hits, fill_coarsely
 
 
 class Pass(NamedTuple):
@@ -62,26 +60,6 @@ class Rule(NamedTuple):
         return round(self.first_share * pulses)
 
 
-class Stops(NamedTuple):
-    """Events by subgroup, in the order of their pulses."""
-
-    bounds: np.ndarray  # int64[subgroups + 1]: subgroup s has the rows bounds[s] to bounds[s + 1]
-    pulse: np.ndarray  # int64[n]
-    stamp: np.ndarray  # int64[n], ticks
-    hits: np.ndarray  # uint64[n, words], maps
-
-
-class Counts(NamedTuple):
-    """What leaves the sensor, by subgroup."""
-
-    start: np.ndarray  # int64[subgroups, minigroups, gates], first tick of a gate, or NO_GATE
-    hits: np.ndarray  # int64[subgroups, pixels, gates, bins]
-    pulses: np.ndarray  # int64[subgroups, pixels], in which the pixel counted
-    events: np.ndarray  # int64[subgroups, minigroups, gates, event bins]
-    event_pulses: np.ndarray  # int64[subgroups, minigroups], in which these were counted
-    second_pulses: int
-
-
 def stops_of(run: Run, seen: Pass) -> Stops:
     """Return the events of a pass in all pulses of a run, whatever its settings."""
     setup = unlimited(run.setup, seen)
@@ -118,28 +96,8 @@ def coarse_histograms(
     bins = -(-period_ticks // rule.coarse_ticks)
     histogram = np.zeros((sensor.subgroups, sensor.minigroups, bins), np.int64)
     most = (1 << rule.coarse_bits) - 1
-    _fill_coarsely(stops, minigroup, pulses, rule.coarse_ticks, most, histogram)
+    fill_coarsely(stops, minigroup, pulses, rule.coarse_ticks, most, histogram)
     return histogram
-
-
-@njit
-def _fill_coarsely(
-    stops: Stops, minigroup: np.ndarray, pulses: int, width: int, most: int, histogram: np.ndarray
-) -> None:
-    """A minigroup stops when one of its bins is full."""
-    full = np.empty(histogram.shape[1], np.bool_)
-    for s in range(len(histogram)):
-        full[:] = False
-        for e in range(stops.bounds[s], stops.bounds[s + 1]):
-            if stops.pulse[e] >= pulses:
-                break
-            here = stops.stamp[e] // width
-            for i in range(len(minigroup)):
-                group = minigroup[i]
-                if full[group] or not is_hit(stops.hits, e, i):
-                    continue
-                histogram[s, group, here] += 1
-                full[group] = histogram[s, group, here] == most
 
 
 def gates_of(coarse: np.ndarray, rule: Rule) -> np.ndarray:
@@ -190,8 +148,8 @@ def count(stops: Stops, start: np.ndarray, sensor: Sensor, rule: Rule, pulses: r
     minigroup = pixel_table(sensor).minigroup
     most = (1 << rule.count_bits) - 1
     most_events = (1 << rule.event_bits) - 1
-    _count_hits(stops, minigroup, pulses.start, pulses.stop, rule.bin_ticks, most, counts)
-    _count_events(stops, pulses.start, pulses.stop, rule.event_ticks, most_events, counts)
+    count_hits(stops, minigroup, pulses.start, pulses.stop, rule.bin_ticks, most, counts)
+    count_events(stops, pulses.start, pulses.stop, rule.event_ticks, most_events, counts)
     return counts
 
 
@@ -202,67 +160,6 @@ def _counts_events(sensor: Sensor, rule: Rule) -> np.ndarray:
     if rule.event_minigroups == 4:
         return ((row % 2 == 0) & (column % 2 == 0)).astype(np.int64)
     return ((row + column) % rule.event_minigroups == 0).astype(np.int64)
-
-
-@part
-def _gate_at(start: np.ndarray, stamp: int, span: int) -> int:
-    """Return the gate of a minigroup in which a stamp is, or NO_GATE."""
-    for gate in range(len(start)):
-        if 0 <= start[gate] <= stamp < start[gate] + span:
-            return gate
-    return NO_GATE
-
-
-@njit
-def _count_hits(
-    stops: Stops,
-    minigroup: np.ndarray,
-    begin: int,
-    end: int,
-    width: int,
-    most: int,
-    counts: Counts,
-) -> None:
-    subgroups, pixels, _, bins = counts.hits.shape
-    for s in range(subgroups):
-        full = np.zeros(pixels, np.bool_)
-        for e in range(stops.bounds[s], stops.bounds[s + 1]):
-            if not begin <= stops.pulse[e] < end:
-                continue
-            for i in range(pixels):
-                if full[i] or not is_hit(stops.hits, e, i):
-                    continue
-                start = counts.start[s, minigroup[i]]
-                gate = _gate_at(start, stops.stamp[e], bins * width)
-                if gate < 0:
-                    continue
-                here = (stops.stamp[e] - start[gate]) // width
-                counts.hits[s, i, gate, here] += 1
-                if counts.hits[s, i, gate, here] == most:
-                    full[i] = True
-                    counts.pulses[s, i] = stops.pulse[e] - begin + 1
-
-
-@njit
-def _count_events(
-    stops: Stops, begin: int, end: int, width: int, most: int, counts: Counts
-) -> None:
-    subgroups, minigroups, _, bins = counts.events.shape
-    for s in range(subgroups):
-        full = counts.event_pulses[s] == 0
-        for e in range(stops.bounds[s], stops.bounds[s + 1]):
-            if not begin <= stops.pulse[e] < end:
-                continue
-            for group in range(minigroups):
-                start = counts.start[s, group]
-                gate = _gate_at(start, stops.stamp[e], bins * width)
-                if full[group] or gate < 0:
-                    continue
-                here = (stops.stamp[e] - start[gate]) // width
-                counts.events[s, group, gate, here] += 1
-                if counts.events[s, group, gate, here] == most:
-                    full[group] = True
-                    counts.event_pulses[s, group] = stops.pulse[e] - begin + 1
 
 
 def memory_bits(rule: Rule, sensor: Sensor, pulses: int, period_ticks: int) -> float:

@@ -27,8 +27,8 @@ from coincid.tools.pages import counted, put
 from .comparison import schemes
 from .confidence import perspective_setup
 from .count_depth import depth_of
+from .count_kernels import NO_GATE
 from .counting import (
-    NO_GATE,
     Rule,
     coarse_histograms,
     count,

@@ -7,16 +7,8 @@ from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup, scene_of
 from coincid.model.contract.parameters import Sensor
 from coincid.model.depth.quality import wrong_share
-from docs.studies.counting import (
-    NO_GATE,
-    Rule,
-    Stops,
-    coarse_histograms,
-    count,
-    gates_of,
-    memory_bits,
-    sent_bits,
-)
+from docs.studies.count_kernels import NO_GATE, Stops
+from docs.studies.counting import Rule, coarse_histograms, count, gates_of, memory_bits, sent_bits
 from docs.studies.counts import Way, counted_depth_m
 
 SENSOR = Sensor(rows=8, cols=8)
