@@ -128,7 +128,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
         "cdffdab48c136d64",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "e8ac76b3abe8ad0e"),
+    "interference": (section(interference.interference, **INTERFERENCE), "d7634db3e2fc4fe0"),
 }
 
 
