@@ -107,30 +107,28 @@ def measured(asked: Sequence[Case]) -> Measured:
 
 def make() -> None:
     """Write the tables into the page."""
-    apart = measured(cases(True, NO_LIMIT_GBPS))
-    put(PAGE, "pulses", pulses_table(apart))
-    limited = {
-        distance: measured(cases(distance, LARGE_GBPS / AREAS)) for distance in (False, True)
-    }
-    put(PAGE, "link", link_table(limited[False], limited[True]))
+    without_limit = measured(cases(apart=True, link_gbps=NO_LIMIT_GBPS))
+    put(PAGE, "pulses", pulses_table(without_limit))
+    link_gbps = LARGE_GBPS / AREAS
+    back_to_back = measured(cases(apart=False, link_gbps=link_gbps))
+    apart = measured(cases(apart=True, link_gbps=link_gbps))
+    put(PAGE, "link", link_table(back_to_back, apart))
 
 
 def pulses_table(found: Measured) -> str:
     """Return the table of a link without limit."""
-    rows = []
-    for klux in KLUX:
-        for pulses in PULSES:
-            config = Case(ROOMS[0], klux, pulses, True, NO_LIMIT_GBPS, THRESHOLDS[0]).setup().config
-            rows.append(
-                (
-                    f"{klux:g} klux",
-                    f"{pulses:,}",
-                    f"{1e9 * pulse_energy_j(config):,.0f} nJ",
-                    _by_threshold(found, klux, pulses, "wrong_share", "{:.1%}"),
-                    _by_threshold(found, klux, pulses, "dropped_share", "{:.0%}"),
-                    _by_threshold(found, klux, pulses, "mean_gbps", "{:.1f}", AREAS),
-                )
-            )
+    rows = [
+        (
+            f"{klux:g} klux",
+            f"{pulses:,}",
+            f"{1e9 * _energy_j(found, pulses):,.0f} nJ",
+            _by_threshold(found, klux, pulses, "wrong_share", "{:.1%}"),
+            _by_threshold(found, klux, pulses, "dropped_share", "{:.0%}"),
+            _by_threshold(found, klux, pulses, "mean_gbps", "{:.1f}", AREAS),
+        )
+        for klux in KLUX
+        for pulses in PULSES
+    ]
     thresholds = " / ".join(map(str, THRESHOLDS))
     head = (
         "light",
@@ -163,6 +161,12 @@ def link_table(back_to_back: Measured, apart: Measured) -> str:
         f"apart: wrong at {thresholds}",
     )
     return text_table(head, rows)
+
+
+def _energy_j(found: Measured, pulses: int) -> float:
+    """Return the energy of each of so many pulses of a frame."""
+    case = next(case for case in found if case.pulses == pulses)
+    return pulse_energy_j(case.setup().config)
 
 
 def _by_threshold(
