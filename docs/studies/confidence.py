@@ -121,9 +121,8 @@ def random_setup(seed: int) -> Setup:
 def perspective_setup(seed: int, threshold: int, pulses: int) -> Setup:
     """Return a random room in perspective, at its own size or three times as large."""
     larger = 3.0 if (seed + threshold) % 2 else 1.0
-    distance_m, reflectivity = room_in_perspective(seed)
     return Setup.of(
-        Scene(name=f"view {seed}", distance_m=distance_m * larger, reflectivity=reflectivity),
+        scene_in_perspective(seed, larger),
         sensor={"rows": SIDE, "cols": SIDE},
         frame={"pulses": pulses, "format": "compact", "link_gbps": 0},
         subgroup={"threshold": threshold},
@@ -133,7 +132,13 @@ def perspective_setup(seed: int, threshold: int, pulses: int) -> Setup:
     )
 
 
-def room_in_perspective(seed: int) -> tuple[np.ndarray, np.ndarray]:
+def scene_in_perspective(seed: int, larger: float = 1.0) -> Scene:
+    """Return a random room in perspective, so many times as large as a room for people."""
+    distance_m, reflectivity = _room_in_perspective(seed)
+    return Scene(name=f"view {seed}", distance_m=distance_m * larger, reflectivity=reflectivity)
+
+
+def _room_in_perspective(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return distance and reflectivity, float64[SIDE, SIDE], of a room with boxes on its floor."""
     rng = np.random.default_rng(1000 + seed)
     view = np.tan(np.radians(HALF_VIEW_DEG)) * (2 * (np.arange(SIDE) + 0.5) / SIDE - 1)

@@ -5,19 +5,17 @@
 depth file: the rooms of `docs.studies.confidence` with even seeds.
 """
 
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from coincid.lab.campaign import FinishedFiles, Processes, campaign, read_measures
 from coincid.lab.setup import SETTLING, Setup
 from coincid.model.depth.methods import DEFAULT_METHOD
-from coincid.model.shared.folders import build_root
 from coincid.model.shared.markdown import text_table
-from coincid.tools.pages import counted, put
+from coincid.tools.pages import put
 
 from .confidence import SIDE, random_setup
+from .kept_measures import kept_measures
 
 ROOMS = range(202, 218, 2)
 KLUX = (10.0, 50.0, 100.0)
@@ -64,15 +62,8 @@ def shares() -> dict[Case, float]:
         for klux in KLUX
         for threshold in (CONTROLLED, *CONSTANTS)
     ]
-    finished = FinishedFiles(build_root() / "pages" / "controller-rooms", (MEASURE,))
-    finished.folder.mkdir(parents=True, exist_ok=True)
-    with Processes(progress=counted) as run:
-        found: dict[str, dict[str, Any]] = campaign(
-            {case.key: case.setup() for case in cases},
-            partial(read_measures, names=(MEASURE,)),
-            run,
-            finished=finished,
-        )
+    setups = {case.key: case.setup() for case in cases}
+    found = kept_measures("controller-rooms", setups, (MEASURE,))
     return {case: float(found[case.key][MEASURE]) for case in cases}
 
 

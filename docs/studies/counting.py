@@ -65,7 +65,7 @@ def stops_of(run: Run, seen: Pass) -> Stops:
     setup = unlimited(run.setup, seen)
     played = Run(setup, cache=run.cache, workers=run.workers).result
     order = np.argsort(played["subgroup"], kind="stable")
-    stops = Stops(
+    return Stops(
         bounds=np.searchsorted(
             played["subgroup"][order], np.arange(setup.config.sensor.subgroups + 1)
         ),
@@ -73,7 +73,6 @@ def stops_of(run: Run, seen: Pass) -> Stops:
         stamp=played["stamp"][order].astype(np.int64),
         hits=played["hits"][order],
     )
-    return stops
 
 
 def unlimited(setup: Setup, seen: Pass) -> Setup:

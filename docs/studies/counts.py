@@ -25,7 +25,7 @@ from coincid.model.shared.markdown import text_table
 from coincid.tools.pages import counted, put
 
 from .comparison import schemes
-from .confidence import perspective_setup
+from .confidence import scene_in_perspective
 from .count_depth import depth_of
 from .count_kernels import NO_GATE
 from .counting import (
@@ -118,13 +118,7 @@ def _scene(case: Case) -> Scene:
     kind, _, seed = case.scene.partition(" ")
     if kind != "room":
         return load_scene(case.scene, SIDE, SIDE)
-    number = int(seed)
-    room = perspective_setup(number, threshold=2 - number % 2, pulses=case.pulses).seen
-    return Scene(
-        name=case.scene,
-        distance_m=case.size * room.distance_m,
-        reflectivity=room.reflectivity,
-    )
+    return scene_in_perspective(int(seed), case.size)
 
 
 def counted_depth_m(run: Run, way: Way) -> np.ndarray:

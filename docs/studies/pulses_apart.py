@@ -6,22 +6,20 @@ the frames per second are fixed.
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from attrs import evolve
 
-from coincid.lab.campaign import FinishedFiles, Processes, campaign, read_measures
 from coincid.lab.pace import gap_for, pulse_energy_j
 from coincid.lab.setup import Setup
 from coincid.model.light.link_budget import Laser
-from coincid.model.scenes.scene import Scene, scene_light
-from coincid.model.shared.folders import build_root
+from coincid.model.scenes.scene import scene_light
 from coincid.model.shared.markdown import text_table
-from coincid.tools.pages import counted, put
+from coincid.tools.pages import put
 
-from .confidence import SIDE, room_in_perspective
+from .confidence import SIDE, scene_in_perspective
+from .kept_measures import kept_measures
 
 PAGE = "docs/gap.md"
 RATE_PER_S = 30.0
@@ -57,10 +55,7 @@ class Case(NamedTuple):
         """Return what is simulated. The pulses of a frame have the energy of all its time, also
         where they are back to back.
         """
-        distance_m, reflectivity = room_in_perspective(self.room)
-        scene = Scene(
-            name=f"room {self.room}", distance_m=LARGER * distance_m, reflectivity=reflectivity
-        )
+        scene = scene_in_perspective(self.room, LARGER)
         setup = Setup.of(
             scene,
             sensor={"rows": SIDE, "cols": SIDE},
@@ -93,15 +88,8 @@ def cases(apart: bool, link_gbps: float) -> list[Case]:
 
 def measured(asked: Sequence[Case]) -> Measured:
     """Return the measures of each case."""
-    finished = FinishedFiles(build_root() / "pages" / "pulses-apart", MEASURES)
-    finished.folder.mkdir(parents=True, exist_ok=True)
-    with Processes(progress=counted) as run:
-        found: dict[str, dict[str, Any]] = campaign(
-            {case.key: case.setup() for case in asked},
-            partial(read_measures, names=MEASURES),
-            run,
-            finished=finished,
-        )
+    setups = {case.key: case.setup() for case in asked}
+    found = kept_measures("pulses-apart", setups, MEASURES)
     return {case: found[case.key] for case in asked}
 
 

@@ -6,18 +6,17 @@ that was interrupted continues.
 """
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from coincid.lab.campaign import FinishedFiles, Processes, campaign, read_measures
 from coincid.lab.measures import SWEPT
-from coincid.model.shared.folders import build_root
 from coincid.model.shared.markdown import paragraph, text_table
 from coincid.study.sweep_plot import write_plot
 from coincid.study.sweep_spec import Spec, read_spec
-from coincid.tools.pages import counted, folder, picture, put
+from coincid.tools.pages import folder, picture, put
+
+from .kept_measures import kept_measures
 
 FORMATS = "id", "compact", "full", "compact-full"
 FRAME_BEATS = 98  # beats of a frame besides its events: start, end, and counters of 16 subgroups
@@ -27,13 +26,8 @@ Row = dict[str, Any]  # a point's values by key, and its measures by name
 def points(name: str, measures: Sequence[str]) -> tuple[Spec, dict[str, Row]]:
     """Return the SPEC docs/sweep-NAME.toml, and the measures of its points by their keys."""
     spec = read_spec(folder() / "docs" / f"sweep-{name}.toml")
-    finished = FinishedFiles(build_root() / "pages" / f"sweep-{name}", measures)
-    finished.folder.mkdir(parents=True, exist_ok=True)
-    with Processes(progress=counted) as run:
-        setups = {key: point.setup for key, point in spec.keys.items()}
-        return spec, campaign(
-            setups, partial(read_measures, names=measures), run, finished=finished
-        )
+    setups = {key: point.setup for key, point in spec.keys.items()}
+    return spec, kept_measures(f"sweep-{name}", setups, measures)
 
 
 def rows_of(name: str, *measures: str) -> list[Row]:
