@@ -7,6 +7,7 @@ The edges of the first pulses are kept for the views of laser periods; all other
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import Self
 
 import numpy as np
 from attrs import evolve, frozen
@@ -16,6 +17,7 @@ from ..model.contract.edges import Edges
 from ..model.golden.frame import Golden, OpenFrame, Trace
 from ..model.shared.threads import Threads
 from .setup import PhotonInputs
+from .stored_frames import StoredFrames
 
 EDGES_MAX = 1 << 24  # that a run keeps, about 400 MiB
 EDGES_SHOWN_MAX = 1 << 21  # that it keeps for views, if it has more
@@ -39,11 +41,19 @@ class SeenEdges:
 @frozen(eq=False)
 class PlayedFrames:
     """Frames of the golden model, and what is kept of their edges; the fates in `traces` are those
-    of the kept ones. seen: empty if the run keeps all edges.
+    of the kept ones.
+
+    counters: int64[subgroups, 11] of each frame. seen: empty if the run keeps all edges.
     """
 
-    traces: list[Trace]
+    traces: Sequence[Trace]
+    counters: list[np.ndarray]
     seen: list[SeenEdges]
+
+    @classmethod
+    def whole(cls, traces: Sequence[Trace]) -> Self:
+        """Return frames of which all edges are kept."""
+        return cls(traces, [trace.counters for trace in traces], [])
 
 
 def is_long(photons: PhotonInputs) -> bool:
@@ -91,16 +101,16 @@ def play_long_frames(
     """
     pieces = _told_pieces(chunks, config.pulses, config.frames, progress)
     upcoming = next(pieces, None)
-    played = PlayedFrames([], [])
+    stored = StoredFrames()
+    seen = []
+    kept_max = EDGES_SHOWN_MAX // config.frames
     for number in range(config.frames):
-        frame = _LongFrame(golden.begin(config), config.pulses, EDGES_SHOWN_MAX // config.frames)
+        frame = _LongFrame(golden.begin(config), config.pulses, kept_max, stored)
         while upcoming is not None and upcoming[0] == number:
             frame.take(upcoming[1])
             upcoming = next(pieces, None)
-        trace, seen = frame.end()
-        played.traces.append(trace)
-        played.seen.append(seen)
-    return played
+        seen.append(frame.end())
+    return PlayedFrames(stored, stored.counters, seen)
 
 
 def play_last_frame(
@@ -117,22 +127,30 @@ def play_last_frame(
     """
     pulses = players[0][1].pulses
     kept_max = EDGES_SHOWN_MAX // len(players)
-    opened = [_LongFrame(golden.begin(config), pulses, kept_max) for golden, config in players]
+    opened = [
+        _LongFrame(golden.begin(config), pulses, kept_max, StoredFrames())
+        for golden, config in players
+    ]
     with Threads(workers) as threads:
         for number, edges in _told_pieces(chunks, pulses, frames, progress):
             if number == frames - 1:
                 threads.map(partial(_LongFrame.take, edges=edges), opened)
-    ended = [frame.end() for frame in opened]
-    return [PlayedFrames([trace], [seen]) for trace, seen in ended]
+    seen = [frame.end() for frame in opened]
+    return [
+        PlayedFrames(frame.stored, frame.stored.counters, [of_frame])
+        for frame, of_frame in zip(opened, seen, strict=True)
+    ]
 
 
 class _LongFrame:
     """A frame of the golden model that keeps the edges of its first pulses, and their fates.
 
-    pulses: of the frame. kept_max: edges; a pulse is kept whole or not at all.
+    pulses: of the frame. kept_max: edges; a pulse is kept whole or not at all. stored: where its
+    trace goes.
     """
 
-    def __init__(self, opened: OpenFrame, pulses: int, kept_max: int) -> None:
+    def __init__(self, opened: OpenFrame, pulses: int, kept_max: int, stored: StoredFrames) -> None:
+        self.stored = stored
         self._opened = opened
         self._all_pulses = pulses
         self._kept_max = kept_max
@@ -143,6 +161,7 @@ class _LongFrame:
 
     def take(self, edges: Edges) -> None:
         fate = self._opened.take(edges)
+        self.stored.take(self._opened)
         room = self._kept_max - self._total
         self._total += len(edges)
         if room < 0 or self._pulses < self._all_pulses:
@@ -154,6 +173,7 @@ class _LongFrame:
         self._kept.append(edges.take(slice(kept)))
         self._fates.append(fate[:kept])
 
-    def end(self) -> tuple[Trace, SeenEdges]:
-        trace = self._opened.end(np.concatenate(self._fates))
-        return trace, SeenEdges(Edges.joined(self._kept), self._pulses, self._total)
+    def end(self) -> SeenEdges:
+        """End the frame, and return what is kept of its edges."""
+        self.stored.end(self._opened, np.concatenate(self._fates))
+        return SeenEdges(Edges.joined(self._kept), self._pulses, self._total)

@@ -50,6 +50,8 @@ class MeasuredFrame(Protocol):
     @property
     def edge_count(self) -> int: ...
     @property
+    def result(self) -> dict[str, np.ndarray]: ...
+    @property
     def events(self) -> np.ndarray: ...
     @property
     def beats(self) -> np.ndarray: ...
@@ -163,7 +165,7 @@ _SWEPT: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
     "overruns": (
         int,
         "events with the overrun flag: gaps in a subgroup's events",
-        lambda frame: int(frame.run.result["overrun"][frame.events].sum()),
+        lambda frame: int(frame.result["overrun"][frame.events].sum()),
     ),
     "blind_cycles": (
         int,

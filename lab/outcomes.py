@@ -4,8 +4,8 @@ measures.
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
-from functools import cached_property
+from collections.abc import Callable, Hashable, Sequence
+from functools import cached_property, partial
 from threading import Lock
 from typing import Any, Self
 
@@ -16,7 +16,7 @@ from ..model.contract.config import Config
 from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
 from ..model.contract.packet import FORMATS
-from ..model.contract.result import ResultBuilder
+from ..model.contract.result import ResultBuilder, counter_arrays, frame_rows
 from ..model.depth.depth import Depth
 from ..model.depth.estimate import estimate_depth
 from ..model.depth.methods import DEFAULT_METHOD, DEFAULT_SOURCE, Estimator, Method
@@ -56,6 +56,15 @@ class StageCache:
             while len(results) > self.size:
                 results.popitem(last=False)
         return made
+
+    def only(self, stage: str, key: Hashable, make: Callable[[], Any]) -> Any:
+        """Return what `get` returns, but forget the stage's other results before making one, for
+        results of which two do not fit into memory.
+        """
+        with self._lock:
+            if key not in self._stages.get(stage, {}):
+                self._stages.pop(stage, None)
+        return self.get(stage, key, make)
 
 
 class Run:
@@ -99,6 +108,7 @@ class Run:
         self._played_frames = played
         self._result = result
         self._frames: dict[tuple[int, str | None], Frame] = {}
+        self._key = object()  # of what the cache has of this run only
 
     def __repr__(self) -> str:
         """Return one line: scene, size, frames and engine; nothing is computed."""
@@ -215,9 +225,13 @@ class Run:
         return evolve(own, pulse=own.pulse - number * self.config.pulses) if number else own
 
     @property
-    def traces(self) -> list[Trace]:
+    def traces(self) -> Sequence[Trace]:
         """The frames of the golden model, also if another engine plays the setup."""
         return self._frames_of_golden().traces
+
+    def counters(self, number: int) -> np.ndarray:
+        """int64[subgroups, 11]: the counters of a frame of the golden model."""
+        return self._frames_of_golden().counters[number]
 
     def _frames_of_golden(self) -> PlayedFrames:
         if self._played_frames is None:
@@ -245,7 +259,7 @@ class Run:
                 self.frame_edges(k) for k in range(number, min(frames, number + self.workers))
             ]
             traces += model.frames_of(self.config, together, self.workers)
-        return PlayedFrames(traces, [])
+        return PlayedFrames.whole(traces)
 
     @property
     def result(self) -> dict[str, np.ndarray]:
@@ -253,6 +267,30 @@ class Run:
         if self._result is None:
             self._result = with_pulse(self._played(), self.pulse)
         return self._result
+
+    def result_of(self, number: int) -> dict[str, np.ndarray]:
+        """Return the result with the events of one frame at least, and the counters of all frames.
+
+        Of a long run, only one such result is in memory, also if several runs share a cache.
+        """
+        if self.setup.engine != "golden" or not self.is_long or self.has_result:
+            return self.result
+        arrays: dict[str, np.ndarray] = self.cache.only(
+            "result of a frame", (self._key, number), partial(self._decoded, number)
+        )
+        return arrays
+
+    def _decoded(self, number: int) -> dict[str, np.ndarray]:
+        trace = self.traces[number]
+        rows = frame_rows(
+            self.config,
+            trace.beats,
+            trace.commit_subgroup,
+            trace.commit_cycle,
+            number * self.config.pulses,
+        )
+        counters = counter_arrays(self._frames_of_golden().counters)
+        return with_pulse(rows.columns | counters, self.pulse)
 
     @property
     def has_result(self) -> bool:
@@ -293,7 +331,12 @@ class Run:
             "workers": self.workers,
             "pulse": self.pulse,
         } | options
-        return estimate_depth(self.result, self.config, **given)
+        number = given.get("frame")
+        if isinstance(number, int) and 0 <= number < self.config.frames:
+            result = self.result_of(number)
+        else:
+            result = self.result
+        return estimate_depth(result, self.config, **given)
 
     def frame(self, number: int = -1, estimator: Method | None = None) -> "Frame":
         """Return one frame (from the end, if negative) with an estimator; None: the first one of
@@ -364,17 +407,22 @@ class Frame:
         """Number of all edges of the frame."""
         return self.seen_edges.total
 
-    @cached_property
+    @property
+    def result(self) -> dict[str, np.ndarray]:
+        """The result with this frame's events at least (`Run.result_of`)."""
+        return self.run.result_of(self.number)
+
+    @property
     def events(self) -> np.ndarray:
-        """int64[n]: the rows of the result that belong to this frame."""
-        return np.flatnonzero(self.run.result["pulse"] // self.config.pulses == self.number)
+        """int64[n]: the rows of `result` that belong to this frame."""
+        return np.flatnonzero(self.result["pulse"] // self.config.pulses == self.number)
 
     def counter(self, name: str) -> np.ndarray:
         """int64[subgroups]: a counter of the frame; with the golden model it does not need the
         result.
         """
         if self.run.setup.engine == "golden" and not self.run.has_result:
-            return self.trace.counters[:, COUNTER_NAMES.index(name)]
+            return self.run.counters(self.number)[:, COUNTER_NAMES.index(name)]
         return self.run.result[name][self.number]
 
     @cached_property
@@ -396,6 +444,8 @@ class Frame:
         measures use it from here.
         """
         found = self.run.depth(self.estimator, frame=self.number, returns=returns)
+        if self.run.is_long:
+            found = found.with_light()
         if self._first is None:
             self._first = found
         return found

@@ -83,7 +83,7 @@ def scheme_runs(run: Run, threshold: ArrayLike) -> dict[str, Run]:
             own = run.alone(-1, subgroup=settings)
         traces = [golden.frame(own.config, own.frame_edges(k)) for k in range(own.config.frames)]
         runs[name] = Run(
-            own.setup, workers=run.workers, edges=own.edges, played=PlayedFrames(traces, [])
+            own.setup, workers=run.workers, edges=own.edges, played=PlayedFrames.whole(traces)
         )
     return runs
 
@@ -120,7 +120,7 @@ def long_scheme_runs(
             runs[name] = _all_frames_run(golden, own, bar)
         else:
             runs[name] = alone[name]
-            golden.follow(runs[name].config, runs[name].traces[0].counters)
+            golden.follow(runs[name].config, runs[name].counters(0))
     return runs, threshold
 
 
@@ -155,7 +155,7 @@ def _last_frame_runs(
         _stage(bar, "photons, and thresholds of the last frame"),
     )
     return {
-        name: Run(setup, workers=run.workers, played=one)
+        name: Run(setup, cache=run.cache, workers=run.workers, played=one)
         for (name, setup), one in zip(setups.items(), played, strict=True)
     }
 
@@ -168,7 +168,7 @@ def _all_frames_run(golden: Golden, run: Run, bar: Bar) -> Run:
         run.setup.photons.chunks(run.workers),
         _stage(bar, "photons and golden model"),
     )
-    return Run(run.setup, workers=run.workers, played=played)
+    return Run(run.setup, cache=run.cache, workers=run.workers, played=played)
 
 
 def _stage(bar: Bar, name: str) -> Progress:

@@ -9,9 +9,10 @@ while it runs.
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,9 +27,10 @@ from ..lab.outcomes import Frame, Run
 from ..lab.pace import frames_per_s, pulse_energy_j, told_pace
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config, frame_table, own_rule, sensor_table
+from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import subgroup_image
-from ..model.contract.result import ResultBuilder, write_result
+from ..model.contract.result import ResultFile
 from ..model.contract.settings import SUBGROUP
 from ..model.depth.depth import write_depths
 from ..model.depth.estimate import estimate_depth
@@ -70,6 +72,7 @@ LIGHT = "light.png"  # the estimated light, by the estimator of the first pictur
 LINK_GBPS = 8.0  # if nothing else sets the rate: the pins of such a chip can carry this much
 # if the configuration sets no format: such a link carries the most events in it
 LINK_FORMAT = "compact"
+PAGE_EVENTS_MAX = 3_000_000  # in the report's page, about 100 MB
 SLOW_ENGINE, SLOW_SETTLING = "icarus", 2
 Progressed = Callable[[int], None]
 
@@ -79,13 +82,12 @@ class Played:
     """All frames of the schemes, which one sensor played in turn.
 
     runs: one per scheme, with the golden model's traces; its last frame represents the scheme.
-    arrays: the result file (`model/contract/result.py`) of all frames. cycles: of all frames;
-    checked: number of compared beats and commits;
+    result: all frames. cycles: of all frames; checked: number of compared beats and commits;
     seconds: time that the engine took. wave: path of the waveform or None.
     """
 
     runs: dict[str, Run]
-    arrays: dict[str, np.ndarray]
+    result: ResultFile
     cycles: int
     checked: int
     seconds: float
@@ -146,7 +148,7 @@ def play_runs(
     chosen = chosen_view(engine, view, config.clock_mhz)
     wave: Path | None = None
     seconds = golden.seconds
-    frames: Sequence[Trace | Recorded] = [trace for one in runs.values() for trace in one.traces]
+    frames: Iterable[Trace | Recorded] = chain.from_iterable(one.traces for one in runs.values())
     if chosen is not None:
         from ..tb.play import play
 
@@ -158,11 +160,14 @@ def play_runs(
         began = time.perf_counter()
         frames, wave = play(jobs, engine, out, waves=waves, progress=progress, view=chosen)
         seconds = time.perf_counter() - began
-    result = ResultBuilder(config)
+    result = ResultFile(config)
+    cycles = 0
+    checked = 0
     for frame in frames:
         result.add(frame.beats, frame.commit_subgroup, frame.commit_cycle)
-    checked = sum(getattr(frame, "checked", 0) for frame in frames)
-    return Played(runs, result.arrays(), sum(map(_cycles, frames)), checked, seconds, wave)
+        cycles += _cycles(frame)
+        checked += getattr(frame, "checked", 0)
+    return Played(runs, result, cycles, checked, seconds, wave)
 
 
 def _cycles(frame: Recorded | Trace) -> int:
@@ -254,9 +259,15 @@ def simulate_to_folder(
             bar.stage("depth of all frames")
             shares |= _write_frames(out, heading, played)
             results += [out / DEPTHS, out / ANIMATION]
-    write_result(out / EVENTS, with_pulse(played.arrays, run.pulse))
+    played.result.write(out / EVENTS, with_pulse({}, run.pulse))
     list(played.frames.values())[-1].first.save(out / DEPTH)
-    if not _write_report_page(out / PAGE, heading, titles, played.frames):
+    notes = [*run.scene.notes, *run.light.notes()]
+    on_page = sum(int(frame.counter("stored").sum()) for frame in played.frames.values())
+    if on_page > PAGE_EVENTS_MAX:
+        notes.append(
+            f"{PAGE} is left out: its frames have {on_page:,} events, {PAGE_EVENTS_MAX:,} fit on it"
+        )
+    if not _write_report_page(out / PAGE, heading, titles, played.frames, on_page):
         results.remove(out / PAGE)
     report = _report(played) | shares | given
     _write_report(out, report)
@@ -269,7 +280,7 @@ def simulate_to_folder(
     else:
         for path in out.glob(f"{TOP}.*"):  # from an earlier run
             path.unlink()
-    _tell(console, (*run.scene.notes, *run.light.notes()), config, titles, report, written)
+    _tell(console, notes, config, titles, report, written)
     return report
 
 
@@ -308,11 +319,16 @@ def _prepare(engine: str, sensor: Sensor, waves: bool, view: "View | None") -> N
 
 
 def _write_report_page(
-    path: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]
+    path: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame], events: int
 ) -> bool:
-    """Write the views of the compared frames as one HTML file; return False if the extra `explore`
-    is not installed.
+    """Write the views of the compared frames as one HTML file; return False if they have too many
+    events for a page, or if the extra `explore` is not installed.
+
+    events: number of all events of these frames.
     """
+    if events > PAGE_EVENTS_MAX:
+        path.unlink(missing_ok=True)  # from an earlier run
+        return False
     try:
         with extra("explore"):
             from .show.report import write_report
@@ -395,12 +411,12 @@ def _report(played: Played) -> dict[str, Any]:
     """Return the report with flat keys: totals of all frames, and numbers of a scheme under keys
     that end with its name.
     """
-    arrays = played.arrays
+    dropped = COUNTER_NAMES.index("dropped")
     report: dict[str, Any] = {
         "cycles": played.cycles,
         "edges": sum(run.edge_count for run in played.runs.values()),
-        "events": len(arrays["pulse"]),
-        "dropped": int(arrays["dropped"].sum()),
+        "events": played.result.events,
+        "dropped": sum(int(of_frame[:, dropped].sum()) for of_frame in played.result.counters),
         "mismatches": 0,
         "checked": played.checked,
         "cycles_per_s": round(played.cycles / played.seconds, 1),
@@ -448,7 +464,7 @@ def _span(values: np.ndarray) -> str:
 
 def _tell(
     console: Console,
-    notes: tuple[str, ...],
+    notes: list[str],
     config: Config,
     titles: dict[str, str],
     report: dict[str, Any],

@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results as arrays: built from the beats of any engine, compared, written and read."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..shared import pulse
-from ..shared.files import FilePath, read_npz, write_npz
+from ..shared.files import FilePath, GrowingNpz, read_npz, write_npz
 from .config import Config
 from .counters import COUNTER_NAMES
-from .packet import FORMATS, HEADER
-from .stream import decode_frame
+from .packet import FORMATS
+from .stream import COLUMN, decode_frame
 
 EVENT_FIELDS = ("subgroup", "pulse", "stamp", "count", "winner", "overrun")
 EVENT_COLUMNS = (*EVENT_FIELDS, "commit_cycle")  # arrays with one value per event
@@ -21,14 +22,89 @@ OPTIONAL = ("hits", "mg_offset", "fate", *pulse.ARRAYS)
 NOT_SENT = {"fate", *pulse.ARRAYS}  # known of a simulation, not sent by the sensor
 
 
-class ResultBuilder:
-    """Collector of frames for the arrays of a result file."""
+class FrameRows(NamedTuple):
+    """Rows that a frame adds to a result file."""
+
+    columns: dict[str, np.ndarray]  # events and records, in the order of the file
+    counters: np.ndarray  # int64[subgroups, 11]
+
+
+def frame_rows(
+    config: Config,
+    beats: list[np.ndarray],
+    commit_subgroup: np.ndarray | None = None,
+    commit_cycle: np.ndarray | None = None,
+    first_pulse: int = 0,
+) -> FrameRows:
+    """Return the rows of a frame: from its beats per stream, and subgroups and commit cycles of its
+    stored events (by time in a subgroup).
+
+    first_pulse: number of the frame's first pulse in the file. Without commit cycles, these are
+    `COMMIT_UNKNOWN`, because they cannot be seen outside the chip. Raises `StreamError` if the
+    beats are not a whole frame, and `ValueError` if more or fewer events left than were stored.
+    """
+    sensor = config.sensor
+    counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
+    frames = []
+    for k, stream in enumerate(beats):
+        subgroups = sensor.stream_subgroups(k)
+        frame = decode_frame(stream, sensor, len(subgroups)).check()
+        counters[subgroups] = frame.counters
+        frames.append(frame)
+
+    columns = {
+        name: np.concatenate([frame.events[:, COLUMN[name]] for frame in frames])
+        for name in EVENT_FIELDS
+    }
+    columns["pulse"] += first_pulse
+    columns["overrun"] = columns["overrun"].astype(bool)
+    columns["commit_cycle"] = _commit_cycles(columns["subgroup"], commit_subgroup, commit_cycle)
+    packet = FORMATS[config.format]
+    if packet.has("map"):
+        columns["hits"] = np.concatenate([frame.hits for frame in frames])
+    if packet.has("offsets"):
+        columns["mg_offset"] = np.concatenate([frame.offsets for frame in frames])
+    records = np.concatenate([frame.records for frame in frames])
+    entries = np.concatenate([frame.entries for frame in frames])
+    columns["mg_subgroup"] = records[:, 0]
+    columns["mg_pulse"] = records[:, 1] + first_pulse
+    columns["mg_stamp"] = entries[:, :, 0].astype(np.uint16)
+    columns["mg_map"] = entries[:, :, 1].astype(np.uint16)
+    return FrameRows(columns, counters)
+
+
+def _commit_cycles(
+    subgroup: np.ndarray, commit_subgroup: np.ndarray | None, commit_cycle: np.ndarray | None
+) -> np.ndarray:
+    """int64[n]: commit cycles of events, which left the sensor in this order of their subgroups."""
+    if commit_subgroup is None or commit_cycle is None:
+        return np.full(len(subgroup), COMMIT_UNKNOWN)
+    order = np.argsort(commit_subgroup, kind="stable")
+    left = np.argsort(subgroup, kind="stable")
+    if not np.array_equal(subgroup[left], commit_subgroup[order]):
+        raise ValueError("the events that left the sensor are not the ones that its FIFOs stored")
+    commit = np.empty(len(subgroup), np.int64)
+    commit[left] = commit_cycle[order]
+    return commit
+
+
+def counter_arrays(counters: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the counters of all frames as arrays of a result file, int64[frames, subgroups].
+
+    counters: int64[subgroups, 11] of each frame.
+    """
+    return {
+        name: np.stack([of_frame[:, i] for of_frame in counters])
+        for i, name in enumerate(COUNTER_NAMES)
+    }
+
+
+class _Collector:
+    """Collector of frames; `_append` keeps the columns of one."""
 
     def __init__(self, config: Config):
         self.config = config
-        self._events: list[tuple[np.ndarray, ...]] = []
-        self._records: list[tuple[np.ndarray, ...]] = []
-        self._counters: list[np.ndarray] = []
+        self.counters: list[np.ndarray] = []  # int64[subgroups, 11] of each frame
 
     def add(
         self,
@@ -36,71 +112,54 @@ class ResultBuilder:
         commit_subgroup: np.ndarray | None = None,
         commit_cycle: np.ndarray | None = None,
     ) -> None:
-        """Add a frame: its beats per stream, and subgroups and commit cycles of its stored
-        events (by time in a subgroup).
+        """Add a frame. Parameters and errors are those of `frame_rows`."""
+        first_pulse = len(self.counters) * self.config.pulses
+        rows = frame_rows(self.config, beats, commit_subgroup, commit_cycle, first_pulse)
+        self._append(rows.columns)
+        self.counters.append(rows.counters)
 
-        Without the latter, the commit cycles are `COMMIT_UNKNOWN`, because they cannot be seen
-        outside the chip. Raises `StreamError` if the beats are not a whole frame, and
-        `ValueError` if more or fewer events left than were stored.
-        """
-        sensor = self.config.sensor
-        base = len(self._counters) * self.config.pulses
-        counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
-        subgroups = [len(sensor.stream_subgroups(k)) for k in range(sensor.streams)]
-        frames = [
-            decode_frame(stream, sensor, n).check()
-            for stream, n in zip(beats, subgroups, strict=True)
-        ]
-        for k, frame in enumerate(frames):
-            counters[sensor.stream_subgroups(k)] = frame.counters
-        columns = dict(
-            zip(HEADER, np.concatenate([frame.events for frame in frames]).T, strict=True)
-        )
-        commit = np.full(len(columns["subgroup"]), COMMIT_UNKNOWN)
-        if commit_subgroup is not None and commit_cycle is not None:
-            order = np.argsort(commit_subgroup, kind="stable")
-            left = np.argsort(columns["subgroup"], kind="stable")
-            if not np.array_equal(columns["subgroup"][left], commit_subgroup[order]):
-                raise ValueError(
-                    "the events that left the sensor are not the ones that its FIFOs stored"
-                )
-            commit[left] = commit_cycle[order]
-        columns["pulse"] = columns["pulse"] + base
-        hits, offsets, records, entries = (
-            np.concatenate([getattr(frame, name) for frame in frames])
-            for name in ("hits", "offsets", "records", "entries")
-        )
-        self._events.append((*(columns[name] for name in EVENT_FIELDS), commit, hits, offsets))
-        self._records.append((records[:, 0], records[:, 1] + base, entries))
-        self._counters.append(counters)
+    def _append(self, columns: dict[str, np.ndarray]) -> None:
+        raise NotImplementedError
+
+
+class ResultBuilder(_Collector):
+    """Collector of frames for the arrays of a result file."""
+
+    def __init__(self, config: Config):
+        super().__init__(config)
+        self._columns: list[dict[str, np.ndarray]] = []
+
+    def _append(self, columns: dict[str, np.ndarray]) -> None:
+        self._columns.append(columns)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of the result file, with rows frame by frame, and stream by stream
         within a frame.
         """
-        *fields, commit, hits, offsets = (
-            np.concatenate(column) for column in zip(*self._events, strict=True)
-        )
-        result = dict(zip(EVENT_FIELDS, fields, strict=True))
-        result["overrun"] = result["overrun"].astype(bool)
-        result["commit_cycle"] = commit
-        packet = FORMATS[self.config.format]
-        if packet.has("map"):
-            result["hits"] = hits
-        if packet.has("offsets"):
-            result["mg_offset"] = offsets
-        subgroup, pulse, entries = (
-            np.concatenate(column) for column in zip(*self._records, strict=True)
-        )
-        result |= {"mg_subgroup": subgroup, "mg_pulse": pulse}
-        result |= {
-            "mg_stamp": entries[:, :, 0].astype(np.uint16),
-            "mg_map": entries[:, :, 1].astype(np.uint16),
+        columns = {
+            name: np.concatenate([of_frame[name] for of_frame in self._columns])
+            for name in self._columns[0]
         }
-        return result | {
-            name: np.stack([frame[:, i] for frame in self._counters])
-            for i, name in enumerate(COUNTER_NAMES)
-        }
+        return columns | counter_arrays(self.counters)
+
+
+class ResultFile(_Collector):
+    """Collector of frames for a result file; the frames may be larger than the memory."""
+
+    def __init__(self, config: Config):
+        super().__init__(config)
+        self.events = 0
+        self._columns = GrowingNpz()
+
+    def _append(self, columns: dict[str, np.ndarray]) -> None:
+        self._columns.append(columns)
+        self.events += len(columns["pulse"])
+
+    def write(self, path: FilePath, others: dict[str, np.ndarray]) -> None:
+        """Write the file that `write_result` writes of these frames, with other arrays behind
+        theirs. Raises `InputError` for another suffix.
+        """
+        self._columns.write(path, counter_arrays(self.counters) | others)
 
 
 def events_table(arrays: dict[str, np.ndarray]) -> Any:

@@ -46,69 +46,69 @@ def cluster_events(
     pulses: number of pulses in which the events came. reach: ticks from the centre of a pulse to
     its beginning and end. offsets: are they used? Then no cluster is like another.
     """
+    return [
+        _of_subgroup(events, s, config, pulses, reach, offsets)
+        for s in range(config.sensor.subgroups)
+    ]
+
+
+def _of_subgroup(
+    events: Events, s: int, config: Config, pulses: int, reach: int, offsets: bool
+) -> SubgroupEvents:
+    """Return the events of subgroup `s`. The other arguments are those of `cluster_events`."""
     sensor = config.sensor
-    subgroup = np.repeat(np.arange(sensor.subgroups), np.diff(events.bounds))
-    stamp = events.stamp
-    pulse = events.pulse % pulses
-    armed = armed_ticks(stamp, events.window[subgroup], config)
-    previous = _previous_armed(armed, pulse, subgroup)
-    earliest = np.maximum(_gate_opens(events, config), previous)
+    span = slice(events.bounds[s], events.bounds[s + 1])
+    window = int(events.window[s])
+    stamp = events.stamp[span]
+    pulse = events.pulse[span] % pulses
+    overrun = events.overrun[span]
+    armed = armed_ticks(stamp, window, config)
+    previous = _previous_armed(armed, pulse)
+    earliest = np.maximum(_gate_opens(pulse, s, config), previous)
     cycle = stamp // sensor.phases * sensor.phases
     known = np.minimum(stamp, np.maximum(earliest, cycle))
     # No window that opened before ends later.
-    quiet_from = cycle - sensor.rearm * sensor.phases - events.window[subgroup] + 1
+    quiet_from = cycle - sensor.rearm * sensor.phases - window + 1
     quiet = np.minimum(known, np.maximum(earliest, quiet_from))
     joins = (previous >= 0) & (quiet <= previous + 2 * reach)
     since = np.where(joins, np.minimum(previous, quiet), NEVER)
-    kind = _kind(events, subgroup, config.period_ticks)
+    kind = _kind(stamp, overrun)
     clusters = np.flatnonzero(since == NEVER)
     clusters = clusters[np.argsort(kind[clusters], kind="stable")]
     begins = np.ones(len(clusters), bool)
     if not offsets:
         single = np.append(since[1:] == NEVER, True)
         begins = _begin_groups(clusters, single, kind, known, quiet)
-    bounds = np.searchsorted(subgroup[clusters], np.arange(sensor.subgroups + 1))
-    found = []
-    for s in range(sensor.subgroups):
-        span = slice(events.bounds[s], events.bounds[s + 1])
-        here = slice(bounds[s], bounds[s + 1])
-        of_subgroup = SubgroupEvents(
-            stamp=stamp[span],
-            armed=armed[span],
-            pulse=pulse[span],
-            winner=events.winner[span],
-            hits=events.hits[span],
-            offset=events.offset[span],
-            overrun=events.overrun[span],
-            known=known[span],
-            quiet=quiet[span],
-            since=since[span],
-            clusters=clusters[here] - events.bounds[s],
-            alike=np.append(np.flatnonzero(begins[here]), bounds[s + 1] - bounds[s]),
-            shares=np.empty((0, 0), np.float32),
-        )
-        found.append(of_subgroup)
-    return found
+    return SubgroupEvents(
+        stamp=stamp,
+        armed=armed,
+        pulse=pulse,
+        winner=events.winner[span],
+        hits=events.hits[span],
+        offset=events.offset[span],
+        overrun=overrun,
+        known=known,
+        quiet=quiet,
+        since=since,
+        clusters=clusters,
+        alike=np.append(np.flatnonzero(begins), len(clusters)),
+        shares=np.empty((0, 0), np.float32),
+    )
 
 
-def _previous_armed(armed: np.ndarray, pulse: np.ndarray, subgroup: np.ndarray) -> np.ndarray:
-    """int64[n]: `armed` of the event before, -1 if that was in another pulse or subgroup."""
-    same_pulse = (pulse[1:] == pulse[:-1]) & (subgroup[1:] == subgroup[:-1])
+def _previous_armed(armed: np.ndarray, pulse: np.ndarray) -> np.ndarray:
+    """int64[n]: `armed` of the event before, -1 if that was in another pulse."""
+    same_pulse = pulse[1:] == pulse[:-1]
     previous = np.full(len(armed), -1)
     previous[1:][same_pulse] = armed[:-1][same_pulse]
     return previous
 
 
-def _kind(events: Events, subgroup: np.ndarray, ticks: int) -> np.ndarray:
-    """int64[n]: a number for each subgroup, stamp, and drops before and after the event.
-
-    They ascend by subgroup.
-    """
-    overrun = events.overrun
-    followed = np.append(overrun[1:], False)  # does the next event carry `overrun`,
-    last = events.bounds[1:][np.diff(events.bounds) > 0] - 1
-    followed[last] = overrun[last]  # or the last one itself?
-    return ((subgroup * ticks + events.stamp) * 2 + overrun) * 2 + followed
+def _kind(stamp: np.ndarray, overrun: np.ndarray) -> np.ndarray:
+    """int64[n]: a number for each stamp, and drops before and after the event."""
+    # Does the next event carry `overrun`, or the last one itself?
+    followed = np.append(overrun[1:], overrun[-1:])
+    return (stamp * 2 + overrun) * 2 + followed
 
 
 def _begin_groups(
@@ -126,11 +126,15 @@ def _begin_groups(
     return np.concatenate([np.ones(min(1, len(clusters)), bool), ~same])
 
 
-def _gate_opens(events: Events, config: Config) -> np.ndarray:
-    """int64[n]: tick at which the gate opened in each event's pulse, 0 without gating."""
-    subgroup = np.repeat(np.arange(config.sensor.subgroups), np.diff(events.bounds))
-    cycle = config.gate_start[subgroup] + gate_moved(config, events.pulse % config.pulses)
-    return np.where(config.gating[subgroup], cycle * config.sensor.phases, 0)
+def _gate_opens(pulse: np.ndarray, s: int, config: Config) -> np.ndarray:
+    """int64[n]: tick at which the gate of subgroup `s` opened in each pulse, 0 without gating.
+
+    pulse: int64[n].
+    """
+    if not config.gating[s]:
+        return np.zeros_like(pulse)
+    in_frame = pulse % config.pulses
+    return (config.gate_start[s] + gate_moved(config, in_frame)) * config.sensor.phases
 
 
 def gate_moved(config: Config, pulse: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from attrs import field, frozen
+from attrs import evolve, field, frozen
 from numpy.typing import ArrayLike
 
 from ..shared.files import FilePath, write_npz
@@ -60,6 +60,10 @@ class Depth:
     @cached_property
     def _intensity(self) -> "Intensity | None":
         return self.light() if callable(self.light) else self.light
+
+    def with_light(self) -> "Depth":
+        """Return this depth with its light computed, so that no event is kept for it."""
+        return evolve(self, light=self._intensity)
 
     @property
     def signal_per_pulse(self) -> np.ndarray | None:

@@ -21,6 +21,7 @@ from ..shared.quantities import check_choice
 from ..shared.threads import Threads
 from .arrivals import SYSTEM_FWHM_S
 from .belief import Signs, believe, find_signs
+from .clusters import cluster_events
 from .depth import Depth
 from .histograms import (
     Events,
@@ -272,6 +273,7 @@ def find_returns(
             returns=returns,
             threads=threads,
         )
+        cluster_events.cache_clear()  # the events of this frame need not stay in memory
         return Found(*parts, events, pulses, shape, everywhere=False)
     live, group = (
         _live(arrays, events, config, source, frame) if method == "background" else (None, None)

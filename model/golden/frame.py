@@ -29,7 +29,7 @@ from ..shared.threads import Threads
 from .controller import Controller
 from .front_end import Events, Records, Rules, Settings, Timeline, front_end, time_order
 from .judgement import judged, thresholds_of_candidates
-from .readout import Readout, Stream
+from .readout import Readout, Sent, Stream
 from .receiver import Receiver, receiver_of
 from .shape import COUNTER, Shape, shape_of
 
@@ -56,6 +56,13 @@ class Trace:
     fate: np.ndarray
     counters: np.ndarray
     budget: np.ndarray
+
+
+class Ending(NamedTuple):
+    """What is known when a frame ends."""
+
+    counters: np.ndarray  # int64[subgroups, 11]
+    budget: np.ndarray  # int64[streams], of the threshold controller after the frame
 
 
 class Golden:
@@ -196,29 +203,51 @@ class OpenFrame:
             )
         return fate
 
-    def end(self, fate: np.ndarray) -> Trace:
-        """End the frame; the controller sets the next budget. fate: of the trace."""
+    def sent(self) -> list[Sent]:
+        """Take out what has left each stream since the last call, and does not change any more.
+
+        Without a call, a frame keeps it for `end`.
+        """
+        return [readout.sent() for readout in self._readouts]
+
+    def close(self) -> Ending:
+        """End the frame; the controller sets the next budget. `sent` has the rest of the frame."""
         sensor = self._config.sensor
         counters = self._counters
         counters[:, COUNTER.threshold_used] = self._plan.threshold
         np.minimum(counters, sensor.counter_max, out=counters)
         if not sensor.controller:
             counters[:, COUNTER.lower] = 0
-        ended = [readout.end(self._plan.end, counters) for readout in self._readouts]
-        beats, beat_cycle, commits = (list(column) for column in zip(*ended, strict=True))
-        subgroup, cycle, freed_cycle = (
-            np.concatenate(column) for column in zip(*commits, strict=True)
-        )
-        return Trace(
-            beats=beats,
-            beat_cycle=beat_cycle,
-            commit_subgroup=subgroup,
-            commit_cycle=cycle,
-            freed_cycle=freed_cycle,
-            fate=fate,
-            counters=counters,
-            budget=self._golden.controller.end(self._config, counters),
-        )
+        for readout in self._readouts:
+            readout.end(self._plan.end, counters)
+        return Ending(counters, self._golden.controller.end(self._config, counters))
+
+    def end(self, fate: np.ndarray) -> Trace:
+        """End a frame from which nothing was taken out. fate: of the trace."""
+        ending = self.close()
+        return trace_of([[sent] for sent in self.sent()], ending, fate)
+
+
+def trace_of(pieces: Sequence[Sequence[Sent]], ending: Ending, fate: np.ndarray) -> Trace:
+    """Return the trace of a frame from the pieces of each stream, in their order.
+
+    fate: uint8 per edge.
+    """
+    subgroup, cycle, freed_cycle = (
+        np.concatenate([getattr(sent, name) for of_stream in pieces for sent in of_stream])
+        for name in ("subgroup", "committed_at", "freed_at")
+    )
+    order = np.argsort(subgroup, kind="stable")
+    return Trace(
+        beats=[np.concatenate([sent.beats for sent in of_stream]) for of_stream in pieces],
+        beat_cycle=[np.concatenate([sent.sent_at for sent in of_stream]) for of_stream in pieces],
+        commit_subgroup=subgroup[order],
+        commit_cycle=cycle[order],
+        freed_cycle=freed_cycle[order],
+        fate=fate,
+        counters=ending.counters,
+        budget=ending.budget,
+    )
 
 
 def _pieces(pulse: np.ndarray) -> Iterator[slice]:

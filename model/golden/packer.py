@@ -62,28 +62,52 @@ def new_packer() -> np.ndarray:
     return state
 
 
-def room_for_groups(most: int, shape: Shape, receiver: Receiver) -> Packed:
-    """Return room for the groups of `most` beats.
-
-    A group of one event takes at most two beats more than the event: one for its head and check,
-    one that they fill in part.
-    """
-    # equivalent (one more): room for more beats
-    most = 3 * most if shape.grouped else 0
+def room_for_groups(shape: Shape, receiver: Receiver) -> Packed:
+    """Return room for no group yet (`more_room`)."""
     return Packed(
-        beats=np.zeros(most, np.uint64),
-        sent_at=np.empty(most, np.int64),
+        beats=np.empty(0, np.uint64),
+        sent_at=np.empty(0, np.int64),
         listed=np.empty(shape.pixels, np.int64),
         receiver=receiver,
     )
 
 
-def more_room(room: Packed, most: int, shape: Shape) -> Packed:
-    """Return room for the groups of `most` beats, with the content of `room`, which has less."""
-    longer = room_for_groups(most, shape, room.receiver)
+def more_room(packer: np.void, room: Packed, beats: int, shape: Shape) -> Packed:
+    """Return room for the groups of so many more beats, with the content of `room`.
+
+    A group of one event takes at most two beats more than the event: one for its head and check,
+    one that they fill in part.
+    """
+    if not shape.grouped:
+        return room
+    # equivalent (one more): room for more beats
+    most = int(packer["beat"]) + 1 + 3 * beats
+    if most <= len(room.beats):
+        return room
+    most = max(most, 2 * len(room.beats))
+    longer = room._replace(beats=np.zeros(most, np.uint64), sent_at=np.empty(most, np.int64))
     longer.beats[: len(room.beats)] = room.beats
     longer.sent_at[: len(room.sent_at)] = room.sent_at
     return longer
+
+
+def take_groups(packer: np.void, room: Packed) -> tuple[np.ndarray, np.ndarray]:
+    """Take the beats of all groups that have ended out of `room`; return them, and the cycles of
+    their transfer.
+    """
+    beat = int(packer["beat"])
+    begins = int(packer["begins"])
+    done = beat if begins == _NONE else begins
+    beats = room.beats[:done].copy()
+    sent_at = room.sent_at[:done].copy()
+    filling = beat + 1 - done  # beats of the open group, with the one that is being filled
+    room.beats[:filling] = room.beats[done : beat + 1].copy()
+    room.beats[filling : beat + 1] = 0
+    room.sent_at[:filling] = room.sent_at[done : beat + 1].copy()
+    packer["beat"] = beat - done
+    if begins != _NONE:
+        packer["begins"] = 0
+    return beats, sent_at
 
 
 @part
@@ -103,11 +127,8 @@ def pack_event(
     """
     packer.taken = max(read_at + 1, packer.formed)
     packer.form_from = packer.taken + 1
-    # equivalent (packer.begins >= 0: GtE): no group begins with the frame's first beat
-    # equivalent (0: one more): no group begins with the frame's first beat
     if packer.begins >= 0 and not 0 <= packer.pulse - event.pulse <= groups.AGE_MAX:
         close_group(packer, out, packer.form_from)
-    # equivalent: no group begins with the frame's first beat
     if packer.begins < 0:
         _open_group(packer, out, event.pulse, shape)
     begin = packer.beat * groups.PAYLOAD_BITS + packer.filled
@@ -242,11 +263,9 @@ def close_group(packer: Any, out: Packed, cycle: int) -> None:
 
     Its end is formed in `cycle` or, if a part waits there, later.
     """
-    # equivalent: no group begins with the frame's first beat
     if packer.begins >= 0:
         packer.formed = max(cycle, packer.packed)
         packer.beat_from = max(packer.beat_from, packer.formed + 1)
-    # equivalent: no group begins with the frame's first beat
     while packer.begins >= 0:
         last = packer.filled <= groups.CHECK_LSB
         if last:

@@ -18,7 +18,15 @@ from ..contract.counters import COUNTER_BITS
 from ..contract.packet import BEAT_BITS, FRAME_END, FRAME_START, KIND_LSB, OFFSETS, RECORD
 from ..shared.compiled import njit, part
 from .front_end import Events, Records, room_for_events, room_for_records
-from .packer import Packed, close_group, more_room, new_packer, pack_event, room_for_groups
+from .packer import (
+    Packed,
+    close_group,
+    more_room,
+    new_packer,
+    pack_event,
+    room_for_groups,
+    take_groups,
+)
 from .queues import NONE, Commits, join, new_queues, split
 from .receiver import Receiver, taken_from
 from .shape import ARRAY, COUNTER, NUMBER, Shape, row_type
@@ -60,8 +68,23 @@ class _Room(NamedTuple):
     receiver: Receiver  # of the beats
 
 
+class Sent(NamedTuple):
+    """What has left a stream, and what it has committed, since the last such piece."""
+
+    beats: np.ndarray  # uint64[n]
+    sent_at: np.ndarray  # int64[n], cycles of their transfer
+    # int64[k], of stored events whose place is free again, by subgroup and then by time:
+    subgroup: np.ndarray  # number in the sensor
+    committed_at: np.ndarray  # cycle of the commit
+    freed_at: np.ndarray  # from this cycle on, the event's place is free
+
+
 class Readout:
-    """Readout of a stream in a frame. It takes the frame in pieces."""
+    """Readout of a stream in a frame. It takes the frame in pieces.
+
+    `sent` hands out what is finished, so that the memory of a readout does not depend on the length
+    of the frame.
+    """
 
     def __init__(self, stream: Stream, shape: Shape, receiver: Receiver) -> None:
         self._stream = stream
@@ -74,7 +97,7 @@ class Readout:
             beats=np.empty(0, np.uint64),
             sent_at=np.empty(0, np.int64),
             values=np.zeros(ARRAY + shape.longest_word, np.uint64),
-            packed=room_for_groups(0, shape, receiver),
+            packed=room_for_groups(shape, receiver),
             receiver=receiver,
         )
         self._nothing = (
@@ -82,6 +105,7 @@ class Readout:
             room_for_records(0, shape, stream.subgroups),
         )
         self._kept = self._nothing
+        self._handed = 0  # beats of the room that `sent` has handed out
         self._commits: list[Commits] = []
         self._make_room(_HEAD_BEATS)
         _begin(stream, shape, self._room, self._place, self._packers)
@@ -110,32 +134,44 @@ class Readout:
         self._kept, commits = split(queues, events, records)
         self._commits.append(commits)
 
-    def end(self, end: int, counters: np.ndarray) -> tuple[np.ndarray, np.ndarray, Commits]:
-        """End the frame, whose last period ends in cycle `end`. Return its beats, the cycles of
-        their transfer, and the commits; set the counters of FIFOs in `counters`.
+    def sent(self) -> Sent:
+        """Take out the beats that nothing changes any more, and the commits of the events whose
+        place is free again.
+        """
+        place = self._place[0]
+        room = self._room
+        done = int(place["done"])
+        beats = room.beats[self._handed : done].copy()
+        sent_at = room.sent_at[self._handed : done].copy()
+        kept = min(done, self._shape.output_depth)
+        _keep_only(room.beats, done - kept, kept)
+        _keep_only(room.sent_at, done - kept, kept)
+        place["done"] = kept
+        self._handed = kept
+        if self._shape.grouped:
+            beats, sent_at = take_groups(self._packers[0], room.packed)
+        return Sent(beats, sent_at, *self._take_commits())
+
+    def end(self, end: int, counters: np.ndarray) -> None:
+        """End the frame, whose last period ends in cycle `end`, and set the counters of FIFOs in
+        `counters`. `sent` hands out the rest.
         """
         self.take(*self._nothing, int(_NEVER))
         self._make_room(_END_BEATS + self._stream.subgroups * self._shape.counter_beats)
         _end(self._stream, self._shape, self._room, self._place, self._packers, end, counters)
-        done = int(self._place["done"][0])
-        beats = self._room.beats
-        sent_at = self._room.sent_at
-        if self._shape.grouped:
-            done = int(self._packers["beat"][0])
-            beats = self._room.packed.beats
-            sent_at = self._room.packed.sent_at
-        return beats[:done].copy(), sent_at[:done].copy(), self._all_commits()
-
-    def _all_commits(self) -> Commits:
-        """Return the commits of all pieces."""
         kept = self._kept[0]
         occupying = Commits(
             np.repeat(np.arange(self._stream.subgroups), np.diff(kept.bounds)),
             kept.row["cycle"],
             kept.row["free_at"],
         )
-        columns = zip(*self._commits, occupying, strict=True)
+        self._commits.append(occupying)
+
+    def _take_commits(self) -> Commits:
+        """Take out the commits, by subgroup; subgroups have their numbers in the sensor."""
+        columns = zip(_no_commits(), *self._commits, strict=True)
         subgroup, cycle, freed_at = (np.concatenate(column) for column in columns)
+        self._commits = []
         order = np.argsort(subgroup, kind="stable")
         return Commits(subgroup[order] + self._stream.first, cycle[order], freed_at[order])
 
@@ -145,11 +181,21 @@ class Readout:
         most = int(self._place["done"][0]) + beats
         if most > len(room.beats):
             most = max(most, 2 * len(room.beats))
-            self._room = room._replace(
-                beats=_longer(room.beats, most),
-                sent_at=_longer(room.sent_at, most),
-                packed=more_room(room.packed, most, self._shape),
+            room = room._replace(
+                beats=_longer(room.beats, most), sent_at=_longer(room.sent_at, most)
             )
+        self._room = room._replace(
+            packed=more_room(self._packers[0], room.packed, beats, self._shape)
+        )
+
+
+def _no_commits() -> Commits:
+    return Commits(*(np.empty(0, np.int64) for _ in Commits._fields))
+
+
+def _keep_only(array: np.ndarray, first: int, number: int) -> None:
+    """Move so many items, from `first` on, to the array's beginning."""
+    array[:number] = array[first : first + number].copy()
 
 
 def _longer(array: np.ndarray, length: int) -> np.ndarray:

@@ -13,6 +13,7 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 
 from .errors import InputError
+from .spool import Block, Spool
 
 FilePath: TypeAlias = str | os.PathLike[str]
 NPY_START = b"\x93NUMPY"  # first bytes of a file with a single array
@@ -86,6 +87,45 @@ def write_npz(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
     check_suffix(path, ".npz")
     with whole_file(path) as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # no array is called allow_pickle
+
+
+class GrowingNpz:
+    """Arrays whose rows come one after the other, for an NPZ file that does not fit into memory."""
+
+    def __init__(self) -> None:
+        self._spool = Spool()
+        self._blocks: dict[str, list[Block]] = {}
+
+    def append(self, arrays: dict[str, np.ndarray]) -> None:
+        """Append rows to the arrays of these names."""
+        for name, rows in arrays.items():
+            self._blocks.setdefault(name, []).append(self._spool.put(rows))
+
+    def write(self, path: FilePath, others: dict[str, np.ndarray]) -> None:
+        """Write the file that `write_npz` would write of the arrays, and then of others.
+
+        Raises `InputError` if the file's name does not end with .npz.
+        """
+        check_suffix(path, ".npz")
+        with whole_file(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, blocks in self._blocks.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    self._write_array(member, blocks)
+            for name, array in others.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, array, allow_pickle=False)
+
+    def _write_array(self, member: IO[bytes], blocks: list[Block]) -> None:
+        rows = sum(block.shape[0] for block in blocks)
+        header = {
+            "descr": np.lib.format.dtype_to_descr(blocks[0].dtype),
+            "fortran_order": False,
+            "shape": (rows, *blocks[0].shape[1:]),
+        }
+        np.lib.format.write_array_header_1_0(member, header)
+        for block in blocks:
+            for piece in self._spool.pieces(block):
+                member.write(piece.data)
 
 
 def read_npz(

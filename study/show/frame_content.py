@@ -96,7 +96,7 @@ class FrameView:
         self.background = light.background_cps.reshape(shape) * (
             config.period_ticks * config.tick_s
         )
-        self.events = frame_events(run.result, config, pulse, frame.number)
+        self.events = frame_events(frame.result, config, pulse, frame.number)
         self.numbers = {name: frame[name] for name in SHOWN}
         self.numbers["sun_share"] = _sun_share(self.events, scene, config, pulse)
         self.objects = seen_objects(scene, light, self.depth_m)

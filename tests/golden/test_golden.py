@@ -17,7 +17,7 @@ from coincid.model.contract.result import ResultBuilder, map_numbers
 from coincid.model.contract.settings import BUDGET_GROWTHS
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.controller import Controller
-from coincid.model.golden.frame import Golden, Trace, golden_result
+from coincid.model.golden.frame import Golden, Trace, golden_result, trace_of
 from coincid.model.golden.shape import COUNTER
 from coincid.model.shared.errors import InputError
 
@@ -64,11 +64,17 @@ def test_a_frame_in_pieces_is_the_frame(sensor, data):
     cuts = data.draw(st.sets(st.integers(0, config.pulses)))
     borders = [0, *sorted(cuts), config.pulses]
     opened = Golden(config.sensor).begin(config, ready)
+    sent = [opened.sent()]
     fate = np.empty(len(of_frame), np.uint8)
     for first, end in itertools.pairwise(borders):
         piece = np.flatnonzero((first <= of_frame.pulse) & (of_frame.pulse < end))
         fate[piece] = opened.take(of_frame.take(piece))
-    assert_same_trace(opened.end(fate), whole)
+        if data.draw(st.booleans()):
+            sent.append(opened.sent())
+    ending = opened.close()
+    sent.append(opened.sent())
+    of_streams = list(zip(*sent, strict=True))
+    assert_same_trace(trace_of(of_streams, ending, fate), whole)
 
 
 def assert_same_trace(trace, expected, but=()):
