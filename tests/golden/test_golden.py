@@ -77,6 +77,24 @@ def test_a_frame_in_pieces_is_the_frame(sensor, data):
     assert_same_trace(trace_of(of_streams, ending, fate), whole)
 
 
+@pytest.mark.parametrize("format_name", ["id", "full", "compact"])
+def test_a_frame_in_pieces_behind_a_slow_link_is_the_frame(format_name):
+    frame = {"pulses": 30, "period": 40, "link_gbps": 3.0, "format": format_name}
+    config = configured(SENSORS["default"], frame, {"threshold": 1, "window": 4})
+    edges = trouble(config, 1, 6.0)
+    whole = Golden(config.sensor).frame(config, edges)
+    opened = Golden(config.sensor).begin(config)
+    sent = []
+    fate = np.empty(len(edges), np.uint8)
+    for pulse in range(config.pulses):
+        piece = np.flatnonzero(edges.pulse == pulse)
+        fate[piece] = opened.take(edges.take(piece))
+        sent.append(opened.sent())
+    ending = opened.close()
+    sent.append(opened.sent())
+    assert_same_trace(trace_of(list(zip(*sent, strict=True)), ending, fate), whole)
+
+
 def assert_same_trace(trace, expected, but=()):
     for name in attrs.fields_dict(Trace).keys() - set(but):
         one = getattr(trace, name)

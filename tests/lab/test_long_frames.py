@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs whose edges do not fit into memory give what other runs give."""
 
+import gc
+import tracemalloc
+import weakref
+
 import numpy as np
 import pytest
 
@@ -56,6 +60,56 @@ def test_a_long_run_keeps_the_edges_and_fates_of_the_first_pulses(long):
             )
         assert len(run.traces[number].fate) == len(kept)
         assert run.frame(number).edge_count == fates.seen[number].total == len(expected)
+
+
+@pytest.mark.parametrize("format_name", ["id", "compact"])
+def test_memory_does_not_grow_with_the_events_of_a_long_frame(format_name, monkeypatch):
+    monkeypatch.setattr(long_frames, "EDGES_SHOWN_MAX", 1000)
+
+    def play(pulses):
+        """Return the most bytes in use, and the number of events."""
+        setup = setup_of(pulses=pulses, frames=1, format=format_name, link_gbps=1)
+        edges = setup.photons.edges()
+        firsts = range(0, pulses, 200)
+        chunks = [
+            edges.take((edges.pulse >= first) & (edges.pulse < first + 200)) for first in firsts
+        ]
+        golden = Golden(setup.config.sensor)
+        tracemalloc.start()
+        played = long_frames.play_long_frames(golden, setup.config, iter(chunks))
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most, len(played.traces[0].commit_cycle)
+
+    play(50)  # compiles
+    few_bytes, few_events = play(800)
+    many_bytes, many_events = play(3200)
+    # a trace has at least 40 bytes per event: its beat, and four cycles and numbers
+    assert many_bytes - few_bytes < 16 * (many_events - few_events)
+
+
+def test_frames_in_a_file_are_a_sequence_of_traces():
+    setup = setup_of(pulses=20)
+    traces = Run(setup).traces
+    edges = setup.photons.edges()
+    stored = long_frames.play_long_frames(
+        Golden(setup.config.sensor), setup.config, iter([edges])
+    ).traces
+    assert len(stored) == len(traces) == 3
+    for trace, expected in zip([stored[0], *stored[1:]], traces, strict=True):
+        np.testing.assert_array_equal(trace.beats[0], expected.beats[0])
+        np.testing.assert_array_equal(trace.beat_cycle[0], expected.beat_cycle[0])
+        np.testing.assert_array_equal(trace.freed_cycle, expected.freed_cycle)
+    np.testing.assert_array_equal(stored[-1].commit_cycle, traces[-1].commit_cycle)
+
+
+def test_a_long_run_has_one_decoded_frame_in_memory(long):
+    run = Run(setup_of(pulses=200))
+    first = weakref.ref(run.frame(0).result["stamp"])
+    assert first() is run.frame(0).result["stamp"]
+    assert run.frame(1).depth_m.shape == (8, 16)
+    gc.collect()
+    assert first() is None
 
 
 def test_chunks_are_cut_where_frames_end():

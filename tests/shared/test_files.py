@@ -5,9 +5,14 @@ import csv
 import os
 import stat
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
-from coincid.model.shared.files import whole_file, write_csv
+from coincid.model.shared import spool
+from coincid.model.shared.files import GrowingNpz, whole_file, write_csv, write_npz
 
 
 def test_a_table_has_six_digits_of_small_and_large_numbers(tmp_path):
@@ -30,3 +35,25 @@ def test_a_file_has_the_permissions_of_the_users_mask(tmp_path, umask, mode):
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == mode
+
+
+ROWS = hnp.arrays(
+    st.sampled_from([np.int64, np.uint64, np.uint16, np.uint8, bool]),
+    hnp.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=7),
+)
+
+
+@given(rows=ROWS, cuts=st.sets(st.integers(0, 7)), piece_rows=st.integers(1, 9))
+def test_an_npz_that_grows_has_the_bytes_of_one_written_at_once(
+    rows, cuts, piece_rows, tmp_path_factory
+):
+    folder = tmp_path_factory.mktemp("npz")
+    other = {"other": np.arange(3)}
+    write_npz(folder / "whole.npz", {"rows": rows, "twice": rows, **other})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(spool, "PIECE_ROWS", piece_rows)
+        growing = GrowingNpz()
+        for part in np.split(rows, sorted(cut for cut in cuts if cut <= len(rows))):
+            growing.append({"rows": part, "twice": part})
+        growing.write(folder / "grown.npz", other)
+    assert (folder / "grown.npz").read_bytes() == (folder / "whole.npz").read_bytes()

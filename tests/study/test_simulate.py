@@ -21,7 +21,7 @@ from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.quality import wrong_share
 from coincid.model.golden.frame import Golden
 from coincid.model.scenes.catalogue import load_scene
-from coincid.study import progress, schemes
+from coincid.study import progress, schemes, simulate
 from coincid.study.schemes import SCHEMES
 from coincid.study.simulate import (
     ANIMATION,
@@ -196,6 +196,17 @@ def test_the_report_of_a_long_simulation_shows_the_pulses_that_are_kept(tmp_path
     page = (tmp_path / PAGE).read_text(encoding="utf-8")
     pulses = int(re.search(r'"pulses",(\d+)', page)[1])
     assert 1 < pulses < 400
+
+
+def test_a_report_page_of_too_many_events_is_left_out_and_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(simulate, "PAGE_EVENTS_MAX", 10)
+    (tmp_path / PAGE).write_text("of an earlier run", encoding="utf-8")
+    words = "sim --engine golden --scene flat:5,0.4 --set rows=8 --set cols=8 --pulses 20"
+    result = command(f"{words} --out {tmp_path}")
+    assert result.exit_code == 0
+    assert "report.html is left out: its frames have" in result.stdout
+    assert not (tmp_path / PAGE).exists()
+    assert (tmp_path / REPORT).exists()
 
 
 def test_spad_gate_leaves_fewer_edges(tmp_path):
