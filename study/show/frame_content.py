@@ -24,7 +24,8 @@ from .timeline import Period, Timeline, frame_timeline, one_period
 
 HISTOGRAM_BIN_M = 0.15  # for display; estimators work on ticks
 LIGHT_SIGMAS = 4  # an event that is farther from every surface's arrival contains only background
-SHOWN = (*SWEPT, "bits", "link_load", "wrong_share_15cm")  # measures
+# measures
+SHOWN = (*SWEPT, "bits", "link_load", "wrong_share_15cm", "frames_per_s", "mean_gbps")
 CANDIDATES = 4  # number of returns shown per pixel, the chosen one first
 
 

@@ -66,7 +66,7 @@ def where_to_look(view: FrameView) -> str:
 
 
 def story(view: FrameView) -> str:
-    """Return two or three sentences about the frame."""
+    """Return some sentences about the frame."""
     numbers = view.numbers
     dropped = (
         f", and {numbers['dropped']:,} found the FIFO full and were dropped"
@@ -83,5 +83,10 @@ def story(view: FrameView) -> str:
         text += (
             f" In the darkest part, {dark.name} ({dark.signal:.2f} photons per pixel and pulse), {dark.wrong_share:.0%} of the"
             f" pixels are wrong; in the brightest, {bright.name} ({bright.signal:.2f}), {bright.wrong_share:.0%}."
+        )
+    if view.config.gap:
+        text += (
+            f" At {numbers['frames_per_s']:.4g} frames per second, the busiest link carries"
+            f" {numbers['mean_gbps'] * 1e3:.4g} Mbit/s in the mean."
         )
     return text

@@ -3,7 +3,9 @@
 
 from types import SimpleNamespace
 
-from coincid.study.show.words import number_rows
+import pytest
+
+from coincid.study.show.words import number_rows, story
 
 NUMBERS = {
     "edges": 12_345,
@@ -41,3 +43,11 @@ def test_each_number_stands_beside_its_name():
     rows = number_rows(view, other)
     assert [(label, first) for label, first, _ in rows] == TOLD
     assert [second for _, _, second in rows][:2] == ["7", "2,000"]
+
+
+@pytest.mark.parametrize("gap", [0, 7])
+def test_the_pace_is_told_where_there_are_gaps(gap):
+    numbers = NUMBERS | {"committed": 1_700, "frames_per_s": 30.0, "mean_gbps": 0.0125}
+    view = SimpleNamespace(numbers=numbers, objects=[], config=SimpleNamespace(gap=gap))
+    pace = "At 30 frames per second, the busiest link carries 12.5 Mbit/s in the mean."
+    assert (pace in story(view)) == bool(gap)
