@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..shared import pulse
+from ..shared.arrays import joined
 from ..shared.files import FilePath, GrowingNpz, read_npz, write_npz
 from .config import Config
 from .counters import COUNTER_NAMES
@@ -53,19 +54,18 @@ def frame_rows(
         frames.append(frame)
 
     columns = {
-        name: np.concatenate([frame.events[:, COLUMN[name]] for frame in frames])
-        for name in EVENT_FIELDS
+        name: joined([frame.events[:, COLUMN[name]] for frame in frames]) for name in EVENT_FIELDS
     }
     columns["pulse"] += first_pulse
     columns["overrun"] = columns["overrun"].astype(bool)
     columns["commit_cycle"] = _commit_cycles(columns["subgroup"], commit_subgroup, commit_cycle)
     packet = FORMATS[config.format]
     if packet.has("map"):
-        columns["hits"] = np.concatenate([frame.hits for frame in frames])
+        columns["hits"] = joined([frame.hits for frame in frames])
     if packet.has("offsets"):
-        columns["mg_offset"] = np.concatenate([frame.offsets for frame in frames])
-    records = np.concatenate([frame.records for frame in frames])
-    entries = np.concatenate([frame.entries for frame in frames])
+        columns["mg_offset"] = joined([frame.offsets for frame in frames])
+    records = joined([frame.records for frame in frames])
+    entries = joined([frame.entries for frame in frames])
     columns["mg_subgroup"] = records[:, 0]
     columns["mg_pulse"] = records[:, 1] + first_pulse
     columns["mg_stamp"] = entries[:, :, 0].astype(np.uint16)
@@ -137,7 +137,7 @@ class ResultBuilder(_Collector):
         within a frame.
         """
         columns = {
-            name: np.concatenate([of_frame[name] for of_frame in self._columns])
+            name: joined([of_frame[name] for of_frame in self._columns])
             for name in self._columns[0]
         }
         return columns | counter_arrays(self.counters)

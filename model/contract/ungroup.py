@@ -93,7 +93,7 @@ def ungroup(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> Ungrouped:
     payload_bits = int((spans[:, 1] - spans[:, 0]).sum()) * groups.PAYLOAD_BITS
     most = payload_bits // (group.fixed_bits + sensor.winner_bits)
     rows = Ungrouped(
-        events=np.zeros((most, len(HEADER)), np.int64),
+        events=np.zeros((len(HEADER), most), np.int64).T,  # so that a column is one piece
         hits=np.zeros((most, -(-sensor.pixels // BEAT_BITS)), np.uint64),
         offsets=np.full((most, sensor.minigroups), OFFSET_NONE, np.uint8),
         damaged=damaged,

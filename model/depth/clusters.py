@@ -4,13 +4,13 @@
 A cluster is events of the same pulse to which the same photon may belong.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from ..contract.config import Config
 from ..contract.latency import armed_cycle, close_cycle
+from ..shared.latest import Latest
 from .histograms import Events
 
 NEVER = -(1 << 40)  # a tick long before any other
@@ -37,7 +37,9 @@ class SubgroupEvents(NamedTuple):
     shares: np.ndarray  # of `first_shares`, or empty
 
 
-@lru_cache(1)  # grids of a frame follow each other
+_latest: Latest[list[SubgroupEvents]] = Latest()  # grids of a frame follow each other
+
+
 def cluster_events(
     events: Events, config: Config, pulses: int, reach: int, offsets: bool
 ) -> list[SubgroupEvents]:
@@ -46,16 +48,59 @@ def cluster_events(
     pulses: number of pulses in which the events came. reach: ticks from the centre of a pulse to
     its beginning and end. offsets: are they used? Then no cluster is like another.
     """
+    key = events, config, pulses, reach, offsets
+    return _latest.get(key, lambda: _clustered(*key))
+
+
+def forget_clusters() -> None:
+    """Keep no events in memory for another call of `cluster_events`."""
+    _latest.forget()
+
+
+def _clustered(
+    events: Events, config: Config, pulses: int, reach: int, offsets: bool
+) -> list[SubgroupEvents]:
+    room = _Room(*(np.empty(len(events.stamp), np.int64) for _ in _Room._fields))
     return [
-        _of_subgroup(events, s, config, pulses, reach, offsets)
+        _of_subgroup(events, s, config, pulses, reach, offsets, room)
         for s in range(config.sensor.subgroups)
     ]
 
 
+class _Room(NamedTuple):
+    """Columns of all subgroups, int64[n], of `SubgroupEvents`.
+
+    Few large arrays go back to the system when they are not needed any more; many small ones may
+    not.
+    """
+
+    armed: np.ndarray
+    pulse: np.ndarray
+    known: np.ndarray
+    quiet: np.ndarray
+    since: np.ndarray
+    clusters: np.ndarray
+
+    def put(self, name: str, first: int, values: np.ndarray) -> np.ndarray:
+        """Write values to a column, from row `first` on, and return this part of it."""
+        part: np.ndarray = getattr(self, name)[first : first + len(values)]
+        part[:] = values
+        return part
+
+
 def _of_subgroup(
-    events: Events, s: int, config: Config, pulses: int, reach: int, offsets: bool
+    events: Events,
+    s: int,
+    config: Config,
+    pulses: int,
+    reach: int,
+    offsets: bool,
+    room: _Room,
 ) -> SubgroupEvents:
-    """Return the events of subgroup `s`. The other arguments are those of `cluster_events`."""
+    """Return the events of subgroup `s`, with columns in `room`.
+
+    The other arguments are those of `cluster_events`.
+    """
     sensor = config.sensor
     span = slice(events.bounds[s], events.bounds[s + 1])
     window = int(events.window[s])
@@ -79,18 +124,19 @@ def _of_subgroup(
     if not offsets:
         single = np.append(since[1:] == NEVER, True)
         begins = _begin_groups(clusters, single, kind, known, quiet)
+    first = span.start
     return SubgroupEvents(
         stamp=stamp,
-        armed=armed,
-        pulse=pulse,
+        armed=room.put("armed", first, armed),
+        pulse=room.put("pulse", first, pulse),
         winner=events.winner[span],
         hits=events.hits[span],
         offset=events.offset[span],
         overrun=overrun,
-        known=known,
-        quiet=quiet,
-        since=since,
-        clusters=clusters,
+        known=room.put("known", first, known),
+        quiet=room.put("quiet", first, quiet),
+        since=room.put("since", first, since),
+        clusters=room.put("clusters", first, clusters),
         alike=np.append(np.flatnonzero(begins), len(clusters)),
         shares=np.empty((0, 0), np.float32),
     )

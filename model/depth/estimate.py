@@ -21,7 +21,7 @@ from ..shared.quantities import check_choice
 from ..shared.threads import Threads
 from .arrivals import SYSTEM_FWHM_S
 from .belief import Signs, believe, find_signs
-from .clusters import cluster_events
+from .clusters import forget_clusters
 from .depth import Depth
 from .histograms import (
     Events,
@@ -273,13 +273,15 @@ def find_returns(
             returns=returns,
             threads=threads,
         )
-        cluster_events.cache_clear()  # the events of this frame need not stay in memory
+        forget_clusters()  # another frame has others
         return Found(*parts, events, pulses, shape, everywhere=False)
     live, group = (
         _live(arrays, events, config, source, frame) if method == "background" else (None, None)
     )
     step_ticks = 1 if source != "minigroup" else minigroup_step_ticks(config)
-    histograms = subgroup_histograms(arrays, config, shape, source=source, frame=frame)
+    histograms = subgroup_histograms(
+        arrays, config, shape, source=source, frame=frame, events=events
+    )
     peaks = [
         pixel_peaks(
             histogram,

@@ -144,12 +144,13 @@ def subgroup_histograms(
     *,
     source: str = "map",
     frame: int | None = None,
+    events: Events | None = None,
 ) -> Iterator[np.ndarray]:
     """Yield the histograms of each subgroup's pixels, int32[pixels, period_ticks].
 
-    Only one subgroup is held in memory.
+    Only one subgroup is held in memory. events: `frame_events` of the same; None: not known yet.
     """
-    of_subgroup = _histogram_maker(arrays, config, pulse, source, frame)
+    of_subgroup = _histogram_maker(arrays, config, pulse, source, frame, events)
     return map(of_subgroup, range(config.sensor.subgroups))
 
 
@@ -189,7 +190,7 @@ def pixel_histogram(
     table = pixel_table(config.sensor)
     check_integer("pixel", pixel, 0, config.sensor.array_pixels - 1)
     shape = pulse_ticks(config, system_fwhm_s, pulse or Pulse.of_result(arrays))
-    of_subgroup = _histogram_maker(arrays, config, shape, source, frame)
+    of_subgroup = _histogram_maker(arrays, config, shape, source, frame, None)
     return of_subgroup(table.subgroup[pixel])[table.inside[pixel]]
 
 
@@ -199,14 +200,16 @@ def _histogram_maker(
     pulse: PulseTicks,
     source: str,
     frame: int | None,
+    events: Events | None,
 ) -> Callable[[int], np.ndarray]:
     """Return a function that makes the histograms of a subgroup's pixels, int32[pixels,
     period_ticks].
 
-    Raises `InputError`.
+    events: as in `subgroup_histograms`. Raises `InputError`.
     """
     check_choice("source", source, tuple(SOURCES))
-    events = frame_events(arrays, config, pulse, frame)
+    if events is None:
+        events = frame_events(arrays, config, pulse, frame)
     if not events.mapped:
         raise InputError("hits: the result has no ID map, its format must be id or full")
     if source == "minigroup" and pulse.times:

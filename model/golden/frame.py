@@ -24,6 +24,7 @@ from ..contract.latency import close_cycle
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
 from ..contract.result import ResultBuilder
+from ..shared.arrays import joined
 from ..shared.errors import wrong_value
 from ..shared.threads import Threads
 from .controller import Controller
@@ -234,13 +235,13 @@ def trace_of(pieces: Sequence[Sequence[Sent]], ending: Ending, fate: np.ndarray)
     fate: uint8 per edge.
     """
     subgroup, cycle, freed_cycle = (
-        np.concatenate([getattr(sent, name) for of_stream in pieces for sent in of_stream])
+        joined([getattr(sent, name) for of_stream in pieces for sent in of_stream])
         for name in ("subgroup", "committed_at", "freed_at")
     )
     order = np.argsort(subgroup, kind="stable")
     return Trace(
-        beats=[np.concatenate([sent.beats for sent in of_stream]) for of_stream in pieces],
-        beat_cycle=[np.concatenate([sent.sent_at for sent in of_stream]) for of_stream in pieces],
+        beats=[joined([sent.beats for sent in of_stream]) for of_stream in pieces],
+        beat_cycle=[joined([sent.sent_at for sent in of_stream]) for of_stream in pieces],
         commit_subgroup=subgroup[order],
         commit_cycle=cycle[order],
         freed_cycle=freed_cycle[order],

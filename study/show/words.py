@@ -84,9 +84,10 @@ def story(view: FrameView) -> str:
             f" In the darkest part, {dark.name} ({dark.signal:.2f} photons per pixel and pulse), {dark.wrong_share:.0%} of the"
             f" pixels are wrong; in the brightest, {bright.name} ({bright.signal:.2f}), {bright.wrong_share:.0%}."
         )
-    if view.config.gap:
+    mean_gbps = numbers["mean_gbps"]
+    if view.config.gap and mean_gbps is not None:
         text += (
             f" At {numbers['frames_per_s']:.4g} frames per second, the busiest link carries"
-            f" {numbers['mean_gbps'] * 1e3:.4g} Mbit/s in the mean."
+            f" {mean_gbps * 1e3:.4g} Mbit/s in the mean."
         )
     return text
