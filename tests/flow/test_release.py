@@ -15,8 +15,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from attrs import evolve
 
-from coincid.flow.limits import largest_frame
+from coincid.flow.limits import beats_beside_cycles, largest_frame
 from coincid.flow.plain_names import plain_verilog
 from coincid.flow.register_files import IP_XACT
 from coincid.flow.release import CELLS_LIST, MANIFEST, write_release
@@ -27,6 +28,7 @@ from coincid.hdl.front_end_views import view_at
 from coincid.hdl.sensor import FPGA_TOP, SensorTop
 from coincid.hdl.unit import Port
 from coincid.model.contract.config import load_config, parse_config
+from coincid.model.contract.edges import Edges
 from coincid.model.contract.packet import FORMAT_NAMES
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.stream import COLUMN, decode_frame
@@ -38,7 +40,7 @@ from coincid.tb.rtl import rtl
 from coincid.tools.wheels import run_program, run_yosys
 
 from ..exports import EXPORTS, PASSED, complaint, readme_commands, write_export
-from ..random_cases import LEAN, SENSORS, random_edges
+from ..random_cases import LEAN, SENSORS, configured, random_edges
 from ..releases import CLOCK_MHZ, SMALL, config, small_releases
 
 TOPS = [
@@ -618,3 +620,31 @@ def test_limits_hold_where_every_edge_is_an_event():
         beats_of[form] = len(beats)
         assert len(beats) <= largest_frame(config_of_form)
     assert beats_of["full"] > largest_frame(of) / 2
+
+
+# Sensors in which neither a record nor an event without a group is longer than a group of one.
+LONG_GROUPS = [
+    dict(subgroup=[4, 16], minigroup=[2, 4], phases=16, coarse_bits=3, window_max=13),
+    dict(subgroup=[16, 6], minigroup=[2, 3], phases=16, coarse_bits=7, window_max=221),
+    dict(subgroup=[8, 6], minigroup=[2, 3], phases=4, coarse_bits=5, window_max=92),
+]
+
+
+@pytest.mark.parametrize("sizes", LONG_GROUPS)
+def test_limits_count_the_beats_of_an_event_alone_in_its_group(sizes):
+    """One more place of the FIFO is room for one more such event, of all pixels."""
+    rows, cols = sizes["subgroup"]
+    sensor = sizes | {"rows": rows, "cols": cols, "offset_phases": sizes["phases"]}
+    built = parse_config({"sensor": sensor}).sensor
+    of = configured(
+        built,
+        {"period": built.period_max, "pulses": 1, "format": "compact-full"},
+        {"threshold": 1, "window": 1},
+    )
+    pixels = np.arange(built.array_pixels)
+    at_once = Edges(np.zeros_like(pixels), pixels, np.zeros_like(pixels))
+    golden = Golden(built)
+    (lit,) = golden.frame(of, at_once).beats
+    (dark,) = golden.frame(of, at_once.take(slice(0))).beats
+    deeper = evolve(built, fifo_depth=built.fifo_depth + 1)
+    assert len(lit) - len(dark) <= beats_beside_cycles(deeper, 0) - beats_beside_cycles(built, 0)

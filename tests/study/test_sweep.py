@@ -196,31 +196,36 @@ def test_a_point_knows_what_a_scene_file_holds(tmp_path):
 
 
 def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, monkeypatch):
-    """Across is the first axis, a line each value of the second; bands span the third."""
+    """Across is the first axis, a line each value of the second; bands span the third.
+
+    Every point and every measure has a value of its own, and those of a band are skewed.
+    """
     drawn = []
     monkeypatch.setattr("coincid.study.sweep_plot.save_figure", lambda one, path: drawn.append(one))
-    axes = ("klux = [5, 50]", "subgroup.threshold = [1, 2, 3]", "seed = [1, 2]")
+    axes = ("klux = [5, 50]", "subgroup.threshold = [1, 2, 3]", "seed = [1, 2, 3, 4]")
     text = "scene = 'flat:5'\n" + "\n".join(f"[[axis]]\n{axis}" for axis in axes)
     (tmp_path / "s.toml").write_text(text, encoding="utf-8")
     spec = read_spec(tmp_path / "s.toml")
+    values = 1e-4 * np.arange(len(spec.points)).reshape(2, 3, 4) ** 2  # klux, threshold, seed
     found = {}
-    for number, point in enumerate(spec.points):
-        found[point.key] = {name: 0.01 * number for name in PANELS}
+    for point in spec.points:
+        found[point.key] = {name: k + values[point.at] for k, name in enumerate(PANELS)}
     write_plot(tmp_path / "s.png", "a sweep", spec, found)
     places = drawn[0].axes
     assert len(places) == len(PANELS)
-    for axis in places:
+    for k, axis in enumerate(places):
         words = axis.get_ylabel().split(" in ")
         factor = {"%": 100, "mm": 1000}[words[1]] if len(words) == 2 else 1
-        # of 12 points in the order of the axes: klux, threshold, seed
+        shown = (k + values) * factor
         for threshold, line in enumerate(axis.lines):
-            means = [0.01 * (2 * threshold + 6 * klux + 0.5) * factor for klux in range(2)]
             assert line.get_xdata().tolist() == [5.0, 50.0]
-            assert line.get_ydata().tolist() == pytest.approx(means)
+            means = shown[:, threshold].mean(axis=1)
+            assert line.get_ydata().tolist() == pytest.approx(means.tolist())
         for threshold, band in enumerate(axis.collections):
-            ends = band.get_paths()[0].vertices[:, 1]
-            least = 0.01 * 2 * threshold * factor
-            assert (ends.min(), ends.max()) == pytest.approx((least, least + 0.07 * factor))
+            corners = band.get_paths()[0].vertices
+            for klux, of_klux in zip([5.0, 50.0], shown[:, threshold], strict=True):
+                ends = corners[corners[:, 0] == klux, 1]
+                assert (ends.min(), ends.max()) == pytest.approx((of_klux.min(), of_klux.max()))
         assert len(axis.lines) == len(axis.collections) == 3
 
 
