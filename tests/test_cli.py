@@ -298,6 +298,14 @@ def test_a_full_standard_output_is_told_in_one_line(words):
     assert (done.returncode, done.stderr) == (2, told)
 
 
+@pytest.mark.parametrize("size", ["99999999", "²"])
+def test_help_for_a_terminal_of_an_odd_size_is_short(size):
+    environment = os.environ | {"COLUMNS": size, "LINES": size}
+    line = [sys.executable, "-m", "coincid", "replay", "--help"]
+    done = subprocess.run(line, env=environment, capture_output=True, check=True)
+    assert len(done.stdout) < 100_000
+
+
 def test_where_nothing_can_be_said_the_exit_code_tells():
     line = f"exec {sys.executable} -m coincid show none.toml > /dev/full 2> /dev/full"
     done = subprocess.run(["sh", "-c", line], capture_output=True, check=False)

@@ -13,6 +13,8 @@ from contextlib import suppress
 BAD_INPUT = 2
 SIGNALS = signal.SIGINT, signal.SIGTERM
 STDERR = 2  # number of the last of the standard files
+SIZES = "COLUMNS", "LINES"  # of a terminal, in the environment
+SIZE_MAX = 999  # tables fill wider terminals with spaces, if need be gigabytes
 
 
 def main() -> None:
@@ -72,6 +74,7 @@ def _command() -> int | str | None:
 
     # Pictures are files; the surroundings may name a way to windows that is not there.
     os.environ["MPLBACKEND"] = "agg"
+    _bound_terminal()
     interruptible()
     from coincid.cli import app
 
@@ -80,6 +83,14 @@ def _command() -> int | str | None:
     except SystemExit as ended:
         return ended.code
     return None
+
+
+def _bound_terminal() -> None:
+    """Replace sizes of the terminal that are too large, or no numbers that Python reads."""
+    for name in SIZES:
+        told = os.environ.get(name, "")
+        if len(told) > len(str(SIZE_MAX)) or not told.isascii():
+            os.environ[name] = str(SIZE_MAX)
 
 
 def _replace_closed_files() -> None:

@@ -22,6 +22,7 @@ from coincid.study.price import (
 from coincid.study.usefulness import useless_sentence
 
 from ..command import command
+from ..random_cases import configured
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -204,6 +205,48 @@ def test_what_is_wasted(document, words):
     assert any(words in sentence for sentence in warnings(parse_config(document)))
     lean = {"sensor": {"window_max": 16, "coarse_bits": 8}, "frame": {"format": "compact"}}
     assert not any(words in sentence for sentence in warnings(parse_config(lean)))
+
+
+PERIOD, CLOCK_MHZ = 250, 500.0
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "quiet", "told", "words"),
+    [
+        ("subgroup", "threshold", 4, 5, "nothing can commit"),
+        ("subgroup", "gate_len", PERIOD - 10, PERIOD - 9, "ends after the laser period"),
+        ("frame", "link_gbps", 64 * CLOCK_MHZ / 1e3, 64.1 * CLOCK_MHZ / 1e3, "more than a stream"),
+        ("subgroup", "window", 25, 24, "the longest window has"),
+        ("frame", "period", 129, 128, "coarse_bits = 9 counts"),
+        ("frame", "frames", 2, 1, "on for one frame"),
+        ("frame", "gap", 0, 1, "one pulse"),
+        ("frame", "capacity", 1, 0, "capacity is 0"),
+    ],
+)
+def test_what_is_wasted_begins_at_its_edge(table, key, quiet, told, words):
+    """A value, and the next one to it, of which only the second wastes something."""
+    document = {
+        "sensor": {"window_max": 50, "coarse_bits": 9},
+        "frame": {"period": PERIOD, "clock_mhz": CLOCK_MHZ, "pulses": 1, "frames": 1},
+        "subgroup": {"mask": "5a", "gating": True, "gate_start": 10, "auto": True, "window": 20},
+    }
+    for value, holds in ((quiet, False), (told, True)):
+        changed = document | {table: document[table] | {key: value}}
+        sentences = warnings(parse_config(changed))
+        assert any(words in sentence for sentence in sentences) == holds
+
+
+def test_the_controller_is_counted_where_it_acts():
+    """It does nothing without coincidence."""
+    config = configured(
+        {"rows": 32, "cols": 32},
+        {},
+        {"auto": True},
+        {"subgroups": [3, 5], "coincidence": False},
+        {"subgroups": [7], "auto": False},
+    )
+    told = dict(meaning(config))["threshold"]
+    assert "by the controller in 13 of 16; coincidence is off in 2" in told
 
 
 def test_power_is_that_of_the_light_and_in_proportion_to_clock_and_area():

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from coincid.study import animation
-from coincid.study.pictures import Panel, draw_row
+from coincid.study import animation, pictures
+from coincid.study.pictures import Panel, draw_row, light_row
 
 ROWS, COLS = 8, 24
 
@@ -58,3 +58,25 @@ def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path):
         frames.append(SimpleNamespace(number=number, truth_m=wall, depth_m=wall, first=first))
     animation.write_animation(tmp_path / "moves.gif", frames)
     assert spans == [(3.0, 12.0)] * 3
+
+
+def test_light_is_told_as_its_share_of_the_truth(monkeypatch, tmp_path):
+    """The median over the pixels with light, of which an estimate need not know all."""
+    drawn = []
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, path: drawn.append(figure))
+    truth = np.geomspace(0.01, 1, ROWS * COLS).reshape(ROWS, COLS)
+    truth[0] = 0.0
+    third = truth / 3
+    third[1, :7] = np.nan
+    shares = {"third": (third, 1 / 3), "twice": (2 * truth, 2.0), "none": (truth * np.nan, None)}
+    panels = [(name, light) for name, (light, _) in shares.items()]
+    light_row(tmp_path / "light.png", panels, truth)
+    first, *others = drawn[0].axes[:4]
+    assert first.get_title() == "truth"
+    for axis, (name, (light, share)) in zip(others, shares.items(), strict=True):
+        told = "" if share is None else f"\nmedian of estimate / truth {share:.2f}"
+        assert axis.get_title() == name + told
+        assert axis.images[0].norm is first.images[0].norm
+        shown = np.ma.filled(axis.images[0].get_array(), np.nan)
+        bright = truth > 0.1
+        assert np.allclose(shown[bright], light[bright], equal_nan=True)
