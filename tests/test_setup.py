@@ -16,7 +16,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from coincid.tools.locked import missing, uv_options
+from coincid.tools.locked import _what_to_do, missing, uv_options
 
 ROOT = Path(__file__).parents[1]
 LOCKS = sorted(ROOT.glob("requirements*.lock"))
@@ -96,6 +96,18 @@ def test_missing_packages_are_found(tmp_path):
         encoding="utf-8",
     )
     assert missing([str(lock)]) == ["not-there==1.0", "pytest==0.1"]
+
+
+@pytest.mark.parametrize("packages", range(1, 7))
+def test_every_missing_package_is_named_or_counted(tmp_path, packages):
+    lock = tmp_path / "some.lock"
+    lines = [f"not-there-{k}==1.0" for k in range(packages)]
+    lock.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    told = _what_to_do([str(lock)])
+    assert f"-r {lock}" in told
+    named = sum(line in told for line in lines)
+    more = re.search(r" and (\d+) more;", told)
+    assert named + (int(more[1]) if more else 0) == packages
 
 
 def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):

@@ -15,6 +15,7 @@ from coincid.model.shared.errors import InputError
 from coincid.tb import toolchain
 from coincid.tb.engines import SIMULATORS
 from coincid.tb.rtl_errors import SimulationError
+from coincid.tools import wheels
 from coincid.tools.build import ToolchainError, build_once, compile_in
 from coincid.tools.system import MissingPackagesError, system_packages
 
@@ -159,6 +160,35 @@ def test_failed_build_is_no_build(tmp_path, error):
     )
     assert (made / "content").read_text(encoding="utf-8") == "whole"
     assert not list(tmp_path.glob("*.part*"))
+
+
+def test_what_yosys_makes_is_made_once_and_again_after_any_change(tmp_path, monkeypatch):
+    """Files by name and text, the script's lines in their order, and what happens behind it."""
+    runs = []
+
+    def run(folder, *script):
+        texts = [(path.name, path.read_text(encoding="utf-8")) for path in folder.iterdir()]
+        runs.append((sorted(texts), script))
+
+    monkeypatch.setattr(wheels, "run_yosys", run)
+    files = {"a.v": "module a;", "b.v": "module b;"}
+    of = {"files": files, "script": ["read a", "opt", "write"], "state": ["1"]}
+    changes = [
+        {},
+        {"files": files | {"b.v": "module b ;"}},
+        {"files": {"a.v": files["a.v"], "c.v": files["b.v"]}},
+        {"files": {"a.v": files["b.v"], "b.v": files["a.v"]}},
+        {"script": ["read a", "write", "opt"]},
+        {"script": ["read a", "opt"]},
+        {"state": ["2"]},
+    ]
+    folders = set()
+    for change in changes:
+        first = wheels.yosys_once(tmp_path / "x", **of | change)
+        assert wheels.yosys_once(tmp_path / "x", **of | change) == first
+        folders.add(first)
+    assert len(folders) == len(runs) == len(changes)
+    assert runs[0] == (sorted(files.items()), (*of["script"],))
 
 
 @pytest.mark.long
