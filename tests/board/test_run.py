@@ -14,6 +14,7 @@ from coincid.board.serial_transport import SerialTransport
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.lab.setup import scene_of
 from coincid.model.contract.config import changes_of_text, load_config
+from coincid.model.scenes.scene import Scene
 from coincid.tb.rtl_errors import Mismatch
 
 from ..command import command
@@ -60,6 +61,22 @@ def test_a_scene_as_settings():
     assert (settings.level == round((1 - np.exp(-0.613 * (4 / 6) ** 2)) * 256)).all()
     assert (settings.background == round((1 - np.exp(-1.226e6 * cycle_s)) * 65536)).all()
     assert settings.dead_cycles == 1
+
+
+@pytest.mark.parametrize("beyond", [-1, 0, 1])
+def test_only_what_lies_within_the_period_has_an_echo(beyond):
+    """The tick of the period's end is the first of the next one."""
+    config = load_config("emulator")
+    tick = config.period_ticks + beyond
+    distance_m = np.full((config.sensor.rows, config.sensor.cols), 2.0)
+    distance_m[0, 0] = tick * config.tick_s * 299_792_458 / 2
+    scene = Scene(name="far", distance_m=distance_m, reflectivity=np.ones_like(distance_m))
+    settings = source_settings(config, scene, 0.0)
+    assert (settings.tick < config.period_ticks).all()
+    inside = beyond < 0
+    assert settings.tick[0, 0] == (tick if inside else 0)
+    assert (settings.level[0, 0] > 0) == inside
+    assert (settings.level.ravel()[1:] > 0).all()
 
 
 def test_a_wrong_word_is_found(driver):

@@ -581,6 +581,11 @@ def test_ip_xact_has_the_ports_and_bus_interfaces_of_the_top(releases, preset):
     connected = [name.text for one in interfaces for name in one.iterfind(PHYSICAL, names)]
     buses = [name for name in found if re.match(r"s_axi_|m_axis", name)]
     assert sorted(connected) == sorted([*buses, "clk", "rst"])
+    for one in interfaces:
+        name = one.findtext("ipxact:name", "", names)
+        sends = f"{name}_tvalid" in found and found[f"{name}_tvalid"][0] == "output"
+        assert (one.find("ipxact:master", names) is not None) == sends
+        assert (one.find("ipxact:slave", names) is None) == sends
 
 
 @pytest.mark.parametrize("preset", SMALL)

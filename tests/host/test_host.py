@@ -8,7 +8,7 @@ import pytest
 
 from coincid.host.driver import Driver, FrameAssembler, Status, find, read_sensor
 from coincid.host.mapped_memory import MemoryTransport
-from coincid.host.transport import HostError, RefusedError, runs
+from coincid.host.transport import ERRORS, STATUS, HostError, RefusedError, runs
 from coincid.model.contract import registers
 from coincid.model.contract.config import parse_config, sensor_table
 from coincid.model.contract.counters import COUNTER_NAMES
@@ -54,6 +54,16 @@ def test_clear_without_names_clears_every_sticky_bit():
     assert memory.written == [(address("status"), sticky)]
     Driver(memory, SENSOR).clear("done")
     assert memory.written[1:] == [(address("status"), 1 << BY_NAME["status"].bit("done"))]
+
+
+def test_the_end_of_a_frame_leaves_what_went_wrong_before():
+    memory = Memory()
+    status = address("status")
+    for name in ERRORS:
+        memory.words[status] = 1 << STATUS.bit("done") | 1 << STATUS.bit(name)
+        Driver(memory, SENSOR).finish()
+        assert memory.written.pop() == (status, 1 << STATUS.bit("done"))
+        assert not memory.written
 
 
 def test_a_setting_that_is_not_known_is_written_whatever_its_value():

@@ -119,6 +119,52 @@ def test_laws(distance_m, reflectivity, klux):
     ) and both.sbr_db.shape == (2,)
 
 
+@given(st.floats(1, 170), st.floats(1, 170))
+def test_a_receiver_on_its_side_has_the_same_budget(h_deg, v_deg):
+    """Both angles of the view count, and neither more than the other."""
+    upright = link_budget(4.0, 0.4, 50, optics=Optics(fov_h_deg=h_deg, fov_v_deg=v_deg))
+    turned = link_budget(4.0, 0.4, 50, optics=Optics(fov_h_deg=v_deg, fov_v_deg=h_deg))
+    assert upright.target_area_m2 == pytest.approx(turned.target_area_m2)
+    assert upright.background_rate_cps == pytest.approx(turned.background_rate_cps)
+    half_h, half_v = np.tan(np.deg2rad([h_deg / 2, v_deg / 2]))
+    assert upright.target_area_m2 == pytest.approx(4 * 16 * half_h * half_v)
+
+
+OTHER_PARTS = {
+    "optics": [
+        Optics(lens_diameter_m=20e-3),
+        Optics(f_number=1.5),
+        Optics(transmission=0.7),
+        Optics(filter_fwhm_nm=14.0),
+        Optics(filter_shape="gaussian"),
+        Optics(fov_h_deg=44.0),
+        Optics(fov_v_deg=43.0),
+        Optics(pixels=1000),
+    ],
+    "laser": [
+        Laser(average_power_w=9e-3),
+        Laser(repetition_hz=1e6),
+        Laser(wavelength_nm=910.0),
+    ],
+    "spad": [
+        Spad(pdp=0.06),
+        Spad(fill_factor=0.4),
+        Spad(dead_time_s=9e-9),
+        Spad(jitter_fwhm_s=90e-12),
+        Spad(dark_cps=100.0),
+    ],
+}
+
+
+@pytest.mark.parametrize("part", OTHER_PARTS)
+def test_every_property_of_a_part_changes_the_budget(part):
+    budgets = [link_budget(4.0, 0.4, 50)]
+    budgets += [link_budget(4.0, 0.4, 50, **{part: one}) for one in OTHER_PARTS[part]]
+    assert len({repr(one.rows()) for one in budgets}) == 1 + len(OTHER_PARTS[part])
+    if part != "spad":  # of which the budget needs these only
+        assert len(OTHER_PARTS[part]) == len(type(OTHER_PARTS[part][0]).__attrs_attrs__)
+
+
 def test_lines_and_json():
     budget = link_budget(4.0, 0.4, 50, sbr_reading="F")
     assert tuple(budget.json()) == JSON_KEYS

@@ -141,11 +141,15 @@ def test_the_channel_of_depth(tmp_path, case):
         assert np.all(load_scene(path, *SHAPE, **options).truth_m == expected)
 
 
-def test_a_part_of_an_exr_picture_is_at_its_place(tmp_path):
-    """The data window of OpenEXR is the part of the display window that is stored."""
+@pytest.mark.parametrize("origin", [(0, 0), (3, 5), (-2, 1), (6, -7)])
+def test_a_part_of_an_exr_picture_is_at_its_place(tmp_path, origin):
+    """The data window of OpenEXR is the part of the display window that is stored, wherever the
+    display window begins.
+    """
+    x, y = origin
     window = {
-        "dataWindow": (np.int32([4, 0]), np.int32([7, 3])),
-        "displayWindow": (np.int32([0, 0]), np.int32([7, 7])),
+        "dataWindow": (np.int32([x + 4, y]), np.int32([x + 7, y + 3])),
+        "displayWindow": (np.int32([x, y]), np.int32([x + 7, y + 7])),
     }
     read = load_scene(exr(tmp_path / "d.exr", window, Z=4), *SHAPE)
     assert np.array_equal(np.argwhere(read.valid), [[0, 2], [0, 3], [1, 2], [1, 3]])

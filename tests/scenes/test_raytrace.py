@@ -149,9 +149,10 @@ def test_surface_that_fills_most_of_a_pixel():
             [5, sky, sky, sky, sky],
             [sky] * 5,
             [4, 4, 9, 9, sky],
+            [7, 7.1, 9, sky, sky],
         ]
     )
-    assert dominant_surface_m(samples_m) == pytest.approx([9.1, 5.1, sky, sky, 4])
+    assert dominant_surface_m(samples_m) == pytest.approx([9.1, 5.1, sky, sky, 4, 7.05])
 
 
 def test_transient_file_and_depth(tmp_path):

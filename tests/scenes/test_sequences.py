@@ -152,8 +152,9 @@ def test_messages_name_the_picture(tmp_path):
     hole[1] = 0
     with pytest.raises(InputError, match=r"array\[1\]: every sample is 0"):
         load_scene(hole, *SHAPE)
-    with pytest.raises(InputError, match="the last axis looks like colours"):
-        load_scene(np.ones((8, 8, 3)), *SHAPE)
+    for colours in (2, 3, 4):
+        with pytest.raises(InputError, match="the last axis looks like colours"):
+            load_scene(np.ones((8, 8, colours)), *SHAPE)
 
 
 def test_depth_comes_out_as_a_sequence(tmp_path):

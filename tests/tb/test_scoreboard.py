@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scoreboard accepts the predicted frame, and names each kind of difference."""
 
+from itertools import product
+
 import numpy as np
 import pytest
+from attrs import evolve
 
+from coincid.model.contract.counters import COUNTER_NAMES
+from coincid.model.contract.packet import layout
 from coincid.model.golden.frame import Golden
 from coincid.tb.frame_record import Recorded, cycle_limit
 from coincid.tb.rtl_errors import Mismatch
@@ -88,6 +93,22 @@ def test_every_difference(change, words, trace, record):
     change(record)
     with pytest.raises(Mismatch, match=words):
         check(CONFIG.sensor, trace, record)
+
+
+@pytest.mark.parametrize("stream", range(CONFIG.sensor.streams))
+def test_a_wrong_counter_is_named_with_its_subgroup(stream, trace, record):
+    """Every counter of every subgroup of the stream; two are in a beat."""
+    counter_beats = layout(CONFIG.sensor).counter_beats
+    subgroups = CONFIG.sensor.stream_subgroups(stream)
+    first = len(record.beats[stream]) - counter_beats * len(subgroups)
+    for (place, subgroup), number in product(enumerate(subgroups), range(len(COUNTER_NAMES))):
+        beat, half = divmod(number, 2)
+        beats = [*record.beats]
+        beats[stream] = beats[stream].copy()
+        beats[stream][first + counter_beats * place + beat] ^= np.uint64(1 << 32 * half + number)
+        named = f"counter {COUNTER_NAMES[number]} of subgroup {subgroup} is "
+        with pytest.raises(Mismatch, match=named):
+            check(CONFIG.sensor, trace, evolve(record, beats=beats))
 
 
 def test_a_frame_that_stops(trace):
