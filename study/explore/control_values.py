@@ -122,8 +122,8 @@ class Settings:
         farthest_m = max(np.nanmax(one.distance_m) for one in pictures)
         scale = values["scale"]
         if scale * farthest_m >= self.timing.range_m or scale * nearest_m < NEAREST_M:
-            low = NEAREST_M / nearest_m
-            high = self.timing.range_m / farthest_m
+            low = max(CONTROL["scale"].low, NEAREST_M / nearest_m)
+            high = min(CONTROL["scale"].high, self.timing.range_m / farthest_m)
             raise InputError(
                 f"scale = {values['scale']:g}: must be a number from {low:.3g} to {high:.3g} with this scene"
                 f" (the laser period holds {self.timing.range_m:.4g} m)",

@@ -434,3 +434,16 @@ def test_what_no_reader_of_toml_takes_is_refused(tmp_path, text):
 def test_a_value_of_the_command_line_that_no_reader_takes_is_refused(value):
     with pytest.raises(InputError, match="frame.pulses = "):
         load_config(None, changes_of_text([f"pulses={value}"]))
+
+
+@pytest.mark.parametrize("subgroup", [[4, 4], [8, 8], [8, 9], [16, 16]])
+def test_a_mask_ends_with_the_last_pixel(subgroup):
+    rows, cols = subgroup
+    sensor = {"rows": rows, "cols": cols, "subgroup": subgroup, "minigroup": [1, 1]}
+    whole = (1 << rows * cols) - 1
+    for mask in (0, 1, whole - 1, whole):
+        read = parse_config({"sensor": sensor, "subgroup": {"mask": f"{mask:x}"}}).mask[0]
+        assert sum(int(on) << i for i, on in enumerate(read)) == mask
+    for mask in (whole + 1, whole + 2, whole << 1):
+        with pytest.raises(InputError, match=rf"hex digits below 2\^{rows * cols} "):
+            parse_config({"sensor": sensor, "subgroup": {"mask": f"{mask:x}"}})

@@ -144,10 +144,25 @@ def test_distances_are_scaled_within_the_range():
         check_settings({"scale": 9.0}).scene()
 
 
-def test_half_the_scene_lies_in_the_shade():
-    settings = check_settings({"scene": "flat", "sun": "left half", "shade_klux": 5.0})
-    background = settings.light(settings.scene()).background_cps.reshape(32, 32)
-    assert np.allclose(background[:, :16], 10 * background[:, 16:])
+@pytest.mark.parametrize(("rows", "cols"), [(32, 32), (8, 48), (48, 8)])
+def test_half_the_scene_lies_in_the_shade(rows, cols):
+    size = {"rows": rows, "cols": cols}
+    settings = check_settings({"scene": "flat", "sun": "left half", "shade_klux": 5.0} | size)
+    background = settings.light(settings.scene()).background_cps.reshape(rows, cols)
+    assert np.allclose(background[:, : cols // 2], 10 * background[:, cols // 2 :])
+
+
+@pytest.mark.parametrize("distance_m", [(0.2, 8.0), (2.0, 60.0), (8.0, 8.0)])
+def test_the_range_that_a_refused_scale_names_is_the_legal_one(distance_m):
+    """A little within either end is legal, a little beyond is not."""
+    near_m, far_m = distance_m
+    scene = {"scene": "two-targets", "near_m": near_m, "far_m": far_m}
+    with pytest.raises(InputError) as refused:
+        check_settings(scene | {"scale": CONTROL["scale"].high}).scene()
+    for end, inwards in ((refused.value.low, 1.001), (refused.value.high, 0.999)):
+        check_settings(scene | {"scale": end * inwards}).scene()
+        with pytest.raises(InputError):
+            check_settings(scene | {"scale": end / inwards}).scene()
 
 
 def uploaded(folder, kind, name, content):
