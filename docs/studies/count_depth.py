@@ -2,15 +2,14 @@
 """Depth from counts: the estimator of planes, with the likelihood of counts in place of that of
 events.
 
-A pixel with a surface at time t and `light` photons per pulse is hit by an event with the stamp a in
-two ways. It is the first, and opens the window: with `light * s(a - t)` per armed pulse and tick,
-where s is the pulse. Or another pixel opens it, and this one fires in the rest of the window. So
-hits are drawn from
+A pixel with a surface at time t and `light` photons per pulse is hit in a bin, in a pulse in which it
+can be, with the chance
 
-    armed(a) * (light * s(a - t) + background) + events(a) * (1 - exp(-light * S - background)),
+    alive * (1 - exp(-light * S)) + background,
 
-where S is the share of the pulse in the rest of the window. Pulses in which nothing happens at tick
-a say that the pixel did not fire there, and so do events without it.
+where S is the share of the pulse in the bin's ticks, weighted by how often the tree is not blind in
+them. It can be hit if it has not been hit before in the gate, and if the tree is not blind. `alive` is
+the chance that it has not fired unseen while the tree was blind.
 """
 
 import math
@@ -54,24 +53,24 @@ LEAST_RATE = 1e-7  # photons per tick and pixel: some background is everywhere
 
 
 def watch_of(counts: Counts, rule: Rule, config: Config, photons: np.ndarray) -> Watch:
-    """Return what the events in all gates of a subgroup say about its tree.
+    """Return what the windows in all gates of a subgroup say about its tree.
 
-    photons: float64[subgroups, ticks], expected per tick. Inside a bin, events come as these do,
-    while the tree is armed; outside of all gates, there are as many.
+    photons: float64[subgroups, ticks], expected per tick. Inside a bin, windows open as these come,
+    while the tree is armed; outside of all gates, as many open.
     """
     sensor = config.sensor
-    steps = photons.shape[1] // rule.event_ticks
-    number = np.zeros((sensor.subgroups, steps + rule.event_bins))
+    steps = photons.shape[1] // rule.stamp_ticks
+    number = np.zeros((sensor.subgroups, steps + rule.stamp_bins))
     pulses = np.zeros(number.shape)
-    begin = counts.start // rule.event_ticks
+    begin = counts.start // rule.stamp_ticks
     for s, group, gate in zip(*np.nonzero(begin >= 0), strict=True):
         first = begin[s, group, gate]
-        number[s, first : first + rule.event_bins] += counts.events[s, group, gate]
-        pulses[s, first : first + rule.event_bins] += counts.event_pulses[s, group]
+        number[s, first : first + rule.stamp_bins] += counts.windows[s, group, gate]
+        pulses[s, first : first + rule.stamp_bins] += counts.window_pulses[s, group]
     rate = np.where(pulses > 0, number / np.maximum(pulses, 1), UNKNOWN)[:, :steps]
-    watch = Watch(np.zeros(photons.shape), np.zeros(photons.shape))
-    clock = (rule.second.window_ticks, sensor.phases, sensor.rearm)
-    follow(rate, photons, rule.event_ticks, *clock, watch)
+    watch = Watch(*(np.zeros(photons.shape) for _ in Watch._fields))
+    clock = (rule.window_ticks, sensor.phases, sensor.rearm)
+    follow(rate, photons, rule.stamp_ticks, *clock, watch)
     return watch
 
 
@@ -99,14 +98,14 @@ def photons_of(
 
 def armed_again(watch: Watch, window: int, phases: int) -> np.ndarray:
     """float64[subgroups, cycles, parts]: of the pulses in which the tree is armed when a cycle
-    begins, those in which it was blind just before, by the stamps of their events in steps of `PART`
+    begins, those in which it was blind just before, by the stamps of their windows in steps of `PART`
     ticks.
     """
-    subgroups, ticks = watch.events.shape
+    subgroups, ticks = watch.opened.shape
     cycles = -(-ticks // phases)
     padded = np.zeros((subgroups, cycles * phases))
     late = phases + window - 1
-    padded[:, late:] = watch.events[:, : cycles * phases - late]
+    padded[:, late:] = watch.opened[:, : cycles * phases - late]
     of_parts = padded.reshape(subgroups, cycles, phases // PART, PART).sum(axis=3)
     return of_parts / np.maximum(watch.armed[:, ::phases, None], RARE)
 
@@ -120,37 +119,31 @@ def seen_of(
     n = sensor.array_pixels
     gates, bins = counts.hits.shape[2:]
     within = np.arange(rule.gate_ticks)
-    ticks = np.clip(start[..., None] + within, 0, watch.events.shape[1] - 1)
+    ticks = np.clip(start[..., None] + within, 0, watch.blind.shape[1] - 1)
     subgroup = np.arange(sensor.subgroups)[:, None, None, None]
-    pulses = counts.pulses[:, :, None, None]
     by_bin = (n, gates, bins, rule.bin_ticks)
-    events = (watch.events[subgroup, ticks] * pulses).reshape(by_bin)
-    armed = (watch.armed[subgroup, ticks] * pulses).reshape(by_bin)
-    in_bin = events.sum(axis=3)
-    armed_in_bin = np.maximum(armed.sum(axis=3), RARE)
+    sighted = (1 - watch.blind[subgroup, ticks]).reshape(by_bin)
+    in_bin = np.maximum(sighted.mean(axis=3), RARE)
+    hits = counts.hits.reshape(n, gates, bins)
+    left = counts.pulses.reshape(n, 1, 1) - np.cumsum(hits, axis=2) + hits
     return Seen(
         first=start.reshape(n, gates),
-        hits=counts.hits.reshape(n, gates, bins),
-        events=in_bin,
-        quiet=np.maximum(armed_in_bin - in_bin, 0),
-        others=in_bin / armed_in_bin,
-        watched=armed / armed_in_bin[..., None],
-        stamped=events / np.maximum(in_bin, RARE)[..., None],
+        hits=hits,
+        misses=np.maximum(left * in_bin - hits, 0),
+        sighted=sighted / in_bin[..., None],
         background=np.maximum(background, LEAST_RATE).reshape(n),
-        again=armed_again(watch, rule.second.window_ticks, sensor.phases),
+        again=armed_again(watch, rule.window_ticks, sensor.phases),
     )
 
 
 def law_of(pulse: PulseTicks, rule: Rule, phases: int, fraction: float) -> Law:
     """Return the law for times with this fraction of a tick."""
     width = rule.bin_ticks
-    window = rule.second.window_ticks
-    reach = pulse.reach + window + width + 1
+    reach = pulse.reach + width + 1
     begin = np.arange(-reach, reach + width + 1) - fraction
     before = pulse.share_before(begin)
     after = pulse.share_before(begin + 1)
-    joins = pulse.share_before(begin + window) - after
-    return Law(reach, before, after - before, joins, window, width, phases)
+    return Law(reach, before, after - before, rule.window_ticks, width, phases)
 
 
 class Counted(NamedTuple):

@@ -7,25 +7,34 @@ from typing import NamedTuple
 import numpy as np
 
 from coincid.model.contract.latency import armed_cycle, close_cycle
-from coincid.model.contract.packet import BEAT_BITS
 from coincid.model.shared.compiled import njit, part
 
 NO_GATE = -1
-PART = 4  # ticks: step of the stamps after which a pixel may be dead
+PART = 4  # ticks: step of the ends of windows, after which a pixel may fire unseen
 MISSED = -6.0  # log likelihood of a surface outside of all gates
 RARE = 1e-9  # least share of armed pulses
-SHARE_MAX = 0.9999  # of the armed pulses that have an event in a bin
+SHARE_MAX = 0.9999  # of the armed pulses that open a window in a bin
 _close_cycle = njit(close_cycle)
 _armed_cycle = njit(armed_cycle)
 
 
-class Stops(NamedTuple):
-    """Events by subgroup, in the order of their pulses."""
+class Hits(NamedTuple):
+    """Hits of open windows by subgroup, in the order of their pulses: the first one of each pixel in
+    a window.
+    """
 
     bounds: np.ndarray  # int64[subgroups + 1]: subgroup s has the rows bounds[s] to bounds[s + 1]
     pulse: np.ndarray  # int64[n]
+    tick: np.ndarray  # int64[n], the pixel's own
+    pixel: np.ndarray  # int64[n], of the subgroup
+
+
+class Windows(NamedTuple):
+    """Windows by subgroup, in the order of their pulses."""
+
+    bounds: np.ndarray  # int64[subgroups + 1], as those of hits
+    pulse: np.ndarray  # int64[n]
     stamp: np.ndarray  # int64[n], ticks
-    hits: np.ndarray  # uint64[n, words], maps
 
 
 class Counts(NamedTuple):
@@ -34,49 +43,49 @@ class Counts(NamedTuple):
     start: np.ndarray  # int64[subgroups, minigroups, gates], first tick of a gate, or NO_GATE
     hits: np.ndarray  # int64[subgroups, pixels, gates, bins]
     pulses: np.ndarray  # int64[subgroups, pixels], in which the pixel counted
-    events: np.ndarray  # int64[subgroups, minigroups, gates, event bins]
-    event_pulses: np.ndarray  # int64[subgroups, minigroups], in which these were counted
+    windows: np.ndarray  # int64[subgroups, minigroups, gates, window bins]
+    window_pulses: np.ndarray  # int64[subgroups, minigroups], in which these were counted
     second_pulses: int
 
 
-@part
-def is_hit(hits: np.ndarray, e: int, i: int) -> bool:
-    """Return whether pixel i of the subgroup is in the map of event e. hits: uint64[n, words]."""
-    return hits[e, i // BEAT_BITS] >> np.uint64(i % BEAT_BITS) & np.uint64(1) != 0
-
-
 @njit
-def fill_coarsely(
-    stops: Stops, minigroup: np.ndarray, pulses: int, width: int, most: int, histogram: np.ndarray
+def fill(
+    hits: Hits,
+    minigroup: np.ndarray,
+    begin: int,
+    end: int,
+    width: int,
+    most: int,
+    watched: np.ndarray,
+    histogram: np.ndarray,
 ) -> None:
     """A minigroup stops when one of its bins is full."""
     full = np.empty(histogram.shape[1], np.bool_)
     for s in range(len(histogram)):
         full[:] = False
-        for e in range(stops.bounds[s], stops.bounds[s + 1]):
-            if stops.pulse[e] >= pulses:
-                break
-            here = stops.stamp[e] // width
-            for i in range(len(minigroup)):
-                group = minigroup[i]
-                if full[group] or not is_hit(stops.hits, e, i):
-                    continue
-                histogram[s, group, here] += 1
-                full[group] = histogram[s, group, here] == most
+        for e in range(hits.bounds[s], hits.bounds[s + 1]):
+            if not begin <= hits.pulse[e] < end:
+                continue
+            here = hits.tick[e] // width
+            group = minigroup[hits.pixel[e]]
+            if full[group] or not watched[s, group, here]:
+                continue
+            histogram[s, group, here] += 1
+            full[group] = histogram[s, group, here] == most
 
 
 @part
-def _gate_at(start: np.ndarray, stamp: int, span: int) -> int:
-    """Return the gate of a minigroup in which a stamp is, or NO_GATE."""
+def _gate_at(start: np.ndarray, tick: int, span: int) -> int:
+    """Return the gate of a minigroup in which a tick is, or NO_GATE."""
     for gate in range(len(start)):
-        if 0 <= start[gate] <= stamp < start[gate] + span:
+        if 0 <= start[gate] <= tick < start[gate] + span:
             return gate
     return NO_GATE
 
 
 @njit
 def count_hits(
-    stops: Stops,
+    hits: Hits,
     minigroup: np.ndarray,
     begin: int,
     end: int,
@@ -87,41 +96,41 @@ def count_hits(
     subgroups, pixels, _, bins = counts.hits.shape
     for s in range(subgroups):
         full = np.zeros(pixels, np.bool_)
-        for e in range(stops.bounds[s], stops.bounds[s + 1]):
-            if not begin <= stops.pulse[e] < end:
+        for e in range(hits.bounds[s], hits.bounds[s + 1]):
+            i = hits.pixel[e]
+            if full[i] or not begin <= hits.pulse[e] < end:
                 continue
-            for i in range(pixels):
-                if full[i] or not is_hit(stops.hits, e, i):
-                    continue
-                start = counts.start[s, minigroup[i]]
-                gate = _gate_at(start, stops.stamp[e], bins * width)
-                if gate < 0:
-                    continue
-                here = (stops.stamp[e] - start[gate]) // width
-                counts.hits[s, i, gate, here] += 1
-                if counts.hits[s, i, gate, here] == most:
-                    full[i] = True
-                    counts.pulses[s, i] = stops.pulse[e] - begin + 1
+            start = counts.start[s, minigroup[i]]
+            gate = _gate_at(start, hits.tick[e], bins * width)
+            if gate < 0:
+                continue
+            here = (hits.tick[e] - start[gate]) // width
+            counts.hits[s, i, gate, here] += 1
+            if counts.hits[s, i, gate, here] == most:
+                full[i] = True
+                counts.pulses[s, i] = hits.pulse[e] - begin + 1
 
 
 @njit
-def count_events(stops: Stops, begin: int, end: int, width: int, most: int, counts: Counts) -> None:
-    subgroups, minigroups, _, bins = counts.events.shape
+def count_windows(
+    windows: Windows, begin: int, end: int, width: int, most: int, counts: Counts
+) -> None:
+    subgroups, minigroups, _, bins = counts.windows.shape
     for s in range(subgroups):
-        full = counts.event_pulses[s] == 0
-        for e in range(stops.bounds[s], stops.bounds[s + 1]):
-            if not begin <= stops.pulse[e] < end:
+        full = counts.window_pulses[s] == 0
+        for e in range(windows.bounds[s], windows.bounds[s + 1]):
+            if not begin <= windows.pulse[e] < end:
                 continue
             for group in range(minigroups):
                 start = counts.start[s, group]
-                gate = _gate_at(start, stops.stamp[e], bins * width)
+                gate = _gate_at(start, windows.stamp[e], bins * width)
                 if full[group] or gate < 0:
                     continue
-                here = (stops.stamp[e] - start[gate]) // width
-                counts.events[s, group, gate, here] += 1
-                if counts.events[s, group, gate, here] == most:
+                here = (windows.stamp[e] - start[gate]) // width
+                counts.windows[s, group, gate, here] += 1
+                if counts.windows[s, group, gate, here] == most:
                     full[group] = True
-                    counts.event_pulses[s, group] = stops.pulse[e] - begin + 1
+                    counts.window_pulses[s, group] = windows.pulse[e] - begin + 1
 
 
 class Seen(NamedTuple):
@@ -129,11 +138,8 @@ class Seen(NamedTuple):
 
     first: np.ndarray  # int64[pixels, gates], first tick of a gate; negative: none
     hits: np.ndarray  # int64
-    events: np.ndarray  # float64, while the pixel counted
-    quiet: np.ndarray  # float64, armed pulses by ticks without an event there
-    others: np.ndarray  # float64, events per armed pulse and tick
-    watched: np.ndarray  # float64, by tick of the bin, share of its armed pulses,
-    stamped: np.ndarray  # and of its events
+    misses: np.ndarray  # float64, pulses in which the pixel could have been hit, but was not
+    sighted: np.ndarray  # float64, by tick of the bin, over the bin's mean: the tree is not blind
     background: np.ndarray  # float64[pixels], photons per tick
     again: np.ndarray  # float64[subgroups, cycles, parts], of `armed_again`
 
@@ -143,18 +149,18 @@ class Law(NamedTuple):
 
     reach: int  # ticks: the first one is for -reach
     before: np.ndarray  # before the tick
-    opens: np.ndarray  # in the tick
-    joins: np.ndarray  # in the rest of a window that opens in it
+    within: np.ndarray  # in the tick
     window: int  # ticks
     width: int  # ticks of a bin
     phases: int  # ticks of a cycle
 
 
 class Watch(NamedTuple):
-    """When a subgroup's tree is armed, float64[subgroups, ticks], per pulse."""
+    """What a subgroup's tree does, float64[subgroups, ticks], per pulse."""
 
     armed: np.ndarray  # a window may open at the tick
-    events: np.ndarray  # one does
+    opened: np.ndarray  # one does
+    blind: np.ndarray  # a window has closed, and the tree is not armed yet
 
 
 @njit
@@ -169,27 +175,32 @@ def follow(
 ) -> None:
     """Follow the tree of each subgroup through the period.
 
-    rate: float64[subgroups, bins], events per pulse in each bin, or UNKNOWN.
+    rate: float64[subgroups, bins], windows per pulse in each bin, or UNKNOWN.
     """
     ticks = watch.armed.shape[1]
     for s in range(len(rate)):
         again = np.zeros(ticks + (3 + rearm) * phases + window)
+        closed = np.zeros(ticks + window)
         armed = 1.0
+        blind = 0.0
         scale = 1.0
         for tick in range(ticks):
             armed = min(1.0, armed + again[tick])
+            blind = max(0.0, blind + closed[tick] - again[tick])
             number = rate[s, tick // width]
             if tick % width == 0:
                 scale = 1.0
                 if number >= 0:
                     share = min(SHARE_MAX, number / max(armed, RARE))
                     scale = -math.log(1 - share) / photons[s, tick : tick + width].sum()
-            event = armed * (1 - math.exp(-scale * photons[s, tick]))
+            opened = armed * (1 - math.exp(-scale * photons[s, tick]))
             watch.armed[s, tick] = armed
-            watch.events[s, tick] = event
-            armed -= event
+            watch.opened[s, tick] = opened
+            watch.blind[s, tick] = blind
+            armed -= opened
             close = _close_cycle(tick, window, phases)
-            again[_armed_cycle(close, rearm) * phases] += event
+            closed[tick + window] += opened
+            again[_armed_cycle(close, rearm) * phases] += opened
 
 
 @part
@@ -247,33 +258,23 @@ def _add_bin(
 
     alive: float64[lights], chance that the pixel lives when the bin's cycle begins.
     """
-    begin = seen.first[i, g] + b * law.width
-    off = begin - tick
-    opens = 0.0
-    joins = 0.0
+    off = seen.first[i, g] + b * law.width - tick
+    share = 0.0
     for j in range(law.width):
-        opens += seen.watched[i, g, b, j] * law.opens[off + law.reach + j]
-        joins += seen.stamped[i, g, b, j] * law.joins[off + law.reach + j]
-    back = seen.background[i]
-    alone = 1 - math.exp(-back * (law.window - 1))
-    cycle_begin = begin // law.phases * law.phases
-    watched = _before(law, off) - _before(law, cycle_begin - tick)
+        share += seen.sighted[i, g, b, j] * law.within[off + law.reach + j]
     hits = seen.hits[i, g, b]
-    others = seen.others[i, g, b]
-    missed = max(0.0, seen.events[i, g, b] - hits)
-    quiet = seen.quiet[i, g, b] * opens + missed * joins
-    none = back + others * alone
+    misses = seen.misses[i, g, b]
+    back = 1 - math.exp(-seen.background[i] * law.width)
     for x in range(len(lights)):
         light = lights[x]
-        lives = 1.0
+        hit = 1 - math.exp(-light * share)
         if alive[x] < 1:
-            left = alive[x] * math.exp(-light * watched)
-            lives = left / (1 - alive[x] + left)
-        value = -light * quiet * lives
+            hit *= alive[x]
+            value = misses * math.log(max(RARE, 1 - hit))
+        else:
+            value = -misses * light * share
         if hits:
-            join = lives * (1 - math.exp(-light * joins)) + alone
-            some = lives * light * opens + back + others * join
-            value += hits * math.log(some / none)
+            value += hits * math.log((hit + back) / back)
         line[x] += value
 
 
@@ -303,7 +304,7 @@ def _find_alive(
         for j in range(parts):
             if again[cycle, j] == 0:
                 continue
-            stamp = end - law.phases - law.window + 1 + j * PART + PART // 2
-            unseen = _before(law, end) - _before(law, stamp)
+            close = end - law.phases + 1 + j * PART + PART // 2
+            unseen = _before(law, end) - _before(law, min(end, close))
             for x in range(len(lights)):
                 alive[n, x] += again[cycle, j] * alive[n - 1, x] * math.exp(-lights[x] * unseen)

@@ -1,49 +1,50 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts instead of events, on paper: what a sensor would count in gates that it finds itself.
 
-A frame has two passes. In the first, every minigroup fills a coarse histogram with its own hits, and
-takes its gates from it. In the second, every pixel counts its hits in the bins of its minigroup's
-gates, by the stamps of the events. The events are those of the golden model; no link and no FIFO
-stands between a window and its counter.
+A frame has three steps, which share one memory. First, every minigroup fills a histogram of the whole
+period with its own hits, in wide bins. In the highest of these, it then fills a histogram with narrow
+bins, and takes its gates from it. At last, every pixel counts its hits in the bins of its minigroup's
+gates. The windows are those of the golden model; no link and no FIFO stands between a window and a
+counter.
 
-A hit counts in the bin of its event's stamp. A pixel stops when one of its counters is full, and
-remembers after how many pulses, so that no bin saturates.
+A hit is a pixel's first edge in a window, and counts in the bin of this edge. A pixel stops when one
+of its counters is full, and remembers after how many pulses, so that no bin saturates.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
+from coincid.model.contract.edges import Fate
 from coincid.model.contract.parameters import Sensor, bits_for
 from coincid.model.contract.pixels import pixel_table
 
-from .count_kernels import NO_GATE, Counts, Stops, count_events, count_hits, fill_coarsely
-
-
-class Pass(NamedTuple):
-    """Which events a pass sees."""
-
-    window_ticks: int
-    threshold: int
+from .count_kernels import NO_GATE, Counts, Hits, Windows, count_hits, count_windows, fill
 
 
 class Rule(NamedTuple):
     """What a sensor counts."""
 
-    first: Pass = Pass(window_ticks=16, threshold=1)
-    second: Pass = Pass(window_ticks=4, threshold=1)
-    first_share: float = 0.3  # of the pulses
-    coarse_ticks: int = 64  # width of a coarse bin
-    coarse_bits: int = 4
+    window_ticks: int = 32
+    wide_share: float = 0.2  # of the pulses; 0: the narrow bins cover the whole period
+    wide_ticks: int = 128  # width of a wide bin
+    wide_bits: int = 8
+    wide_neighbours: float = 0.5  # weight of the four minigroups beside this one
+    regions: int = 10  # wide bins that are divided into narrow ones
+    narrow_share: float = 0.2  # of the pulses
+    narrow_ticks: int = 16
+    narrow_bits: int = 6
+    peak_bins: int = 4  # narrow bins that are a peak together
     gates: int = 2
     bins: int = 14  # of a gate
     bin_ticks: int = 8
     count_bits: int = 4
-    event_ticks: int = 4  # width of a bin of events
-    event_bits: int = 6
-    event_minigroups: int = 4  # one of so many minigroups counts events, too: 1, 2 or 4
+    stamp_ticks: int = 4  # width of a bin in which windows are counted
+    stamp_bits: int = 6
+    watchers: int = 4  # one of so many minigroups counts windows, too: 1, 2 or 4
 
     @property
     def gate_ticks(self) -> int:
@@ -51,70 +52,135 @@ class Rule(NamedTuple):
         return self.bins * self.bin_ticks
 
     @property
-    def event_bins(self) -> int:
-        """Number of a gate's bins of events."""
-        return self.gate_ticks // self.event_ticks
+    def stamp_bins(self) -> int:
+        """Number of a gate's bins of windows."""
+        return self.gate_ticks // self.stamp_ticks
+
+    def wide_pulses(self, pulses: int) -> int:
+        """Return the number of pulses of the wide bins."""
+        return round(self.wide_share * pulses)
 
     def first_pulses(self, pulses: int) -> int:
-        """Return the number of pulses of the first pass."""
-        return round(self.first_share * pulses)
+        """Return the number of pulses before those that pixels count."""
+        return round((self.wide_share + self.narrow_share) * pulses)
 
 
-def stops_of(run: Run, seen: Pass) -> Stops:
-    """Return the events of a pass in all pulses of a run, whatever its settings."""
-    setup = unlimited(run.setup, seen)
-    played = Run(setup, cache=run.cache, workers=run.workers).result
-    order = np.argsort(played["subgroup"], kind="stable")
-    return Stops(
-        bounds=np.searchsorted(
-            played["subgroup"][order], np.arange(setup.config.sensor.subgroups + 1)
-        ),
-        pulse=played["pulse"][order].astype(np.int64),
-        stamp=played["stamp"][order].astype(np.int64),
-        hits=played["hits"][order],
+class Played(NamedTuple):
+    """What the counters see."""
+
+    hits: Hits
+    windows: Windows
+
+
+def played(run: Run, rule: Rule) -> Played:
+    """Return hits and windows in all pulses of a run, whatever its settings."""
+    setup = unlimited(run.setup, rule.window_ticks)
+    played_run = Run(setup, cache=run.cache, workers=run.workers)
+    result = played_run.result
+    sensor = setup.config.sensor
+    bounds = np.arange(sensor.subgroups + 1)
+    order = np.argsort(result["subgroup"], kind="stable")
+    windows = Windows(
+        bounds=np.searchsorted(result["subgroup"][order], bounds),
+        pulse=result["pulse"][order].astype(np.int64),
+        stamp=result["stamp"][order].astype(np.int64),
     )
+    table = pixel_table(sensor)
+    edges = played_run.edges.take(np.isin(result["fate"], (Fate.OPENING, Fate.COUNTED)))
+    subgroup = table.subgroup[edges.pixel]
+    order = np.lexsort((edges.tick, edges.pulse, subgroup))
+    hits = Hits(
+        bounds=np.searchsorted(subgroup[order], bounds),
+        pulse=edges.pulse[order].astype(np.int64),
+        tick=edges.tick[order].astype(np.int64),
+        pixel=table.inside[edges.pixel[order]].astype(np.int64),
+    )
+    return Played(hits, windows)
 
 
-def unlimited(setup: Setup, seen: Pass) -> Setup:
-    """Return a setup in which every event of a pass leaves the sensor: each subgroup has its own
-    stream.
+def unlimited(setup: Setup, window_ticks: int) -> Setup:
+    """Return a setup in which every window becomes an event that leaves the sensor: each subgroup has
+    its own stream.
     """
     config = setup.config.with_sensor(streams=setup.config.sensor.subgroups)
     return setup.but(
         config=config,
         frame={"format": "id", "link_gbps": 0},
-        subgroup={"window": seen.window_ticks, "threshold": seen.threshold},
+        subgroup={"window": window_ticks, "threshold": 1},
     )
 
 
-def coarse_histograms(
-    stops: Stops, sensor: Sensor, rule: Rule, pulses: int, period_ticks: int
+def find_gates(
+    hits: Hits, sensor: Sensor, rule: Rule, pulses: int, period_ticks: int
 ) -> np.ndarray:
-    """int64[subgroups, minigroups, bins]: hits of each minigroup in the first so many pulses."""
+    """int64[subgroups, minigroups, gates]: first ticks, from the first pulses of a frame."""
+    wide_end = rule.wide_pulses(pulses)
+    end = rule.first_pulses(pulses)
+    bins = -(-period_ticks // rule.wide_ticks)
+    region = np.ones((sensor.subgroups, sensor.minigroups, bins), np.bool_)
+    if wide_end:
+        wide = histograms(hits, sensor, range(wide_end), rule.wide_ticks, rule.wide_bits, region)
+        region = regions_of(wide + rule.wide_neighbours * of_neighbours(wide, sensor), rule)
+    inside = np.repeat(region, rule.wide_ticks // rule.narrow_ticks, axis=2)
+    seen = range(wide_end, end)
+    narrow = histograms(hits, sensor, seen, rule.narrow_ticks, rule.narrow_bits, inside)
+    return gates_of(narrow, rule)
+
+
+def histograms(
+    hits: Hits, sensor: Sensor, pulses: range, width: int, bits: int, watched: np.ndarray
+) -> np.ndarray:
+    """int64[subgroups, minigroups, bins]: hits of each minigroup in some pulses, in the bins that it
+    watches.
+    """
     minigroup = pixel_table(sensor).minigroup
-    bins = -(-period_ticks // rule.coarse_ticks)
-    histogram = np.zeros((sensor.subgroups, sensor.minigroups, bins), np.int64)
-    most = (1 << rule.coarse_bits) - 1
-    fill_coarsely(stops, minigroup, pulses, rule.coarse_ticks, most, histogram)
+    histogram = np.zeros(watched.shape, np.int64)
+    most = (1 << bits) - 1
+    fill(hits, minigroup, pulses.start, pulses.stop, width, most, watched, histogram)
     return histogram
 
 
-def gates_of(coarse: np.ndarray, rule: Rule) -> np.ndarray:
+def of_neighbours(histogram: np.ndarray, sensor: Sensor) -> np.ndarray:
+    """int64[subgroups, minigroups, bins]: sum of the up to four minigroups beside each, also of other
+    subgroups.
+    """
+    table = pixel_table(sensor)
+    row, col = np.divmod(np.arange(sensor.array_pixels), sensor.cols)
+    height, width = sensor.minigroup
+    number = table.subgroup * sensor.minigroups + table.minigroup[table.inside]
+    grid = np.empty((sensor.rows // height, sensor.cols // width), np.int64)
+    grid[row // height, col // width] = number
+    flat = histogram.reshape(-1, histogram.shape[2])
+    image = np.pad(flat[grid], ((1, 1), (1, 1), (0, 0)))
+    total = np.empty_like(flat)
+    total[grid] = image[:-2, 1:-1] + image[2:, 1:-1] + image[1:-1, :-2] + image[1:-1, 2:]
+    return total.reshape(histogram.shape)
+
+
+def regions_of(wide: np.ndarray, rule: Rule) -> np.ndarray:
+    """bool[subgroups, minigroups, bins]: the highest wide bins; of equal ones, the first."""
+    order = np.argsort(-wide, axis=2, kind="stable")
+    region = np.zeros(wide.shape, np.bool_)
+    np.put_along_axis(region, order[:, :, : rule.regions], values=True, axis=2)
+    return region
+
+
+def gates_of(narrow: np.ndarray, rule: Rule) -> np.ndarray:
     """int64[subgroups, minigroups, gates]: first ticks, multiples of a fine bin.
 
-    The middle of a gate is the centre of the highest pair of coarse bins. A further gate leaves out
-    the coarse bins with their middle in a gate, and does not overlap the first.
+    The middle of a gate is the centre of the highest peak. A further gate leaves out the narrow bins
+    with their middle in a gate, and does not overlap the first.
     """
-    left = coarse.copy()
-    start = np.full((*coarse.shape[:2], rule.gates), NO_GATE)
-    row, column = np.indices(coarse.shape[:2])
-    middle = (np.arange(coarse.shape[2]) + 0.5) * rule.coarse_ticks
+    left = narrow.copy()
+    start = np.full((*narrow.shape[:2], rule.gates), NO_GATE)
+    middle = (np.arange(narrow.shape[2]) + 0.5) * rule.narrow_ticks
     for gate in range(rule.gates):
-        pair = left[:, :, :-1] + left[:, :, 1:]
-        at = pair.argmax(axis=2)
-        height = pair[row, column, at]
-        later = left[row, column, at + 1] / np.maximum(height, 1)
-        centre = (at + 0.5 + later) * rule.coarse_ticks
+        peaks = sliding_window_view(left, rule.peak_bins, axis=2)
+        at = peaks.sum(axis=3).argmax(axis=2)
+        peak = np.take_along_axis(peaks, at[..., None, None], axis=2)[:, :, 0]
+        height = peak.sum(axis=2)
+        moment = (peak * (np.arange(rule.peak_bins) + 0.5)).sum(axis=2)
+        centre = (at + moment / np.maximum(height, 1)) * rule.narrow_ticks
         steps = np.rint((centre - rule.gate_ticks / 2) / rule.bin_ticks).astype(np.int64)
         first = np.maximum(0, rule.bin_ticks * steps)
         for other in range(gate):
@@ -133,48 +199,63 @@ def _beside(first: np.ndarray, other: np.ndarray, gate_ticks: int) -> np.ndarray
     return np.where(overlaps & (other >= 0), moved, first)
 
 
-def count(stops: Stops, start: np.ndarray, sensor: Sensor, rule: Rule, pulses: range) -> Counts:
+def count(seen: Played, start: np.ndarray, sensor: Sensor, rule: Rule, pulses: range) -> Counts:
     """Count the hits of some pulses in gates that begin at the ticks `start`."""
     gates = start.shape[2]
     counts = Counts(
         start=start,
         hits=np.zeros((sensor.subgroups, sensor.pixels, gates, rule.bins), np.int64),
         pulses=np.full((sensor.subgroups, sensor.pixels), len(pulses)),
-        events=np.zeros((sensor.subgroups, sensor.minigroups, gates, rule.event_bins), np.int64),
-        event_pulses=np.tile(len(pulses) * _counts_events(sensor, rule), (sensor.subgroups, 1)),
+        windows=np.zeros((sensor.subgroups, sensor.minigroups, gates, rule.stamp_bins), np.int64),
+        window_pulses=np.tile(len(pulses) * _watches(sensor, rule), (sensor.subgroups, 1)),
         second_pulses=len(pulses),
     )
     minigroup = pixel_table(sensor).minigroup
     most = (1 << rule.count_bits) - 1
-    most_events = (1 << rule.event_bits) - 1
-    count_hits(stops, minigroup, pulses.start, pulses.stop, rule.bin_ticks, most, counts)
-    count_events(stops, pulses.start, pulses.stop, rule.event_ticks, most_events, counts)
+    most_windows = (1 << rule.stamp_bits) - 1
+    count_hits(seen.hits, minigroup, pulses.start, pulses.stop, rule.bin_ticks, most, counts)
+    count_windows(seen.windows, pulses.start, pulses.stop, rule.stamp_ticks, most_windows, counts)
     return counts
 
 
-def _counts_events(sensor: Sensor, rule: Rule) -> np.ndarray:
-    """int64[minigroups]: 1 if a minigroup counts events; these are spread evenly."""
+def _watches(sensor: Sensor, rule: Rule) -> np.ndarray:
+    """int64[minigroups]: 1 if a minigroup counts windows; these are spread evenly."""
     across = sensor.subgroup[1] // sensor.minigroup[1]
     row, column = np.divmod(np.arange(sensor.minigroups), across)
-    if rule.event_minigroups == 4:
+    if rule.watchers == 4:
         return ((row % 2 == 0) & (column % 2 == 0)).astype(np.int64)
-    return ((row + column) % rule.event_minigroups == 0).astype(np.int64)
+    return ((row + column) % rule.watchers == 0).astype(np.int64)
 
 
 def memory_bits(rule: Rule, sensor: Sensor, pulses: int, period_ticks: int) -> float:
-    """Return the mean bits of memory per pixel: the larger one of both passes, which share it."""
+    """Return the mean bits of memory per pixel: those of the largest step, since steps share it.
+
+    A step keeps what it finds beside its histogram: a bit for each wide bin says whether this is
+    divided; then the begins of the gates.
+    """
     pixels = sensor.pixels // sensor.minigroups
-    coarse = -(-period_ticks // rule.coarse_ticks) * rule.coarse_bits
-    return max(coarse, sent_bits(rule, sensor, pulses, period_ticks)) / pixels
+    starts = rule.gates * _start_bits(rule, period_ticks)
+    wide_bins = -(-period_ticks // rule.wide_ticks)
+    if rule.wide_share:
+        narrow_bins = rule.regions * (rule.wide_ticks // rule.narrow_ticks)
+        wide = wide_bins * (rule.wide_bits + 1)
+        narrow = wide_bins + narrow_bins * rule.narrow_bits + starts
+    else:
+        wide = 0
+        narrow = -(-period_ticks // rule.narrow_ticks) * rule.narrow_bits + starts
+    return max(wide, narrow, sent_bits(rule, sensor, pulses, period_ticks)) / pixels
+
+
+def _start_bits(rule: Rule, period_ticks: int) -> int:
+    return bits_for(-(-period_ticks // rule.bin_ticks))
 
 
 def sent_bits(rule: Rule, sensor: Sensor, pulses: int, period_ticks: int) -> float:
     """Return the bits that leave the sensor for each minigroup, as a mean."""
     pixels = sensor.pixels // sensor.minigroups
     of_pulses = bits_for(pulses - rule.first_pulses(pulses))
-    of_start = bits_for(-(-period_ticks // rule.bin_ticks))
     bins = rule.gates * rule.bins
     of_pixel = bins * rule.count_bits + of_pulses
-    event_bins = rule.gates * rule.event_bins
-    of_events = (event_bins * rule.event_bits + of_pulses) / rule.event_minigroups
-    return pixels * of_pixel + of_events + rule.gates * of_start
+    stamp_bins = rule.gates * rule.stamp_bins
+    of_windows = (stamp_bins * rule.stamp_bits + of_pulses) / rule.watchers
+    return pixels * of_pixel + of_windows + rule.gates * _start_bits(rule, period_ticks)

@@ -28,26 +28,16 @@ from .comparison import schemes
 from .confidence import scene_in_perspective
 from .count_depth import depth_of
 from .count_kernels import NO_GATE
-from .counting import (
-    Rule,
-    coarse_histograms,
-    count,
-    gates_of,
-    memory_bits,
-    sent_bits,
-    stops_of,
-    unlimited,
-)
+from .counting import Rule, count, find_gates, memory_bits, played, sent_bits, unlimited
 
 PAGE = "docs/counts.md"
 SIDE = 32  # rows and columns
+EVENT_WINDOW_TICKS = 16  # of the events beside the counts
 RULE = Rule()
 RIVALS = ("zoomed: 16 bins", "equi-depth: 16 bins")
 DEFAULT_LINK_GBPS = 8.0
 LINK_THRESHOLD = 2
-TRUTH_MARGIN_TICKS = (
-    16  # from the begin of an ideal gate to the first surface in it, and at its end
-)
+END_TICKS = 16  # a surface this close to the end of an ideal gate gets another one
 UNLIMITED_BITS = 30  # of a counter that is never full
 
 
@@ -81,24 +71,34 @@ DIVIDED = (Case("room 41", 50, 1000), Case("room 42", 50, 1000), Case("five-obje
 
 
 class Way(NamedTuple):
-    """A rule, and whether its gates come from the truth."""
+    """A rule, and where its gates come from."""
 
     rule: Rule
-    ideal_gates: bool = False
+    margin_ticks: int | None = None  # of gates from the truth (`ideal_gates`); None: found gates
 
 
+ONE_STEP = RULE._replace(
+    wide_share=0.0,
+    narrow_share=RULE.wide_share + RULE.narrow_share,
+    narrow_ticks=64,
+    narrow_bits=4,
+    peak_bins=2,
+)
 WAYS = {
     "the rule": Way(RULE),
-    "gates from the truth": Way(RULE, ideal_gates=True),
-    "coarse bins of 32 ticks, 6 bits": Way(RULE._replace(coarse_ticks=32, coarse_bits=6)),
-    "coarse bins of 32 ticks, 20 bits": Way(RULE._replace(coarse_ticks=32, coarse_bits=20)),
-    "bins of 4 ticks, twice as many": Way(RULE._replace(bin_ticks=4, bins=2 * RULE.bins)),
-    "every minigroup counts events, by tick": Way(
-        RULE._replace(event_minigroups=1, event_ticks=1, event_bits=UNLIMITED_BITS)
+    "gates from the truth, 40 ticks before it": Way(RULE, margin_ticks=40),
+    "gates from the truth, 16 ticks before it": Way(RULE, margin_ticks=16),
+    "one step to the gates, 64 ticks, 4 bits": Way(ONE_STEP),
+    "one step to the gates, 32 ticks, 6 bits": Way(
+        ONE_STEP._replace(narrow_ticks=32, narrow_bits=6)
     ),
+    "a window of 4 ticks": Way(RULE._replace(window_ticks=4)),
+    "a window of 16 ticks": Way(RULE._replace(window_ticks=16)),
+    "bins of 4 ticks, gates half as long": Way(RULE._replace(bin_ticks=4)),
     "counters that are never full": Way(
-        RULE._replace(count_bits=UNLIMITED_BITS, event_bits=UNLIMITED_BITS)
+        RULE._replace(count_bits=UNLIMITED_BITS, stamp_bits=UNLIMITED_BITS)
     ),
+    "3 bits of a counter": Way(RULE._replace(count_bits=3)),
 }
 
 
@@ -127,15 +127,12 @@ def counted_depth_m(run: Run, way: Way) -> np.ndarray:
     rule = way.rule
     sensor = config.sensor
     pulses = config.pulses
-    first_pulses = rule.first_pulses(pulses)
-    if way.ideal_gates:
-        start = ideal_gates(run.scene.truth_m, rule, config)
+    seen = played(run, rule)
+    if way.margin_ticks is None:
+        start = find_gates(seen.hits, sensor, rule, pulses, config.period_ticks)
     else:
-        first = stops_of(run, rule.first)
-        coarse = coarse_histograms(first, sensor, rule, first_pulses, config.period_ticks)
-        start = gates_of(coarse, rule)
-    second = stops_of(run, rule.second)
-    counts = count(second, start, sensor, rule, range(first_pulses, pulses))
+        start = ideal_gates(run.scene.truth_m, rule, config, way.margin_ticks)
+    counts = count(seen, start, sensor, rule, range(rule.first_pulses(pulses), pulses))
     background = run.light.background_cps * config.tick_s
     of_subgroups = by_subgroup(background.reshape(sensor.rows, sensor.cols), sensor)
     return depth_of(counts, rule, config, of_subgroups).time * _tick_m(config)
@@ -145,9 +142,9 @@ def _tick_m(config: Config) -> float:
     return config.tick_s * SPEED_OF_LIGHT_M_S / 2
 
 
-def ideal_gates(truth_m: np.ndarray, rule: Rule, config: Config) -> np.ndarray:
-    """int64[subgroups, minigroups, gates]: first ticks of gates that begin before the nearest
-    surface of a minigroup that no earlier gate has.
+def ideal_gates(truth_m: np.ndarray, rule: Rule, config: Config, margin_ticks: int) -> np.ndarray:
+    """int64[subgroups, minigroups, gates]: first ticks of gates that begin so long before the
+    nearest surface of a minigroup that no earlier gate has.
     """
     sensor = config.sensor
     ticks = by_subgroup(truth_m / _tick_m(config), sensor)
@@ -157,10 +154,10 @@ def ideal_gates(truth_m: np.ndarray, rule: Rule, config: Config) -> np.ndarray:
         left = ticks[s, minigroup == group]
         least = 0
         for gate in range(rule.gates):
-            left = left[left > least - TRUTH_MARGIN_TICKS]
+            left = left[left > least - END_TICKS]
             if not len(left):
                 break
-            first = max(least, int(left.min()) - TRUTH_MARGIN_TICKS)
+            first = max(least, int(left.min()) - margin_ticks)
             start[s, group, gate] = first // rule.bin_ticks * rule.bin_ticks
             least = start[s, group, gate] + rule.gate_ticks
     return start
@@ -183,7 +180,7 @@ def _shares(depth_m: np.ndarray, run: Run) -> tuple[float, float]:
 
 def look(run: Run) -> Seen:
     """Return what counts, events and rivals make of a run's photons."""
-    every = Run(unlimited(run.setup, RULE.first), cache=run.cache).frame(estimator="planes")
+    every = Run(unlimited(run.setup, EVENT_WINDOW_TICKS), cache=run.cache).frame(estimator="planes")
     linked = run.but(
         frame={"link_gbps": DEFAULT_LINK_GBPS}, subgroup={"threshold": LINK_THRESHOLD}
     ).frame(estimator="planes")

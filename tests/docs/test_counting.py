@@ -5,58 +5,119 @@ import numpy as np
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup, scene_of
+from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
 from coincid.model.depth.quality import wrong_share
-from docs.studies.count_kernels import NO_GATE, Stops
-from docs.studies.counting import Rule, coarse_histograms, count, gates_of, memory_bits, sent_bits
+from docs.studies.count_kernels import NO_GATE, Hits, Windows
+from docs.studies.counting import (
+    Played,
+    Rule,
+    count,
+    find_gates,
+    gates_of,
+    histograms,
+    memory_bits,
+    of_neighbours,
+    played,
+    regions_of,
+    sent_bits,
+)
 from docs.studies.counts import Way, counted_depth_m
 
 SENSOR = Sensor(rows=8, cols=8)
 PERIOD_TICKS = 1024
 RULE = Rule(
-    coarse_ticks=64,
+    wide_ticks=128,
+    wide_bits=4,
+    regions=2,
+    narrow_ticks=64,
+    narrow_bits=4,
+    peak_bins=2,
     bins=4,
     bin_ticks=8,
     count_bits=2,
-    event_ticks=8,
-    event_bits=2,
-    event_minigroups=1,
+    stamp_ticks=8,
+    stamp_bits=2,
+    watchers=1,
 )
 
 
-def stops(rows):
-    """Return events of subgroup 0 from (pulse, stamp, pixels)."""
-    maps = [sum(1 << pixel for pixel in pixels) for _, _, pixels in rows]
-    return Stops(
-        bounds=np.array([0, len(rows)]),
-        pulse=np.array([pulse for pulse, _, _ in rows]),
-        stamp=np.array([stamp for _, stamp, _ in rows]),
-        hits=np.array(maps, np.uint64)[:, None],
-    )
+def hits(rows):
+    """Return hits of subgroup 0 from (pulse, tick, pixels)."""
+    each = [(pulse, tick, pixel) for pulse, tick, pixels in rows for pixel in pixels]
+    pulse, tick, pixel = np.array(each).T
+    return Hits(np.array([0, len(each)]), pulse, tick, pixel)
 
 
-def test_first_pass_counts_hits_of_its_pulses_by_minigroup():
-    seen = stops([(0, 70, [0, 1, 8]), (1, 130, [2]), (2, 70, [0])])
-    coarse = coarse_histograms(seen, SENSOR, RULE, 2, PERIOD_TICKS)
-    assert coarse[0, 0, 1] == 3
-    assert coarse[0, 1, 2] == 1
-    assert coarse.sum() == 4
+def windows(rows):
+    """Return windows of subgroup 0 from (pulse, stamp)."""
+    pulse, stamp = np.array(rows).T
+    return Windows(np.array([0, len(rows)]), pulse, stamp)
 
 
-def test_minigroup_stops_when_a_coarse_bin_is_full():
-    seen = stops([(0, 70, [0])] * 20 + [(1, 200, [0])])
-    coarse = coarse_histograms(seen, SENSOR, RULE, 2, PERIOD_TICKS)
-    assert coarse[0, 0, 1] == 15
-    assert coarse[0, 0, 3] == 0
+def histogram(seen, pulses, watched=None):
+    """Return the histogram of subgroup 0 in bins of 64 ticks of 4 bits."""
+    if watched is None:
+        watched = np.ones((1, SENSOR.minigroups, PERIOD_TICKS // 64), np.bool_)
+    return histograms(seen, SENSOR, pulses, 64, 4, watched)[0]
+
+
+def test_histogram_counts_hits_of_its_pulses_by_minigroup():
+    seen = hits([(0, 70, [0, 1, 8]), (1, 130, [2]), (2, 70, [0])])
+    counted = histogram(seen, range(2))
+    assert counted[0, 1] == 3
+    assert counted[1, 2] == 1
+    assert counted.sum() == 4
+    assert histogram(seen, range(2, 3)).sum() == 1
+
+
+def test_minigroup_stops_when_a_bin_is_full():
+    seen = hits([(0, 70, [0])] * 20 + [(1, 200, [0])])
+    counted = histogram(seen, range(2))
+    assert counted[0, 1] == 15
+    assert counted[0, 3] == 0
+
+
+def test_bins_that_a_minigroup_does_not_watch_stay_empty_and_stop_nothing():
+    watched = np.ones((1, SENSOR.minigroups, PERIOD_TICKS // 64), np.bool_)
+    watched[0, 0, 1] = False
+    seen = hits([(0, 70, [0, 2])] * 20 + [(1, 200, [0])])
+    counted = histogram(seen, range(2), watched)
+    assert counted[0, 1] == 0
+    assert counted[0, 3] == 1
+    assert counted[1, 1] == 15
+
+
+def test_neighbours_of_a_minigroup_are_beside_it_also_in_other_subgroups():
+    sensor = Sensor(rows=8, cols=16)
+    histogram = np.zeros((2, sensor.minigroups, 1), np.int64)
+    histogram[0, 3] = 1  # at the upper right of the left subgroup
+    around = of_neighbours(histogram, sensor)[:, :, 0]
+    assert sorted(zip(*np.nonzero(around), strict=True)) == [(0, 2), (0, 7), (1, 0)]
+    assert around.max() == 1
+
+
+def test_highest_wide_bins_are_divided_the_first_of_equal_ones():
+    wide = np.array([[[0, 2, 5, 2, 1]]])
+    assert regions_of(wide, RULE)[0, 0].tolist() == [False, True, True, False, False]
+
+
+def test_gate_lies_where_narrow_bins_of_the_highest_wide_bin_have_hits():
+    wide = [(0, 300, [0]), (1, 310, [0]), (2, 700, [0])]
+    narrow = [(5, 340, [0]), (6, 900, [0]), (7, 900, [0])]
+    rule = RULE._replace(regions=1, wide_share=0.5, narrow_share=0.4)
+    start = find_gates(hits(wide + narrow), SENSOR, rule, 10, PERIOD_TICKS)
+    assert start[0, 0, 0] == 352 - rule.gate_ticks // 2
+    assert start[0, 0, 1] == NO_GATE
 
 
 def test_gates_are_around_the_highest_pairs_and_do_not_overlap():
-    coarse = np.zeros((1, SENSOR.minigroups, 16), np.int64)
-    coarse[0, 0, 3] = 6
-    coarse[0, 0, 4] = 6
-    coarse[0, 0, 10] = 5
-    coarse[0, 1, 2] = 1
-    start = gates_of(coarse, RULE)
+    narrow = np.zeros((1, SENSOR.minigroups, 16), np.int64)
+    narrow[0, 0, 3] = 6
+    narrow[0, 0, 4] = 6
+    narrow[0, 0, 10] = 5
+    narrow[0, 1, 2] = 1
+    start = gates_of(narrow, RULE)
     first = start[0, 0, 0]
     second = start[0, 0, 1]
     assert first == 4 * 64 - RULE.gate_ticks // 2
@@ -66,10 +127,24 @@ def test_gates_are_around_the_highest_pairs_and_do_not_overlap():
     assert np.all(start[0, 2] == NO_GATE)
 
 
-def test_pixel_counts_by_the_stamp_and_stops_when_full():
+def test_hit_has_the_time_of_its_own_first_edge_in_a_window():
+    edges = Edges(
+        pulse=np.array([0, 0, 0, 0, 1]),
+        pixel=np.array([3, 9, 9, 12, 5]),
+        tick=np.array([100, 120, 125, 140, 64]),
+    )
+    setup = Setup.of(None, sensor={"rows": 8, "cols": 8}, frame={"pulses": 2}).but(edges=edges)
+    seen = played(Run(setup), Rule())
+    assert seen.windows.stamp.tolist() == [100, 64]
+    assert seen.hits.pulse.tolist() == [0, 0, 1]
+    assert seen.hits.tick.tolist() == [100, 120, 64]
+    assert seen.hits.pixel.tolist() == [3, 9, 5]
+
+
+def test_pixel_counts_in_its_gates_and_stops_when_full():
     start = np.full((1, SENSOR.minigroups, 2), NO_GATE)
     start[0, 0] = (64, 320)
-    seen = stops(
+    own = hits(
         [
             (5, 64, [0, 2]),
             (6, 79, [0, 1]),
@@ -80,14 +155,15 @@ def test_pixel_counts_by_the_stamp_and_stops_when_full():
             (9, 96, [1]),
         ]
     )
-    counts = count(seen, start, SENSOR, RULE, range(6, 12))
+    opened = windows([(5, 64), (6, 72), (6, 321), (7, 79), (8, 79), (9, 64), (9, 96)])
+    counts = count(Played(own, opened), start, SENSOR, RULE, range(6, 12))
     assert counts.hits[0, 0].tolist() == [[0, 3, 0, 0], [1, 0, 0, 0]]
     assert counts.hits[0, 1].tolist() == [[0, 1, 0, 0], [0, 0, 0, 0]]
     assert counts.pulses[0, 0] == 3
     assert counts.pulses[0, 1] == 6
     assert counts.hits[0, 2].sum() == 0
-    assert counts.events[0, 0].tolist() == [[0, 3, 0, 0], [1, 0, 0, 0]]
-    assert counts.event_pulses[0, 0] == 3
+    assert counts.windows[0, 0].tolist() == [[0, 3, 0, 0], [1, 0, 0, 0]]
+    assert counts.window_pulses[0, 0] == 3
 
 
 def test_bits_of_the_rule_are_those_of_its_fields():
