@@ -48,29 +48,14 @@ from .counting import Rule
 
 COARSE_HITS = 2.0  # of the faintest light in all pulses, at most: of the first grid,
 HITS = 1.5  # and of the second
-UNKNOWN = -1.0  # rate of events in bins that no gate has
 LEAST_RATE = 1e-7  # photons per tick and pixel: some background is everywhere
 
 
-def watch_of(counts: Counts, rule: Rule, config: Config, photons: np.ndarray) -> Watch:
-    """Return what the windows in all gates of a subgroup say about its tree.
-
-    photons: float64[subgroups, ticks], expected per tick. Inside a bin, windows open as these come,
-    while the tree is armed; outside of all gates, as many open.
-    """
+def watch_of(rule: Rule, config: Config, photons: np.ndarray) -> Watch:
+    """Return what the tree of each subgroup does. photons: float64[subgroups, ticks], per pulse."""
     sensor = config.sensor
-    steps = photons.shape[1] // rule.stamp_ticks
-    number = np.zeros((sensor.subgroups, steps + rule.stamp_bins))
-    pulses = np.zeros(number.shape)
-    begin = counts.start // rule.stamp_ticks
-    for s, group, gate in zip(*np.nonzero(begin >= 0), strict=True):
-        first = begin[s, group, gate]
-        number[s, first : first + rule.stamp_bins] += counts.windows[s, group, gate]
-        pulses[s, first : first + rule.stamp_bins] += counts.window_pulses[s, group]
-    rate = np.where(pulses > 0, number / np.maximum(pulses, 1), UNKNOWN)[:, :steps]
     watch = Watch(*(np.zeros(photons.shape) for _ in Watch._fields))
-    clock = (rule.window_ticks, sensor.phases, sensor.rearm)
-    follow(rate, photons, rule.stamp_ticks, *clock, watch)
+    follow(photons, rule.window_ticks, sensor.phases, sensor.rearm, watch)
     return watch
 
 
@@ -259,7 +244,7 @@ def depth_of(counts: Counts, rule: Rule, config: Config, background: np.ndarray)
     ticks = -(-config.period_ticks // rule.bin_ticks) * rule.bin_ticks
     photons = np.repeat(background.sum(axis=1, keepdims=True), ticks, axis=1)
     for last in (False, True):
-        watch = watch_of(counts, rule, config, photons)
+        watch = watch_of(rule, config, photons)
         seen = seen_of(counts, watch, rule, config, background)
         surfaces = surfaces_of(Counted(seen, config, pulse, rule, counts.second_pulses))
         if not last:

@@ -13,7 +13,6 @@ NO_GATE = -1
 PART = 4  # ticks: step of the ends of windows, after which a pixel may fire unseen
 MISSED = -6.0  # log likelihood of a surface outside of all gates
 RARE = 1e-9  # least share of armed pulses
-SHARE_MAX = 0.9999  # of the armed pulses that open a window in a bin
 _close_cycle = njit(close_cycle)
 _armed_cycle = njit(armed_cycle)
 
@@ -29,22 +28,12 @@ class Hits(NamedTuple):
     pixel: np.ndarray  # int64[n], of the subgroup
 
 
-class Windows(NamedTuple):
-    """Windows by subgroup, in the order of their pulses."""
-
-    bounds: np.ndarray  # int64[subgroups + 1], as those of hits
-    pulse: np.ndarray  # int64[n]
-    stamp: np.ndarray  # int64[n], ticks
-
-
 class Counts(NamedTuple):
     """What leaves the sensor, by subgroup."""
 
     start: np.ndarray  # int64[subgroups, minigroups, gates], first tick of a gate, or NO_GATE
     hits: np.ndarray  # int64[subgroups, pixels, gates, bins]
     pulses: np.ndarray  # int64[subgroups, pixels], in which the pixel counted
-    windows: np.ndarray  # int64[subgroups, minigroups, gates, window bins]
-    window_pulses: np.ndarray  # int64[subgroups, minigroups], in which these were counted
     second_pulses: int
 
 
@@ -111,28 +100,6 @@ def count_hits(
                 counts.pulses[s, i] = hits.pulse[e] - begin + 1
 
 
-@njit
-def count_windows(
-    windows: Windows, begin: int, end: int, width: int, most: int, counts: Counts
-) -> None:
-    subgroups, minigroups, _, bins = counts.windows.shape
-    for s in range(subgroups):
-        full = counts.window_pulses[s] == 0
-        for e in range(windows.bounds[s], windows.bounds[s + 1]):
-            if not begin <= windows.pulse[e] < end:
-                continue
-            for group in range(minigroups):
-                start = counts.start[s, group]
-                gate = _gate_at(start, windows.stamp[e], bins * width)
-                if full[group] or gate < 0:
-                    continue
-                here = (windows.stamp[e] - start[gate]) // width
-                counts.windows[s, group, gate, here] += 1
-                if counts.windows[s, group, gate, here] == most:
-                    full[group] = True
-                    counts.window_pulses[s, group] = windows.pulse[e] - begin + 1
-
-
 class Seen(NamedTuple):
     """What the likelihood reads of a pixel's bins, [pixels, gates, bins, ...], pixels by subgroup."""
 
@@ -164,36 +131,21 @@ class Watch(NamedTuple):
 
 
 @njit
-def follow(
-    rate: np.ndarray,
-    photons: np.ndarray,
-    width: int,
-    window: int,
-    phases: int,
-    rearm: int,
-    watch: Watch,
-) -> None:
+def follow(photons: np.ndarray, window: int, phases: int, rearm: int, watch: Watch) -> None:
     """Follow the tree of each subgroup through the period.
 
-    rate: float64[subgroups, bins], windows per pulse in each bin, or UNKNOWN.
+    photons: float64[subgroups, ticks], expected per pulse.
     """
-    ticks = watch.armed.shape[1]
-    for s in range(len(rate)):
+    ticks = photons.shape[1]
+    for s in range(len(photons)):
         again = np.zeros(ticks + (3 + rearm) * phases + window)
         closed = np.zeros(ticks + window)
         armed = 1.0
         blind = 0.0
-        scale = 1.0
         for tick in range(ticks):
             armed = min(1.0, armed + again[tick])
             blind = max(0.0, blind + closed[tick] - again[tick])
-            number = rate[s, tick // width]
-            if tick % width == 0:
-                scale = 1.0
-                if number >= 0:
-                    share = min(SHARE_MAX, number / max(armed, RARE))
-                    scale = -math.log(1 - share) / photons[s, tick : tick + width].sum()
-            opened = armed * (1 - math.exp(-scale * photons[s, tick]))
+            opened = armed * (1 - math.exp(-photons[s, tick]))
             watch.armed[s, tick] = armed
             watch.opened[s, tick] = opened
             watch.blind[s, tick] = blind

@@ -22,7 +22,7 @@ from coincid.model.contract.edges import Fate
 from coincid.model.contract.parameters import Sensor, bits_for
 from coincid.model.contract.pixels import pixel_table
 
-from .count_kernels import NO_GATE, Counts, Hits, Windows, count_hits, count_windows, fill
+from .count_kernels import NO_GATE, Counts, Hits, count_hits, fill
 
 
 class Rule(NamedTuple):
@@ -39,22 +39,14 @@ class Rule(NamedTuple):
     narrow_bits: int = 6
     peak_bins: int = 4  # narrow bins that are a peak together
     gates: int = 2
-    bins: int = 14  # of a gate
+    bins: int = 16  # of a gate
     bin_ticks: int = 8
     count_bits: int = 4
-    stamp_ticks: int = 4  # width of a bin in which windows are counted
-    stamp_bits: int = 6
-    watchers: int = 4  # one of so many minigroups counts windows, too: 1, 2 or 4
 
     @property
     def gate_ticks(self) -> int:
         """Length of a gate."""
         return self.bins * self.bin_ticks
-
-    @property
-    def stamp_bins(self) -> int:
-        """Number of a gate's bins of windows."""
-        return self.gate_ticks // self.stamp_ticks
 
     def wide_pulses(self, pulses: int) -> int:
         """Return the number of pulses of the wide bins."""
@@ -65,37 +57,22 @@ class Rule(NamedTuple):
         return round((self.wide_share + self.narrow_share) * pulses)
 
 
-class Played(NamedTuple):
-    """What the counters see."""
-
-    hits: Hits
-    windows: Windows
-
-
-def played(run: Run, rule: Rule) -> Played:
-    """Return hits and windows in all pulses of a run, whatever its settings."""
+def hits_of(run: Run, rule: Rule) -> Hits:
+    """Return the hits in all pulses of a run, whatever its settings."""
     setup = unlimited(run.setup, rule.window_ticks)
-    played_run = Run(setup, cache=run.cache, workers=run.workers)
-    result = played_run.result
+    played = Run(setup, cache=run.cache, workers=run.workers)
+    counted = np.isin(played.result["fate"], (Fate.OPENING, Fate.COUNTED))
+    edges = played.edges.take(counted)
     sensor = setup.config.sensor
-    bounds = np.arange(sensor.subgroups + 1)
-    order = np.argsort(result["subgroup"], kind="stable")
-    windows = Windows(
-        bounds=np.searchsorted(result["subgroup"][order], bounds),
-        pulse=result["pulse"][order].astype(np.int64),
-        stamp=result["stamp"][order].astype(np.int64),
-    )
     table = pixel_table(sensor)
-    edges = played_run.edges.take(np.isin(result["fate"], (Fate.OPENING, Fate.COUNTED)))
     subgroup = table.subgroup[edges.pixel]
     order = np.lexsort((edges.tick, edges.pulse, subgroup))
-    hits = Hits(
-        bounds=np.searchsorted(subgroup[order], bounds),
+    return Hits(
+        bounds=np.searchsorted(subgroup[order], np.arange(sensor.subgroups + 1)),
         pulse=edges.pulse[order].astype(np.int64),
         tick=edges.tick[order].astype(np.int64),
         pixel=table.inside[edges.pixel[order]].astype(np.int64),
     )
-    return Played(hits, windows)
 
 
 def unlimited(setup: Setup, window_ticks: int) -> Setup:
@@ -199,36 +176,23 @@ def _beside(first: np.ndarray, other: np.ndarray, gate_ticks: int) -> np.ndarray
     return np.where(overlaps & (other >= 0), moved, first)
 
 
-def count(seen: Played, start: np.ndarray, sensor: Sensor, rule: Rule, pulses: range) -> Counts:
+def count(hits: Hits, start: np.ndarray, sensor: Sensor, rule: Rule, pulses: range) -> Counts:
     """Count the hits of some pulses in gates that begin at the ticks `start`."""
     gates = start.shape[2]
     counts = Counts(
         start=start,
         hits=np.zeros((sensor.subgroups, sensor.pixels, gates, rule.bins), np.int64),
         pulses=np.full((sensor.subgroups, sensor.pixels), len(pulses)),
-        windows=np.zeros((sensor.subgroups, sensor.minigroups, gates, rule.stamp_bins), np.int64),
-        window_pulses=np.tile(len(pulses) * _watches(sensor, rule), (sensor.subgroups, 1)),
         second_pulses=len(pulses),
     )
     minigroup = pixel_table(sensor).minigroup
     most = (1 << rule.count_bits) - 1
-    most_windows = (1 << rule.stamp_bits) - 1
-    count_hits(seen.hits, minigroup, pulses.start, pulses.stop, rule.bin_ticks, most, counts)
-    count_windows(seen.windows, pulses.start, pulses.stop, rule.stamp_ticks, most_windows, counts)
+    count_hits(hits, minigroup, pulses.start, pulses.stop, rule.bin_ticks, most, counts)
     return counts
 
 
-def _watches(sensor: Sensor, rule: Rule) -> np.ndarray:
-    """int64[minigroups]: 1 if a minigroup counts windows; these are spread evenly."""
-    across = sensor.subgroup[1] // sensor.minigroup[1]
-    row, column = np.divmod(np.arange(sensor.minigroups), across)
-    if rule.watchers == 4:
-        return ((row % 2 == 0) & (column % 2 == 0)).astype(np.int64)
-    return ((row + column) % rule.watchers == 0).astype(np.int64)
-
-
 def memory_bits(rule: Rule, sensor: Sensor, pulses: int, period_ticks: int) -> float:
-    """Return the mean bits of memory per pixel: those of the largest step, since steps share it.
+    """Return the bits of memory per pixel: those of the largest step, since steps share it.
 
     A step keeps what it finds beside its histogram: a bit for each wide bin says whether this is
     divided; then the begins of the gates.
@@ -250,12 +214,10 @@ def _start_bits(rule: Rule, period_ticks: int) -> int:
     return bits_for(-(-period_ticks // rule.bin_ticks))
 
 
-def sent_bits(rule: Rule, sensor: Sensor, pulses: int, period_ticks: int) -> float:
-    """Return the bits that leave the sensor for each minigroup, as a mean."""
+def sent_bits(rule: Rule, sensor: Sensor, pulses: int, period_ticks: int) -> int:
+    """Return the bits that leave the sensor for each minigroup."""
     pixels = sensor.pixels // sensor.minigroups
     of_pulses = bits_for(pulses - rule.first_pulses(pulses))
     bins = rule.gates * rule.bins
     of_pixel = bins * rule.count_bits + of_pulses
-    stamp_bins = rule.gates * rule.stamp_bins
-    of_windows = (stamp_bins * rule.stamp_bits + of_pulses) / rule.watchers
-    return pixels * of_pixel + of_windows + rule.gates * _start_bits(rule, period_ticks)
+    return pixels * of_pixel + rule.gates * _start_bits(rule, period_ticks)

@@ -8,21 +8,20 @@ from coincid.lab.setup import Setup, scene_of
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
 from coincid.model.depth.quality import wrong_share
-from docs.studies.count_kernels import NO_GATE, Hits, Windows
+from docs.studies.count_kernels import NO_GATE, Hits
 from docs.studies.counting import (
-    Played,
     Rule,
     count,
     find_gates,
     gates_of,
     histograms,
+    hits_of,
     memory_bits,
     of_neighbours,
-    played,
     regions_of,
     sent_bits,
 )
-from docs.studies.counts import Way, counted_depth_m
+from docs.studies.counts import Way, find
 
 SENSOR = Sensor(rows=8, cols=8)
 PERIOD_TICKS = 1024
@@ -36,9 +35,6 @@ RULE = Rule(
     bins=4,
     bin_ticks=8,
     count_bits=2,
-    stamp_ticks=8,
-    stamp_bits=2,
-    watchers=1,
 )
 
 
@@ -47,12 +43,6 @@ def hits(rows):
     each = [(pulse, tick, pixel) for pulse, tick, pixels in rows for pixel in pixels]
     pulse, tick, pixel = np.array(each).T
     return Hits(np.array([0, len(each)]), pulse, tick, pixel)
-
-
-def windows(rows):
-    """Return windows of subgroup 0 from (pulse, stamp)."""
-    pulse, stamp = np.array(rows).T
-    return Windows(np.array([0, len(rows)]), pulse, stamp)
 
 
 def histogram(seen, pulses, watched=None):
@@ -134,11 +124,10 @@ def test_hit_has_the_time_of_its_own_first_edge_in_a_window():
         tick=np.array([100, 120, 125, 140, 64]),
     )
     setup = Setup.of(None, sensor={"rows": 8, "cols": 8}, frame={"pulses": 2}).but(edges=edges)
-    seen = played(Run(setup), Rule())
-    assert seen.windows.stamp.tolist() == [100, 64]
-    assert seen.hits.pulse.tolist() == [0, 0, 1]
-    assert seen.hits.tick.tolist() == [100, 120, 64]
-    assert seen.hits.pixel.tolist() == [3, 9, 5]
+    own = hits_of(Run(setup), Rule())
+    assert own.pulse.tolist() == [0, 0, 1]
+    assert own.tick.tolist() == [100, 120, 64]
+    assert own.pixel.tolist() == [3, 9, 5]
 
 
 def test_pixel_counts_in_its_gates_and_stops_when_full():
@@ -155,21 +144,18 @@ def test_pixel_counts_in_its_gates_and_stops_when_full():
             (9, 96, [1]),
         ]
     )
-    opened = windows([(5, 64), (6, 72), (6, 321), (7, 79), (8, 79), (9, 64), (9, 96)])
-    counts = count(Played(own, opened), start, SENSOR, RULE, range(6, 12))
+    counts = count(own, start, SENSOR, RULE, range(6, 12))
     assert counts.hits[0, 0].tolist() == [[0, 3, 0, 0], [1, 0, 0, 0]]
     assert counts.hits[0, 1].tolist() == [[0, 1, 0, 0], [0, 0, 0, 0]]
     assert counts.pulses[0, 0] == 3
     assert counts.pulses[0, 1] == 6
     assert counts.hits[0, 2].sum() == 0
-    assert counts.windows[0, 0].tolist() == [[0, 3, 0, 0], [1, 0, 0, 0]]
-    assert counts.window_pulses[0, 0] == 3
 
 
 def test_bits_of_the_rule_are_those_of_its_fields():
     rule = Rule()
-    of_pixel = 2 * 14 * 4 + 10
-    of_minigroup = 4 * of_pixel + (2 * 28 * 6 + 10) / 4 + 2 * 10
+    of_pixel = 2 * 16 * 4 + 10
+    of_minigroup = 4 * of_pixel + 2 * 10
     assert sent_bits(rule, Sensor(), 1000, 8000) == of_minigroup
     assert memory_bits(rule, Sensor(), 1000, 8000) == of_minigroup / 4 <= 150
 
@@ -185,4 +171,4 @@ def test_counts_find_a_wall_behind_a_bright_box():
         klux=10.0,
     )
     run = Run(setup.but(scene=scene_of(setup.config, distance_m)), workers=1)
-    assert wrong_share(counted_depth_m(run, Way(Rule())), distance_m) < 0.02
+    assert wrong_share(find(run, Way(Rule())).depth_m, distance_m) < 0.02
