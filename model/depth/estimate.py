@@ -41,7 +41,7 @@ from .methods import (
     check_no_source,
     chosen_method,
 )
-from .peaks import live_share, pixel_peaks, record_live
+from .peaks import hit_shares, live_share, pixel_peaks, record_live
 from .planes import find_surfaces
 from .pulse_ticks import PulseTicks, pulse_ticks
 
@@ -278,6 +278,9 @@ def find_returns(
     live, group = (
         _live(arrays, events, config, source, frame) if method == "background" else (None, None)
     )
+    hit_share = live
+    if source != "minigroup" and method != "maximum":
+        hit_share = hit_shares(arrays, events, config, frame).__getitem__
     step_ticks = 1 if source != "minigroup" else minigroup_step_ticks(config)
     histograms = subgroup_histograms(
         arrays, config, shape, source=source, frame=frame, events=events
@@ -289,6 +292,7 @@ def find_returns(
             live(s) if live else None,
             shape,
             returns,
+            hit_share=hit_share(s) if hit_share else None,
             group=group,
             step_ticks=step_ticks,
         )

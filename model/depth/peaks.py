@@ -10,10 +10,10 @@ import numpy as np
 from scipy import ndimage
 
 from ..contract.config import Config
-from ..contract.latency import armed_cycle, close_cycle
 from ..contract.parameters import Sensor
 from ..shared.compiled import njit, part
 from . import portable
+from .clusters import armed_ticks
 from .histograms import Events
 from .pulse_ticks import NEAR_SIGMAS, PulseTicks
 
@@ -22,6 +22,7 @@ CENTRINGS = 5  # the bins that determine a centre are moved to it so many times 
 APART_SIGMAS = 4.0  # distance between the returns of a pixel
 ACCIDENT_MAX = 0.01  # probability that a second or further return is background
 LIVE_MIN = 0.05  # share of periods; below it, pile-up cannot be corrected
+STILL_ARMED_MIN = 0.1  # share of the trees after a pulse; below it, it is too uncertain
 
 
 def pixel_peaks(
@@ -31,13 +32,15 @@ def pixel_peaks(
     pulse: PulseTicks,
     returns: int,
     *,
+    hit_share: np.ndarray | None = None,
     group: np.ndarray | None = None,
     step_ticks: int = 1,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (ticks, confidence), each float64[pixels, returns], from int32[pixels, bins].
 
     live: float64[bins], or [minigroups, bins] with `group`, int64[pixels], each pixel's minigroup;
-    of `live_share` or `record_live`. step_ticks: between the stamps in the histogram.
+    of `live_share` or `record_live`. hit_share: the same, of `hit_shares`; None: 1. step_ticks:
+    between the stamps in the histogram.
     """
     bins = histogram.shape[1]
     single = method == "maximum"
@@ -46,18 +49,17 @@ def pixel_peaks(
     sigma_ticks = math.hypot(pulse.sigma, step_sigma)
     hits = np.ones(1) if single else _hits_of_pulse(pulse, sigma_ticks)
     width = hits.sum()
-    if live is None:
-        live = shape = np.ones((1, bins))
-    else:
-        live = np.atleast_2d(live)
-        relative = live / live.mean(axis=1, keepdims=True)
+    shape = np.ones((1, bins))
+    if live is not None:
+        of_group = np.atleast_2d(live)
+        relative = of_group / of_group.mean(axis=1, keepdims=True)
         # NumPy's own correlation depends on the processor.
         shape = ndimage.correlate1d(relative, hits / width, mode="constant")
     law = _Law(
         hits=hits,
         width=width,
         shapes=shape,
-        lives=live,
+        seen=np.ones_like(shape) if hit_share is None else np.atleast_2d(hit_share),
         group=np.zeros(len(histogram), np.int64) if group is None else group,
         by_evidence=method == "background",
         near=0 if single else round(NEAR_SIGMAS * sigma_ticks),
@@ -96,7 +98,7 @@ class _Law(NamedTuple):
     hits: np.ndarray  # float64[n], of a pulse: one in its peak counts exactly 1, not a little more
     width: float  # bins of even light that count as much as the pulse
     shapes: np.ndarray  # float64[groups, bins], background relative to its mean
-    lives: np.ndarray  # float64[groups, bins], share of the periods in which hits could come
+    seen: np.ndarray  # float64[groups, bins], of `hit_shares`
     group: np.ndarray  # int64[pixels], row of each pixel in these
     by_evidence: (
         bool  # peaks are those of the evidence against background, not of the filtered hits
@@ -119,7 +121,7 @@ class _Pixel(NamedTuple):
 
     hits: np.ndarray  # int32
     shape: np.ndarray  # float64, row of `_Law.shapes`
-    live: np.ndarray  # float64, row of `_Law.lives`
+    seen: np.ndarray  # float64, row of `_Law.seen`
 
 
 class _Found(NamedTuple):
@@ -140,7 +142,7 @@ def _peaks(
     """
     for i in range(len(histogram)):
         group = law.group[i]
-        pixel = _Pixel(histogram[i], law.shapes[group], law.lives[group])
+        pixel = _Pixel(histogram[i], law.shapes[group], law.seen[group])
         total, number = _filter(pixel.hits, law.hits, work)
         if total:
             found = _weigh(pixel, law, total, number, work)
@@ -233,7 +235,7 @@ def _take(
 
 @part
 def _centre(pixel: _Pixel, at: int, near: int) -> float:
-    """Return the mean time of the hits near a peak, if all bins had always been live.
+    """Return the mean time of the hits near a peak, if the tree had been armed before the pulse.
 
     The bins that count are those around the mean itself. The peak of the filter is as broad as the
     pulse, while most stamps are closer together.
@@ -251,12 +253,12 @@ def _centre(pixel: _Pixel, at: int, near: int) -> float:
 def _mean_near(pixel: _Pixel, at: int, near: int) -> float:
     """Return the mean time of the hits within `near` bins of a bin, or its middle without hits."""
     hits = pixel.hits
-    live = pixel.live
+    seen = pixel.seen
     weight = 0.0
     mean = 0.0
     for j in range(max(0, at - near), min(len(hits), at + near + 1)):
-        weight += hits[j] / live[j]
-        mean += hits[j] / live[j] * (j + 0.5)
+        weight += hits[j] / seen[j]
+        mean += hits[j] / seen[j] * (j + 0.5)
     return mean / weight if weight else at + 0.5
 
 
@@ -305,30 +307,100 @@ def live_share(
     at each tick.
 
     After a window opens, the tree cannot open another until it is armed again: this is pile-up, and
-    the blind time of R. Committed windows are taken at their times: to the tick if coincidence is
-    off (the stamps are single photons: Coates' correction), otherwise to the cycle before (the
-    arrival is inside the event's own window). The times of rejected windows are unknown, so they
-    are spread over the period.
+    the blind time of R. If coincidence is off, the stamps are single photons, and each blocks from
+    its tick on (Coates' correction). Otherwise an event blocks the cycle before the tree is armed
+    again. Its own arrival is often in there: so where a subgroup has many events, a hit is less
+    likely to be taken for background. The times of rejected windows are unknown, so they are spread
+    over the period.
     """
     sensor = config.sensor
     ticks = config.period_ticks
-    frames = slice(None) if frame is None else slice(frame, frame + 1)
-    opened = arrays["opened"][frames].sum(axis=0)
-    committed = arrays["committed"][frames].sum(axis=0)
-    stored = arrays["stored"][frames].sum(axis=0)
-    periods = config.pulses * len(arrays["opened"][frames])
+    windows = _count_windows(arrays, config, frame)
     live = np.empty((sensor.subgroups, ticks))
     for s in range(sensor.subgroups):
         stamp = events.stamp[events.bounds[s] : events.bounds[s + 1]]
         window = events.window[s]
-        close = close_cycle(stamp, window, sensor.phases)
-        armed = armed_cycle(close, sensor.rearm) * sensor.phases
+        armed = armed_ticks(stamp, window, config)
         start = stamp + 1
         if config.coincidence[s]:
             start = armed - sensor.phases
         starts = np.bincount(start, minlength=ticks + 1)
         ends = np.bincount(np.minimum(armed, ticks), minlength=ticks + 1)[: ticks + 1]
-        blocked = np.cumsum(starts - ends)[:ticks] * committed[s] / max(1, stored[s])
-        rejected = (opened[s] - committed[s]) * (window + sensor.phases / 2) / ticks
-        live[s] = 1 - (blocked + rejected) / periods
+        blocked = np.cumsum(starts - ends)[:ticks] * windows.per_stored[s]
+        rejected = windows.rejected[s] * (window + sensor.phases / 2) / ticks
+        live[s] = 1 - (blocked + rejected) / windows.periods
     return np.maximum(live, LIVE_MIN)
+
+
+def hit_shares(
+    arrays: dict[str, np.ndarray], events: Events, config: Config, frame: int | None
+) -> np.ndarray:
+    """float64[subgroups, period_ticks]: hits by arrival, over those that there would be if the tree
+    were armed long before each of them.
+
+    The tree is armed again at the beginning of a cycle. If this is within a pulse, the first photon
+    comes from the rest of the pulse only: too late.
+    """
+    ticks = config.period_ticks
+    windows = _count_windows(arrays, config, frame)
+    shares = np.empty((config.sensor.subgroups, ticks))
+    for s in range(len(shares)):
+        span = slice(events.bounds[s], events.bounds[s + 1])
+        stamp = events.stamp[span]
+        hits = events.count[span]
+        opened = np.bincount(stamp, minlength=ticks) * windows.per_stored[s]
+        opened += windows.rejected[s] / ticks
+        by_stamp = _event_share(opened / windows.periods, int(events.window[s]), config)
+        shares[s] = by_stamp
+        if config.coincidence[s]:  # without, a window is too short to tell how many photons came
+            arrival = np.clip(np.floor(events.arrival[span]), 0, ticks - 1).astype(np.int64)
+            seen = np.bincount(arrival, weights=hits, minlength=ticks)
+            full = np.bincount(arrival, weights=hits / by_stamp[stamp], minlength=ticks)
+            np.divide(seen, full, out=shares[s], where=full > 0)
+    return shares
+
+
+def _event_share(opened: np.ndarray, window: int, config: Config) -> np.ndarray:
+    """float64[ticks]: windows that open at a tick, over those of a tree that is armed long before.
+
+    opened: float64[ticks], windows that open at a tick in a period. After a pulse in which hardly a
+    tree is still armed, those that are armed again open most of the windows.
+    """
+    ticks = len(opened)
+    tick = np.arange(ticks)
+    armed = np.minimum(armed_ticks(tick, window, config), ticks)
+    rearmed = np.bincount(armed, weights=opened, minlength=ticks + 1)[:ticks]
+    over = np.concatenate([np.zeros(window), opened])[:ticks]
+    free = 1 - np.cumsum(over - rearmed)  # no earlier window has ended or blocks
+    free_before = np.concatenate([[1.0], free[:-1]])
+    still_armed = 1 - _sum_before(opened, window) / np.maximum(free_before, LIVE_MIN)
+    more = rearmed * (1 / np.maximum(still_armed, STILL_ARMED_MIN) - 1)
+    return np.maximum(free + _sum_before(more, window - 1) + more, LIVE_MIN)
+
+
+def _sum_before(values: np.ndarray, number: int) -> np.ndarray:
+    """float64[ticks]: sum of so many values before each tick, without the tick's own."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    tick = np.arange(len(values))
+    return total[tick] - total[np.maximum(0, tick - number)]
+
+
+class _Windows(NamedTuple):
+    """Windows of a frame, or of all frames."""
+
+    periods: int  # in which they opened
+    per_stored: np.ndarray  # float64[subgroups], windows that met the threshold, per stored event
+    rejected: np.ndarray  # int64[subgroups], those that did not
+
+
+def _count_windows(arrays: dict[str, np.ndarray], config: Config, frame: int | None) -> _Windows:
+    """Count the windows of a frame, or of all frames (None)."""
+    frames = slice(None) if frame is None else slice(frame, frame + 1)
+    opened = arrays["opened"][frames].sum(axis=0)
+    committed = arrays["committed"][frames].sum(axis=0)
+    stored = arrays["stored"][frames].sum(axis=0)
+    return _Windows(
+        periods=config.pulses * len(arrays["opened"][frames]),
+        per_stored=committed / np.maximum(1, stored),
+        rejected=opened - committed,
+    )

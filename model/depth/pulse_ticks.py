@@ -14,13 +14,14 @@ from scipy import special
 from ..contract.config import Config
 from ..shared.pulse import Pulse
 from ..shared.quantities import Numbers
-from .arrivals import SYSTEM_FWHM_S, lead_sigmas, pulse_sigma_ticks
+from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
 
 REACH_SIGMAS = 4.0  # from the centre of a pulse to its beginning and end
 KEPT = 32  # widened tables, at most
+KEPT_CENTRES = 4096  # of first photons, at most
 POINTS_PER_TICK = 4  # of a widened table
 NEAR_SIGMAS = 1.2  # half width of the bins that determine the centre of a peak of a histogram
-FINE = 16  # steps per tick, for the centre of the first photons of a table
+FINE = 16  # steps per tick, for the centre of the first photons
 CENTRINGS = 50  # in which this centre moves no more
 
 
@@ -58,32 +59,14 @@ class PulseTicks(NamedTuple):
 
     def lead(self, photons: Numbers) -> np.ndarray:
         """Return the ticks by which the first of so many photons (float64, at least 1) comes before
-        the surface's time: in the mean, or, of a table, in the centre as a peak's is found.
+        the surface's time, in the centre as a peak's is found.
 
-        A tail moves the mean of the first photons, but hardly their peak. So with this lead, the
-        peaks of all numbers of photons have their centres at the surface's time.
+        The first photons are skewed, and a tail moves their mean, but hardly their peak. So with
+        this lead, the peaks of all numbers of photons have their centres at the surface's time.
         """
-        if not self.times:
-            return self.sigma * lead_sigmas(photons)
         numbers, row = np.unique(photons, return_inverse=True)
-        leads = np.array([-self._centre_of_first(number) for number in numbers])
+        leads = np.array([-_centre_of_first(self, number) for number in numbers.tolist()])
         return leads[row].reshape(np.shape(photons))
-
-    def _centre_of_first(self, photons: float) -> float:
-        """Return the centre of the first of so many photons of a table: the mean of those that are
-        near this mean.
-        """
-        border = np.arange(self.times[0], self.times[-1] + 2 / FINE, 1 / FINE)
-        none_yet = (1 - self.share_before(border)) ** photons
-        chance = none_yet[:-1] - none_yet[1:]
-        time = (border[:-1] + border[1:]) / 2
-        reach = self.near + 0.5
-        together = np.convolve(chance, np.ones(round(2 * reach * FINE) + 1), "same")
-        centre = float(time[together.argmax()])
-        for _ in range(CENTRINGS):
-            is_near = abs(time - centre) <= reach
-            centre = float(np.average(time[is_near], weights=chance[is_near]))
-        return centre
 
     def widened(self, width: int) -> "PulseTicks":
         """Return the pulse that a slanted surface sends back, whose sigma is `width` times as
@@ -107,6 +90,26 @@ def pulse_ticks(
     table = PulseTicks(0.0, tuple(times.tolist()), tuple(pulse.share_before.tolist()))
     beside = special.ndtr(-1)
     return table._replace(sigma=(table.quantile(1 - beside) - table.quantile(beside)) / 2)
+
+
+@lru_cache(KEPT_CENTRES)
+def _centre_of_first(pulse: PulseTicks, photons: float) -> float:
+    """Return the centre of the first of so many photons: the mean of those that are near this
+    mean.
+    """
+    first = pulse.times[0] if pulse.times else -float(pulse.reach)
+    last = pulse.times[-1] if pulse.times else float(pulse.reach)
+    border = np.arange(first, last + 2 / FINE, 1 / FINE)
+    none_yet = (1 - pulse.share_before(border)) ** photons
+    chance = none_yet[:-1] - none_yet[1:]
+    time = (border[:-1] + border[1:]) / 2
+    reach = pulse.near + 0.5
+    together = np.convolve(chance, np.ones(round(2 * reach * FINE) + 1), "same")
+    centre = float(time[together.argmax()])
+    for _ in range(CENTRINGS):
+        is_near = abs(time - centre) <= reach
+        centre = float(np.average(time[is_near], weights=chance[is_near]))
+    return centre
 
 
 @lru_cache(KEPT)

@@ -7,7 +7,7 @@ from PIL import Image
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.depth.arrivals import lead_sigmas, photons_of
+from coincid.model.depth.arrivals import photons_of
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import SOURCES, subgroup_histograms
 from coincid.model.depth.pulse_ticks import PulseTicks
@@ -74,12 +74,6 @@ def test_range_error():
         (0.1, np.sqrt(0.02))
     )
     assert np.isnan(range_error(np.array([np.nan]), np.array([5.0]))).all()
-
-
-@pytest.mark.parametrize("photons", [1, 2, 5, 20, 64, 300])
-def test_lead_of_the_first_photon(photons):
-    earliest = np.random.default_rng(1).standard_normal((20_000, photons)).min(axis=1)
-    assert lead_sigmas(photons) == pytest.approx(-earliest.mean(), abs=0.04)
 
 
 def test_photons_behind_distinct_pixels():

@@ -9,7 +9,7 @@ from coincid.lab.setup import Setup
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.pixels import pixel_table
-from coincid.model.depth.arrivals import arrival_ticks, lead_sigmas, photons_of
+from coincid.model.depth.arrivals import arrival_ticks, photons_of
 from coincid.model.depth.belief import BELIEVED_MIN, Reason
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import PEAKS, PLANES, RETURNS_MAX, estimate_depth
@@ -243,10 +243,10 @@ def test_an_event_of_format_short_has_its_winner_in_the_map(name):
 def test_masked_pixels_do_not_take_part_in_the_lead_of_the_first_photon():
     half = configured({"rows": 8, "cols": 8}, {}, {"mask": "ffffffff"})
     one = np.zeros(1, np.int64)
+    lead = PulseTicks(3.0).lead
     for count in (1, 8, 32):
-        lead = lead_sigmas(np.maximum(photons_of(count, 32), 1))
-        arrival = arrival_ticks(one, one + 100, one + count, half, PulseTicks(3.0).lead)
-        assert arrival == pytest.approx(100.5 + 3.0 * lead)
+        arrival = arrival_ticks(one, one + 100, one + count, half, lead)
+        assert arrival == pytest.approx(100.5 + lead(np.maximum(photons_of(count, 32), 1)))
 
 
 @pytest.mark.parametrize("side", (-1, 1))
