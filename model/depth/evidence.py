@@ -65,9 +65,9 @@ class Law(NamedTuple):
     noise: float  # background photons per tick and pixel
     alive: np.float32  # share of the pulses in which background has not fired the pixel yet
     pulses: int
-    # Chances by the time of a surface, float32[kinds, times * lights]; kind 1 is while dropping.
-    heard: np.ndarray  # a photon makes an event
-    sharp: np.ndarray  # a photon makes the stamp of an event earlier
+    # Chances, float32[kinds, ...]; kind 1 is while dropping.
+    heard: np.ndarray  # [times * lights], a photon of a surface at a time makes an event
+    sharp: np.ndarray  # [cycles], a photon before a cycle would make the stamp of its event earlier
     margin: int  # of `fired_table`
     fired: np.ndarray  # of `fired_table`
 
@@ -269,7 +269,7 @@ def _lose(law: Law, events: SubgroupEvents, e: int, lost: np.ndarray, k0: int, k
     stored = np.float32(not dropping)
     alive = law.alive
     heard = law.heard[0, here]
-    sharp = law.sharp[dropping, here]
+    sharp = law.sharp[dropping, events.stamp[e] // law.phases]
     since = law.fired[_by_tick(law, events.since[e], k0, k1)]
     quiet = law.fired[_by_tick(law, events.quiet[e], k0, k1)]
     known = law.fired[_by_tick(law, events.known[e], k0, k1)]
@@ -278,7 +278,7 @@ def _lose(law: Law, events: SubgroupEvents, e: int, lost: np.ndarray, k0: int, k
     lost = lost[here]
     for j in range(len(lost)):
         in_window = alive * (told[j] - known[j])
-        earlier = sharp[j] * (known[j] - quiet[j])
+        earlier = sharp * (known[j] - quiet[j])
         alone = stored * heard[j] * (quiet[j] - since[j])
         lost[j] += in_window + earlier + alone
 
@@ -472,7 +472,7 @@ def _row(
     stored = np.float32(not dropping)
     alive = law.alive
     heard = law.heard[0, here]
-    sharp = law.sharp[dropping, here]
+    sharp = law.sharp[dropping, events.stamp[e] // law.phases]
     since = law.fired[_by_tick(law, events.since[e], k0, k1)]
     quiet = law.fired[_by_tick(law, events.quiet[e], k0, k1)]
     known = law.fired[_by_tick(law, events.known[e], k0, k1)]
@@ -487,7 +487,7 @@ def _row(
     weight = alive * background
     for j in range(len(logs)):
         in_window = alive * (begin[j] - known[j])
-        earlier = sharp[j] * (known[j] - quiet[j])
+        earlier = sharp * (known[j] - quiet[j])
         alone = stored * heard[j] * (quiet[j] - since[j])
         lost = in_window + earlier + alone
         unnoticed = max(np.float32(RARE), np.float32(1) - before[j] - lost)
@@ -602,8 +602,7 @@ def fired_table(
 
 @njit(error_model="numpy")
 def chances_to_be_heard(law: Law, silent: np.ndarray, every: int, span: int) -> np.ndarray:
-    """float32[kinds, span * lights]: `Law.heard` or `Law.sharp`: means over the times at which a
-    pixel fires.
+    """float32[kinds, span * lights]: `Law.heard`: means over the times at which a pixel fires.
 
     silent: float32[kinds, points], as in `Unheard`, a point for every `every` ticks. span: number
     of times.

@@ -234,8 +234,24 @@ def _law(frame: _Frame, s: int) -> Law:
     )
     return law._replace(
         heard=chances_to_be_heard(law, never.missed[:kinds, s], never.every, span),
-        sharp=chances_to_be_heard(law, never.blind[:kinds, s], never.every, span),
+        sharp=alive * (1 - _blind_before(never.blind[:kinds, s], never.every, window, config)),
     )
+
+
+def _blind_before(blind: np.ndarray, every: int, window: int, config: Config) -> np.ndarray:
+    """float32[kinds, cycles]: mean of `blind` over the ticks before each cycle from which a window
+    lasts until this cycle.
+
+    blind: float32[kinds, points], of `Unheard`, a point for every `every` ticks.
+    """
+    phases = config.sensor.phases
+    before = max(1, window - 1 + config.sensor.rearm * phases)
+    begins = np.arange(config.period) * phases
+    by_tick = np.repeat(blind.astype(np.float64), every, axis=1)[:, : config.period_ticks]
+    total = np.cumsum(np.pad(by_tick, ((0, 0), (1, 0))), axis=1)
+    since = np.maximum(0, begins - before)
+    mean = (total[:, begins] - total[:, since]) / np.maximum(1, begins - since)
+    return mean.astype(np.float32)
 
 
 def _learned_prior(frame: _Frame, found: Sequence[_Evidence], spread: Spread) -> np.ndarray:
