@@ -115,20 +115,20 @@ INTERFERENCE = dict(
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "afcb61d616f0dfb5"),
-    "sim": (sim, "63ad8caa4b7efbc1"),
+    "sim": (sim, "abd1d9f44e11d294"),
     "sweep": (sweep, "a7575357c32939b3"),
-    "explorer": (explorer, "1fd925aed976a96a"),
-    "surfaces": (surface, "24908ca5f16e37ea"),
-    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "2936c6709b65a411"),
+    "explorer": (explorer, "25061f501fbbc919"),
+    "surfaces": (surface, "7e5f1849d8094492"),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "eb8d25e03ee703dc"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "dadbe66a1cb251bd",
+        "030671603c153037",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
-        "cdffdab48c136d64",
+        "431a75f1ce242c36",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "d7634db3e2fc4fe0"),
+    "interference": (section(interference.interference, **INTERFERENCE), "e1ef61cfb920f41f"),
 }
 
 
