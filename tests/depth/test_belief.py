@@ -72,7 +72,9 @@ def test_ninety_per_cent_are_ninety_per_cent(method):
     ninety = (sure >= NINETY[0]) & (sure < NINETY[1])
     limit = 0.05 if method == "planes" else 0.12  # peaks know nothing of slants
     assert abs(right.mean() - sure.mean()) < limit
-    assert abs(right[ninety].mean() - sure[ninety].mean()) < limit
+    share = right[ninety].mean()
+    noise = np.sqrt(share * (1 - share) / ninety.sum())  # of the few pixels that are as sure
+    assert abs(share - sure[ninety].mean()) < limit + noise
 
 
 def test_confidence_holds_at_a_threshold_that_costs_most_events():
