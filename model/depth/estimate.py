@@ -280,7 +280,7 @@ def find_returns(
     )
     hit_share = live
     if source != "minigroup" and method != "maximum":
-        hit_share = hit_shares(arrays, events, config, frame).__getitem__
+        hit_share = hit_shares(arrays, events, config, shape, frame).__getitem__
     step_ticks = 1 if source != "minigroup" else minigroup_step_ticks(config)
     histograms = subgroup_histograms(
         arrays, config, shape, source=source, frame=frame, events=events

@@ -22,6 +22,7 @@ CENTRINGS = 5  # the bins that determine a centre are moved to it so many times 
 APART_SIGMAS = 4.0  # distance between the returns of a pixel
 ACCIDENT_MAX = 0.01  # probability that a second or further return is background
 LIVE_MIN = 0.05  # share of periods; below it, pile-up cannot be corrected
+MOST_SIGMAS = 2.5  # half of the time in which most of a pulse comes; another may follow at once
 STILL_ARMED_MIN = 0.1  # share of the trees after a pulse; below it, it is too uncertain
 
 
@@ -333,7 +334,11 @@ def live_share(
 
 
 def hit_shares(
-    arrays: dict[str, np.ndarray], events: Events, config: Config, frame: int | None
+    arrays: dict[str, np.ndarray],
+    events: Events,
+    config: Config,
+    pulse: PulseTicks,
+    frame: int | None,
 ) -> np.ndarray:
     """float64[subgroups, period_ticks]: hits by arrival, over those that there would be if the tree
     were armed long before each of them.
@@ -350,7 +355,8 @@ def hit_shares(
         hits = events.count[span]
         opened = np.bincount(stamp, minlength=ticks) * windows.per_stored[s]
         opened += windows.rejected[s] / ticks
-        by_stamp = _event_share(opened / windows.periods, int(events.window[s]), config)
+        window = int(events.window[s])
+        by_stamp = _first_photon_share(opened / windows.periods, window, pulse.sigma, config)
         shares[s] = by_stamp
         if config.coincidence[s]:  # without, a window is too short to tell how many photons came
             arrival = np.clip(np.floor(events.arrival[span]), 0, ticks - 1).astype(np.int64)
@@ -360,12 +366,16 @@ def hit_shares(
     return shares
 
 
-def _event_share(opened: np.ndarray, window: int, config: Config) -> np.ndarray:
+def _first_photon_share(
+    opened: np.ndarray, window: int, sigma: float, config: Config
+) -> np.ndarray:
     """float64[ticks]: windows that open at a tick, over those of a tree that is armed long before.
 
-    opened: float64[ticks], windows that open at a tick in a period. After a pulse in which hardly a
-    tree is still armed, those that are armed again open most of the windows.
+    opened: float64[ticks], windows that open at a tick in a period. sigma: of a pulse, ticks. After a
+    pulse in which hardly a tree is still armed, those that are armed again open most of the windows,
+    until the pulse ends.
     """
+    span = max(window, round(2 * MOST_SIGMAS * sigma))
     ticks = len(opened)
     tick = np.arange(ticks)
     armed = np.minimum(armed_ticks(tick, window, config), ticks)
@@ -373,9 +383,9 @@ def _event_share(opened: np.ndarray, window: int, config: Config) -> np.ndarray:
     over = np.concatenate([np.zeros(window), opened])[:ticks]
     free = 1 - np.cumsum(over - rearmed)  # no earlier window has ended or blocks
     free_before = np.concatenate([[1.0], free[:-1]])
-    still_armed = 1 - _sum_before(opened, window) / np.maximum(free_before, LIVE_MIN)
+    still_armed = 1 - _sum_before(opened, span) / np.maximum(free_before, LIVE_MIN)
     more = rearmed * (1 / np.maximum(still_armed, STILL_ARMED_MIN) - 1)
-    return np.maximum(free + _sum_before(more, window - 1) + more, LIVE_MIN)
+    return np.maximum(free + _sum_before(more, span - 1) + more, LIVE_MIN)
 
 
 def _sum_before(values: np.ndarray, number: int) -> np.ndarray:

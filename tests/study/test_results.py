@@ -117,8 +117,8 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "afcb61d616f0dfb5"),
     "sim": (sim, "abd1d9f44e11d294"),
     "sweep": (sweep, "a7575357c32939b3"),
-    "explorer": (explorer, "25061f501fbbc919"),
-    "surfaces": (surface, "7e5f1849d8094492"),
+    "explorer": (explorer, "ad0ef438bcd49d12"),
+    "surfaces": (surface, "aa50220de1a3e5ed"),
     "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "eb8d25e03ee703dc"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
