@@ -5,11 +5,10 @@ events.
 A pixel with a surface at time t and `light` photons per pulse is hit in a bin, in a pulse in which it
 can be, with the chance
 
-    alive * (1 - exp(-light * S)) + background,
+    1 - exp(-light * S) + background,
 
-where S is the share of the pulse in the bin's ticks, weighted by how often the tree is not blind in
-them. It can be hit if it has not been hit before in the gate, and if the tree is not blind. `alive` is
-the chance that it has not fired unseen while the tree was blind.
+where S is the share of the pulse in the bin's ticks. It can be hit if it has not been hit before in the
+gate: a SPAD is dead for longer than a gate.
 """
 
 import math
@@ -43,92 +42,34 @@ from coincid.model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from coincid.model.depth.refine import refine
 from coincid.model.depth.seeds import find_seeds
 
-from .count_kernels import MISSED, PART, RARE, Counts, Law, Seen, Watch, add_up, follow
-from .counting import Rule
+from .count_kernels import MISSED, Counts, Law, Seen, add_up
 
 COARSE_HITS = 2.0  # of the faintest light in all pulses, at most: of the first grid,
 HITS = 1.5  # and of the second
 LEAST_RATE = 1e-7  # photons per tick and pixel: some background is everywhere
 
 
-def watch_of(rule: Rule, config: Config, photons: np.ndarray) -> Watch:
-    """Return what the tree of each subgroup does. photons: float64[subgroups, ticks], per pulse."""
-    sensor = config.sensor
-    watch = Watch(*(np.zeros(photons.shape) for _ in Watch._fields))
-    follow(photons, rule.window_ticks, sensor.phases, sensor.rearm, watch)
-    return watch
-
-
-def photons_of(
-    surfaces: "Surfaces", pulse: PulseTicks, config: Config, background: np.ndarray, width: int
-) -> np.ndarray:
-    """float64[subgroups, ticks]: photons per tick that surfaces and background send to a subgroup.
-
-    background: float64[subgroups, pixels], per tick. The number of ticks is a multiple of `width`.
-    """
-    sensor = config.sensor
-    ticks = -(-config.period_ticks // width) * width
-    photons = np.repeat(background.sum(axis=1, keepdims=True), ticks, axis=1)
-    time = by_subgroup(surfaces.time, sensor)
-    light = by_subgroup(surfaces.light, sensor)
-    around = np.arange(-pulse.reach, pulse.reach + 1)
-    for s, i in zip(*np.nonzero(~np.isnan(time)), strict=True):
-        tick = int(time[s, i]) + around
-        inside = (tick >= 0) & (tick < ticks)
-        tick = tick[inside]
-        after = pulse.share_before(tick + 1 - time[s, i])
-        photons[s, tick] += light[s, i] * (after - pulse.share_before(tick - time[s, i]))
-    return photons
-
-
-def armed_again(watch: Watch, window: int, phases: int) -> np.ndarray:
-    """float64[subgroups, cycles, parts]: of the pulses in which the tree is armed when a cycle
-    begins, those in which it was blind just before, by the stamps of their windows in steps of `PART`
-    ticks.
-    """
-    subgroups, ticks = watch.opened.shape
-    cycles = -(-ticks // phases)
-    padded = np.zeros((subgroups, cycles * phases))
-    late = phases + window - 1
-    padded[:, late:] = watch.opened[:, : cycles * phases - late]
-    of_parts = padded.reshape(subgroups, cycles, phases // PART, PART).sum(axis=3)
-    return of_parts / np.maximum(watch.armed[:, ::phases, None], RARE)
-
-
-def seen_of(
-    counts: Counts, watch: Watch, rule: Rule, config: Config, background: np.ndarray
-) -> Seen:
+def seen_of(counts: Counts, config: Config, background: np.ndarray) -> Seen:
     """Return what the likelihood reads. background: float64[subgroups, pixels], photons per tick."""
     sensor = config.sensor
     start = counts.start[:, pixel_table(sensor).minigroup]
     n = sensor.array_pixels
     gates, bins = counts.hits.shape[2:]
-    within = np.arange(rule.gate_ticks)
-    ticks = np.clip(start[..., None] + within, 0, watch.blind.shape[1] - 1)
-    subgroup = np.arange(sensor.subgroups)[:, None, None, None]
-    by_bin = (n, gates, bins, rule.bin_ticks)
-    sighted = (1 - watch.blind[subgroup, ticks]).reshape(by_bin)
-    in_bin = np.maximum(sighted.mean(axis=3), RARE)
     hits = counts.hits.reshape(n, gates, bins)
-    left = counts.pulses.reshape(n, 1, 1) - np.cumsum(hits, axis=2) + hits
+    left = counts.pulses.reshape(n, 1, 1) - np.cumsum(hits, axis=2)
     return Seen(
-        first=start.reshape(n, gates),
+        first=(start * sensor.quarter_ticks).reshape(n, gates),
         hits=hits,
-        misses=np.maximum(left * in_bin - hits, 0),
-        sighted=sighted / in_bin[..., None],
+        misses=np.maximum(left, 0).astype(np.float64),
         background=np.maximum(background, LEAST_RATE).reshape(n),
-        again=armed_again(watch, rule.window_ticks, sensor.phases),
     )
 
 
-def law_of(pulse: PulseTicks, rule: Rule, phases: int, fraction: float) -> Law:
-    """Return the law for times with this fraction of a tick."""
-    width = rule.bin_ticks
+def law_of(pulse: PulseTicks, width: int, fraction: float) -> Law:
+    """Return the law for times with this fraction of a tick, and bins of `width` ticks."""
     reach = pulse.reach + width + 1
-    begin = np.arange(-reach, reach + width + 1) - fraction
-    before = pulse.share_before(begin)
-    after = pulse.share_before(begin + 1)
-    return Law(reach, before, after - before, rule.window_ticks, width, phases)
+    begin = np.arange(-reach, reach + 1) - fraction
+    return Law(reach, pulse.share_before(begin), width)
 
 
 class Counted(NamedTuple):
@@ -137,7 +78,6 @@ class Counted(NamedTuple):
     seen: Seen
     config: Config
     pulse: PulseTicks
-    rule: Rule
     pulses: int
 
 
@@ -159,7 +99,7 @@ def levels_of(
     number = len(lights)
     n = sensor.array_pixels
     fraction = 0.5 if step % 2 else 0.0
-    law = law_of(counted.pulse.widened(width), counted.rule, sensor.phases, fraction)
+    law = law_of(counted.pulse.widened(width), sensor.quarter_ticks, fraction)
     total = np.zeros((n, bins * number), np.float32)
     own_first = by_subgroup(first, sensor).reshape(n)
     add_up(counted.seen, law, lights.astype(np.float64), own_first, step, total)
@@ -235,18 +175,7 @@ def surfaces_of(counted: Counted) -> Surfaces:
     return Surfaces(np.where(found.bin >= 0, planes.time, np.nan), light.astype(np.float64))
 
 
-def depth_of(counts: Counts, rule: Rule, config: Config, background: np.ndarray) -> Surfaces:
-    """Return the surfaces that counts show. background: float64[subgroups, pixels], per tick.
-
-    What the tree saw in a bin follows first from an even rate, then from the surfaces found.
-    """
-    pulse = pulse_ticks(config)
-    ticks = -(-config.period_ticks // rule.bin_ticks) * rule.bin_ticks
-    photons = np.repeat(background.sum(axis=1, keepdims=True), ticks, axis=1)
-    for last in (False, True):
-        watch = watch_of(rule, config, photons)
-        seen = seen_of(counts, watch, rule, config, background)
-        surfaces = surfaces_of(Counted(seen, config, pulse, rule, counts.second_pulses))
-        if not last:
-            photons = photons_of(surfaces, pulse, config, background, rule.bin_ticks)
-    return surfaces
+def depth_of(counts: Counts, config: Config, background: np.ndarray) -> Surfaces:
+    """Return the surfaces that counts show. background: float64[subgroups, pixels], per tick."""
+    seen = seen_of(counts, config, background)
+    return surfaces_of(Counted(seen, config, pulse_ticks(config), counts.second_pulses))

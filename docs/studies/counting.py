@@ -4,111 +4,110 @@
 A frame has three steps, which share one memory. First, every minigroup fills a histogram of the whole
 period with its own hits, in wide bins. In the highest of these, it then fills a histogram with narrow
 bins, and takes its gates from it. At last, every pixel counts its hits in the bins of its minigroup's
-gates. The windows are those of the golden model; no link and no FIFO stands between a window and a
-counter.
+gates. docs/counts.md has the exact rule. All of it are integers, and times are quarters of a cycle.
 
-A hit is a pixel's first edge in a window, and counts in the bin of this edge. A pixel stops when one
-of its counters is full, and remembers after how many pulses, so that no bin saturates.
+A hit is an accepted edge, whatever the tree does. A pixel stops when one of its counters is full, and
+remembers after how many pulses, so that no bin saturates.
 """
 
+import enum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from coincid.lab.outcomes import Run
-from coincid.lab.setup import Setup
-from coincid.model.contract.edges import Fate
-from coincid.model.contract.parameters import Sensor, bits_for
+from coincid.model.contract.edges import Edges
+from coincid.model.contract.parameters import QUARTERS, Sensor, bits_for
 from coincid.model.contract.pixels import pixel_table
 
 from .count_kernels import NO_GATE, Counts, Hits, count_hits, fill
 
+STEPS = 5  # parts of a frame's pulses
+
+
+class Beside(enum.Enum):
+    """Which neighbours of a minigroup help it to choose its regions."""
+
+    NONE = 0
+    SUBGROUP = 1  # of its own subgroup
+    ALL = 2  # also of other subgroups
+
 
 class Rule(NamedTuple):
-    """What a sensor counts."""
+    """What a sensor counts. Times are quarters of a cycle."""
 
-    window_ticks: int = 32
-    wide_share: float = 0.2  # of the pulses; 0: the narrow bins cover the whole period
-    wide_ticks: int = 128  # width of a wide bin
+    wide_steps: int = 1  # fifths of the pulses; 0: the narrow bins cover the whole period
+    wide_quarters: int = 16  # width of a wide bin
     wide_bits: int = 8
-    wide_neighbours: float = 0.5  # weight of the four minigroups beside this one
+    beside: Beside = Beside.SUBGROUP
     regions: int = 10  # wide bins that are divided into narrow ones
-    narrow_share: float = 0.2  # of the pulses
-    narrow_ticks: int = 16
+    narrow_steps: int = 1  # fifths of the pulses
+    narrow_quarters: int = 2
     narrow_bits: int = 6
     peak_bins: int = 4  # narrow bins that are a peak together
     gates: int = 2
-    bins: int = 16  # of a gate
-    bin_ticks: int = 8
+    gate_step: int = QUARTERS  # a gate begins at a multiple
+    bins: int = 16  # of a gate, a quarter each
     count_bits: int = 4
-
-    @property
-    def gate_ticks(self) -> int:
-        """Length of a gate."""
-        return self.bins * self.bin_ticks
 
     def wide_pulses(self, pulses: int) -> int:
         """Return the number of pulses of the wide bins."""
-        return round(self.wide_share * pulses)
+        return self.wide_steps * (pulses // STEPS)
 
     def first_pulses(self, pulses: int) -> int:
         """Return the number of pulses before those that pixels count."""
-        return round((self.wide_share + self.narrow_share) * pulses)
+        return (self.wide_steps + self.narrow_steps) * (pulses // STEPS)
 
 
-def hits_of(run: Run, rule: Rule) -> Hits:
-    """Return the hits in all pulses of a run, whatever its settings."""
-    setup = unlimited(run.setup, rule.window_ticks)
-    played = Run(setup, cache=run.cache, workers=run.workers)
-    counted = np.isin(played.result["fate"], (Fate.OPENING, Fate.COUNTED))
-    edges = played.edges.take(counted)
-    sensor = setup.config.sensor
+def hits_of(edges: Edges, sensor: Sensor) -> Hits:
+    """Return the hits among edges: the first one of each pixel in a cycle. No pixel is masked, and
+    gating is off.
+    """
     table = pixel_table(sensor)
     subgroup = table.subgroup[edges.pixel]
     order = np.lexsort((edges.tick, edges.pulse, subgroup))
+    pulse = edges.pulse[order].astype(np.int64)
+    quarter = edges.tick[order].astype(np.int64) // sensor.quarter_ticks
+    pixel = edges.pixel[order].astype(np.int64)
+    cycle = quarter // QUARTERS
+    in_cycle = (pulse * (cycle.max(initial=0) + 1) + cycle) * sensor.array_pixels + pixel
+    _, first = np.unique(in_cycle, return_index=True)
+    kept = np.sort(first)
     return Hits(
-        bounds=np.searchsorted(subgroup[order], np.arange(sensor.subgroups + 1)),
-        pulse=edges.pulse[order].astype(np.int64),
-        tick=edges.tick[order].astype(np.int64),
-        pixel=table.inside[edges.pixel[order]].astype(np.int64),
-    )
-
-
-def unlimited(setup: Setup, window_ticks: int) -> Setup:
-    """Return a setup in which every window becomes an event that leaves the sensor: each subgroup has
-    its own stream.
-    """
-    config = setup.config.with_sensor(streams=setup.config.sensor.subgroups)
-    return setup.but(
-        config=config,
-        frame={"format": "id", "link_gbps": 0},
-        subgroup={"window": window_ticks, "threshold": 1},
+        bounds=np.searchsorted(subgroup[order][kept], np.arange(sensor.subgroups + 1)),
+        pulse=pulse[kept],
+        quarter=quarter[kept],
+        pixel=table.inside[pixel[kept]].astype(np.int64),
     )
 
 
 def find_gates(
-    hits: Hits, sensor: Sensor, rule: Rule, pulses: int, period_ticks: int
+    hits: Hits, sensor: Sensor, rule: Rule, pulses: int, period_cycles: int
 ) -> np.ndarray:
-    """int64[subgroups, minigroups, gates]: first ticks, from the first pulses of a frame."""
+    """int64[subgroups, minigroups, gates]: first quarters, from the first pulses of a frame."""
     wide_end = rule.wide_pulses(pulses)
     end = rule.first_pulses(pulses)
-    bins = -(-period_ticks // rule.wide_ticks)
+    bins = wide_bins(rule, period_cycles)
     region = np.ones((sensor.subgroups, sensor.minigroups, bins), np.bool_)
     if wide_end:
-        wide = histograms(hits, sensor, range(wide_end), rule.wide_ticks, rule.wide_bits, region)
-        region = regions_of(wide + rule.wide_neighbours * of_neighbours(wide, sensor), rule)
-    inside = np.repeat(region, rule.wide_ticks // rule.narrow_ticks, axis=2)
+        wide = histograms(hits, sensor, range(wide_end), rule.wide_quarters, rule.wide_bits, region)
+        region = regions_of(2 * wide + of_neighbours(wide, sensor, rule.beside), rule)
+    inside = np.repeat(region, rule.wide_quarters // rule.narrow_quarters, axis=2)
     seen = range(wide_end, end)
-    narrow = histograms(hits, sensor, seen, rule.narrow_ticks, rule.narrow_bits, inside)
-    return gates_of(narrow, rule)
+    narrow = histograms(hits, sensor, seen, rule.narrow_quarters, rule.narrow_bits, inside)
+    return gates_of(narrow, rule, QUARTERS * period_cycles)
+
+
+def wide_bins(rule: Rule, period_cycles: int) -> int:
+    """Return the number of wide bins of a period; the last one may be longer than its rest."""
+    return -(-QUARTERS * period_cycles // rule.wide_quarters)
 
 
 def histograms(
     hits: Hits, sensor: Sensor, pulses: range, width: int, bits: int, watched: np.ndarray
 ) -> np.ndarray:
-    """int64[subgroups, minigroups, bins]: hits of each minigroup in some pulses, in the bins that it
-    watches.
+    """int64[subgroups, minigroups, bins]: hits of each minigroup in some pulses, in the bins of
+    `width` quarters that it watches.
     """
     minigroup = pixel_table(sensor).minigroup
     histogram = np.zeros(watched.shape, np.int64)
@@ -117,10 +116,23 @@ def histograms(
     return histogram
 
 
-def of_neighbours(histogram: np.ndarray, sensor: Sensor) -> np.ndarray:
-    """int64[subgroups, minigroups, bins]: sum of the up to four minigroups beside each, also of other
-    subgroups.
-    """
+def of_neighbours(histogram: np.ndarray, sensor: Sensor, beside: Beside) -> np.ndarray:
+    """int64[subgroups, minigroups, bins]: sum of the up to four minigroups beside each."""
+    if beside is Beside.NONE:
+        return np.zeros_like(histogram)
+    if beside is Beside.ALL:
+        return _of_all_neighbours(histogram, sensor)
+    rows = sensor.subgroup[0] // sensor.minigroup[0]
+    cols = sensor.subgroup[1] // sensor.minigroup[1]
+    grid = histogram.reshape(sensor.subgroups, rows, cols, histogram.shape[2])
+    around = np.pad(grid, ((0, 0), (1, 1), (1, 1), (0, 0)))
+    vertical = around[:, :-2, 1:-1] + around[:, 2:, 1:-1]
+    horizontal = around[:, 1:-1, :-2] + around[:, 1:-1, 2:]
+    return (vertical + horizontal).reshape(histogram.shape)
+
+
+def _of_all_neighbours(histogram: np.ndarray, sensor: Sensor) -> np.ndarray:
+    """The same, also of other subgroups."""
     table = pixel_table(sensor)
     row, col = np.divmod(np.arange(sensor.array_pixels), sensor.cols)
     height, width = sensor.minigroup
@@ -142,42 +154,54 @@ def regions_of(wide: np.ndarray, rule: Rule) -> np.ndarray:
     return region
 
 
-def gates_of(narrow: np.ndarray, rule: Rule) -> np.ndarray:
-    """int64[subgroups, minigroups, gates]: first ticks, multiples of a fine bin.
+def gates_of(narrow: np.ndarray, rule: Rule, period_quarters: int) -> np.ndarray:
+    """int64[subgroups, minigroups, gates]: first quarters, multiples of the rule's step.
 
-    The middle of a gate is the centre of the highest peak. A further gate leaves out the narrow bins
-    with their middle in a gate, and does not overlap the first.
+    The middle of a gate is the centre of the highest peak; of equal ones, the first. A further gate
+    leaves out the narrow bins with their middle in a gate, and does not overlap the first.
     """
     left = narrow.copy()
     start = np.full((*narrow.shape[:2], rule.gates), NO_GATE)
-    middle = (np.arange(narrow.shape[2]) + 0.5) * rule.narrow_ticks
+    last = (period_quarters - rule.bins) // rule.gate_step * rule.gate_step
+    doubled_middle = rule.narrow_quarters * (2 * np.arange(narrow.shape[2]) + 1)
     for gate in range(rule.gates):
-        peaks = sliding_window_view(left, rule.peak_bins, axis=2)
-        at = peaks.sum(axis=3).argmax(axis=2)
-        peak = np.take_along_axis(peaks, at[..., None, None], axis=2)[:, :, 0]
-        height = peak.sum(axis=2)
-        moment = (peak * (np.arange(rule.peak_bins) + 0.5)).sum(axis=2)
-        centre = (at + moment / np.maximum(height, 1)) * rule.narrow_ticks
-        steps = np.rint((centre - rule.gate_ticks / 2) / rule.bin_ticks).astype(np.int64)
-        first = np.maximum(0, rule.bin_ticks * steps)
+        height, first = _highest(left, rule)
+        first = np.clip(first, 0, last)
         for other in range(gate):
-            first = _beside(first, start[:, :, other], rule.gate_ticks)
-        found = (height > 0) & (first >= 0)
+            first = _beside(first, start[:, :, other], rule.bins)
+        found = (height > 0) & (first >= 0) & (first <= last)
         start[:, :, gate] = np.where(found, first, NO_GATE)
-        inside = (middle >= first[..., None]) & (middle < first[..., None] + rule.gate_ticks)
-        left[inside] = 0
+        doubled_first = 2 * first[..., None]
+        after = doubled_middle >= doubled_first
+        before = doubled_middle < doubled_first + 2 * rule.bins
+        left[after & before] = 0
     return start
 
 
-def _beside(first: np.ndarray, other: np.ndarray, gate_ticks: int) -> np.ndarray:
-    """Move gates that overlap others to their side; int64, ticks."""
-    overlaps = np.abs(first - other) < gate_ticks
-    moved = np.where(first >= other, other + gate_ticks, other - gate_ticks)
+def _highest(narrow: np.ndarray, rule: Rule) -> tuple[np.ndarray, np.ndarray]:
+    """int64[subgroups, minigroups] twice: hits of the highest peaks, and first quarters of gates
+    around their centres, halves rounded up.
+    """
+    peaks = sliding_window_view(narrow, rule.peak_bins, axis=2)
+    at = peaks.sum(axis=3).argmax(axis=2)
+    peak = np.take_along_axis(peaks, at[..., None, None], axis=2)[:, :, 0]
+    height = peak.sum(axis=2)
+    moment = (peak * (2 * np.arange(rule.peak_bins) + 1)).sum(axis=2)
+    some = np.maximum(height, 1)
+    doubled_centre = rule.narrow_quarters * (2 * at * some + moment)  # times the height
+    doubled_begin = doubled_centre - (rule.bins - rule.gate_step) * some
+    return height, rule.gate_step * (doubled_begin // (2 * rule.gate_step * some))
+
+
+def _beside(first: np.ndarray, other: np.ndarray, bins: int) -> np.ndarray:
+    """Move gates that overlap others to their side; int64, quarters."""
+    overlaps = np.abs(first - other) < bins
+    moved = np.where(first >= other, other + bins, other - bins)
     return np.where(overlaps & (other >= 0), moved, first)
 
 
 def count(hits: Hits, start: np.ndarray, sensor: Sensor, rule: Rule, pulses: range) -> Counts:
-    """Count the hits of some pulses in gates that begin at the ticks `start`."""
+    """Count the hits of some pulses in gates that begin at the quarters `start`."""
     gates = start.shape[2]
     counts = Counts(
         start=start,
@@ -187,37 +211,37 @@ def count(hits: Hits, start: np.ndarray, sensor: Sensor, rule: Rule, pulses: ran
     )
     minigroup = pixel_table(sensor).minigroup
     most = (1 << rule.count_bits) - 1
-    count_hits(hits, minigroup, pulses.start, pulses.stop, rule.bin_ticks, most, counts)
+    count_hits(hits, minigroup, pulses.start, pulses.stop, most, counts)
     return counts
 
 
-def memory_bits(rule: Rule, sensor: Sensor, pulses: int, period_ticks: int) -> float:
+def memory_bits(rule: Rule, sensor: Sensor, pulses: int, period_cycles: int) -> float:
     """Return the bits of memory per pixel: those of the largest step, since steps share it.
 
     A step keeps what it finds beside its histogram: a bit for each wide bin says whether this is
     divided; then the begins of the gates.
     """
     pixels = sensor.pixels // sensor.minigroups
-    starts = rule.gates * _start_bits(rule, period_ticks)
-    wide_bins = -(-period_ticks // rule.wide_ticks)
-    if rule.wide_share:
-        narrow_bins = rule.regions * (rule.wide_ticks // rule.narrow_ticks)
-        wide = wide_bins * (rule.wide_bits + 1)
-        narrow = wide_bins + narrow_bins * rule.narrow_bits + starts
+    starts = rule.gates * _start_bits(rule, period_cycles)
+    bins = wide_bins(rule, period_cycles)
+    if rule.wide_steps:
+        narrow_bins = rule.regions * (rule.wide_quarters // rule.narrow_quarters)
+        wide = bins * (rule.wide_bits + 1)
+        narrow = bins + narrow_bins * rule.narrow_bits + starts
     else:
         wide = 0
-        narrow = -(-period_ticks // rule.narrow_ticks) * rule.narrow_bits + starts
-    return max(wide, narrow, sent_bits(rule, sensor, pulses, period_ticks)) / pixels
+        narrow = -(-QUARTERS * period_cycles // rule.narrow_quarters) * rule.narrow_bits + starts
+    return max(wide, narrow, sent_bits(rule, sensor, pulses, period_cycles)) / pixels
 
 
-def _start_bits(rule: Rule, period_ticks: int) -> int:
-    return bits_for(-(-period_ticks // rule.bin_ticks))
+def _start_bits(rule: Rule, period_cycles: int) -> int:
+    return bits_for(QUARTERS * period_cycles // rule.gate_step)
 
 
-def sent_bits(rule: Rule, sensor: Sensor, pulses: int, period_ticks: int) -> int:
+def sent_bits(rule: Rule, sensor: Sensor, pulses: int, period_cycles: int) -> int:
     """Return the bits that leave the sensor for each minigroup."""
     pixels = sensor.pixels // sensor.minigroups
     of_pulses = bits_for(pulses - rule.first_pulses(pulses))
     bins = rule.gates * rule.bins
     of_pixel = bins * rule.count_bits + of_pulses
-    return pixels * of_pixel + rule.gates * _start_bits(rule, period_ticks)
+    return pixels * of_pixel + rule.gates * _start_bits(rule, period_cycles)

@@ -28,7 +28,7 @@ from .comparison import schemes
 from .confidence import scene_in_perspective
 from .count_depth import depth_of
 from .count_kernels import NO_GATE
-from .counting import Rule, count, find_gates, hits_of, memory_bits, sent_bits, unlimited
+from .counting import Beside, Rule, count, find_gates, hits_of, memory_bits, sent_bits
 
 PAGE = "docs/counts.md"
 SIDE = 32  # rows and columns
@@ -87,9 +87,9 @@ class Way(NamedTuple):
 
 
 ONE_STEP = RULE._replace(
-    wide_share=0.0,
-    narrow_share=RULE.wide_share + RULE.narrow_share,
-    narrow_ticks=64,
+    wide_steps=0,
+    narrow_steps=RULE.wide_steps + RULE.narrow_steps,
+    narrow_quarters=8,
     narrow_bits=4,
     peak_bins=2,
 )
@@ -97,16 +97,14 @@ WAYS = {
     "the rule": Way(RULE),
     "gates from the truth, 40 ticks before it": Way(RULE, margin_ticks=40),
     "gates from the truth, 16 ticks before it": Way(RULE, margin_ticks=16),
-    "wide bins without the neighbours'": Way(RULE._replace(wide_neighbours=0.0)),
+    "gates that begin at any quarter of a cycle": Way(RULE._replace(gate_step=1)),
+    "wide bins without the neighbours'": Way(RULE._replace(beside=Beside.NONE)),
+    "neighbours also of other subgroups": Way(RULE._replace(beside=Beside.ALL)),
+    "wide and narrow bins twice as wide": Way(RULE._replace(wide_quarters=32, narrow_quarters=4)),
     "one step to the gates, 64 ticks, 4 bits": Way(ONE_STEP),
     "one step to the gates, 32 ticks, 6 bits": Way(
-        ONE_STEP._replace(narrow_ticks=32, narrow_bits=6)
+        ONE_STEP._replace(narrow_quarters=4, narrow_bits=6)
     ),
-    "windows of 4 ticks": Way(RULE._replace(window_ticks=4)),
-    "windows of 16 ticks": Way(RULE._replace(window_ticks=16)),
-    "windows of 64 ticks": Way(RULE._replace(window_ticks=64)),
-    "bins of 4 ticks, gates half as long": Way(RULE._replace(bin_ticks=4)),
-    "bins of 4 ticks, twice as many": Way(RULE._replace(bin_ticks=4, bins=2 * RULE.bins)),
     "3 bits of a counter": Way(RULE._replace(count_bits=3)),
     "counters that are never full": Way(RULE._replace(count_bits=UNLIMITED_BITS)),
 }
@@ -144,24 +142,25 @@ def find(run: Run, way: Way) -> Found:
     rule = way.rule
     sensor = config.sensor
     pulses = config.pulses
-    hits = hits_of(run, rule)
+    hits = hits_of(run.edges, sensor)
     if way.margin_ticks is None:
-        start = find_gates(hits, sensor, rule, pulses, config.period_ticks)
+        start = find_gates(hits, sensor, rule, pulses, config.period)
     else:
         start = ideal_gates(run.scene.truth_m, rule, config, way.margin_ticks)
     counts = count(hits, start, sensor, rule, range(rule.first_pulses(pulses), pulses))
     background = run.light.background_cps * config.tick_s
     of_pixels = by_subgroup(background.reshape(sensor.rows, sensor.cols), sensor)
     of_subgroups = np.broadcast_to(of_pixels.mean(axis=1, keepdims=True), of_pixels.shape)
-    depth_m = depth_of(counts, rule, config, of_subgroups).time * _tick_m(config)
+    depth_m = depth_of(counts, config, of_subgroups).time * _tick_m(config)
     return Found(depth_m, _outside(run.scene.truth_m, start, rule, config))
 
 
 def _outside(truth_m: np.ndarray, start: np.ndarray, rule: Rule, config: Config) -> float:
     """Return the share of the pixels whose surface is in no gate."""
-    tick = by_subgroup(truth_m / _tick_m(config), config.sensor)[:, :, None]
-    first = start[:, pixel_table(config.sensor).minigroup]
-    inside = (first >= 0) & (tick >= first) & (tick < first + rule.gate_ticks)
+    sensor = config.sensor
+    quarter = by_subgroup(truth_m / _tick_m(config), sensor)[:, :, None] / sensor.quarter_ticks
+    first = start[:, pixel_table(sensor).minigroup]
+    inside = (first >= 0) & (quarter >= first) & (quarter < first + rule.bins)
     return float(1 - np.mean(inside.any(axis=2)))
 
 
@@ -170,13 +169,14 @@ def _tick_m(config: Config) -> float:
 
 
 def ideal_gates(truth_m: np.ndarray, rule: Rule, config: Config, margin_ticks: int) -> np.ndarray:
-    """int64[subgroups, minigroups, gates]: first ticks of gates that begin so long before the
+    """int64[subgroups, minigroups, gates]: first quarters of gates that begin so long before the
     nearest surface of a minigroup that no earlier gate has.
     """
     sensor = config.sensor
     ticks = by_subgroup(truth_m / _tick_m(config), sensor)
     minigroup = pixel_table(sensor).minigroup
     start = np.full((sensor.subgroups, sensor.minigroups, rule.gates), NO_GATE)
+    step_ticks = rule.gate_step * sensor.quarter_ticks
     for s, group in np.ndindex(start.shape[:2]):
         left = ticks[s, minigroup == group]
         least = 0
@@ -185,8 +185,8 @@ def ideal_gates(truth_m: np.ndarray, rule: Rule, config: Config, margin_ticks: i
             if not len(left):
                 break
             first = max(least, int(left.min()) - margin_ticks)
-            start[s, group, gate] = first // rule.bin_ticks * rule.bin_ticks
-            least = start[s, group, gate] + rule.gate_ticks
+            start[s, group, gate] = rule.gate_step * (first // step_ticks)
+            least = (start[s, group, gate] + rule.bins) * sensor.quarter_ticks
     return start
 
 
@@ -206,9 +206,21 @@ def _shares(depth_m: np.ndarray, run: Run) -> tuple[float, float]:
     return wrong_share(depth_m, truth_m), wrong_share(depth_m, truth_m, OTHER_SURFACE_M)
 
 
+def unlimited(setup: Setup) -> Setup:
+    """Return a setup in which every window becomes an event that leaves the sensor: each subgroup has
+    its own stream.
+    """
+    config = setup.config.with_sensor(streams=setup.config.sensor.subgroups)
+    return setup.but(
+        config=config,
+        frame={"format": "id", "link_gbps": 0},
+        subgroup={"window": EVENT_WINDOW_TICKS, "threshold": 1},
+    )
+
+
 def look(run: Run) -> Seen:
     """Return what counts, events and rivals make of a run's photons."""
-    every = Run(unlimited(run.setup, EVENT_WINDOW_TICKS), cache=run.cache).frame(estimator="planes")
+    every = Run(unlimited(run.setup), cache=run.cache).frame(estimator="planes")
     linked = run.but(
         frame={"link_gbps": DEFAULT_LINK_GBPS}, subgroup={"threshold": LINK_THRESHOLD}
     ).frame(estimator="planes")
@@ -250,7 +262,7 @@ def loss_rows(run: Processes) -> Iterator[tuple[str, ...]]:
     found = campaign(setups, divide, run)
     config = next(iter(setups.values())).config
     memory = partial(
-        memory_bits, sensor=config.sensor, pulses=config.pulses, period_ticks=config.period_ticks
+        memory_bits, sensor=config.sensor, pulses=config.pulses, period_cycles=config.period
     )
     for number, (name, way) in enumerate(WAYS.items()):
         bits = f"{memory(way.rule):.0f}"
@@ -260,7 +272,7 @@ def loss_rows(run: Processes) -> Iterator[tuple[str, ...]]:
 def budget() -> str:
     """Return the sentence about memory and bits."""
     config = setup(CASES[0]).config
-    arguments = (RULE, config.sensor, config.pulses, config.period_ticks)
+    arguments = (RULE, config.sensor, config.pulses, config.period)
     groups = config.sensor.subgroups * config.sensor.minigroups
     frame_kbit = sent_bits(*arguments) * groups / 1e3
     return (
