@@ -2,13 +2,13 @@
 """Depth from counts: the estimator of planes, with the likelihood of counts in place of that of
 events.
 
-A pixel with a surface at time t and `light` photons per pulse is hit in a bin, in a pulse in which it
-can be, with the chance
+A pixel with a surface at time t and `light` photons per pulse is hit in a bin, in a pulse in which
+it can be, with the chance
 
     1 - exp(-light * S) + background,
 
-where S is the share of the pulse in the bin's ticks. It can be hit if it has not been hit before in the
-gate: a SPAD is dead for longer than a gate.
+where S is the share of the pulse in the bin's ticks. It can be hit if it has not been hit before in
+the gate: a SPAD is dead for about as long as a gate.
 """
 
 import math
@@ -50,7 +50,7 @@ LEAST_RATE = 1e-7  # photons per tick and pixel: some background is everywhere
 
 
 def seen_of(counts: Counts, config: Config, background: np.ndarray) -> Seen:
-    """Return what the likelihood reads. background: float64[subgroups, pixels], photons per tick."""
+    """Return what the likelihood reads. background: float64[subgroups, pixels], per tick."""
     sensor = config.sensor
     start = counts.start[:, pixel_table(sensor).minigroup]
     n = sensor.array_pixels

@@ -139,7 +139,10 @@ def _before(law: Law, tick: int) -> float:
 def add_up(
     seen: Seen, law: Law, lights: np.ndarray, first: np.ndarray, step: int, total: np.ndarray
 ) -> None:
-    """Compute log likelihoods, float32[pixels, times * lights], of times step * (first + k + 1/2)."""
+    """Compute log likelihoods, float32[pixels, times * lights].
+
+    The times are step * (first + k + 1/2).
+    """
     gates, bins = seen.hits.shape[1:]
     number = len(lights)
     for i in range(len(total)):

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts instead of events, on paper: what a sensor would count in gates that it finds itself.
 
-A frame has three steps, which share one memory. First, every minigroup fills a histogram of the whole
-period with its own hits, in wide bins. In the highest of these, it then fills a histogram with narrow
-bins, and takes its gates from it. At last, every pixel counts its hits in the bins of its minigroup's
-gates. docs/counts.md has the exact rule. All of it are integers, and times are quarters of a cycle.
+A frame has three steps, which share one memory. First, every minigroup fills a histogram of the
+whole period with its own hits, in wide bins. In the highest of these, it then fills a histogram
+with narrow bins, and takes its gates from it. At last, every pixel counts its hits in the bins of
+its minigroup's gates. docs/counts.md has the exact rule, which this file makes variable. All
+numbers are integers, and times are quarters of a cycle.
 
-A hit is an accepted edge, whatever the tree does. A pixel stops when one of its counters is full, and
-remembers after how many pulses, so that no bin saturates.
+A hit is an accepted edge, whatever the tree does. A pixel stops when one of its counters is full,
+and remembers after how many pulses, so that no bin saturates.
 """
 
 import enum

@@ -207,8 +207,8 @@ def _shares(depth_m: np.ndarray, run: Run) -> tuple[float, float]:
 
 
 def unlimited(setup: Setup) -> Setup:
-    """Return a setup in which every window becomes an event that leaves the sensor: each subgroup has
-    its own stream.
+    """Return a setup in which every window becomes an event that leaves the sensor: each subgroup
+    has its own stream.
     """
     config = setup.config.with_sensor(streams=setup.config.sensor.subgroups)
     return setup.but(

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rule of docs/counts.md for a subgroup of 8 x 8 pixels and minigroups of 2 x 2, a cycle at a time,
-with the memory of a minigroup as 8 rows of 64 bits.
+"""The rule of docs/counts.md for a subgroup of 8 x 8 pixels and minigroups of 2 x 2, a cycle at a
+time, with the memory of a minigroup as 8 rows of 64 bits.
 
-It is plain and slow, and has nothing in common with `docs/studies/counting.py` but the rule. Times are
-cycles, and quarters of a cycle.
+It is plain and slow, and has nothing in common with `docs/studies/counting.py` but the rule. Times
+are cycles, and quarters of a cycle.
 """
 
 from collections import defaultdict
@@ -32,8 +32,8 @@ class Counted(NamedTuple):
 
 
 class Minigroup:
-    """A minigroup. The hits of a cycle are the quarters, by pixel, in which an edge came: 0 to 3, or
-    None.
+    """A minigroup. The hits of a cycle are the quarters, by pixel, in which an edge came: 0 to 3,
+    or None.
     """
 
     def __init__(self, rule: Rule):
@@ -210,7 +210,7 @@ def counted_in_rows(edges, phases: int, rule: Rule, pulses: int, period_cycles: 
 
 
 def _fill(groups: list[Minigroup], by_cycle: dict, pulses: range, add: Callable) -> None:
-    """Give the hits of some pulses to the minigroups, with pulses counted from the first of them."""
+    """Give the hits of some pulses to the minigroups, and the pulse since the first of them."""
     for pulse, cycle in sorted(by_cycle):
         if pulse in pulses:
             for group, hits in by_cycle[pulse, cycle].items():
