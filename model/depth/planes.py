@@ -377,7 +377,8 @@ def _further(search: _Search, time: np.ndarray, most: int) -> _Surfaces:
     left = search.level.copy()
     taken = time
     for k in range(most):
-        left[np.abs(middle - taken[:, :, None]) <= search.apart] = LEAST
+        for of_row, taken_in_row in zip(left, taken, strict=True):  # little memory
+            of_row[np.abs(middle - taken_in_row[:, None]) <= search.apart] = LEAST
         seeds = find_seeds(left, search.lights, blocks)
         score = seed_scores(left, search.lights, seeds, blocks)
         own = np.take_along_axis(left, np.maximum(seeds.bin, 0)[:, :, None], 2)[:, :, 0]
