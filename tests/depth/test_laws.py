@@ -11,6 +11,7 @@ from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.depth.arrivals import arrival_ticks, photons_of
 from coincid.model.depth.belief import BELIEVED_MIN, Reason
+from coincid.model.depth.clusters import cluster_events
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import PEAKS, PLANES, RETURNS_MAX, estimate_depth
 from coincid.model.depth.histograms import SOURCES, frame_events, subgroup_histograms
@@ -158,6 +159,25 @@ def test_a_frame_among_others_with_moving_gates_is_the_frame_alone():
     steps = {"gate_every": 24, "gate_step": 25, "gate_steps": 2}
     run = run_of("flat:5", frames=FRAMES, **steps).but(subgroup=gates)
     assert_equal_depths(run.depth(frame=2), estimate_depth(*of_one(run, 2)))
+
+
+def test_events_of_all_frames_with_moving_gates_have_the_gates_of_their_own_frame():
+    gates = {"gating": True, "gate_start": 20, "gate_len": 60}
+    steps = {"gate_every": 24, "gate_step": 25, "gate_steps": 2}
+    run = run_of("flat:5", frames=FRAMES, **steps).but(subgroup=gates)
+    config = run.config
+    pulse = pulse_ticks(config)
+
+    def clusters(frame, pulses):
+        events = frame_events(run.result, config, pulse, frame)
+        return cluster_events(events, config, pulses, pulse.reach, False)
+
+    together = clusters(None, FRAMES * config.pulses)
+    frames = [clusters(frame, config.pulses) for frame in range(FRAMES)]
+    for s, of_subgroup in enumerate(together):
+        for name in ("known", "quiet", "since"):
+            alone = np.concatenate([getattr(of_frame[s], name) for of_frame in frames])
+            np.testing.assert_array_equal(getattr(of_subgroup, name), alone)
 
 
 class Wall:
