@@ -25,6 +25,7 @@ from ..model.golden.frame import Golden, Trace
 from ..model.light.light import Light
 from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError, check_integer, wrong_value
+from ..model.shared.latest import Latest
 from ..model.shared.pulse import Pulse, with_pulse
 from ..tb.replay import replay
 from .compile_ahead import compile_ahead
@@ -36,10 +37,13 @@ from .setup import Setup, Watch, fingerprint, unwatched
 class StageCache:
     """The latest results of each stage, so that runs can share them. The key is a digest of
     everything that a result depends on.
+
+    decoded: the latest frame of a long run, alone.
     """
 
     def __init__(self, size: int = 1) -> None:
         self.size = size
+        self.decoded: Latest[dict[str, np.ndarray]] = Latest()
         self._stages: dict[str, OrderedDict[Hashable, Any]] = {}
         self._lock = Lock()
 
@@ -56,15 +60,6 @@ class StageCache:
             while len(results) > self.size:
                 results.popitem(last=False)
         return made
-
-    def only(self, stage: str, key: Hashable, make: Callable[[], Any]) -> Any:
-        """Return what `get` returns, but forget the stage's other results before making one, for
-        results of which two do not fit into memory.
-        """
-        with self._lock:
-            if key not in self._stages.get(stage, {}):
-                self._stages.pop(stage, None)
-        return self.get(stage, key, make)
 
 
 class Run:
@@ -275,10 +270,7 @@ class Run:
         """
         if self.setup.engine != "golden" or not self.is_long or self.has_result:
             return self.result
-        arrays: dict[str, np.ndarray] = self.cache.only(
-            "result of a frame", (self._key, number), partial(self._decoded, number)
-        )
-        return arrays
+        return self.cache.decoded.get((self._key, number), partial(self._decoded, number))
 
     def _decoded(self, number: int) -> dict[str, np.ndarray]:
         trace = self.traces[number]

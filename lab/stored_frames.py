@@ -2,7 +2,7 @@
 """Frames of the golden model in a temporary file, one of which is in memory at a time."""
 
 from collections.abc import Sequence
-from typing import overload
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -56,10 +56,9 @@ class StoredFrames(Sequence[Trace]):
         return trace_of(streams, frame.ending, frame.fate)
 
 
-class _StoredFrame:
-    """Where the pieces of a frame stand, [piece][stream][field of `Sent`], and what is in memory."""
+class _StoredFrame(NamedTuple):
+    """Where a frame stands, and what of it is in memory."""
 
-    def __init__(self, pieces: list[list[list[Block]]], ending: Ending, fate: np.ndarray) -> None:
-        self.pieces = pieces
-        self.ending = ending
-        self.fate = fate
+    pieces: list[list[list[Block]]]  # [piece][stream][field of `Sent`]
+    ending: Ending
+    fate: np.ndarray  # uint8[n], of the trace

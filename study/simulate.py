@@ -262,12 +262,11 @@ def simulate_to_folder(
     played.result.write(out / EVENTS, with_pulse({}, run.pulse))
     list(played.frames.values())[-1].first.save(out / DEPTH)
     notes = [*run.scene.notes, *run.light.notes()]
-    on_page = sum(int(frame.counter("stored").sum()) for frame in played.frames.values())
-    if on_page > PAGE_EVENTS_MAX:
-        notes.append(
-            f"{PAGE} is left out: its frames have {on_page:,} events, {PAGE_EVENTS_MAX:,} fit on it"
-        )
-    if not _write_report_page(out / PAGE, heading, titles, played.frames, on_page):
+    too_many = _too_many_for_page(played.frames)
+    if too_many:
+        notes.append(too_many)
+        (out / PAGE).unlink(missing_ok=True)  # from an earlier run
+    if too_many or not _write_report_page(out / PAGE, heading, titles, played.frames):
         results.remove(out / PAGE)
     report = _report(played) | shares | given
     _write_report(out, report)
@@ -318,17 +317,20 @@ def _prepare(engine: str, sensor: Sensor, waves: bool, view: "View | None") -> N
         prepare(engine, sensor, waves, view)
 
 
-def _write_report_page(
-    path: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame], events: int
-) -> bool:
-    """Write the views of the compared frames as one HTML file; return False if they have too many
-    events for a page, or if the extra `explore` is not installed.
+def _too_many_for_page(seen: dict[str, Frame]) -> str:
+    """Return why the compared frames do not fit on a page, or nothing."""
+    events = sum(int(frame.counter("stored").sum()) for frame in seen.values())
+    if events <= PAGE_EVENTS_MAX:
+        return ""
+    return f"{PAGE} is left out: its frames have {events:,} events, {PAGE_EVENTS_MAX:,} fit on it"
 
-    events: number of all events of these frames.
+
+def _write_report_page(
+    path: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]
+) -> bool:
+    """Write the views of the compared frames as one HTML file; return False if the extra `explore`
+    is not installed.
     """
-    if events > PAGE_EVENTS_MAX:
-        path.unlink(missing_ok=True)  # from an earlier run
-        return False
     try:
         with extra("explore"):
             from .show.report import write_report

@@ -15,6 +15,7 @@ from ..contract import groups
 from ..contract.packet import BEAT_BITS, GROUP_KIND, KIND_LSB
 from ..contract.parameters import OFFSET_NONE
 from ..contract.ungroup import check_of
+from ..shared.arrays import keep_only, longer
 from ..shared.compiled import part
 from .receiver import Receiver, taken_from
 from .shape import Shape, row_type
@@ -85,10 +86,7 @@ def more_room(packer: np.void, room: Packed, beats: int, shape: Shape) -> Packed
     if most <= len(room.beats):
         return room
     most = max(most, 2 * len(room.beats))
-    longer = room._replace(beats=np.zeros(most, np.uint64), sent_at=np.empty(most, np.int64))
-    longer.beats[: len(room.beats)] = room.beats
-    longer.sent_at[: len(room.sent_at)] = room.sent_at
-    return longer
+    return room._replace(beats=longer(room.beats, most), sent_at=longer(room.sent_at, most))
 
 
 def take_groups(packer: np.void, room: Packed) -> tuple[np.ndarray, np.ndarray]:
@@ -101,9 +99,9 @@ def take_groups(packer: np.void, room: Packed) -> tuple[np.ndarray, np.ndarray]:
     beats = room.beats[:done].copy()
     sent_at = room.sent_at[:done].copy()
     filling = beat + 1 - done  # beats of the open group, with the one that is being filled
-    room.beats[:filling] = room.beats[done : beat + 1].copy()
+    keep_only(room.beats, done, filling)
     room.beats[filling : beat + 1] = 0
-    room.sent_at[:filling] = room.sent_at[done : beat + 1].copy()
+    keep_only(room.sent_at, done, filling)
     packer["beat"] = beat - done
     if begins != _NONE:
         packer["begins"] = 0

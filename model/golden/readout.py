@@ -16,6 +16,7 @@ import numpy as np
 from ..contract import latency
 from ..contract.counters import COUNTER_BITS
 from ..contract.packet import BEAT_BITS, FRAME_END, FRAME_START, KIND_LSB, OFFSETS, RECORD
+from ..shared.arrays import keep_only, longer
 from ..shared.compiled import njit, part
 from .front_end import Events, Records, room_for_events, room_for_records
 from .packer import (
@@ -144,8 +145,8 @@ class Readout:
         beats = room.beats[self._handed : done].copy()
         sent_at = room.sent_at[self._handed : done].copy()
         kept = min(done, self._shape.output_depth)
-        _keep_only(room.beats, done - kept, kept)
-        _keep_only(room.sent_at, done - kept, kept)
+        keep_only(room.beats, done - kept, kept)
+        keep_only(room.sent_at, done - kept, kept)
         place["done"] = kept
         self._handed = kept
         if self._shape.grouped:
@@ -181,9 +182,7 @@ class Readout:
         most = int(self._place["done"][0]) + beats
         if most > len(room.beats):
             most = max(most, 2 * len(room.beats))
-            room = room._replace(
-                beats=_longer(room.beats, most), sent_at=_longer(room.sent_at, most)
-            )
+            room = room._replace(beats=longer(room.beats, most), sent_at=longer(room.sent_at, most))
         self._room = room._replace(
             packed=more_room(self._packers[0], room.packed, beats, self._shape)
         )
@@ -191,17 +190,6 @@ class Readout:
 
 def _no_commits() -> Commits:
     return Commits(*(np.empty(0, np.int64) for _ in Commits._fields))
-
-
-def _keep_only(array: np.ndarray, first: int, number: int) -> None:
-    """Move so many items, from `first` on, to the array's beginning."""
-    array[:number] = array[first : first + number].copy()
-
-
-def _longer(array: np.ndarray, length: int) -> np.ndarray:
-    longer = np.empty(length, array.dtype)
-    longer[: len(array)] = array
-    return longer
 
 
 @njit(allocates=False)
