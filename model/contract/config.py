@@ -21,6 +21,7 @@ from ..shared.files import FilePath
 from . import registers
 from .coincidence import AT_LEAST, Rule
 from .counters import EVENTS_MAX
+from .counts import SEARCH_SHARE, pause_cycles
 from .dither import start_cycles
 from .groups import LARGE_PIXELS, PAYLOAD_BITS, group_widths
 from .link import beats_waiting_max, check_link, link_share, takes_beats
@@ -61,7 +62,11 @@ class Config(SubgroupSettings):
                 f"above the guard of {guard} cycles",
             )
         if self.format not in (built := built_formats(self.sensor)):
-            legal = f"one of {', '.join(built)}, because the sensor is built without coarse offsets (sensor.offsets = 0)"
+            part = "counts" if self.format == "counts" else "offsets"
+            legal = (
+                f"one of {', '.join(built)}, because the sensor is built without {PARTS[part]}"
+                f" (sensor.{part} = 0)"
+            )
             raise wrong_value("frame.format", self.format, legal)
         for name, setting in (FRAME | SUBGROUP).items():
             value = getattr(self.frame if name in FRAME else self, name)
@@ -77,6 +82,12 @@ class Config(SubgroupSettings):
             raise InputError(
                 f"frame.auto_bounds = {self.auto_bounds.tolist()}: must not descend",
                 field="frame.auto_bounds",
+            )
+        if self.counting and 2 * self.search_pulses >= self.pulses:
+            raise InputError(
+                f"frame.search_pulses = {self.search_pulses}: must be below half of frame.pulses ="
+                f" {self.pulses}, so that pulses are left to count in",
+                field="frame.search_pulses",
             )
         late = np.flatnonzero(self.gating & (self.gate_start >= period))
         if len(late):
@@ -131,6 +142,17 @@ class Config(SubgroupSettings):
     def format(self) -> str:
         """Name of the event format."""
         return self.frame.format
+
+    @property
+    def counting(self) -> bool:
+        """Whether frames have counts in place of events."""
+        return self.format == "counts"
+
+    @property
+    def search_pulses(self) -> int:
+        """Pulses of step 1 of a frame of counts, and of its step 2."""
+        given: int | None = self.frame.search_pulses
+        return given if given is not None else max(1, self.pulses // SEARCH_SHARE)
 
     def check_map(self) -> None:
         """Raise `InputError` if the events of the format have no map, which depth needs."""
@@ -213,6 +235,9 @@ class Config(SubgroupSettings):
         starts = start_cycles(
             self.pulses, self.period, self.frame.dither_bits, self.frame.dither_seed, self.gap
         )
+        if self.counting:
+            for step, pause in enumerate(pause_cycles(self.sensor.minigroups), start=1):
+                starts[step * self.search_pulses :] += max(0, pause - self.gap)
         starts[-1] = starts[-2] + self.period
         return starts
 
@@ -343,7 +368,11 @@ class Config(SubgroupSettings):
     def register_writes(self) -> list[tuple[int, int]]:
         """Return (address, value) of every setting, as a driver writes them before a frame."""
         writes = []
-        derived = {"auto_bounds": self.auto_bounds, "capacity": self.capacity}
+        derived = {
+            "auto_bounds": self.auto_bounds,
+            "capacity": self.capacity,
+            "search_pulses": self.search_pulses,
+        }
         for name, setting in FRAME.items():
             value: Any = derived[name] if name in derived else getattr(self.frame, name)
             if setting.offset is not None and setting.words(self.sensor):

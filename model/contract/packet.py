@@ -13,6 +13,7 @@ from attrs import frozen
 from numpy.typing import ArrayLike
 
 from .counters import COUNTER_BITS, COUNTER_NAMES
+from .counts import GATE_BITS, GATES, NO_GATE, ROW_BITS, ROWS
 from .parameters import STAMP_FIELD_BITS, SUBGROUPS_MAX, Sensor, bits_for
 from .table import Limit, number
 
@@ -76,11 +77,25 @@ class Part:
 _STAMP = Field("stamp", STAMP_FIELD_BITS, "opening tick")
 _WINNER = Field("winner", 8, "pixel in the subgroup")
 _COUNT = Field(
-    "count", 9, "distinct pixels; frame start: 1 if the events of the frame come in groups"
+    "count",
+    9,
+    "distinct pixels; frame start: 1 if the events of the frame come in groups, 2 if it has counts",
 )
 _PULSE = Field("pulse", 16, "in the frame; frame start and end: frame number")
 _SUBGROUP = Field("subgroup", bits_for(SUBGROUPS_MAX - 1))
 _OVERRUN = Field("overrun", 1, "events were dropped before this one")
+_COUNT_GATES = Field(
+    "gates", GATE_BITS, f"first cycle of each gate; {NO_GATE}: there is no gate", GATES
+)
+_MINIGROUP = Field("minigroup", 32, "number of the minigroup in its subgroup")
+_PULSES = Field(
+    "pulses",
+    16,
+    "number of pulses of each pixel, in the minigroup's order",
+    "minigroup_pixels",
+    aligned=True,
+)
+_ROWS = Field("rows", ROW_BITS, "rows of the minigroup's memory", ROWS, aligned=True)
 _HEADER = _STAMP, _WINNER, _COUNT, _PULSE, _SUBGROUP, _OVERRUN
 MAP = Field("map", 1, "", "pixels", aligned=True)
 OFFSETS = Field("offsets", 8, "", "minigroups", aligned=True)
@@ -88,7 +103,7 @@ ENTRIES = Field("entries", "record_bits", "", "minigroups", aligned=True)
 # Once for every subgroup of the stream.
 _COUNTERS = Field("counters", COUNTER_BITS, "", len(COUNTER_NAMES), aligned=True)
 
-FORMATS = {  # packets of events, in the order of the format register's values
+EVENT_FORMATS = {  # packets of events, in the order of the format register's values
     "short": Packet(1, "event_short", _HEADER),
     "id": Packet(2, "event_id", (*_HEADER, MAP), "map"),
     "full": Packet(3, "event_full", (*_HEADER, MAP, OFFSETS), "map and offsets"),
@@ -97,9 +112,14 @@ FORMATS = {  # packets of events, in the order of the format register's values
         3, "event_full", (*_HEADER, MAP, OFFSETS), "full in groups", grouped=True
     ),
 }
+# Of a minigroup; a frame of this format has no events.
+COUNTS = Packet(
+    0, "counts", (_COUNT_GATES, _MINIGROUP, _SUBGROUP, _PULSES, _ROWS), "counts in gates, no events"
+)
+FORMATS = EVENT_FORMATS | {"counts": COUNTS}  # in the order of the format register's values
 FORMAT_NAMES = tuple(FORMATS)
 # without `Sensor.offsets`
-UNBUILT = tuple(name for name, packet in FORMATS.items() if packet.has("offsets"))
+UNBUILT = tuple(name for name, packet in EVENT_FORMATS.items() if packet.has("offsets"))
 # formats from which depth can be made
 WITH_MAP = tuple(name for name, packet in FORMATS.items() if packet.has("map"))
 RECORD = Packet(4, "record", (*_HEADER, ENTRIES))
@@ -109,7 +129,9 @@ FRAME_END = Packet(7, "frame_end", (*_HEADER, _COUNTERS))
 
 def built_formats(sensor: Sensor) -> tuple[str, ...]:
     """Return the formats that a sensor has."""
-    return tuple(name for name in FORMATS if sensor.offsets or name not in UNBUILT)
+    missing = () if sensor.offsets else UNBUILT
+    names = FORMATS if sensor.counts else EVENT_FORMATS
+    return tuple(name for name in names if name not in missing)
 
 
 PACKETS = {
@@ -159,8 +181,9 @@ class Layout:
 
     @property
     def longest_word(self) -> int:
-        """Beats of the longest event or record."""
-        return max(self.length(packet) for packet in (*FORMATS.values(), RECORD))
+        """Beats of the longest word: an event, a record, or the counts of a minigroup."""
+        counts = (COUNTS,) if self.sensor.counts else ()
+        return max(self.length(packet) for packet in (*EVENT_FORMATS.values(), RECORD, *counts))
 
     @property
     def longest(self) -> int:
@@ -176,7 +199,8 @@ class Layout:
         lengths = np.zeros(1 << KIND_BITS, np.int64)
         lengths[GROUP_KIND] = 1
         for code, packet in PACKETS.items():
-            lengths[code] = self.length(packet, subgroups)
+            if packet is not COUNTS or self.sensor.counts:
+                lengths[code] = self.length(packet, subgroups)
         return lengths
 
 

@@ -10,6 +10,7 @@ from attrs import Factory, field, frozen
 from ..shared.errors import InputError, out_of_range, wrong_value
 from .coincidence import AT_LEAST, Rule, check_rule
 from .counters import COUNTER_BITS, COUNTER_BITS_MIN
+from .counts import MINIGROUP
 from .table import Kind, Limit, number, settings_of_class
 
 TOP = "coincid_sensor"  # the RTL's top module
@@ -29,6 +30,7 @@ PARTS = {  # parameters that say whether a part is built, and its name
     "offsets": "coarse offsets",
     "records": "minigroup records",
     "controller": "the threshold controller",
+    "counts": "counts",
 }
 SUBGROUPS_MAX = 4096  # the header's subgroup field has 12 bits
 
@@ -45,9 +47,17 @@ def guard_cycles(window_ticks: int, phases: int, rearm_cycles: int) -> int:
     return max(SHORTEST_GUARD_CYCLES, -(-window_ticks // phases) + 1 + rearm_cycles)
 
 
-def _integer(default: int, low: int, high: Limit, offset: int, doc: str, unit: str = "") -> Any:
+def _integer(
+    default: int,
+    low: int,
+    high: Limit,
+    offset: int,
+    doc: str,
+    unit: str = "",
+    needs: str = "",
+) -> Any:
     """Return a field that holds an integer; the default is `default`, but not more than the
-    fields before it allow.
+    fields before it allow. needs: the register exists only if this parameter is not 0.
     """
 
     def default_of(sensor: "Sensor") -> int:
@@ -66,6 +76,7 @@ def _integer(default: int, low: int, high: Limit, offset: int, doc: str, unit: s
         offset=offset,
         doc=doc,
         unit=unit,
+        needs=needs,
     )
 
 
@@ -141,6 +152,9 @@ class Sensor:
         0xA4,
         "1: a subgroup's settings can be written during a frame, for the next one; 0: they cannot.",
     )
+    counts: int = _integer(
+        0, 0, 1, 0xA8, "1: the format counts is built; 0: it is not.", needs="counts"
+    )
     rule: Rule = field(default=AT_LEAST)
 
     def __attrs_post_init__(self) -> None:
@@ -166,6 +180,12 @@ class Sensor:
                         {part: f"must divide {shown} without rest"},
                         f"must be a multiple of {step}, because of {blocks}",
                     )
+        if self.counts and self.minigroup != MINIGROUP:
+            raise wrong_value(
+                "sensor.minigroup",
+                list(self.minigroup),
+                f"{list(MINIGROUP)}, because the sensor is built with counts (sensor.counts = 1)",
+            )
         if self.offset_max >= OFFSET_NONE:
             highest = OFFSET_NONE * self.offset_ticks - self.phases + 1
             legal = (

@@ -25,9 +25,9 @@ ADDRESS_BITS = 20
 SUBGROUP_BASE = 0x1000
 SUBGROUP_STRIDE = 0x80
 ID_VALUE = 0x434F494E  # "COIN"
-VERSION_VALUE = (
-    0x00020005  # 16 bits each for major and minor; every change that software can see raises it
-)
+# 16 bits each for major and minor; every change that software can see raises it.
+VERSION_VALUE = 0x00020005  # of a sensor without counts
+VERSION_WITH_COUNTS = 0x00020006
 
 Value = Callable[[Sensor], int]
 
@@ -99,7 +99,7 @@ def _of_setting(of: Setting, offset: int) -> list[Register]:
             Register(f"{name}_cols", offset + 4, CONSTANT, cols, lambda s: getattr(s, name)[1]),
         ]
     if of.table == "sensor":
-        return [Register(name, offset, CONSTANT, doc, attrgetter(name))]
+        return [Register(name, offset, CONSTANT, doc, attrgetter(name), count=of.words)]
     register = Register(
         name,
         offset,
@@ -135,7 +135,11 @@ _STICKY = {  # from bit 1 of the status on: bits that stay until software clears
 GLOBAL: tuple[Register, ...] = (
     Register("id", 0x00, CONSTANT, "Identifies the sensor: COIN in ASCII.", reset=ID_VALUE),
     Register(
-        "version", 0x04, CONSTANT, "Version of this map: major << 16 | minor.", reset=VERSION_VALUE
+        "version",
+        0x04,
+        CONSTANT,
+        "Version of this map: major << 16 | minor.",
+        reset=lambda s: VERSION_WITH_COUNTS if s.counts else VERSION_VALUE,
     ),
     *_registers(SENSOR),
     Register(

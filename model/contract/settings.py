@@ -27,6 +27,7 @@ FRAMES_MAX = 1 << 16  # the frame number has 16 bits
 LINK_GBPS_MAX = 1e6  # highest rate of the link behind a stream
 GATE_BITS = 16
 GATE_MAX = (1 << GATE_BITS) - 1  # highest number of a gate's cycles, pulses and steps
+SEARCH_PULSES_MAX = (1 << 15) - 1  # twice as many, and one more, fit into a frame
 GATE = "Progressive gating"
 _FORMATS_TOLD = ", ".join(
     f"{n} {name}" + f" ({of.doc})" * bool(of.doc) for n, (name, of) in enumerate(FORMATS.items())
@@ -97,6 +98,7 @@ class FrameSettings:
         f"Event words: {_FORMATS_TOLD}.",
         default="id",
         choices=tuple(FORMATS),
+        last_choice_needs="counts",
         offset=0x50,
     )
     minigroup_records: bool = _switch(
@@ -147,6 +149,17 @@ class FrameSettings:
     )
     dither_seed: int = _integer(
         1, 1, (1 << LFSR_BITS) - 1, "State of that LFSR at the beginning of the frame.", offset=0x88
+    )
+    search_pulses: int | None = _integer(
+        None,
+        1,
+        SEARCH_PULSES_MAX,
+        "Counts: number of pulses in which regions are searched, and again in which gates are searched.",
+        derived=True,
+        unit="laser pulses",
+        needs="counts",
+        offset=0xAC,
+        reset=20,
     )
     threshold_floor: int = _of_controller(
         Kind.INTEGER,

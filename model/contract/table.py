@@ -41,7 +41,8 @@ class Setting:
     value then follows from the finished configuration; it counts something per frame. low, high:
     legal range. count: number of integers, and of words of the register. offset: place of the
     register, or of the first one, in its block. bit: place of a switch in the register `mode`.
-    reset: value of the register after a reset; None: the default. needs: the parameter that says
+    reset: value of the register after a reset; None: the default. last_choice_needs: the parameter
+    that says whether the sensor has the last choice. needs: the parameter that says
     whether the sensor has this part; if it is 0, a switch must be off, and any other setting
     must be left out and has no register.
     """
@@ -57,6 +58,7 @@ class Setting:
     low: Limit = 0
     high: Limit = 1
     choices: tuple[str, ...] = ()
+    last_choice_needs: str = ""
     count: Limit = 1
     offset: int | None = None
     bit: int = NO_BIT
@@ -71,7 +73,8 @@ class Setting:
     def limits(self, sensor: Any) -> tuple[Any, Any]:
         """Return the lowest and the highest legal value; of a choice, their numbers."""
         if self.kind is Kind.CHOICE:
-            return 0, len(self.choices) - 1
+            last_built = not self.last_choice_needs or getattr(sensor, self.last_choice_needs)
+            return 0, len(self.choices) - (1 if last_built else 2)
         if self.kind is Kind.SWITCH:
             return 0, int(self.built(sensor))
         return number(self.low, sensor), number(self.high, sensor)
