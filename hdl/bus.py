@@ -7,6 +7,7 @@ from enum import unique
 
 from amaranth.lib import data, enum
 
+from ..model.contract import counts
 from ..model.contract.packet import BEAT_BITS, HEADER
 from ..model.contract.parameters import Sensor, bits_for
 from ..model.contract.registers import BY_NAME, DATA_BITS, SUBGROUP_STRIDE
@@ -58,6 +59,17 @@ class Send(enum.Enum, shape=2):  # type: ignore[call-arg]
     EVENT = 0
     RECORD = 1
     COUNTERS = 2
+    COUNTS = 3  # of the subgroup's next minigroup
+
+
+@unique
+class Step(enum.Enum, shape=2):  # type: ignore[call-arg]
+    """Steps of a frame of counts."""
+
+    NONE = 0  # the frame has events
+    WIDE = 1  # hits fill wide bins
+    NARROW = 2  # hits fill narrow bins in the regions
+    GATED = 3  # pixels count their hits in the gates
 
 
 # parity: of a write's data when they arrived at the register port.
@@ -75,7 +87,7 @@ CONFIG_BUS = data.StructLayout(
 COUNTED = data.StructLayout({"valid": 1, "beat": BEAT_BITS, "controlled": 1})
 
 # Of the time layout; the shift changes with `start`.
-STROBES = (
+_STROBES = (
     "running",
     "start",
     "wrap",
@@ -83,16 +95,21 @@ STROBES = (
 )
 
 
+def strobes(sensor: Sensor) -> tuple[str, ...]:
+    """Return the strobes of the time layout."""
+    return (*_STROBES, "search") if sensor.counts else _STROBES
+
+
 def time_layout(sensor: Sensor) -> data.StructLayout:
     """The sequencer's word for one cycle, three cycles ahead of the ports.
 
     running: the cycle belongs to a frame. start: it is the first of a period. wrap: the previous
-    cycle was the last of a period. may_open: windows may open. shift: shift of the progressive gate
-    in cycles, saturated at 2^coarse_bits.
+    cycle was the last of a period. may_open: windows may open. search: the previous cycle was the
+    last of step 1 or 2 of a frame of counts. shift: shift of the progressive gate in cycles,
+    saturated at 2^coarse_bits.
     """
-    return data.StructLayout(
-        {"running": 1, "start": 1, "wrap": 1, "may_open": 1, "shift": sensor.coarse_bits + 1}
-    )
+    bits = dict.fromkeys(strobes(sensor), 1)
+    return data.StructLayout(bits | {"shift": sensor.coarse_bits + 1})
 
 
 def frame_layout(sensor: Sensor) -> data.StructLayout:
@@ -102,7 +119,8 @@ def frame_layout(sensor: Sensor) -> data.StructLayout:
 
 def plan_layout(sensor: Sensor) -> data.StructLayout:
     """Frame settings that the sequencer uses."""
-    return _registers_layout(sensor, PLAN_SETTINGS)
+    of_counts = ("format", "search_pulses") if sensor.counts else ()
+    return _registers_layout(sensor, PLAN_SETTINGS + of_counts)
 
 
 def _registers_layout(sensor: Sensor, names: tuple[str, ...]) -> data.StructLayout:
@@ -144,6 +162,19 @@ def event_layout(sensor: Sensor) -> data.StructLayout:
     offsets = {"offsets": offsets_layout(sensor)} if sensor.offsets else {}
     return data.StructLayout(
         {"window": window_layout(sensor), **offsets, "pulse": PULSE_BITS, "overrun": 1}
+    )
+
+
+def minigroup_counts_layout(sensor: Sensor) -> data.StructLayout:
+    """The counts of a minigroup as they leave: first cycles of its gates, numbers of pulses of its
+    pixels, and a row of its memory.
+    """
+    return data.StructLayout(
+        {
+            "gates": counts.GATES * counts.GATE_BITS,
+            "pulses": sensor.minigroup_pixels * PULSE_BITS,
+            "row": counts.ROW_BITS,
+        }
     )
 
 

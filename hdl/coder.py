@@ -16,7 +16,7 @@ from amaranth.lib.wiring import In, Out
 from ..model.contract import groups
 from ..model.contract.packet import (
     BEAT_BITS,
-    FORMATS,
+    EVENT_FORMATS,
     FRAME_END,
     KIND_LSB,
     OFFSETS,
@@ -28,7 +28,7 @@ from ..model.contract.parameters import Sensor, bits_for
 from .logic import any_of, counted, lowest, up_to
 from .unit import Unit
 
-GROUPED = tuple(packet for packet in FORMATS.values() if packet.grouped)
+GROUPED = tuple(packet for packet in EVENT_FORMATS.values() if packet.grouped)
 # Holds the fields of the others, at the same places.
 LONGEST = max(GROUPED, key=lambda packet: len(packet.fields))
 

@@ -21,6 +21,11 @@ from .memory import Memory
 from .unit import Unit, place
 
 
+def hit_ports(sensor: Sensor, pixels: int) -> dict[str, Any]:
+    """Return the ports for counts: accepted, quarters (stage 2), if the sensor has counts."""
+    return {"accepted": Out(pixels), "quarters": Out(2 * pixels)} if sensor.counts else {}
+
+
 class Recorder(Unit):
     """What minigroups have in common in both views: coarse offsets, and the minigroup's own
     stamping circuit.
@@ -157,6 +162,8 @@ class Minigroup(Recorder):
         in, the cycle's first phase (stage 2)
     at_first : out, pixels, the pixel's edge is at that phase (stage 2)
     blind : out, an accepted edge lies outside the window (stage 3)
+    accepted, quarters : out, pixels with an accepted edge, and its quarter of the cycle, if counts
+        are built (stage 2)
     opening : in, the window opened in this cycle (stage 4)
     hits : out, pixels, the window's map (stage 5)
     elapsed : in, cycles since the window opened (stage 7)
@@ -192,6 +199,7 @@ class Minigroup(Recorder):
             end=In(sensor.phase_bits),
             first=In(sensor.phase_bits),
             at_first=Out(pixels),
+            **hit_ports(sensor, pixels),
         )
         # Numbers are those of stages.
         self.valid_1 = Signal(pixels, reset_less=True)  # pixels with an edge
@@ -276,6 +284,11 @@ class Minigroup(Recorder):
             self.at_first.eq(self.valid_2 & Cat(phase == self.first for phase in self.phases_2)),
             self.blind.eq((self.active & ~self.hit_3).any()),
         ]
+        if sensor.counts:
+            m.d.comb += [
+                self.accepted.eq(self.valid_2),
+                self.quarters.eq(Cat(phase[-2:] for phase in self.phases_2)),
+            ]
         counted = self.whole.replicate(pixels) | (self.part.replicate(pixels) & before_end)
         with m.If(self.awake_3):
             m.d.sync += [

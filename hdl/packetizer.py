@@ -7,14 +7,17 @@ The word formats are our choice; the paper only says that stamps and IDs leave t
 
 from collections.abc import Callable, Collection
 from itertools import groupby
+from typing import Any
 
 from amaranth.hdl import Cat, Const, Module, Mux, Signal, Value
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract.counters import COUNTER_BITS, COUNTER_NAMES
+from ..model.contract.counts import ROWS
 from ..model.contract.packet import (
     BEAT_BITS,
-    FORMATS,
+    COUNTS,
+    EVENT_FORMATS,
     KIND_BITS,
     KIND_LSB,
     OFFSETS,
@@ -28,6 +31,9 @@ from ..model.contract.packet import (
 from ..model.contract.parameters import OFFSET_NONE, Sensor
 from . import bus
 from .unit import Unit
+
+# Beat of a packet of counts with the first row of the minigroup's memory.
+_ROWS_BEAT = next(part.beat for part in parts_of(Sensor(), COUNTS) if part.field == "rows")
 
 
 def numbers(m, sensor: Sensor, packets: Collection[Packet], kind, **values) -> dict[str, Value]:
@@ -76,8 +82,11 @@ def _placed(parts: tuple[Part, ...], fields: dict[str, Value]) -> Value:
 
 
 def of_format(form, value: Callable[[Packet], int]):
-    """Return `value` for the packet of events that `form`, the format register, selects."""
-    *others, last = FORMATS.values()
+    """Return `value` for the packet of events that `form`, the format register, selects.
+
+    In a frame without events it does not matter.
+    """
+    *others, last = EVENT_FORMATS.values()
     chosen = value(last)
     for number, packet in reversed(list(enumerate(others))):
         chosen = Mux(form == number, value(packet), chosen)
@@ -93,6 +102,9 @@ class Packetizer(Unit):
         packet's last beat
     frame : in, settings; subgroup : in, number of this subgroup
     head, record, counters : in; take_event, take_record : out, with the last beat of the packet
+    of_minigroup, minigroup : in, the counts of a minigroup with this number; read_row : out, row of
+        its memory that is sent; take_counts : out, with the last beat of the packet; reading : out, a
+        packet of counts is sent (all only if counts are built)
     controlled : in, the threshold controller sets the threshold of this subgroup
     valid, beat, beat_controlled : out, one cycle later; 0 while nothing is sent, so that the beats
         of all subgroups can be ORed
@@ -118,6 +130,7 @@ class Packetizer(Unit):
             valid=Out(1),
             beat=Out(BEAT_BITS),
             beat_controlled=Out(1),
+            **self._count_ports(),
         )
         beats = range(layout(sensor).longest + 1)
         self.active = Signal()  # a beat is sent
@@ -128,6 +141,18 @@ class Packetizer(Unit):
         self.index = Signal(beats)  # number of this beat in the packet
         self.index_before = Signal(beats)
 
+    def _count_ports(self) -> dict[str, Any]:
+        """Return the ports for counts, if they are built."""
+        if not self.sensor.counts:
+            return {}
+        return {
+            "of_minigroup": In(bus.minigroup_counts_layout(self.sensor)),
+            "minigroup": In(range(self.sensor.minigroups)),
+            "read_row": Out(range(ROWS)),
+            "take_counts": Out(1),
+            "reading": Out(1),
+        }
+
     def elaborate(self, platform):
         m = Module()
         self._sequence(m)
@@ -135,6 +160,7 @@ class Packetizer(Unit):
             bus.Send.EVENT: self._event_beats(m),
             bus.Send.RECORD: self._record_beats(m) if self.sensor.records else [],
             bus.Send.COUNTERS: _beats(self.counters),
+            bus.Send.COUNTS: self._count_beats(m) if self.sensor.counts else [],
         }
         chosen = Signal(BEAT_BITS)
         with m.Switch(self.sent):
@@ -162,6 +188,13 @@ class Packetizer(Unit):
             self.take_event.eq(ends & (self.sent == bus.Send.EVENT)),
             self.take_record.eq(ends & (self.sent == bus.Send.RECORD)),
         ]
+        if self.sensor.counts:
+            is_counts = self.sent == bus.Send.COUNTS
+            m.d.comb += [
+                self.take_counts.eq(ends & is_counts),
+                self.reading.eq(self.active & is_counts),
+                self.read_row.eq(self.index - _ROWS_BEAT),
+            ]
         with m.If(self.active):
             m.d.sync += [
                 self.sending.eq(~ends),
@@ -176,11 +209,10 @@ class Packetizer(Unit):
         lengths = layout(self.sensor)
         of_event = of_format(self.frame.format, lambda packet: lengths.length(packet) - 1)
         of_record = lengths.length(RECORD) - 1
-        return Mux(
-            send == bus.Send.EVENT,
-            of_event,
-            Mux(send == bus.Send.RECORD, of_record, lengths.counter_beats - 1),
-        )
+        others = Mux(send == bus.Send.RECORD, of_record, lengths.counter_beats - 1)
+        if self.sensor.counts:
+            others = Mux(send == bus.Send.COUNTS, lengths.length(COUNTS) - 1, others)
+        return Mux(send == bus.Send.EVENT, of_event, others)
 
     def _event_beats(self, m):
         window = self.head.window
@@ -189,7 +221,7 @@ class Packetizer(Unit):
         fields = numbers(
             m,
             self.sensor,
-            FORMATS.values(),
+            EVENT_FORMATS.values(),
             kind,
             overrun=self.head.overrun,
             subgroup=self.subgroup,
@@ -198,7 +230,8 @@ class Packetizer(Unit):
             winner=window.winner,
             stamp=window.stamp,
         )
-        built = [FORMATS[name] for name in built_formats(self.sensor)]
+        names = [name for name in built_formats(self.sensor) if name in EVENT_FORMATS]
+        built = [EVENT_FORMATS[name] for name in names]
         offsets = []
         for g in range(self.sensor.minigroups if self.sensor.offsets else 0):
             hit = Cat(window.hits[i] for i in self.sensor.members(g)).any()
@@ -232,6 +265,21 @@ class Packetizer(Unit):
             m.d.comb += entry.eq(self.record.entries[g].as_value())
             entries.append(entry)
         return formed(self.sensor, [RECORD], fields | {"entries": Cat(entries)})[RECORD]
+
+    def _count_beats(self, m):
+        """Return the beats of a minigroup's counts; `read_row` says which row is shown."""
+        fields = numbers(
+            m,
+            self.sensor,
+            [COUNTS],
+            COUNTS.code,
+            gates=self.of_minigroup.gates,
+            minigroup=self.minigroup,
+            subgroup=self.subgroup,
+        )
+        rows = self.of_minigroup.row.replicate(ROWS)
+        fields |= {"pulses": self.of_minigroup.pulses, "rows": rows}
+        return formed(self.sensor, [COUNTS], fields)[COUNTS]
 
 
 def _beats(value):

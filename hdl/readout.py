@@ -14,7 +14,16 @@ from amaranth.lib import fifo, wiring
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import latency
-from ..model.contract.packet import BEAT_BITS, FRAME_END, FRAME_START, KIND_BITS, RECORD, layout
+from ..model.contract.packet import (
+    BEAT_BITS,
+    COUNTS,
+    FORMAT_NAMES,
+    FRAME_END,
+    FRAME_START,
+    KIND_BITS,
+    RECORD,
+    layout,
+)
 from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .axi import STREAM
@@ -146,6 +155,10 @@ class Readout(Unit):
         # The same for those on their way to the output.
         self.own = [Signal(KIND_BITS, name=f"own_{k}") for k in range(latency.GRANT_TO_BEAT)]
         self.tail = Signal(self.subgroups)  # the subgroup whose counters are next, one-hot
+        # Counts of minigroups.
+        self.counting = Signal()  # the frame has counts
+        self.counted_all = Signal()  # all of them have been granted
+        self.minigroup = Signal(range(self.sensor.minigroups))  # the next one
         self.owes = Signal()  # the frame's last beat has not left
         self.filling = Signal()  # it was lost and is sent again
         # Beats after the header of the frame end.
@@ -186,6 +199,9 @@ class Readout(Unit):
                 for beats, beyond in zip(self.rooms, self.event_exceeds, strict=True)
             ),
         ]
+
+        if self.sensor.counts:
+            m.d.sync += self.counting.eq(self.frame.format == FORMAT_NAMES.index(COUNTS.name))
 
     def _event_and(self, beats):
         """Return the number of beats of an event in the frame's format, plus `beats`."""
@@ -309,6 +325,12 @@ class Readout(Unit):
             with m.State("head"):
                 self._book(m, 1, "start", self.free)
                 m.d.sync += self.at_or_after.eq(~0)
+                if self.sensor.counts:
+                    m.d.sync += [
+                        self.tail.eq(1),
+                        self.minigroup.eq(0),
+                        self.counted_all.eq(~self.counting),
+                    ]
                 with m.If(self.free):
                     m.d.comb += self.own_kind.eq(FRAME_START.code)
                     m.next = "events"
@@ -316,6 +338,9 @@ class Readout(Unit):
             with m.State("events"):
                 with m.If(self.waiting.any()):
                     self._grant_chosen(m)
+                if self.sensor.counts:
+                    with m.Elif(self.finish_in & ~self.counted_all):
+                        self._grant_counts(m)
                 with m.Elif(self.finish_in):
                     self._book(m, 1, "end", self.free)
                     m.d.sync += self.tail.eq(1)
@@ -367,6 +392,22 @@ class Readout(Unit):
                 self.at_or_after.eq(self.from_chosen << 1),
             ]
 
+    def _grant_counts(self, m):
+        """Grant the counts of the next minigroup: all of a subgroup, and then the next subgroup."""
+        last = self.minigroup == self.sensor.minigroups - 1
+        self._book(m, self.parts.length(COUNTS), "counts", self.free)
+        with m.If(self.free):
+            m.d.sync += [
+                self.grant.eq(self.tail),
+                self.send.eq(bus.Send.COUNTS),
+                self.minigroup.eq(Mux(last, 0, self.minigroup + 1)),
+            ]
+            with m.If(last):
+                m.d.sync += [
+                    self.tail.eq(self.tail << 1),
+                    self.counted_all.eq(self.tail[-1] | (self.tail == 0)),
+                ]
+
     def _output(self, m):
         """Buffer the stream.
 
@@ -378,9 +419,10 @@ class Readout(Unit):
         for now, later in pairwise([self.own_kind, *own]):
             m.d.sync += later.eq(now)
         starts = own[-1] == FRAME_START.code
-        fields = numbers(
-            m, self.sensor, [FRAME_START], own[-1], pulse=self.number, count=starts & self.grouped
-        )
+        of_start = starts & self.grouped
+        if self.sensor.counts:
+            of_start = Cat(of_start, starts & self.counting)
+        fields = numbers(m, self.sensor, [FRAME_START], own[-1], pulse=self.number, count=of_start)
         (own_beat,) = formed(self.sensor, [FRAME_START], fields)[FRAME_START]
         is_own = own[-1].any()
         with m.If((own[-1] == FRAME_END.code) & ~self.filling):

@@ -10,7 +10,9 @@ from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import latency
+from ..model.contract.counts import pause_cycles
 from ..model.contract.dither import DITHER_BITS_MAX, GAP_BITS, LFSR_BITS, LFSR_TAPS
+from ..model.contract.packet import COUNTS, FORMAT_NAMES
 from ..model.contract.parameters import Sensor
 from ..model.contract.settings import GATE_BITS
 from . import bus
@@ -41,7 +43,8 @@ class Sequencer(Unit):
     delivered : in, all readouts have sent their end packets; done : out, strobe
     resting : out, no frame is in progress
 
-    Between two periods comes the gap, then dither's wait. Their cycles belong to the frame but to
+    Between two periods comes the gap, then dither's wait. After steps 1 and 2 of a frame of counts
+    the gap is long enough for the subgroups' search. Their cycles belong to the frame but to
     no period, and no edge counts in them. An abort in the gap ends the frame; in dither's wait it
     makes the next period the last one.
 
@@ -78,6 +81,11 @@ class Sequencer(Unit):
         self.ends = Signal()  # the cycle is the last of a period
         self.wrap = Signal()  # the cycle before was the last of a period
         self.aborted = Signal()  # this period is the last one
+        # Steps of a frame of counts.
+        self.counting = Signal()  # the frame has counts
+        self.search_step = Signal(bus.Step)  # of the last period that has begun
+        self.step_pulses = Signal(bus.PULSE_BITS)  # periods of this step that have begun
+        self.step_ends = Signal()  # the period is the last one of step 1 or 2
         # Between two periods.
         self.waiting = Signal()  # in the gap or in dither's wait
         self.in_gap = Signal()  # where it waits
@@ -107,6 +115,8 @@ class Sequencer(Unit):
         self._shift(m)
         self._timing(m)
         self._end(m)
+        if self.sensor.counts:
+            self._steps(m)
         return m
 
     def _periods(self, m):
@@ -143,15 +153,52 @@ class Sequencer(Unit):
     def _gap(self, m):
         """Count the cycles of the gap. The comparison is one cycle ahead, in a register."""
         last = Signal.like(self.waited)
+        gap = self._least_gap(m) if self.sensor.counts else self.plan.gap
         m.d.sync += [
-            self.has_gap.eq(self.plan.gap != 0),
-            last.eq(self.plan.gap - 1),
+            self.has_gap.eq(gap != 0),
+            last.eq(gap - 1),
             # Without a gap `last` wraps: an upset that begins one ends in the next cycle.
             self.gap_over.eq((self.waited >= last) | ~self.has_gap),
             self.waited.eq(0),
         ]
         with m.If((self.in_gap & ~self.gap_over) | (self.ends & self.has_gap)):
             m.d.sync += self.waited.eq(self.waited + 1)
+
+    def _least_gap(self, m):
+        """Return the cycles of the gap after this period, with those of a search."""
+        regions, gates = pause_cycles(self.sensor.minigroups)
+        gap = Signal.like(self.plan.gap, name="least_gap")
+        pause = Mux(self.search_step == bus.Step.WIDE, regions, gates)
+        is_longer = self.step_ends & (self.plan.gap < pause)
+        m.d.comb += gap.eq(Mux(is_longer, pause, self.plan.gap))
+        return gap
+
+    def _steps(self, m):
+        """Count the periods of the first two steps of a frame of counts, at their beginnings.
+
+        After the last period of a step, the subgroups search.
+        """
+        step = self.search_step
+        searched = Signal()  # the step has as many periods as it shall have
+        m.d.comb += searched.eq(self.step_pulses >= self.plan.search_pulses)
+        m.d.sync += [
+            self.counting.eq(self.plan.format == FORMAT_NAMES.index(COUNTS.name)),
+            self.step_ends.eq(self.counting & searched & (step != bus.Step.GATED)),
+            self.timing.search.eq(self.wrap & self.step_ends),
+        ]
+        with m.If(self.running & ~self.waiting & (self.cycle == 0)):
+            m.d.sync += self.step_pulses.eq(self.step_pulses + 1)
+            with m.If(self.step_ends):
+                m.d.sync += [
+                    step.eq(Mux(step == bus.Step.WIDE, bus.Step.NARROW, bus.Step.GATED)),
+                    self.step_pulses.eq(1),
+                ]
+        with m.If(self.restart):
+            m.d.sync += [
+                step.eq(bus.Step.WIDE),
+                self.step_pulses.eq(0),
+                self.step_ends.eq(0),
+            ]
 
     def _dither(self, m):
         """Draw dither's wait, and wait: for the gap, then for the cycles that are drawn. The LFSR
@@ -213,12 +260,15 @@ class Sequencer(Unit):
         in_period = Signal()
         last_open = Signal.like(self.cycle)
         m.d.comb += in_period.eq(self.running & ~self.waiting)
+        may_open = in_period & (self.cycle < last_open)
+        if self.sensor.counts:
+            may_open = may_open & ~self.counting
         m.d.sync += [
             last_open.eq(self.plan.period - self.sensor.guard),
             self.timing.running.eq(in_period),
             self.timing.start.eq(in_period & (self.cycle == 0)),
             self.timing.wrap.eq(self.wrap),
-            self.timing.may_open.eq(in_period & (self.cycle < last_open)),
+            self.timing.may_open.eq(may_open),
             self.timing.shift.eq(self.shift),
         ]
         laser = Signal(LEAD - 1)

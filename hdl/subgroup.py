@@ -7,11 +7,12 @@ from amaranth.hdl import Cat, Const, Module, Mux, ResetSignal, Signal, ValueLike
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out
 
-from ..model.contract.packet import BEAT_BITS
+from ..model.contract.packet import BEAT_BITS, COUNTS, FORMAT_NAMES
 from ..model.contract.parameters import Sensor
 from ..model.contract.registers import DATA_BITS
 from . import bus
 from .clock_gate import ClockGate, stopped
+from .counts import Counts
 from .dpcu import Dpcu
 from .fifo import EventFifo, RecordBuffer
 from .front_end_views import POLYPHASE, View
@@ -99,6 +100,7 @@ class Subgroup(Unit):
             line=Out(view.line_signature(sensor)),
         )
         self.clock_gate = ClockGate()
+        self.counts = Counts(sensor) if sensor.counts else None
 
     def elaborate(self, platform):
         m = Module()
@@ -128,8 +130,8 @@ class Subgroup(Unit):
                 self.frame_taken.eq(self.frame),
                 self.period_taken.eq(self.period),
             ]
-        strobes = Cat(self.timing[name] for name in bus.STROBES)
-        strobes_taken = Cat(self.timing_taken[name] for name in bus.STROBES)
+        strobes = Cat(self.timing[name] for name in bus.strobes(self.sensor))
+        strobes_taken = Cat(self.timing_taken[name] for name in bus.strobes(self.sensor))
         comes = Cat(strobes_taken != strobes, self.grant_taken, self.grant).any()
         with m.If(self._reset | comes):
             m.d[self._gated] += [
@@ -155,6 +157,7 @@ class Subgroup(Unit):
         record: ValueLike = Const({}, bus.record_layout(sensor))  # all fields 0
         record_stored: ValueLike = Const(0)
         record_dropped: ValueLike = Const(0)
+        of_counts: dict[str, ValueLike] = {}
         frame_begin = operation == bus.Operation.BEGIN
 
         def put(name, unit, domain=self._gated, **inputs):
@@ -191,6 +194,25 @@ class Subgroup(Unit):
             timing=self.timing_taken,
             settings=settings.settings,
         )
+        if self.counts is not None:
+            put(
+                "counts",
+                self.counts,
+                frame_begin=frame_begin,
+                counting=self.frame_taken.format == FORMAT_NAMES.index(COUNTS.name),
+                start=self.timing_taken.start,
+                search=self.timing_taken.search,
+                accepted=tree.accepted,
+                quarters=tree.quarters,
+                reading=packetizer.reading,
+                read_row=packetizer.read_row,
+                next_minigroup=packetizer.take_counts,
+                test_enable=self.test_enable,
+            )
+            of_counts = {
+                "of_minigroup": self.counts.shown,
+                "minigroup": self.counts.minigroup,
+            }
         put(
             "tree",
             tree,
@@ -241,6 +263,7 @@ class Subgroup(Unit):
             record=record,
             counters=dpcu.counters,
             controlled=dpcu.controlled,
+            **of_counts,
         )
         wiring.connect(m, wiring.flipped(self.line), tree.line)
         m.d.comb += [
@@ -256,18 +279,21 @@ class Subgroup(Unit):
         ]
 
     def _clock(self, m, platform, reset):
-        """Return the domain whose clock stops `AWAKE_CYCLES` after the last command, strobe, grant
-        or reset.
+        """Return the domain whose clock stops `AWAKE_CYCLES` after the last command, strobe, grant,
+        search or reset.
         """
         left = Signal(range(AWAKE_CYCLES + 1), reset_less=True)
         asked = Signal()
-        m.d.comb += asked.eq(
+        wakes = (
             (self.command.operation != bus.Operation.IDLE)
-            | Cat(self.timing[name] for name in bus.STROBES).any()
+            | Cat(self.timing[name] for name in bus.strobes(self.sensor)).any()
             | self.grant
             | reset
             | ResetSignal()
         )
+        if self.counts is not None:
+            wakes = wakes | self.counts.busy
+        m.d.comb += asked.eq(wakes)
         domain = stopped(m, platform, self.clock_gate, asked | (left != 0), self.test_enable)
         with m.If(ResetSignal() | ~asked | (left != AWAKE_CYCLES)):
             m.d[domain] += left.eq(Mux(asked, AWAKE_CYCLES, left - (left != 0)))

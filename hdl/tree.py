@@ -17,7 +17,7 @@ from ..model.contract.parameters import Sensor, bits_for
 from . import bus
 from .clock_gate import ClockGate, stopped
 from .logic import any_of, lowest, popcount, total
-from .minigroup import Minigroup, Recorder
+from .minigroup import Minigroup, Recorder, hit_ports
 from .tdc import line_signature
 from .unit import Unit, place
 
@@ -114,6 +114,7 @@ class CoincidenceTree(FrontEnd):
     window_ticks : in, the coincidence window (1 if coincidence is off); frame : in, settings
     timing : in, registered in the module, two cycles ahead of the ports
     line : the subgroup's TDC sampling line
+    accepted, quarters : out, of all pixels, in the order of minigroups, if counts are built (stage 2)
     closed : out, a window has closed, and `window` holds it (stage 7); offsets : out, its
         minigroups' offsets (stage 8)
     blind : out, a cycle with an edge while the tree was not armed (stage 5)
@@ -133,6 +134,7 @@ class CoincidenceTree(FrontEnd):
             words=In(sensor.pixels * sensor.phases),
             mask=In(sensor.pixels),
             accept=In(1),
+            **hit_ports(sensor, sensor.pixels),
         )
         self.leaves = [Minigroup(sensor) for _ in range(sensor.minigroups)]
         # Numbers are those of stages.
@@ -297,5 +299,10 @@ class CoincidenceTree(FrontEnd):
             self._leaf(m, g, leaf)
             for i, here in zip(self.sensor.members(g), leaf.at_first, strict=True):
                 m.d.comb += self.at_first[i].eq(here)
+        if self.sensor.counts:
+            m.d.comb += [
+                self.accepted.eq(Cat(leaf.accepted for leaf in self.leaves)),
+                self.quarters.eq(Cat(leaf.quarters for leaf in self.leaves)),
+            ]
         m.d.comb += self.found_blind.eq(any_of(m, [leaf.blind for leaf in self.leaves], "blind_or"))
         m.d[self.clock] += [self.blind_4.eq(self.found_blind), self.blind.eq(self.blind_4)]
