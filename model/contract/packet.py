@@ -76,10 +76,14 @@ class Part:
 
 _STAMP = Field("stamp", STAMP_FIELD_BITS, "opening tick")
 _WINNER = Field("winner", 8, "pixel in the subgroup")
+# `count` of a frame start, if the frame has other packets than events
+WITH_GROUPS = 1
+WITH_COUNTS = 2
 _COUNT = Field(
     "count",
     9,
-    "distinct pixels; frame start: 1 if the events of the frame come in groups, 2 if it has counts",
+    f"distinct pixels; frame start: {WITH_GROUPS} if the events of the frame come in groups,"
+    f" {WITH_COUNTS} if it has counts",
 )
 _PULSE = Field("pulse", 16, "in the frame; frame start and end: frame number")
 _SUBGROUP = Field("subgroup", bits_for(SUBGROUPS_MAX - 1))

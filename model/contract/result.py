@@ -11,22 +11,24 @@ from ..shared.arrays import joined
 from ..shared.files import FilePath, GrowingNpz, read_npz, write_npz
 from .config import Config
 from .counters import COUNTER_NAMES
+from .gate_counts import Counts
 from .packet import FORMATS
-from .stream import COLUMN, decode_frame
+from .stream import COLUMN, ReceivedFrame, StreamError, decode_frame
 
 EVENT_FIELDS = ("subgroup", "pulse", "stamp", "count", "winner", "overrun")
 EVENT_COLUMNS = (*EVENT_FIELDS, "commit_cycle")  # arrays with one value per event
 RECORD_COLUMNS = ("mg_subgroup", "mg_pulse", "mg_stamp", "mg_map")
 COMMIT_UNKNOWN = np.int64(-1)  # commit cycle of an event that was received from a chip
 # present only in some formats, engines or lights
-OPTIONAL = ("hits", "mg_offset", "fate", *pulse.ARRAYS)
+OPTIONAL = ("hits", "mg_offset", *Counts._fields, "fate", *pulse.ARRAYS)
 NOT_SENT = {"fate", *pulse.ARRAYS}  # known of a simulation, not sent by the sensor
 
 
 class FrameRows(NamedTuple):
     """Rows that a frame adds to a result file."""
 
-    columns: dict[str, np.ndarray]  # events and records, in the order of the file
+    # events, records, and counts (one row of all subgroups), in the order of the file
+    columns: dict[str, np.ndarray]
     counters: np.ndarray  # int64[subgroups, 11]
 
 
@@ -50,6 +52,8 @@ def frame_rows(
     for k, stream in enumerate(beats):
         subgroups = sensor.stream_subgroups(k)
         frame = decode_frame(stream, sensor, len(subgroups)).check()
+        if config.counting and frame.counts is None:
+            raise StreamError("the frame has events in place of counts")
         counters[subgroups] = frame.counters
         frames.append(frame)
 
@@ -70,7 +74,18 @@ def frame_rows(
     columns["mg_pulse"] = records[:, 1] + first_pulse
     columns["mg_stamp"] = entries[:, :, 0].astype(np.uint16)
     columns["mg_map"] = entries[:, :, 1].astype(np.uint16)
+    if config.counting:
+        columns |= _counts(frames)
     return FrameRows(columns, counters)
+
+
+def _counts(streams: list[ReceivedFrame]) -> dict[str, np.ndarray]:
+    """Return the counts of a frame's streams as arrays of a result file, with one frame."""
+    columns = {}
+    for name in Counts._fields:
+        of_streams = [getattr(stream.counts, name) for stream in streams]
+        columns[name] = joined(of_streams)[None]
+    return columns
 
 
 def _commit_cycles(

@@ -13,9 +13,12 @@ from attrs import frozen
 
 from ..shared.compiled import njit
 from .counters import COUNTER_NAMES
+from .counts import GATES, NO_GATE
+from .gate_counts import Counts, counts_of_fields
 from .packet import (
     BEAT_BITS,
-    FORMATS,
+    COUNTS,
+    EVENT_FORMATS,
     FRAME_END,
     FRAME_START,
     GROUP_KIND,
@@ -23,6 +26,8 @@ from .packet import (
     KIND_LSB,
     RECORD,
     UNUSED,
+    WITH_COUNTS,
+    WITH_GROUPS,
     Packet,
     header_field,
     layout,
@@ -33,6 +38,7 @@ from .ungroup import ungroup
 
 NO_HEADER = "not a packet header where one is due"
 _RECORD, _DAMAGED = RECORD.code, GROUP_KIND
+_EVENTS_OR_RECORD = frozenset(packet.code for packet in (*EVENT_FORMATS.values(), RECORD))
 _UNUSED_IN_RECORD = np.uint64(UNUSED[RECORD.code])
 COLUMN = {name: column for column, name in enumerate(HEADER)}  # of `ReceivedFrame.events`
 
@@ -55,6 +61,7 @@ class ReceivedFrame:
     # int64[m]: beats at which a group of events is missing or wrong; all other events are right
     damaged: np.ndarray
     missing: int  # number of events that were left out, because their group is damaged
+    counts: Counts | None = None  # of the stream's subgroups, in the format counts
 
     def check(self) -> "ReceivedFrame":
         """Return the frame. Raises `StreamError` if events are missing."""
@@ -72,8 +79,8 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> ReceivedF
     """Decode the beats (uint64[n]) of one frame of a stream that carries `subgroups` subgroups.
 
     Raises `StreamError` if the beats are not exactly a frame start, packets, and a frame end
-    with its counters. Damaged
-    groups of events do not count as an error: the frame tells of them.
+    with its counters, or if a frame with counts lacks a minigroup's. Damaged groups of events do
+    not count as an error: the frame tells of them.
     """
     kinds, starts = packet_starts(beats, sensor, subgroups)
     tail = layout(sensor).length(FRAME_END, subgroups)
@@ -90,13 +97,18 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> ReceivedF
         :, : len(COUNTER_NAMES)
     ].astype(np.int64)
     is_record = kinds == RECORD.code
+    is_event = ~is_record
+    counts = None
+    if is_counting(head):
+        counts = _counts(beats, starts, sensor, subgroups)
+        is_event[:] = False
     records, entries = _records(beats, starts[is_record], sensor)
     if is_grouped(head):
-        events, hits, offsets, damaged = ungroup(beats, starts[~is_record], sensor)
+        events, hits, offsets, damaged = ungroup(beats, starts[is_event], sensor)
         stored = int(counters[:, COUNTER_NAMES.index("stored")].sum())
         missing = max(0, stored - len(events))  # saturated counters tell of fewer than were stored
     else:
-        events, hits, offsets = _events(beats, starts[~is_record], kinds[~is_record], sensor)
+        events, hits, offsets = _events(beats, starts[is_event], kinds[is_event], sensor)
         damaged = np.zeros(0, np.int64)
         missing = 0
     number = int(header_field(head, "pulse"))
@@ -110,12 +122,27 @@ def decode_frame(beats: np.ndarray, sensor: Sensor, subgroups: int) -> ReceivedF
         counters=counters,
         damaged=damaged,
         missing=missing,
+        counts=counts,
     )
 
 
 def is_grouped(frame_start: np.uint64) -> bool:
     """Return whether the events of a frame come in groups."""
-    return bool(header_field(frame_start, "count") == 1)
+    return bool(header_field(frame_start, "count") == WITH_GROUPS)
+
+
+def is_counting(frame_start: np.uint64) -> bool:
+    """Return whether a frame has counts in place of events."""
+    return bool(header_field(frame_start, "count") == WITH_COUNTS)
+
+
+def _kinds_after(frame_start: np.uint64) -> frozenset[int]:
+    """Return the kinds of the packets between a frame's start and its end."""
+    if is_counting(frame_start):
+        return frozenset({COUNTS.code})
+    if is_grouped(frame_start):
+        return frozenset({GROUP_KIND, RECORD.code})
+    return _EVENTS_OR_RECORD
 
 
 def kind_of(beat: np.uint64, grouped: bool) -> int:
@@ -135,7 +162,7 @@ def _events(
     events[:, COLUMN["kind"]] = event_kinds
     hits = np.zeros((len(event_at), -(-sensor.pixels // BEAT_BITS)), np.uint64)
     offsets = np.full((len(event_at), sensor.minigroups), OFFSET_NONE, np.uint8)
-    for packet in FORMATS.values():
+    for packet in EVENT_FORMATS.values():
         if packet.grouped:
             continue
         chosen: Any = event_kinds == packet.code
@@ -150,6 +177,31 @@ def _events(
         for name, value in values.items():
             events[chosen, COLUMN[name]] = value[:, 0]
     return events, hits, offsets
+
+
+def _counts(beats: np.ndarray, at: np.ndarray, sensor: Sensor, subgroups: int) -> Counts:
+    """Return the counts of the minigroups, whose packets begin at the beats `at`. Raises
+    `StreamError` if they are not those of a stream's subgroups, in their order.
+    """
+    due = subgroups * sensor.minigroups
+    if len(at) != due:
+        raise StreamError(f"the frame has counts of {len(at)} minigroups, not of {due}")
+    fields = packet_fields(beats, at, sensor, COUNTS)
+    number = np.arange(due)
+    subgroup = fields["subgroup"][0, 0].astype(np.int64) + number // sensor.minigroups
+    minigroup = number % sensor.minigroups
+    right = (fields["subgroup"][:, 0] == subgroup) & (fields["minigroup"][:, 0] == minigroup)
+    if not right.all():
+        first = np.argmin(right)
+        raise StreamError(
+            f"beat {at[first]} of {len(beats)}: counts of minigroup {fields['minigroup'][first, 0]} of"
+            f" subgroup {fields['subgroup'][first, 0]} where those of minigroup {minigroup[first]} of"
+            f" subgroup {subgroup[first]} are due"
+        )
+    counts = counts_of_fields(fields, sensor)
+    if fields["rows"].reshape(due, GATES, -1)[counts.gate_cycle.reshape(due, -1) == NO_GATE].any():
+        raise StreamError("the frame has hits in a gate that it does not have")
+    return counts
 
 
 def _records(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
@@ -193,9 +245,9 @@ def packet_starts(
     """
     lengths = layout(sensor).lengths(subgroups)
     end = len(beats) - lengths[FRAME_END.code]
-    lengths[[FRAME_START.code, FRAME_END.code]] = 0
-    grouped = len(beats) > 0 and is_grouped(beats[0])
-    lengths[[packet.code for packet in FORMATS.values()] if grouped else GROUP_KIND] = 0
+    expected = _kinds_after(beats[0]) if len(beats) else _EVENTS_OR_RECORD
+    lengths[[kind for kind in range(len(lengths)) if kind not in expected]] = 0
+    grouped = GROUP_KIND in expected
     kinds, starts, bad = _packets(beats, lengths, end, grouped)
     if bad >= 0 or end <= 0:
         raise StreamError(f"beat {max(bad, 0)} of {len(beats)}: {NO_HEADER}")
