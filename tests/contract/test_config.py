@@ -21,6 +21,7 @@ from coincid.model.contract.registers import address
 from coincid.model.light.timing import Timing
 from coincid.model.shared.errors import InputError
 
+COUNTING = {"counts": 1}  # a sensor that has every setting
 FRAME = {
     "frames": 3,
     "clock_mhz": 125.5,
@@ -40,6 +41,7 @@ FRAME = {
     "auto_bounds": [1, 2, 3, 4, 5, 6],
     "capacity": 4000,
     "threshold_floor": 2,
+    "search_pulses": 2,
 }
 SUBGROUP = dict(
     coincidence=False,
@@ -63,14 +65,14 @@ def same(one, other):
 
 
 def test_settings_in_python_are_those_of_the_file():
-    written = parse_config({"frame": FRAME, "subgroup": SUBGROUP})
+    written = parse_config({"sensor": COUNTING, "frame": FRAME, "subgroup": SUBGROUP})
     assert frame_table(written.frame) == FRAME
-    same(parse_config({}).with_frame(**FRAME).with_settings(**SUBGROUP), written)
+    same(parse_config({"sensor": COUNTING}).with_frame(**FRAME).with_settings(**SUBGROUP), written)
     plain = {
         name: np.array([value])[0] if isinstance(value, int) else value
         for name, value in SUBGROUP.items()
     }
-    same(parse_config({"frame": FRAME}).with_settings(**plain), written)
+    same(parse_config({"sensor": COUNTING, "frame": FRAME}).with_settings(**plain), written)
 
 
 def test_settings_of_every_subgroup():
