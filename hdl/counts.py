@@ -182,7 +182,7 @@ class Counts(Unit):
         ]
         pulses = []
         for j, has_stopped in enumerate(stopped):
-            played = Signal(PULSE_BITS, name=f"pulses_{j}")
+            played = Signal(bus.PULSE_BITS, name=f"pulses_{j}")
             stop = stops.word_select(j, NOTE_BITS)
             m.d.comb += played.eq(Mux(begun, Mux(has_stopped, stop, self.pulse), 0))
             pulses.append(played)

@@ -201,7 +201,10 @@ class Readout(Unit):
         ]
 
         if self.sensor.counts:
-            m.d.sync += self.counting.eq(self.frame.format == FORMAT_NAMES.index(COUNTS.name))
+            is_counts = self.frame.format == FORMAT_NAMES.index(COUNTS.name)
+            m.d.sync += self.counting.eq(is_counts)
+            with m.If(is_counts):
+                m.d.sync += self.grouped.eq(0)
 
     def _event_and(self, beats):
         """Return the number of beats of an event in the frame's format, plus `beats`."""
