@@ -192,7 +192,7 @@ def _accesses(config: Config, trace: Trace) -> Accesses:
     reset = registers.reset_values(sensor)
     constants = [
         (r.offset, r.reset(sensor), r.name)
-        for r in registers.GLOBAL
+        for r in registers.built(registers.GLOBAL, sensor)
         if r.access is registers.Access.CONSTANT
     ]
     settings = [

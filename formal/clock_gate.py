@@ -75,7 +75,7 @@ def subgroup_rests(b: Bench):
         front_end_rests=True,
     )
     _rests(b, unit)
-    strobes = Cat(unit.timing[name] for name in bus.STROBES).any()
+    strobes = Cat(unit.timing[name] for name in bus.strobes(unit.sensor)).any()
     quiet = b.same(
         "quiet",
         (unit.command.operation == bus.Operation.IDLE) & ~strobes & ~unit.grant & ~ResetSignal(),
@@ -139,7 +139,7 @@ def tree_rests(b: Bench):
         if flow.name == "In":
             m.d.comb += signal.eq(b.anything(len(signal)))
             m.d.comb += gated.flat_ports()[name][1].eq(signal)
-    strobes = b.same("strobes", Cat(free.timing[name] for name in bus.STROBES).any() | free.accept)
+    strobes = b.same("strobes", Cat(free.timing[name] for name in bus.strobes(sensor)).any() | free.accept)
     calm = _quiet_for(b, ~strobes & ~ResetSignal(), TREE_CYCLES)
     needed = b.same("needed", strobes | (calm != TREE_CYCLES) | ResetSignal())
     enable = b.same("enable", b.anything(1) | needed)

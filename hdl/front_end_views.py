@@ -39,6 +39,8 @@ class View:
     by_words : bool
         A SPAD gives one word of `phases` bits per cycle. False: it is a line whose rising edges are
         avalanches, at any time, and benches drive it to the femtosecond.
+    has_quarters : bool
+        It gives the quarter of the cycle of each pixel's edge, which counts need.
     front_end_rests : bool
         Its clock may stop while no strobe comes.
     cells, macros : tuple of Path
@@ -51,6 +53,7 @@ class View:
     prefix: ClassVar[str]
     by_words: ClassVar[bool]
     front_end_rests: ClassVar[bool]
+    has_quarters: ClassVar[bool] = False
     version: ClassVar[str] = "1"
     cells: ClassVar[tuple[Path, ...]] = ()
     macros: ClassVar[tuple[Path, ...]] = ()
@@ -67,6 +70,15 @@ class View:
     def at(self, clock_mhz: float) -> "View":
         """Return the view at a system clock. Raises `InputError`."""
         raise NotImplementedError
+
+    def check(self, sensor: Sensor) -> None:
+        """Raise `InputError` for a sensor that this view does not have."""
+        if sensor.counts and not self.has_quarters:
+            raise wrong_value(
+                "sensor.counts",
+                sensor.counts,
+                f"0 in the view {self.name}, which knows no quarters of a cycle by pixel",
+            )
 
     def spad_bits(self, sensor: Sensor) -> int:
         """Return the width of a subgroup's SPAD port."""
@@ -103,6 +115,7 @@ class Polyphase(View):
     prefix = "coincid_"
     by_words = True
     front_end_rests = True
+    has_quarters = True
 
     def at(self, clock_mhz: float) -> "Polyphase":
         """Return the view at a system clock.

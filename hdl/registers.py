@@ -11,7 +11,7 @@ from amaranth.lib import data
 from amaranth.lib.wiring import In, Out
 
 from ..model.contract import registers
-from ..model.contract.packet import FORMATS, built_formats
+from ..model.contract.packet import FORMAT_NAMES, built_formats
 from ..model.contract.parameters import Sensor, bits_for
 from ..model.contract.registers import (
     BY_NAME,
@@ -277,7 +277,8 @@ class Registers(Unit):
         )
         mapped, writable, legal = [], [], []
         in_range = self._ranges(m)
-        numbers = [n for n, name in enumerate(FORMATS) if name not in built_formats(sensor)]
+        names = FORMAT_NAMES[: BY_NAME["format"].high(sensor) + 1]
+        numbers = [n for n, name in enumerate(names) if name not in built_formats(sensor)]
         unbuilt = Signal(name="format_unbuilt")
         m.d.sync += unbuilt.eq(Cat(self.value == number for number in numbers).any())
         for table, where, key in (
@@ -310,7 +311,7 @@ class Registers(Unit):
         limits = {
             (r.low(self.sensor), r.high(self.sensor))
             for r in BY_NAME.values()
-            if r.access in WRITABLE
+            if r.access in WRITABLE and r.count(self.sensor)
         }
         in_range = {
             (low, high): Signal(name=f"from_{low}_to_{high}") for low, high in sorted(limits)

@@ -109,6 +109,7 @@ class SensorTop(Unit):
     separator = "_"
 
     def __init__(self, sensor: Sensor, view=POLYPHASE, levels: bool = False):
+        view.check(sensor)
         self.sensor, self.view, self.levels = sensor, view, levels
         self.unit_name = FPGA_TOP if levels else TOP
         self.spads = {

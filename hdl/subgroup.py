@@ -90,6 +90,7 @@ class Subgroup(Unit):
     """
 
     def __init__(self, sensor: Sensor, view=POLYPHASE):
+        view.check(sensor)
         self.sensor, self.view = sensor, view
         self.unit_name = f"{view.prefix}subgroup"
         super().__init__(

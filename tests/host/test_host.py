@@ -37,7 +37,7 @@ class Memory:
         self.words = registers.reset_values(SENSOR) | {address("status"): 0}
         self.words |= {
             address(r.name): r.reset(SENSOR)
-            for r in registers.GLOBAL
+            for r in registers.built(registers.GLOBAL, SENSOR)
             if r.access is Access.CONSTANT
         }
         self.read, self.written = self.words.__getitem__, []
