@@ -15,10 +15,10 @@ from ..model.contract.packet import (
     PACKETS,
     header_field,
     layout,
+    packet_fields,
     parts_of,
 )
 from ..model.contract.parameters import Sensor
-from ..model.contract.stream import packet_fields
 from ..model.golden.frame import Trace
 from .frame_record import Recorded
 from .rtl_errors import Mismatch

@@ -10,7 +10,7 @@ from fractions import Fraction
 import numpy as np
 
 from ..shared.errors import wrong_value
-from .packet import BEAT_BITS, layout
+from .packet import BEAT_BITS, COUNTS, layout
 from .parameters import Sensor
 from .settings import LINK_GBPS_MAX
 
@@ -46,7 +46,10 @@ def beats_waiting_max(sensor: Sensor) -> int:
     ends.
     """
     parts = layout(sensor)
-    return sensor.subgroups * ((sensor.fifo_depth + 2) * parts.longest + parts.counter_beats)
+    of_subgroup = (sensor.fifo_depth + 2) * parts.longest
+    if sensor.counts:
+        of_subgroup = max(of_subgroup, sensor.minigroups * parts.length(COUNTS))
+    return sensor.subgroups * (of_subgroup + parts.counter_beats)
 
 
 def takes_beats(share: Fraction, cycles: int) -> np.ndarray:

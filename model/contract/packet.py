@@ -7,6 +7,7 @@ bits, lowest first, in the order of the table.
 """
 
 from functools import cache
+from itertools import groupby
 
 import numpy as np
 from attrs import frozen
@@ -230,3 +231,35 @@ def header_field(beats: ArrayLike, name: str) -> np.ndarray:
     return ((np.asarray(beats, np.uint64) >> np.uint64(lsb)) & np.uint64((1 << width) - 1)).astype(
         np.int64
     )
+
+
+def packet_fields(
+    beats: np.ndarray, at: np.ndarray, sensor: Sensor, packet: Packet
+) -> dict[str, np.ndarray]:
+    """Return the fields of the packets that begin at the beats `at`, as uint64[packets, words],
+    lowest bits first.
+    """
+    words = {field.name: -(-field.bits(sensor) // BEAT_BITS) for field in packet.fields}
+    values = {name: np.zeros((len(at), n), np.uint64) for name, n in words.items()}
+    for beat, parts in groupby(parts_of(sensor, packet), lambda part: part.beat):
+        column = beats[at + beat]
+        for part in parts:
+            word, shift = divmod(part.shift, BEAT_BITS)
+            bits = column >> np.uint64(part.lsb) & np.uint64((1 << part.width) - 1)
+            values[part.field][:, word] |= bits << np.uint64(shift)
+    return values
+
+
+def packet_beats(fields: dict[str, np.ndarray], sensor: Sensor, packet: Packet) -> np.ndarray:
+    """Return the beats of packets with these fields, uint64[packets, beats].
+
+    fields: uint64[packets, words], lowest bits first, as those of `packet_fields`.
+    """
+    number = len(next(iter(fields.values())))
+    beats = np.zeros((number, layout(sensor).length(packet)), np.uint64)
+    beats[:, 0] = packet.code << KIND_LSB
+    for part in parts_of(sensor, packet):
+        word, shift = divmod(part.shift, BEAT_BITS)
+        bits = fields[part.field][:, word] >> np.uint64(shift) & np.uint64((1 << part.width) - 1)
+        beats[:, part.beat] |= bits << np.uint64(part.lsb)
+    return beats

@@ -5,7 +5,6 @@
 Groups of events are decoded by `ungroup.py`.
 """
 
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -28,10 +27,9 @@ from .packet import (
     UNUSED,
     WITH_COUNTS,
     WITH_GROUPS,
-    Packet,
     header_field,
     layout,
-    parts_of,
+    packet_fields,
 )
 from .parameters import OFFSET_NONE, Sensor
 from .ungroup import ungroup
@@ -215,23 +213,6 @@ def _records(beats: np.ndarray, at: np.ndarray, sensor: Sensor) -> tuple[np.ndar
     return records, np.stack(
         [raw & ((1 << sensor.record_stamp_bits) - 1), raw >> sensor.record_stamp_bits], axis=2
     )
-
-
-def packet_fields(
-    beats: np.ndarray, at: np.ndarray, sensor: Sensor, packet: Packet
-) -> dict[str, np.ndarray]:
-    """Return the fields of the packets that begin at the beats `at`, as uint64[packets, words],
-    lowest bits first.
-    """
-    words = {field.name: -(-field.bits(sensor) // BEAT_BITS) for field in packet.fields}
-    values = {name: np.zeros((len(at), n), np.uint64) for name, n in words.items()}
-    for beat, parts in groupby(parts_of(sensor, packet), lambda part: part.beat):
-        column = beats[at + beat]
-        for part in parts:
-            word, shift = divmod(part.shift, BEAT_BITS)
-            bits = column >> np.uint64(part.lsb) & np.uint64((1 << part.width) - 1)
-            values[part.field][:, word] |= bits << np.uint64(shift)
-    return values
 
 
 def packet_starts(

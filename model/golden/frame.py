@@ -6,8 +6,9 @@ It works event by event, and takes a frame in pieces of whole periods, so that i
 depend on the length of the frame. Each piece goes through two steps. `front_end` goes through each
 subgroup's edges in the order of time and produces the windows that met their threshold, the
 minigroup records, and the fates. `readout` plays one stream's FIFOs, round robin and output buffer
-on them and produces the beats. Latencies are those of `latency.py`; everything else is section III-A of the
-paper as docs/contract.md defines it.
+on them and produces the beats. In a frame of counts there are no windows, and `counts` counts the
+accepted edges. Latencies are those of `latency.py`; everything else is section III-A of the paper as
+docs/contract.md defines it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +21,9 @@ from ..contract.coincidence import AT_LEAST
 from ..contract.config import Config
 from ..contract.counters import COUNTER_NAMES
 from ..contract.edges import Edges
+from ..contract.gate_counts import fields_of_counts
 from ..contract.latency import close_cycle
+from ..contract.packet import COUNTS, packet_beats
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
 from ..contract.result import ResultBuilder
@@ -28,6 +31,7 @@ from ..shared.arrays import joined
 from ..shared.errors import wrong_value
 from ..shared.threads import Threads
 from .controller import Controller
+from .counts import GateCounts, Hits
 from .front_end import Events, Records, Rules, Settings, Timeline, front_end, time_order
 from .judgement import judged, thresholds_of_candidates
 from .readout import Readout, Sent, Stream
@@ -93,7 +97,8 @@ class Golden:
         ready: uint8[n] or None; the receiver behind the streams' links (`contract/link.py`)
         takes a beat in cycle c if ready[c] is 1, and always from cycle n on. pulses: fewer than
         the configuration has means an aborted frame. into_gap: cycles of the gap after these
-        pulses, up to the one of the abort; 0: the frame is not aborted in a gap.
+        pulses (or of the pause between two steps of counts), up to the one of the abort; 0: the
+        frame is not aborted in a gap.
         """
         opened = self.begin(config, ready, pulses, into_gap)
         return opened.end(opened.take_all(edges))
@@ -148,6 +153,7 @@ class OpenFrame:
         self._plan = plan
         self._pixel = pixel_table(sensor)
         self._counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
+        self._counts = GateCounts(config, plan.pulses) if config.counting else None
         self._taken = 0  # pulses; those of the next piece are not below
         self._readouts = [
             Readout(Stream(span.start, len(span), number & 0xFFFF), plan.shape, plan.receiver)
@@ -192,7 +198,10 @@ class OpenFrame:
                 threshold=thresholds_of_candidates(sensor.rule, settings.threshold)
             )
         rules = Rules(plan.shape, settings, plan.timeline, self._pixel)
-        fate[order], events, records = front_end(key, bounds, rules, counters)
+        in_time, events, records = front_end(key, bounds, rules, counters)
+        fate[order] = in_time
+        if self._counts is not None:
+            self._counts.take(Hits(key, bounds, in_time), self._taken)
         if sensor.rule != AT_LEAST:
             events = judged(events, sensor, plan.settings.threshold, counters)
         self._counters += counters
@@ -219,9 +228,18 @@ class OpenFrame:
         np.minimum(counters, sensor.counter_max, out=counters)
         if not sensor.controller:
             counters[:, COUNTER.lower] = 0
-        for readout in self._readouts:
-            readout.end(self._plan.end, counters)
+        for readout, counts in zip(self._readouts, self._counts_of_streams(), strict=True):
+            readout.end(self._plan.end, counters, counts)
         return Ending(counters, self._golden.controller.end(self._config, counters))
+
+    def _counts_of_streams(self) -> list[np.ndarray]:
+        """Return the beats of each stream's packets with counts."""
+        sensor = self._config.sensor
+        if self._counts is None:
+            return [np.empty(0, np.uint64)] * sensor.streams
+        beats = packet_beats(fields_of_counts(self._counts.end(), sensor, 0), sensor, COUNTS)
+        of_subgroups = beats.reshape(sensor.subgroups, -1)
+        return [of_subgroups[sensor.stream_subgroups(k)].ravel() for k in range(sensor.streams)]
 
     def end(self, fate: np.ndarray) -> Trace:
         """End a frame from which nothing was taken out. fate: of the trace."""
@@ -274,14 +292,15 @@ def _of_stream(rows: Events | Records, span: range) -> list[np.ndarray]:
 class _Plan(NamedTuple):
     """What the frames of a configuration share, as the kernels need it.
 
-    threshold: as programmed or controlled, with coincidence or without. end: of the last period
-    or of the gap in which the frame is aborted, in cycles.
+    threshold: as programmed or controlled, with coincidence or without. pulses: that begin. end: of
+    the last period or of the gap in which the frame is aborted, in cycles.
     """
 
     shape: Shape
     threshold: np.ndarray
     settings: Settings
     timeline: Timeline
+    pulses: int
     end: int
     receiver: Receiver
 
@@ -315,6 +334,7 @@ def _plan(
         threshold=threshold,
         settings=settings,
         timeline=Timeline(start=start, gate_shift=frame.gate_step * steps),
+        pulses=played,
         end=int(start[played - 1]) + config.period + into_gap,
         receiver=receiver_of(config, ready),
     )

@@ -116,7 +116,7 @@ class _Collection(NamedTuple):
 class _Workspace(NamedTuple):
     """Arrays for one subgroup after the other, int64."""
 
-    seen_at: np.ndarray  # [pixels], cycle of each pixel's last edge, as of `_cycle`
+    seen_at: np.ndarray  # [pixels], cycle of each pixel's last edge, as of `cycle_of`
     accepted: np.ndarray  # [edges], indices of the edges that the tree sees
     # [edges, 2], indices in `accepted`: a window's first edge, and the first edge after it
     windows: np.ndarray
@@ -260,15 +260,15 @@ def _every_subgroup(
 
 
 @part
-def _fields(key: int) -> tuple[int, int, int]:
+def fields_of(key: int) -> tuple[int, int, int]:
     """Return pulse, tick and pixel inside the subgroup."""
     return key >> _PULSE_LSB, key >> _TICK_LSB & _TICK_MASK, key & _PIXEL_MASK
 
 
 @part
-def _cycle(key: int, shape: Shape) -> int:
+def cycle_of(key: int, phase_bits: int) -> int:
     """Return pulse and cycle as one number, which no other cycle of the frame has."""
-    return key >> _TICK_LSB + shape.phase_bits
+    return key >> _TICK_LSB + phase_bits
 
 
 @part
@@ -283,7 +283,7 @@ def _accept(own: _Own, rules: Rules, work: _Workspace) -> int:
         seen_at[i] = _NEVER
     n = 0
     for e in range(len(own.key)):
-        at = _cycle(own.key[e], shape)
+        at = cycle_of(own.key[e], shape.phase_bits)
         inside = own.key[e] & _PIXEL_MASK
         if seen_at[inside] == at:  # a second edge of a pixel in one cycle does not exist
             own.fate[e] = _DUPLICATE
@@ -303,7 +303,7 @@ def _accept(own: _Own, rules: Rules, work: _Workspace) -> int:
 @part
 def _in_gate(s: int, key: int, shape: Shape, settings: Settings, timeline: Timeline) -> bool:
     """Return whether an edge is inside the gate of subgroup `s`."""
-    pulse, tick, _ = _fields(key)
+    pulse, tick, _ = fields_of(key)
     cycle = tick >> shape.phase_bits
     gate_start = settings.gate_start[s] + timeline.gate_shift[pulse]
     return gate_start <= cycle < gate_start + settings.gate_len[s]
@@ -326,14 +326,14 @@ def _open_windows(
     n = 0
     k = 0
     while k < len(accepted):
-        pulse, opening, _ = _fields(own.key[accepted[k]])
+        pulse, opening, _ = fields_of(own.key[accepted[k]])
         if pulse != last_pulse:
             last_pulse = pulse
             armed_from = 0
         cycle = opening >> shape.phase_bits
         if not armed_from <= cycle < shape.open_cycles:
             own.fate[accepted[k]] = _BLIND
-            at = _cycle(own.key[accepted[k]], shape)
+            at = cycle_of(own.key[accepted[k]], shape.phase_bits)
             counters[own.s, COUNTER.blind] += at != blind_at  # cycles, not edges
             blind_at = at
             k += 1
@@ -343,7 +343,7 @@ def _open_windows(
         windows[n, 0] = k
         k += 1
         while k < len(accepted):
-            edge_pulse, tick, _ = _fields(own.key[accepted[k]])
+            edge_pulse, tick, _ = fields_of(own.key[accepted[k]])
             if edge_pulse != pulse or tick >= opening + window:
                 break
             own.fate[accepted[k]] = _COUNTED
@@ -383,13 +383,13 @@ def _commit(
             rejected += 1
             continue
         _clear(hits[row], offsets[row])
-        pulse, opening, winner = _fields(own.key[accepted[first]])
+        pulse, opening, winner = fields_of(own.key[accepted[first]])
         cycle = opening >> shape.phase_bits
         cycle_start = cycle << shape.phase_bits
         count = 0
         for n in range(first, stop):
             e = accepted[n]
-            _, tick, inside = _fields(own.key[e])
+            _, tick, inside = fields_of(own.key[e])
             word = inside >> _WORD_BITS
             bit = np.uint64(1) << np.uint64(inside & BEAT_BITS - 1)
             if hits[row, word] & bit:
@@ -438,7 +438,7 @@ def _collect_records(
     pixel = rules.pixel
     row = records.bounds[own.s]
     for k in range(len(accepted)):
-        pulse, tick, inside = _fields(own.key[accepted[k]])
+        pulse, tick, inside = fields_of(own.key[accepted[k]])
         _add(
             collected,
             pixel.minigroup[inside],

@@ -153,13 +153,25 @@ class Readout:
             beats, sent_at = take_groups(self._packers[0], room.packed)
         return Sent(beats, sent_at, *self._take_commits())
 
-    def end(self, end: int, counters: np.ndarray) -> None:
+    def end(self, end: int, counters: np.ndarray, counts: np.ndarray) -> None:
         """End the frame, whose last period ends in cycle `end`, and set the counters of FIFOs in
         `counters`. `sent` hands out the rest.
+
+        counts: uint64[n], beats of the packets with counts.
         """
         self.take(*self._nothing, int(_NEVER))
-        self._make_room(_END_BEATS + self._stream.subgroups * self._shape.counter_beats)
-        _end(self._stream, self._shape, self._room, self._place, self._packers, end, counters)
+        counter_beats = self._stream.subgroups * self._shape.counter_beats
+        self._make_room(len(counts) + _END_BEATS + counter_beats)
+        _end(
+            self._stream,
+            self._shape,
+            self._room,
+            self._place,
+            self._packers,
+            end,
+            counters,
+            counts,
+        )
         kept = self._kept[0]
         occupying = Commits(
             np.repeat(np.arange(self._stream.subgroups), np.diff(kept.bounds)),
@@ -200,7 +212,7 @@ def _begin(
     packer = packers[0]
     place = places[0]
     room.values[NUMBER.pulse] = stream.frame
-    room.values[NUMBER.count] = shape.grouped
+    room.values[NUMBER.count] = shape.start_count
     _encode(room.beats[:_HEAD_BEATS], _FRAME_START, room.values, shape.frame_parts)
     place.done = _transfer(room, 0, _HEAD_BEATS, latency.FRAME_START)
     _pass(packer, room, 0, _HEAD_BEATS, shape)
@@ -253,22 +265,29 @@ def _end(
     packers: np.ndarray,
     end: int,
     counters: np.ndarray,
+    counts: np.ndarray,
 ) -> None:
-    """Send the end of the frame, and the counters."""
+    """Send the counts, the end of the frame, and the counters.
+
+    A wait for room would not show: the buffer keeps the stream busy while it lasts.
+    """
     packer = packers[0]
     place = places[0]
     beats = room.beats
     t = max(place.t, end + latency.FINISH)
     done = place.done
+    for k in range(len(counts)):
+        beats[done + k] = counts[k]
+    if len(counts):
+        done = _send(packer, room, done, len(counts), t, shape)
+        t += len(counts)
     for k in range(len(room.values)):
         room.values[k] = 0
     room.values[NUMBER.pulse] = stream.frame
     _encode(beats[done : done + _END_BEATS], _FRAME_END, room.values, shape.frame_parts)
     done = _send(packer, room, done, _END_BEATS, t, shape)
     t += _END_BEATS
-    for s in range(
-        stream.subgroups
-    ):  # a wait for room would not show: the buffer keeps the stream busy while it lasts
+    for s in range(stream.subgroups):
         _count(counters[stream.first + s], room.queues[s], shape.counter_max)
         _pack(beats[done : done + shape.counter_beats], counters[stream.first + s], COUNTER_BITS)
         done = _send(packer, room, done, shape.counter_beats, t, shape)

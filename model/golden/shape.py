@@ -10,7 +10,17 @@ from ..contract import latency
 from ..contract.config import Config
 from ..contract.counters import COUNTER_NAMES
 from ..contract.groups import group_widths
-from ..contract.packet import BEAT_BITS, FORMATS, FRAME_START, RECORD, Packet, layout, parts_of
+from ..contract.packet import (
+    BEAT_BITS,
+    EVENT_FORMATS,
+    FRAME_START,
+    RECORD,
+    WITH_COUNTS,
+    WITH_GROUPS,
+    Packet,
+    layout,
+    parts_of,
+)
 from ..contract.parameters import Sensor, bits_for
 
 _OF_SENSOR = (  # fields that are attributes of `Sensor`
@@ -42,7 +52,7 @@ class Shape(NamedTuple):
     quarter_bits: int  # ticks of a quarter cycle, as a power of two
     offset_tick_bits: int  # ticks of a step of the offsets, as a power of two
     period: int
-    open_cycles: int  # of a period, in which a window may open
+    open_cycles: int  # of a period, in which a window may open; 0 in a frame of counts
     rearm: int  # from the cycle after a window's last one until the tree is armed
     fifo_depth: int  # events
     minigroup_records: int  # 1: they are made
@@ -55,6 +65,7 @@ class Shape(NamedTuple):
     event_beats: int
     event_has_offsets: bool
     grouped: bool  # events leave in groups
+    start_count: int  # `count` of the frame start
     hits_words: int  # words of an ID map
     record_parts: np.ndarray  # as `event_parts`
     record_beats: int
@@ -123,13 +134,14 @@ def shape_of(config: Config) -> Shape:
     sensor = config.sensor
     frame = config.frame
     lengths = layout(sensor)
-    packet = FORMATS[config.format]
+    # a frame of counts has no events
+    packet = EVENT_FORMATS["short" if config.counting else config.format]
     widths = group_widths(sensor)
     of_sensor = {name: getattr(sensor, name) for name in _OF_SENSOR}
     return Shape(
         **of_sensor,
         period=config.period,
-        open_cycles=config.period - sensor.guard,
+        open_cycles=0 if config.counting else config.period - sensor.guard,
         quarter_bits=sensor.phase_bits - 2,
         offset_tick_bits=sensor.phase_bits - sensor.step_bits,
         minigroup_records=int(frame.minigroup_records),
@@ -140,6 +152,7 @@ def shape_of(config: Config) -> Shape:
         event_beats=lengths.length(packet),
         event_has_offsets=packet.has("offsets"),
         grouped=packet.grouped,
+        start_count=WITH_COUNTS if config.counting else WITH_GROUPS * packet.grouped,
         subgroup_bits=widths.subgroup_bits,
         stamp_bits=bits_for(config.period_ticks - 1),
         listed_max=widths.listed_max,

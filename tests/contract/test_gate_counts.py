@@ -9,9 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coincid.model.contract.gate_counts import Counts, fields_of_counts, without_gates
-from coincid.model.contract.packet import COUNTS, FRAME_END, RECORD, layout
+from coincid.model.contract.packet import (
+    COUNTS,
+    FRAME_END,
+    RECORD,
+    layout,
+    packet_beats,
+    packet_fields,
+)
 from coincid.model.contract.pixels import pixel_table
-from coincid.model.contract.stream import StreamError, decode_frame, packet_fields
+from coincid.model.contract.stream import StreamError, decode_frame
 
 from ..random_cases import built_sensor
 
@@ -87,6 +94,7 @@ def test_counts_are_those_of_the_words(name, seed):
         assert written.keys() == read.keys()
         for field, values in read.items():
             np.testing.assert_array_equal(written[field], values, err_msg=field)
+        assert packet_beats(written, sensor, COUNTS).ravel().tolist() == words
 
 
 def test_a_frame_without_gates():
