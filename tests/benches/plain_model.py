@@ -69,7 +69,7 @@ class PlainSubgroup:
                 self.close(pulse, cycle)
         assert self.open_window is None, "a period is self-contained"
         self.blind += len(blind_cycles)
-        if config.frame.minigroup_records:
+        if config.frame.minigroup_records and config.format != "counts":
             record = self.record(accepted)
             if record:
                 self.records.append((pulse, record))
@@ -89,6 +89,8 @@ class PlainSubgroup:
         phases = self.config.sensor.phases
         cycle = tick // phases
         window = self.open_window
+        if self.config.format == "counts":
+            return Fate.BLIND
         if window and i in window["hits"]:
             return Fate.DUPLICATE
         if window:
@@ -147,13 +149,24 @@ class PlainSubgroup:
 def period_starts(config: Config) -> list[int]:
     """Return the cycle in which each period of a frame begins."""
     starts, register, at = [], config.frame.dither_seed, 0
-    for _ in range(config.pulses):
+    for pulse in range(config.pulses):
         starts.append(at)
         for _ in range(config.period):
             bit, register = register & 1, register >> 1
             register ^= 0b1011_0100_0000_0000 * bit
-        at += config.period + config.frame.gap + register % 2**config.frame.dither_bits
+        at += config.period + _gap_after(config, pulse) + register % 2**config.frame.dither_bits
     return starts
+
+
+def _gap_after(config: Config, pulse: int) -> int:
+    """Return the cycles between two periods, without dither's wait."""
+    gap = config.frame.gap
+    minigroups = config.sensor.minigroups
+    if config.format == "counts" and pulse + 1 == config.search_pulses:
+        return max(gap, 832 * minigroups + 32)
+    if config.format == "counts" and pulse + 1 == 2 * config.search_pulses:
+        return max(gap, 520 * minigroups + 32)
+    return gap
 
 
 class PlainController:
@@ -225,8 +238,15 @@ class PlainController:
         return max(self.config.frame.threshold_floor, 1, min(threshold, ceiling))
 
 
-def plain_run(config: Config, edges) -> tuple[list[list[PlainSubgroup]], list[int]]:
-    """Return every frame's subgroups, and the fates."""
+def plain_run(
+    config: Config, edges, pulses: int | None = None
+) -> tuple[list[list[PlainSubgroup]], list[int]]:
+    """Return every frame's subgroups, and the fates.
+
+    pulses: that each frame plays, and that the edges' pulses count; None: those of the
+    configuration.
+    """
+    pulses = config.pulses if pulses is None else pulses
     fate = [None] * len(edges)
     grouped = defaultdict(list)
     for number, (pulse, pixel, tick) in enumerate(
@@ -241,10 +261,8 @@ def plain_run(config: Config, edges) -> tuple[list[list[PlainSubgroup]], list[in
             threshold = controller.threshold[index]
             subgroup = PlainSubgroup(config, index, threshold)
             subgroup.threshold_used = threshold
-            for pulse in range(config.pulses):
-                subgroup.period(
-                    pulse, grouped.get((frame * config.pulses + pulse, index), []), fate
-                )
+            for pulse in range(pulses):
+                subgroup.period(pulse, grouped.get((frame * pulses + pulse, index), []), fate)
             subgroups.append(subgroup)
         frames.append(subgroups)
         controller.frame_ended(subgroups)

@@ -28,7 +28,7 @@ from docs.studies.counting import (
 )
 from docs.studies.counts import Way, find
 
-from .counts_in_rows import counted_in_rows
+from ..golden import counts_in_rows
 
 SENSOR = Sensor(rows=8, cols=8)
 PERIOD_CYCLES = 32
@@ -202,8 +202,14 @@ def test_kernels_count_what_rows_of_memory_count(case):
     seen = hits_of(edges, sensor)
     start = find_gates(seen, sensor, rule, pulses, period_cycles)
     counts = count(seen, start, sensor, rule, range(rule.first_pulses(pulses), pulses))
-    expected = counted_in_rows(edges, sensor.phases, rule, pulses, period_cycles)
-    assert start[0].tolist() == expected.start.tolist()
+    own = zip(edges.pulse.tolist(), edges.pixel.tolist(), edges.tick.tolist(), strict=True)
+    frame = counts_in_rows.Frame(sensor.subgroup, period_cycles, rule.wide_pulses(pulses), pulses)
+    limits = counts_in_rows.Limits(rule.regions, rule.wide_bits, rule.narrow_bits, rule.count_bits)
+    of_cycles = counts_in_rows.hits_of(own, sensor.phases)
+    groups = counts_in_rows.counted_in_rows(of_cycles, frame, limits)
+    expected = counts_in_rows.read_rows(groups, frame)
+    gate_cycle = np.where(start[0] == NO_GATE, counts_in_rows.NO_GATE, start[0] // QUARTERS)
+    assert gate_cycle.tolist() == expected.gate_cycle.tolist()
     assert np.array_equal(counts.hits[0], expected.hits)
     assert counts.pulses[0].tolist() == expected.pulses.tolist()
 
