@@ -18,6 +18,7 @@ from .unit import Unit, place
 
 # Stages of strobes that come two cycles ahead of the ports: bit n is at stage n - 1.
 _STAGES = 5
+_AT_STAGE_1 = 2
 _AT_STAGE_2 = 3
 
 
@@ -30,14 +31,14 @@ class Counts(Unit):
         of counts
     start, search : in, strobes of the time layout, two cycles ahead of the ports
     accepted, quarters : in, of all pixels, in the order of minigroups (stage 2)
-    reading : in, show the row with the number read_row (in); next_minigroup : in, strobe: show the
+    reading : in, show the row with the number read_row (in), one cycle later; next_minigroup : in, strobe: show the
         next one
     busy : out, a search is going on, and needs the clock
     minigroup : out, number of the minigroup that is shown; shown : out, its fields of the packet, and
         the row
     test_enable : in, opens clock gates and latches for a test of the chip
 
-    Hits are counted from stage 3 on. A search begins in the cycle in which the last hits of the step
+    A search begins in the cycle in which the last hits of the step
     have been written, and takes less than `pause_cycles` of `model/contract/counts.py` from the end
     of the period. Reset ends a frame.
     """
@@ -66,9 +67,10 @@ class Counts(Unit):
         self.step = Signal(bus.Step)
         self.starts = Signal(_STAGES)
         self.searches = Signal(_STAGES)
-        # At stage 3.
-        self.cycle = Signal(range(counts.CYCLES_MAX + 1))  # number of the cycle, saturated
-        self.pulse = Signal(bus.PULSE_BITS)  # number of the pulse in step 3
+        self.cycle = Signal(
+            range(counts.CYCLES_MAX + 1)
+        )  # number of the cycle at stage 2, saturated
+        self.pulse = Signal(bus.PULSE_BITS)  # number of the pulse in step 3, at stage 3
         self.last_gate = Signal(counts.GATE_BITS)  # last cycle in which a gate may begin
 
     def elaborate(self, platform):
@@ -81,17 +83,16 @@ class Counts(Unit):
         return m
 
     def _time(self, m):
-        """Stage 3: count cycles and pulses."""
+        """Count cycles and pulses."""
         cycle = self.cycle
-        starts = self.starts[_AT_STAGE_2]
         m.d.sync += [
             self.starts.eq((self.starts << 1) | self.start),
             self.searches.eq((self.searches << 1) | self.search),
-            cycle.eq(Mux(starts, 0, cycle + (cycle != counts.CYCLES_MAX))),
+            cycle.eq(Mux(self.starts[_AT_STAGE_1], 0, cycle + (cycle != counts.CYCLES_MAX))),
         ]
-        with m.If(starts & (self.step == bus.Step.GATED)):
+        with m.If(self.starts[_AT_STAGE_2] & (self.step == bus.Step.GATED)):
             m.d.sync += self.pulse.eq(self.pulse + 1)
-        with m.If(self.searches[_AT_STAGE_2]):  # the period's last cycle is at stage 3
+        with m.If(self.searches[_AT_STAGE_1]):  # the period's last cycle is at stage 2
             beyond = cycle == counts.CYCLES_MAX
             last_cycle = Mux(beyond, counts.CYCLES_MAX - 1, cycle)
             m.d.sync += self.last_gate.eq(last_cycle - (counts.GATE_CYCLES - 1))
@@ -130,12 +131,12 @@ class Counts(Unit):
         search = self.gate_search
         pixels = self.sensor.minigroup_pixels
         cycle = Signal(counts.GATE_BITS)
-        counting = Signal()
         first = Signal()
+        accepted = Signal(self.sensor.pixels)  # hits of cycles that count
         in_range = self.cycle != counts.CYCLES_MAX
         m.d.comb += [
             cycle.eq(Mux(search.busy, search.cycle, self.cycle)),
-            counting.eq(in_range & ~search.busy),
+            accepted.eq(self.accepted & in_range.replicate(self.sensor.pixels)),
             first.eq((cycle == 0) & (in_range | search.busy)),
         ]
         for g, minigroup in enumerate(self.minigroups):
@@ -145,16 +146,16 @@ class Counts(Unit):
                 f"minigroup_{g}",
                 minigroup,
                 platform,
-                accepted=self.accepted.word_select(g, pixels),
+                accepted=accepted.word_select(g, pixels),
                 quarters=self.quarters.word_select(g, 2 * pixels),
                 step=self.step,
                 cycle=cycle,
                 first=first,
-                counting=counting,
                 pulse=self.pulse,
                 begin=self.frame_begin | search.done,
                 clear=search.clear,
                 clear_row=search.clear_row,
+                shows=search.searching,
                 note_to=search.note_to & is_group.replicate(len(search.note_to)),
                 note=search.note,
                 set_gates=search.set_gates & is_group,

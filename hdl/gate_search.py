@@ -46,8 +46,8 @@ class GateSearch(Unit):
     start : in, strobe: search for what `step` needs next; frame_begin : in, strobe: end any search,
         and clear the memories; step : in
     last_gate : in, last cycle in which a gate may begin
-    wide, narrow : in, of each minigroup, what it shows at `cycle`
-    busy : out; cycle : out, number of the cycle to be shown; group : out, minigroup whose marks or
+    wide, narrow : in, of each minigroup, what it shows one cycle after it was given `cycle`
+    busy : out; searching : out, `cycle` is needed; cycle : out, number of the cycle to be shown; group : out, minigroup whose marks or
         gates are written
     note_to, note, set_gates, gates : out, to this minigroup, as in `MinigroupCounts`
     clear, clear_row : out, this row of all minigroups becomes 0; done : out, strobe: the next step
@@ -76,6 +76,7 @@ class GateSearch(Unit):
             note=Out(NOTE_BITS),
             set_gates=Out(1),
             gates=Out(counts.GATES * counts.GATE_BITS),
+            searching=Out(1),
             clear=Out(1),
             clear_row=Out(range(counts.ROWS)),
             done=Out(1),
@@ -83,7 +84,6 @@ class GateSearch(Unit):
         # What is read.
         self.for_regions = Signal()  # a search for regions is going on
         self.for_gates = Signal()  # a search for gates is going on
-        self.searching = Signal()
         self.searched = Signal()  # the search went on in the cycle before
         self.clears_after = Signal()  # the memories are cleared after a search
         self.number = Signal(range(_GATE_ROUND_CYCLES))  # of the cycle that is read
@@ -91,7 +91,14 @@ class GateSearch(Unit):
         self.reads = Signal(range(n))  # the minigroup
         self.round_ends = Signal()
         self.last_round = Signal()
-        # Regions: a value, one cycle after it was read.
+        # What is shown, one cycle later.
+        self.shown = Signal()
+        self.shown_last = Signal()  # it is the last one of its round
+        self.shown_round = Signal.like(self.round)
+        self.shown_group = Signal.like(self.reads)
+        self.shown_word = Signal(range(counts.WIDE_BINS))  # number of the wide bin
+        self.left_out = Signal()  # the narrow bins are left out
+        # Regions: a value, again one cycle later.
         self.valued = Signal()
         self.value = Signal(_VALUE_BITS)
         self.value_last = Signal()  # it is the last one of its round
@@ -128,7 +135,7 @@ class GateSearch(Unit):
         last_group = self.sensor.minigroups - 1
         last_cycle = counts.CYCLES_MAX - counts.WIDE_CYCLES
         m.d.comb += [
-            self.searching.eq(self.for_regions | self.for_gates | self.valued),
+            self.searching.eq(self.for_regions | self.for_gates | self.shown | self.valued),
             self.busy.eq(self.searching | self.searched | self.clear | self.done),
             self.cycle.eq(self.number),
             self.round_ends.eq(
@@ -160,6 +167,13 @@ class GateSearch(Unit):
             m.d.sync += [self.number.eq(0), self.round.eq(0), self.reads.eq(0)]
         with m.If(self.frame_begin):
             m.d.sync += [self.for_regions.eq(0), self.for_gates.eq(0)]
+        m.d.sync += [
+            self.shown.eq(self.for_regions & ~self.frame_begin),
+            self.shown_last.eq(self.round_ends),
+            self.shown_round.eq(self.round),
+            self.shown_group.eq(self.reads),
+            self.shown_word.eq(self.number >> counts.WIDE_CYCLES.bit_length() - 1),
+        ]
 
     def _of_group(self, m, group: Value, items: list[Value], name: str) -> Value:
         """Return the item of a minigroup."""
@@ -180,17 +194,18 @@ class GateSearch(Unit):
             "left": [own[g - 1] if g % cols else nothing for g in range(len(own))],
             "right": [own[g + 1] if (g + 1) % cols else nothing for g in range(len(own))],
         }
-        hits = self._of_group(m, self.reads, own, "own_hits")
+        hits = self._of_group(m, self.shown_group, own, "own_hits")
         of_neighbours = [
-            self._of_group(m, self.reads, items, f"hits_{side}") for side, items in beside.items()
+            self._of_group(m, self.shown_group, items, f"hits_{side}")
+            for side, items in beside.items()
         ]
         m.d.sync += [
-            self.valued.eq(self.for_regions),
+            self.valued.eq(self.shown),
             self.value.eq((hits << 1) + sum(of_neighbours[1:], of_neighbours[0])),
-            self.value_last.eq(self.round_ends),
-            self.value_round.eq(self.round),
-            self.value_group.eq(self.reads),
-            self.value_word.eq(self.number >> counts.WIDE_CYCLES.bit_length() - 1),
+            self.value_last.eq(self.shown_last),
+            self.value_round.eq(self.shown_round),
+            self.value_group.eq(self.shown_group),
+            self.value_word.eq(self.shown_word),
         ]
 
     def _find_regions(self, m):
@@ -234,28 +249,25 @@ class GateSearch(Unit):
         narrow = self.narrow
         n = self.sensor.minigroups
         items = [narrow.word_select(g, counts.REGION_BITS) for g in range(n)]
-        read = self._of_group(m, self.reads, items, "narrow_read")
+        read = self._of_group(m, self.shown_group, items, "narrow_read")
         since_gate = Signal(counts.GATE_BITS)
-        left_out = Signal()
+        in_gate = Signal()
         m.d.comb += [
             since_gate.eq(self.number - self.first_gate),
-            left_out.eq(
-                ~self.for_gates
-                | (self.number >= counts.CYCLES_MAX)
-                | (
-                    (self.round != 0)
-                    & (self.first_gate != counts.NO_GATE)
-                    & (since_gate < counts.GATE_CYCLES)
-                )
+            in_gate.eq(
+                (self.first_gate != counts.NO_GATE)
+                & (since_gate < counts.GATE_CYCLES)
+                & (self.round != 0)
             ),
         ]
+        m.d.sync += self.left_out.eq(in_gate | ~self.for_gates | (self.number >= counts.CYCLES_MAX))
         *before, low, high = self.bins
-        bins = Mux(left_out, 0, read)
+        bins = Mux(self.left_out, 0, read)
         m.d.sync += [
             low.eq(bins[: counts.NARROW_BITS]),
             high.eq(bins[counts.NARROW_BITS :]),
             *(old.eq(new) for old, new in zip(before, self.bins[2:], strict=True)),
-            self.peak_cycle.eq(self.number - 1),
+            self.peak_cycle.eq(self.number - 2),
         ]
 
     def _find_peak(self, m):

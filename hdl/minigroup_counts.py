@@ -29,27 +29,26 @@ _LANE_BITS = counts.WIDE_PER_ROW.bit_length() - 1
 class MinigroupCounts(Unit):
     """Counts of one minigroup.
 
-    In each cycle at most one row of the memory changes. It is read and added to in stage 3, kept in
-    the register `held`, and written in the next cycle.
+    In each cycle at most one row of the memory changes. It is read in stage 2 into the register
+    `held`. In stage 3 the hits are added, and the row is written.
 
     Ports
     -----
     accepted, quarters : in, pixels with a hit, and the quarter of its cycle (stage 2)
     step : in, step of the frame. cycle, first : in, number of the cycle in its period, and whether it
-        is 0; counting : in, hits of this cycle count; pulse : in, number of the pulse in step 3 (all
-        stage 3)
+        is 0 (stage 2); pulse : in, number of the pulse in step 3 (stage 3)
     begin : in, a step begins: all pixels count again
     clear, clear_row : in, this row becomes 0
+    shows : in, show what is at `cycle`, without hits; reading, read_row : in, show this row instead
+    wide, narrow, row : out, one cycle later: hits of the wide bin at `cycle`; hits of both narrow bins
+        of `cycle`, 0 outside of the regions; the row
     note_to, note : in, marks of wide bins, from the search: one bit for each of the `NOTES` words
     set_gates, gates : in, first cycles of the gates, from the search
-    reading, read_row : in, show this row
-    wide : out, hits of the wide bin at `cycle`; narrow : out, hits of both narrow bins of `cycle`, 0
-        outside of the regions; row : out, row of the memory (all in the same cycle)
     stopped : out, pixels that have stopped; stops : out, the pulses with which they did
     gates_kept : out, first cycles of the gates
     test_enable : in, opens clock gate and latches for a test of the chip
 
-    Reset empties `held`; the memory is cleared when a step begins.
+    Reset forgets the hits of the cycle; the memory is cleared when a step begins.
     """
 
     unit_name = "coincid_minigroup_counts"
@@ -63,39 +62,48 @@ class MinigroupCounts(Unit):
             step=In(bus.Step),
             cycle=In(counts.GATE_BITS),
             first=In(1),
-            counting=In(1),
             pulse=In(bus.PULSE_BITS),
             begin=In(1),
             clear=In(1),
             clear_row=In(_ROW_ADDRESS_BITS),
-            note_to=In(NOTES),
-            note=In(NOTE_BITS),
-            set_gates=In(1),
-            gates=In(counts.GATES * counts.GATE_BITS),
+            shows=In(1),
             reading=In(1),
             read_row=In(_ROW_ADDRESS_BITS),
             wide=Out(counts.WIDE_BITS),
             narrow=Out(counts.REGION_BITS),
             row=Out(counts.ROW_BITS),
+            note_to=In(NOTES),
+            note=In(NOTE_BITS),
+            set_gates=In(1),
+            gates=In(counts.GATES * counts.GATE_BITS),
             stopped=Out(pixels),
             stops=Out(pixels * NOTE_BITS),
             gates_kept=Out(counts.GATES * counts.GATE_BITS),
             test_enable=In(1),
         )
-        # The cycle's hits (stage 3).
-        self.hits = Signal(pixels)
-        self.quarter = Signal(2 * pixels, reset_less=True)
-        # The row that was added to in the cycle before.
-        self.holds = Signal()
-        self.held = Signal(counts.ROW_BITS, reset_less=True)
-        self.held_row = Signal(_ROW_ADDRESS_BITS, reset_less=True)
-        self.adds = Signal()  # this cycle's hits add to a row
-        self.place = Signal(_ROW_ADDRESS_BITS)  # its number, or that of the row to be shown
-        self.stopping = Signal(pixels)  # pixels that have stopped in the cycle before
+        # Stage 2: the place of the cycle.
+        self.place = Signal(_ROW_ADDRESS_BITS)  # number of the row
+        self.mark = Signal()  # the cycle is in a region
         self.rank = Signal(_RANK_BITS, reset_less=True)  # of the next region in the period
         self.rank_now = Signal(_RANK_BITS)
-        self.mark = Signal()  # the cycle is in a region
+        self.upper = Signal()  # the region is in the upper one of its cycle's rows
         self.in_gate = Signal(counts.GATES)  # the cycle is in this gate
+        self.counts_here = Signal()  # the step counts in this cycle
+        # Stage 3: the cycle's hits, the row to which they are added, and where in the row.
+        self.hits = Signal(pixels)
+        self.quarter = Signal(2 * pixels, reset_less=True)
+        self.held = Signal(counts.ROW_BITS, reset_less=True)
+        self.held_row = Signal(_ROW_ADDRESS_BITS, reset_less=True)
+        self.wide_lane = Signal(_LANE_BITS, reset_less=True)
+        self.narrow_lane = Signal(_RANK_BITS - 1, reset_less=True)
+        self.marked = Signal(reset_less=True)  # `mark` of this cycle
+        self.counted = Signal(pixels)  # hits of pixels that have not stopped
+        self.adds = Signal()  # there are some
+        self.added = Signal(counts.ROW_BITS)  # the row with them
+        self.full = Signal(pixels)  # pixels that stop
+        # Stage 4.
+        self.stopping = Signal(pixels)  # pixels that have stopped in step 3, in the cycle before
+        self.pulse_before = Signal(bus.PULSE_BITS, reset_less=True)
         self.rows = Memory(counts.ROWS, counts.ROW_BITS)
         self.notes = [Memory(1, NOTE_BITS) for _ in range(NOTES)]
         self.gate_memory = Memory(1, counts.GATES * counts.GATE_BITS)
@@ -103,30 +111,24 @@ class MinigroupCounts(Unit):
 
     def elaborate(self, platform):
         m = Module()
-        self._take_hits(m)
         self._place_notes(m, platform)
         self._find_place(m)
-        self._place_rows(m, platform)
+        self._read(m, platform)
         self._add(m)
         awake = [
             ResetSignal(),
             self.accepted.any(),
             self.hits.any(),
-            self.holds,
             self.stopping.any(),
             self.begin,
             self.clear,
+            self.shows,
+            self.reading,
             self.note_to.any(),
             self.set_gates,
             (self.step == bus.Step.NARROW) & (self.first | self._leaves_region()),
         ]
         return behind(m, platform, self.clock_gate, Cat(awake).any(), self.test_enable)
-
-    def _take_hits(self, m):
-        """Stage 3: the hits, in registers."""
-        m.d.sync += self.hits.eq(self.accepted)
-        with m.If(self.accepted.any()):
-            m.d.sync += self.quarter.eq(self.quarters)
 
     def _place_notes(self, m, platform):
         """Place the memories for the marks, or the pulses with which pixels stopped, and for the
@@ -134,8 +136,7 @@ class MinigroupCounts(Unit):
 
         A pixel's pulse is written in the cycle after it has stopped.
         """
-        pulse_before = Signal.like(self.pulse, reset_less=True)
-        m.d.sync += pulse_before.eq(self.pulse)
+        m.d.sync += self.pulse_before.eq(self.pulse)
         for k, memory in enumerate(self.notes):
             place(
                 m,
@@ -143,7 +144,7 @@ class MinigroupCounts(Unit):
                 memory,
                 platform,
                 write=self.note_to[k] | self.stopping[k],
-                data=Mux(self.note_to[k], self.note, pulse_before),
+                data=Mux(self.note_to[k], self.note, self.pulse_before),
                 test_enable=self.test_enable,
             )
         place(
@@ -165,14 +166,13 @@ class MinigroupCounts(Unit):
         return self.mark & self.cycle[:_WIDE_LSB].all()
 
     def _find_place(self, m):
-        """Find the row of the cycle: from the wide bin, from the region, or from the gate."""
+        """Stage 2: find the row of the cycle: from the wide bin, from the region, or from the gate."""
         wide_bin = self.cycle[_WIDE_LSB:]
         in_region = self.cycle[:_WIDE_LSB]
-        upper = Signal()  # the region is in the upper one of its cycle's rows
         m.d.comb += [
             self.mark.eq(self.stops.bit_select(wide_bin, 1)),
             self.rank_now.eq(Mux(self.first, 0, self.rank)),
-            upper.eq(self.rank_now >= counts.REGIONS_PER_ROW),
+            self.upper.eq(self.rank_now >= counts.REGIONS_PER_ROW),
         ]
         for g, in_gate in enumerate(self.in_gate):
             begin = self.gate_memory.value.word_select(g, counts.GATE_BITS)
@@ -183,127 +183,128 @@ class MinigroupCounts(Unit):
             ]
         with m.If(self.step == bus.Step.NARROW):
             m.d.sync += self.rank.eq(self.rank_now + self._leaves_region())
+        with m.Switch(self.step):
+            with m.Case(bus.Step.WIDE):
+                m.d.comb += [self.place.eq(wide_bin[_LANE_BITS:]), self.counts_here.eq(1)]
+            with m.Case(bus.Step.NARROW):
+                m.d.comb += [
+                    self.place.eq(Cat(self.upper, in_region)),
+                    self.counts_here.eq(self.mark),
+                ]
+            with m.Case(bus.Step.GATED):
+                m.d.comb += [
+                    self.place.eq(Cat(in_region, self.in_gate[1])),
+                    self.counts_here.eq(self.in_gate.any()),
+                ]
         with m.If(self.reading):
             m.d.comb += self.place.eq(self.read_row)
-        with m.Elif(self.step == bus.Step.WIDE):
-            m.d.comb += self.place.eq(wide_bin[_LANE_BITS:])
-        with m.Elif(self.step == bus.Step.NARROW):
-            m.d.comb += self.place.eq(Cat(upper, in_region))
-        with m.Else():
-            m.d.comb += self.place.eq(Cat(in_region, self.in_gate[1]))
 
-    def _place_rows(self, m, platform):
-        """Place the memory of rows, and show the row of the cycle.
-
-        The row that is being written is not read: `held` has it.
+    def _read(self, m, platform):
+        """Stage 2: read the row, and stage 3: write it. A row that is being written is not read: its
+        new value is taken.
         """
         place(
             m,
             "rows",
             self.rows,
             platform,
-            write=self.clear | self.holds,
+            write=self.clear | self.adds,
             to=Mux(self.clear, self.clear_row, self.held_row),
-            data=Mux(self.clear, 0, self.held),
+            data=Mux(self.clear, 0, self.added),
             row=self.place,
             test_enable=self.test_enable,
         )
-        is_held = self.holds & (self.held_row == self.place)
-        m.d.comb += self.row.eq(Mux(is_held, self.held, self.rows.value))
+        is_written = self.adds & (self.held_row == self.place)
+        some = self.accepted.any()
+        pixels = self.sensor.minigroup_pixels
+        m.d.sync += self.hits.eq(self.accepted & self.counts_here.replicate(pixels))
+        with m.If(some | self.shows | self.reading):
+            m.d.sync += [
+                self.quarter.eq(self.quarters),
+                self.held.eq(Mux(is_written, self.added, self.rows.value)),
+                self.held_row.eq(self.place),
+                self.wide_lane.eq(self.cycle[_WIDE_LSB:]),
+                self.narrow_lane.eq(self.rank_now - Mux(self.upper, counts.REGIONS_PER_ROW, 0)),
+                self.marked.eq(self.mark),
+            ]
+        m.d.comb += self.row.eq(self.held)
 
     def _add(self, m):
-        """Add the cycle's hits to the row, and stop what has become full."""
+        """Stage 3: add the cycle's hits to the row, and stop what has become full."""
         pixels = self.sensor.minigroup_pixels
-        counted = Signal(pixels)  # hits that count
-        m.d.comb += counted.eq(self.hits & ~self.stopped & self.counting.replicate(pixels))
-        added = Signal(counts.ROW_BITS)
-        full = Signal(pixels)  # one for each pixel that stops; in steps 1 and 2 all stop together
-        wide, wide_full = self._wide(m, counted)
-        narrow, narrow_full = self._narrow(m, counted)
-        gated, gated_full = self._gated(m, counted)
-        with m.If(self.step == bus.Step.WIDE):
-            m.d.comb += [
-                self.adds.eq(counted.any()),
-                added.eq(wide),
-                full.eq(wide_full.replicate(pixels)),
-            ]
-        with m.Elif(self.step == bus.Step.NARROW):
-            m.d.comb += [
-                self.adds.eq(counted.any() & self.mark),
-                added.eq(narrow),
-                full.eq(narrow_full.replicate(pixels)),
-            ]
-        with m.Elif(self.step == bus.Step.GATED):
-            m.d.comb += [
-                self.adds.eq(counted.any() & self.in_gate.any()),
-                added.eq(gated),
-                full.eq(gated_full),
-            ]
-        m.d.sync += [
-            self.holds.eq(self.adds),
-            self.stopping.eq(0),
+        m.d.comb += [
+            self.counted.eq(self.hits & ~self.stopped),
+            self.adds.eq(self.counted.any()),
         ]
+        wide, wide_full = self._wide(m)
+        narrow, narrow_full = self._narrow(m)
+        gated, gated_full = self._gated(m)
+        with m.Switch(self.step):
+            with m.Case(bus.Step.WIDE):
+                m.d.comb += [self.added.eq(wide), self.full.eq(wide_full.replicate(pixels))]
+            with m.Case(bus.Step.NARROW):
+                m.d.comb += [self.added.eq(narrow), self.full.eq(narrow_full.replicate(pixels))]
+            with m.Case(bus.Step.GATED):
+                m.d.comb += [self.added.eq(gated), self.full.eq(gated_full)]
+        m.d.sync += self.stopping.eq(0)
         with m.If(self.adds):
             m.d.sync += [
-                self.held.eq(added),
-                self.held_row.eq(self.place),
-                self.stopped.eq(self.stopped | full),
-                self.stopping.eq(full & (self.step == bus.Step.GATED).replicate(pixels)),
+                self.stopped.eq(self.stopped | self.full),
+                self.stopping.eq(self.full & (self.step == bus.Step.GATED).replicate(pixels)),
             ]
         with m.If(self.begin):
             m.d.sync += self.stopped.eq(0)
 
-    def _wide(self, m, counted) -> tuple[Value, Value]:
+    def _wide(self, m) -> tuple[Value, Value]:
         """Return the row with the hits in its wide bin, and whether the bin is full; show the bin."""
-        lane = self.cycle[_WIDE_LSB : _WIDE_LSB + _LANE_BITS]
-        total = Signal(counts.WIDE_BITS + 1)
+        total = Signal(counts.WIDE_BITS + 1, name="wide_total")
         m.d.comb += [
-            self.wide.eq(self.row.word_select(lane, counts.WIDE_BITS)),
-            total.eq(self.wide + popcount(m, counted, "wide_hits")),
+            self.wide.eq(self.held.word_select(self.wide_lane, counts.WIDE_BITS)),
+            total.eq(self.wide + popcount(m, self.counted, "wide_hits")),
         ]
         full = total >= _WIDE_MAX
-        bin_now = Mux(full, _WIDE_MAX, total)
-        return self._with_lane(lane, counts.WIDE_BITS, counts.WIDE_PER_ROW, bin_now), full
+        now = Mux(full, _WIDE_MAX, total)
+        row = self._with_lane(self.wide_lane, counts.WIDE_BITS, counts.WIDE_PER_ROW, now)
+        return row, full
 
-    def _narrow(self, m, counted) -> tuple[Value, Value]:
+    def _narrow(self, m) -> tuple[Value, Value]:
         """Return the row with the hits in its narrow bins, and whether one is full; show the bins."""
-        upper = self.rank_now >= counts.REGIONS_PER_ROW
-        lane = Signal(_RANK_BITS)
-        bins = Signal(counts.REGION_BITS)
+        bins = Signal(counts.REGION_BITS, name="narrow_bins")
         m.d.comb += [
-            lane.eq(self.rank_now - Mux(upper, counts.REGIONS_PER_ROW, 0)),
-            bins.eq(self.row.word_select(lane, counts.REGION_BITS)),
-            self.narrow.eq(Mux(self.mark, bins, 0)),
+            bins.eq(self.held.word_select(self.narrow_lane, counts.REGION_BITS)),
+            self.narrow.eq(Mux(self.marked, bins, 0)),
         ]
         late = self.quarter[1::2]  # hits in the second half of the cycle
         now = []
         is_full = []
-        for half, there in enumerate((counted & ~late, counted & late)):
-            total = Signal(counts.NARROW_BITS + 1, name=f"narrow_{half}")
+        for half, there in enumerate((self.counted & ~late, self.counted & late)):
+            total = Signal(counts.NARROW_BITS + 1, name=f"narrow_total_{half}")
             before = bins.word_select(half, counts.NARROW_BITS)
             m.d.comb += total.eq(before + popcount(m, there, f"narrow_hits_{half}"))
             is_full.append(total >= _NARROW_MAX)
             now.append(Mux(is_full[-1], _NARROW_MAX, total)[: counts.NARROW_BITS])
-        row = self._with_lane(lane, counts.REGION_BITS, counts.REGIONS_PER_ROW, Cat(now))
+        lanes = counts.REGIONS_PER_ROW
+        row = self._with_lane(self.narrow_lane, counts.REGION_BITS, lanes, Cat(now))
         return row, Cat(is_full).any()
 
     def _with_lane(self, lane: Value, width: int, lanes: int, value: Value) -> Value:
         """Return the row with another value in one of its lanes."""
         parts = [
-            Mux(lane == k, value, self.row.word_select(k, width))[:width] for k in range(lanes)
+            Mux(lane == k, value, self.held.word_select(k, width))[:width] for k in range(lanes)
         ]
-        return Cat(*parts, self.row[lanes * width :])
+        return Cat(*parts, self.held[lanes * width :])
 
-    def _gated(self, m, counted) -> tuple[Value, Value]:
+    def _gated(self, m) -> tuple[Value, Value]:
         """Return the row of a gate's cycle with the pixels' hits, and the pixels of which a bin is
         full.
         """
+        pixels = len(self.counted)
         parts = []
-        full = [Const(0)] * len(counted)
+        full = [Const(0)] * pixels
         for number in range(QUARTERS):
-            for j, is_counted in enumerate(counted):
+            for j, is_counted in enumerate(self.counted):
                 hit = is_counted & (self.quarter.word_select(j, 2) == number)
-                before = self.row.word_select(number * len(counted) + j, counts.COUNT_BITS)
+                before = self.held.word_select(number * pixels + j, counts.COUNT_BITS)
                 now = Signal(counts.COUNT_BITS, name=f"count_{number}_{j}")
                 m.d.comb += now.eq(before + hit)
                 parts.append(now)

@@ -103,7 +103,7 @@ class Packetizer(Unit):
     frame : in, settings; subgroup : in, number of this subgroup
     head, record, counters : in; take_event, take_record : out, with the last beat of the packet
     of_minigroup, minigroup : in, the counts of a minigroup with this number; read_row : out, row of
-        its memory that is sent; take_counts : out, with the last beat of the packet; reading : out, a
+        its memory that is sent in the next cycle; take_counts : out, with the last beat of the packet; reading : out, a
         packet of counts is sent (all only if counts are built)
     controlled : in, the threshold controller sets the threshold of this subgroup
     valid, beat, beat_controlled : out, one cycle later; 0 while nothing is sent, so that the beats
@@ -193,7 +193,7 @@ class Packetizer(Unit):
             m.d.comb += [
                 self.take_counts.eq(ends & is_counts),
                 self.reading.eq(self.active & is_counts),
-                self.read_row.eq(self.index - _ROWS_BEAT),
+                self.read_row.eq(self.index - (_ROWS_BEAT - 1)),
             ]
         with m.If(self.active):
             m.d.sync += [
