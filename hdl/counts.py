@@ -70,6 +70,7 @@ class Counts(Unit):
         self.cycle = Signal(
             range(counts.CYCLES_MAX + 1)
         )  # number of the cycle at stage 2, saturated
+        self.next_cycle = Signal.like(self.cycle)  # of the cycle at stage 1
         self.pulse = Signal(bus.PULSE_BITS)  # number of the pulse in step 3, at stage 3
         self.last_gate = Signal(counts.GATE_BITS)  # last cycle in which a gate may begin
 
@@ -85,10 +86,12 @@ class Counts(Unit):
     def _time(self, m):
         """Count cycles and pulses."""
         cycle = self.cycle
+        following = cycle + (cycle != counts.CYCLES_MAX)
+        m.d.comb += self.next_cycle.eq(Mux(self.starts[_AT_STAGE_1], 0, following))
         m.d.sync += [
             self.starts.eq((self.starts << 1) | self.start),
             self.searches.eq((self.searches << 1) | self.search),
-            cycle.eq(Mux(self.starts[_AT_STAGE_1], 0, cycle + (cycle != counts.CYCLES_MAX))),
+            cycle.eq(self.next_cycle),
         ]
         with m.If(self.starts[_AT_STAGE_2] & (self.step == bus.Step.GATED)):
             m.d.sync += self.pulse.eq(self.pulse + 1)
@@ -151,6 +154,7 @@ class Counts(Unit):
                 step=self.step,
                 cycle=cycle,
                 first=first,
+                next_cycle=self.next_cycle[: counts.GATE_BITS],
                 pulse=self.pulse,
                 begin=self.frame_begin | search.done,
                 clear=search.clear,

@@ -36,7 +36,7 @@ class MinigroupCounts(Unit):
     -----
     accepted, quarters : in, pixels with a hit, and the quarter of its cycle (stage 2)
     step : in, step of the frame. cycle, first : in, number of the cycle in its period, and whether it
-        is 0 (stage 2); pulse : in, number of the pulse in step 3 (stage 3)
+        is 0 (stage 2); next_cycle : in, the number of the next cycle (stage 1); pulse : in, number of the pulse in step 3 (stage 3)
     begin : in, a step begins: all pixels count again
     clear, clear_row : in, this row becomes 0
     shows : in, show what is at `cycle`, without hits; reading, read_row : in, show this row instead
@@ -62,6 +62,7 @@ class MinigroupCounts(Unit):
             step=In(bus.Step),
             cycle=In(counts.GATE_BITS),
             first=In(1),
+            next_cycle=In(counts.GATE_BITS),
             pulse=In(bus.PULSE_BITS),
             begin=In(1),
             clear=In(1),
@@ -87,6 +88,7 @@ class MinigroupCounts(Unit):
         self.rank = Signal(_RANK_BITS, reset_less=True)  # of the next region in the period
         self.rank_now = Signal(_RANK_BITS)
         self.upper = Signal()  # the region is in the upper one of its cycle's rows
+        self.next_in_gate = Signal(counts.GATES)  # the next cycle is in this gate
         self.in_gate = Signal(counts.GATES)  # the cycle is in this gate
         self.counts_here = Signal()  # the step counts in this cycle
         # Stage 3: the cycle's hits, the row to which they are added, and where in the row.
@@ -127,6 +129,8 @@ class MinigroupCounts(Unit):
             self.note_to.any(),
             self.set_gates,
             (self.step == bus.Step.NARROW) & (self.first | self._leaves_region()),
+            (self.step == bus.Step.GATED) & self.next_in_gate.any(),
+            self.in_gate.any(),
         ]
         return behind(m, platform, self.clock_gate, Cat(awake).any(), self.test_enable)
 
@@ -174,13 +178,15 @@ class MinigroupCounts(Unit):
             self.rank_now.eq(Mux(self.first, 0, self.rank)),
             self.upper.eq(self.rank_now >= counts.REGIONS_PER_ROW),
         ]
-        for g, in_gate in enumerate(self.in_gate):
+        for g, in_gate in enumerate(self.next_in_gate):
             begin = self.gate_memory.value.word_select(g, counts.GATE_BITS)
             since = Signal(counts.GATE_BITS, name=f"since_{g}")
             m.d.comb += [
-                since.eq(self.cycle - begin),
+                since.eq(self.next_cycle - begin),
                 in_gate.eq((since < counts.GATE_CYCLES) & (begin != counts.NO_GATE)),
             ]
+        is_gated = (self.step == bus.Step.GATED).replicate(counts.GATES)
+        m.d.sync += self.in_gate.eq(self.next_in_gate & is_gated)
         with m.If(self.step == bus.Step.NARROW):
             m.d.sync += self.rank.eq(self.rank_now + self._leaves_region())
         with m.Switch(self.step):
