@@ -15,8 +15,9 @@ import numpy as np
 from attrs import frozen
 
 from coincid.model.contract.config import Config
+from coincid.model.contract.counts import MINIGROUP, pause_cycles
 from coincid.model.contract.edges import Edges
-from coincid.model.contract.packet import FORMAT_NAMES, UNBUILT
+from coincid.model.contract.packet import COUNTS, FORMAT_NAMES, UNBUILT, layout
 from coincid.model.golden.frame import Golden, Trace
 
 from .random_cases import READY_KINDS, SENSORS, built_sensor, configured, ready_pattern, trouble
@@ -34,6 +35,7 @@ BUILT: Features = {
     "controller": (1, 0),
     "counter_bits": (32, 9),
     "held": (1, 0),
+    "counts": (0, 1),
     "fifo_depth": (16, 1, 3),
     "streams": (1, 2),
 }
@@ -57,13 +59,24 @@ USED: Features = {
     "dither_bits": (0, 3),
     "abort": ("none", "first period", "later", "in a gap"),
     "frames": (1, 3),
+    "search_pulses": (1, 3),
     "link_gbps": (0.0, 9.0),
     "receiver": READY_KINDS,
     "light": ("some", "none", "one edge", "crowded"),
 }
 # What is not built cannot be used.
+NO_COUNTS_WITH = tuple(
+    name for name in BUILT["sizes"] if built_sensor(SENSORS[name]).minigroup != MINIGROUP
+)
 REFUSED: frozenset[Pair] = frozenset(
     [frozenset([("offsets", 0), ("format", name)]) for name in UNBUILT]
+    + [frozenset([("counts", 0), ("format", COUNTS.name)])]
+    + [frozenset([("counts", 0), ("search_pulses", 3)])]
+    + [
+        frozenset([used, ("sizes", name)])
+        for used in (("counts", 1), ("format", COUNTS.name), ("search_pulses", 3))
+        for name in NO_COUNTS_WITH
+    ]
     + [frozenset([("records", 0), ("minigroup_records", True)])]
     + [frozenset([("controller", 0), ("auto", True)])]
     + [frozenset([("controller", 0), ("threshold_floor", floor)]) for floor in (0, 3)]
@@ -76,10 +89,20 @@ LIVELY: Features = {
     "coincidence": (True, "one subgroup without"),
     "threshold": (1,),
 }
-# A lively frame has none of them: the only subgroup of the sensor would see nothing.
-DARK: frozenset[Pair] = frozenset([frozenset([("sizes", "wide"), ("mask", "one subgroup dark")])])
+# A lively frame has none of them: the only subgroup of the sensor would see nothing, or the frame
+# ends before it counts in gates.
+DARK: frozenset[Pair] = frozenset(
+    [
+        frozenset([("sizes", "wide"), ("mask", "one subgroup dark")]),
+        frozenset([("format", COUNTS.name), ("abort", "first period")]),
+        frozenset([("search_pulses", 3), ("abort", "first period")]),
+        frozenset([("search_pulses", 3), ("abort", "later")]),
+        frozenset([("search_pulses", 3), ("abort", "in a gap")]),
+    ]
+)
 DENSITY = {"some": 12.0, "none": 0.0, "one edge": 0.0, "crowded": 40.0}
 PULSES = 8
+SEARCH_PULSES = 1  # by default
 ABORTED_AFTER = {"none": PULSES, "first period": 1, "later": 5, "in a gap": 3}
 
 
@@ -155,12 +178,21 @@ def features_on(sensors: Mapping[str, dict[str, Any]]) -> tuple[Features, frozen
     """Return the features of frames on some sensors, by name, and the pairs that no frame has."""
     impossible = set(IMPOSSIBLE - REFUSED)
     for name, table in sensors.items():
-        built = {choice for choice in table.items() if choice[0] in BUILT}
+        built = {choice for choice in ({"counts": 0} | table).items() if choice[0] in BUILT}
         for pair in REFUSED:
             if pair & built:
                 (used,) = pair - built
                 impossible.add(frozenset([("sensor", name), used]))
-    return {"sensor": tuple(sensors)} | USED, frozenset(impossible)
+    of_sensors = [("sensor", name) for name in sensors]
+    used = {
+        name: tuple(
+            value
+            for value in values
+            if any(frozenset([of, (name, value)]) not in impossible for of in of_sensors)
+        )
+        for name, values in USED.items()
+    }
+    return {"sensor": tuple(sensors)} | used, frozenset(impossible)
 
 
 def sensor_of(case: Case) -> dict[str, Any]:
@@ -224,6 +256,8 @@ def config_of(sensor: dict[str, Any], case: Case) -> Config:
     of_all |= gates[case["gate"]] | masks[case["mask"]]
     last = {"subgroups": [built.subgroups - 1]}
     last |= of_one.get(case["coincidence"], {}) | of_one.get(case["mask"], {})
+    if case["search_pulses"] != SEARCH_PULSES:
+        frame["search_pulses"] = case["search_pulses"]
     if not built.controller:
         for name in ("auto_bounds", "capacity"):
             del frame[name]
@@ -247,8 +281,10 @@ class Played:
 
     @property
     def shorter(self) -> Config:
-        """The configuration with only the pulses that are played."""
-        return self.config.with_frame(pulses=self.pulses)
+        """The configuration with only the pulses that are played; that of a frame of counts, whose
+        steps would be others, stays as it is.
+        """
+        return self.config if self.config.counting else self.config.with_frame(pulses=self.pulses)
 
     @property
     def edges(self) -> Edges:
@@ -271,15 +307,35 @@ def played(sensor: dict[str, Any], case: Case, number: int) -> Played:
     """Return light and receiver of a case. number: seed of both."""
     config = config_of(sensor, case)
     pulses = ABORTED_AFTER[case["abort"]]
-    one_frame = config.with_frame(pulses=pulses, frames=1)
+    of_light = config.with_frame(format="short") if config.counting else config
+    one_frame = of_light.with_frame(pulses=pulses, frames=1)
     frames = []
     for k in range(config.frames):
         edges = trouble(one_frame, 100 * number + k, DENSITY[case["light"]])
         if case["light"] == "one edge":
             edges = trouble(one_frame, 100 * number + k, 6.0).take(slice(0, 1))
         frames.append(edges)
-    ready = ready_pattern(number, case["receiver"], one_frame.frame_cycles + 100)
+    end = int(config.start_cycles()[pulses - 1]) + config.period
+    ready = ready_pattern(number, case["receiver"], end + _beats_of_counts(config) + 100)
     into_gap = 0
     if case["abort"] == "in a gap":
-        into_gap = (1, config.gap, 1 + number % config.gap)[number % 3]
+        gap = _gap_after(config, pulses)
+        into_gap = (1, gap, 1 + number % gap)[number % 3]
     return Played(config, pulses, into_gap, frames, ready)
+
+
+def _beats_of_counts(config: Config) -> int:
+    """Return the beats of a frame's counts."""
+    sensor = config.sensor
+    packets = sensor.subgroups * sensor.minigroups
+    return packets * layout(sensor).length(COUNTS) if config.counting else 0
+
+
+def _gap_after(config: Config, pulses: int) -> int:
+    """Return the cycles between period `pulses` and the next one, without dither's wait."""
+    search, gates = pause_cycles(config.sensor.minigroups)
+    if config.counting and pulses == config.search_pulses:
+        return max(search, config.gap)
+    if config.counting and pulses == 2 * config.search_pulses:
+        return max(gates, config.gap)
+    return config.gap

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from coincid.model.contract.config import Config, parse_config, sensor_table
 from coincid.model.contract.edges import Edges
-from coincid.model.contract.packet import FORMAT_NAMES, built_formats
+from coincid.model.contract.packet import COUNTS, built_formats
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.registers import BY_NAME
@@ -21,9 +21,11 @@ from coincid.model.contract.table import Kind, Setting
 from coincid.model.golden.frame import Golden
 from coincid.tb.frame_record import FrameJob
 
+# Whether the RTL has the format counts: 1 gives it to sensors that are built in benches.
+RTL_COUNTS = 0
 # small ones, so that a case is fast; together they change every parameter from its default
 SENSORS = {
-    "default": dict(rows=8, cols=16),
+    "default": dict(rows=8, cols=16, counts=RTL_COUNTS),
     "one": dict(rows=8, cols=8),
     "coarse": dict(rows=8, cols=16, phases=8, window_max=16, rearm=2, fifo_depth=2),
     "tiny": dict(
@@ -57,6 +59,7 @@ SENSORS = {
         rearm=3,
         fifo_depth=5,
         offset_phases=4,
+        counts=RTL_COUNTS,
     ),
     "odd": dict(
         rows=6,
@@ -70,6 +73,9 @@ SENSORS = {
         held=0,  # beside a controller
     ),
 }
+WITH_COUNTS = ("default", "wide")
+# the same for tests without RTL: sensors with the format counts are among them
+GOLDEN_SENSORS = SENSORS | {name: SENSORS[name] | {"counts": 1} for name in WITH_COUNTS}
 LEAN = dict(
     rows=8, cols=16, offsets=0, records=0, controller=0, counter_bits=9, held=0, fifo_depth=3
 )
@@ -152,6 +158,9 @@ def configurations(draw, sensor: dict, frames_max: int = 2) -> Config:
     )
     settings = st.fixed_dictionaries({}, optional=of_subgroup)
     frame = draw(st.fixed_dictionaries(frame))
+    if frame["format"] == COUNTS.name:
+        frame["pulses"] = draw(st.integers(3, 9))
+        frame["search_pulses"] = draw(st.integers(1, (frame["pulses"] - 1) // 2))
     base = {"window": draw(rare["window"])} | draw(settings)
     overrides = [
         {"subgroups": draw(st.lists(st.integers(0, built.subgroups - 1), min_size=1, max_size=2))}
@@ -207,7 +216,8 @@ def scarce(sensor: dict) -> list[Config]:
 
 def modes(sensor: dict) -> list[Config]:
     """Return a configuration for every mode (coincidence, gating, auto) in every format."""
-    switches = itertools.product((False, True), (False, True), (False, True), FORMAT_NAMES)
+    formats = built_formats(built_sensor(sensor))
+    switches = itertools.product((False, True), (False, True), (False, True), formats)
     return [
         configured(
             sensor,

@@ -29,6 +29,7 @@ from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.board.source_model import SourceSettings, source_edges
 from coincid.host.transport import DeviceResetError, HostError, LinkError, RefusedError
 from coincid.model.contract.config import sensor_table
+from coincid.model.contract.packet import built_formats
 from coincid.model.contract.parameters import Sensor
 from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
@@ -122,8 +123,9 @@ def check_frames(driver, of, settings, numbers) -> int:
 
 def emulated_features():
     """Return the features of frames on the emulator: it has its own light, and buffers its words."""
-    features = {name: USED[name] for name in USED if name not in ("abort", "receiver", "link_gbps")}
-    return features | {"light": tuple(BACKGROUND)}
+    others = "abort", "receiver", "link_gbps", "search_pulses"
+    features = {name: USED[name] for name in USED if name not in others}
+    return features | {"format": built_formats(SENSOR), "light": tuple(BACKGROUND)}
 
 
 BACKGROUND = {"some": 3000, "none": 0, "crowded": 12000}
@@ -135,7 +137,7 @@ def test_every_pair_of_features(port):
     assert driver.sensor == SENSOR and driver.buffer_beats == EMULATOR.buffer_beats
     golden, words = Golden(SENSOR), 0
     table = sensor_table(SENSOR)
-    usual = {"abort": "none", "receiver": "always", "link_gbps": 0.0}
+    usual = {"abort": "none", "receiver": "always", "link_gbps": 0.0, "search_pulses": 1}
     for seed, case in enumerate(covering_cases(emulated_features(), frozenset())):
         of = config_of(table, case | usual).with_frame(clock_mhz=CLOCK_MHZ, pulses=4)
         settings = source(seed, BACKGROUND[case["light"]])

@@ -210,8 +210,8 @@ def test_kernels_count_what_rows_of_memory_count(case):
     expected = counts_in_rows.read_rows(groups, frame)
     gate_cycle = np.where(start[0] == NO_GATE, counts_in_rows.NO_GATE, start[0] // QUARTERS)
     assert gate_cycle.tolist() == expected.gate_cycle.tolist()
-    assert np.array_equal(counts.hits[0], expected.hits)
-    assert counts.pulses[0].tolist() == expected.pulses.tolist()
+    assert np.array_equal(counts.hits[0], expected.gate_hits)
+    assert counts.pulses[0].tolist() == expected.count_pulses.tolist()
 
 
 def test_bits_of_the_rule_are_those_of_its_fields():

@@ -12,6 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from coincid.model.contract.config import Config
+from coincid.model.contract.edges import Edges, Fate
+
+from ..benches.plain_model import where
+
 GROUP_SIDE = 2  # pixels
 GROUP_PIXELS = GROUP_SIDE**2
 ROWS = 8  # of the memory of a minigroup
@@ -229,6 +234,33 @@ def hits_of(edges: Iterable[tuple[int, int, int]], phases: int) -> Hits:
     return found
 
 
+def plain_counts(
+    config: Config, edges: Edges, fate: Iterable[int], pulses: int | None = None
+) -> list[list[list[Minigroup]]]:
+    """Return the minigroups at the end of each frame, by frame and subgroup.
+
+    fate: of each edge; in a frame of counts, accepted edges are blind. pulses: that each frame
+    plays, and that the edges' pulses count; None: those of the configuration.
+    """
+    sensor = config.sensor
+    pulses = config.pulses if pulses is None else pulses
+    frame = Frame(sensor.subgroup, config.period, config.search_pulses, pulses)
+    accepted: dict[tuple[int, int], list[tuple[int, int, int]]] = defaultdict(list)
+    rows = zip(edges.pulse.tolist(), edges.pixel.tolist(), edges.tick.tolist(), fate, strict=True)
+    for pulse, pixel, tick, its_fate in rows:
+        if its_fate == Fate.BLIND:
+            subgroup, inside, _, _ = where(config, pixel)
+            number, in_frame = divmod(pulse, pulses)
+            accepted[number, subgroup].append((in_frame, inside, tick))
+    return [
+        [
+            counted_in_rows(hits_of(accepted[number, subgroup], sensor.phases), frame)
+            for subgroup in range(sensor.subgroups)
+        ]
+        for number in range(config.frames)
+    ]
+
+
 def counted_in_rows(hits: Hits, frame: Frame, limits: Limits = RULE) -> list[Minigroup]:
     """Count the hits of a frame of one subgroup; return its minigroups at the end of the frame."""
     groups = [Minigroup(limits) for _ in range(frame.groups)]
@@ -286,11 +318,11 @@ def _mark(groups: list[Minigroup], wide_bins: int, frame: Frame) -> None:
 
 
 class Counted(NamedTuple):
-    """What a subgroup has counted, as arrays."""
+    """What a subgroup has counted, as arrays of a result, int64."""
 
-    gate_cycle: np.ndarray  # int64[minigroups, gates], first cycles
-    hits: np.ndarray  # int64[pixels, gates, bins]
-    pulses: np.ndarray  # int64[pixels]
+    gate_cycle: np.ndarray  # [minigroups, gates], first cycles
+    gate_hits: np.ndarray  # [pixels, gates, bins]
+    count_pulses: np.ndarray  # [pixels]
 
 
 def read_rows(groups: list[Minigroup], frame: Frame) -> Counted:

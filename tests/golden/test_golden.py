@@ -23,15 +23,16 @@ from coincid.model.shared.errors import InputError
 
 from ..benches.plain_model import PlainController, PlainSubgroup, period_starts, plain_run
 from ..feature_pairs import BUILT, USED, lively_pairs, paired_cases, pairs_of, played, sensor_of
+from ..random_cases import GOLDEN_SENSORS as SENSORS
 from ..random_cases import (
     READY_KINDS,
-    SENSORS,
     configurations,
     configured,
     controlled,
     ready_pattern,
     trouble,
 )
+from .counts_in_rows import Frame, plain_counts, read_rows
 
 seeds = st.integers(0, 2**32 - 1)
 densities = st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))
@@ -41,7 +42,9 @@ densities = st.sampled_from((0.0, 0.5, 4.0, 20.0, 40.0))
 @settings(max_examples=40)
 @given(data=st.data())
 def test_plain_model(sensor, data):
-    config = data.draw(configurations(SENSORS[sensor]).map(lambda c: c.with_frame(format="full")))
+    config = data.draw(configurations(SENSORS[sensor]))
+    if not config.counting:
+        config = config.with_frame(format="full")
     edges = trouble(config, data.draw(seeds), data.draw(densities))
     ready = ready_pattern(
         data.draw(seeds),
@@ -142,24 +145,32 @@ def test_every_pair_of_features():
         for trace in traces:
             result.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
         fate = np.concatenate([trace.fate for trace in traces])
-        assert_plain(frames.shorter, frames.edges, result.arrays() | {"fate": fate})
-        if any(len(trace.commit_cycle) for trace in traces):
+        arrays = result.arrays() | {"fate": fate}
+        assert_plain(frames.shorter, frames.edges, arrays, frames.pulses)
+        counted = "gate_hits" in arrays and arrays["gate_hits"].any()
+        if counted or any(len(trace.commit_cycle) for trace in traces):
             with_events |= pairs_of(case)
     assert lively_pairs(BUILT | USED) <= with_events
 
 
 def assert_whole_frames(frames, traces):
-    """Check that frames that are aborted equal those that have only these pulses."""
+    """Check that frames that are aborted equal those that have only these pulses. A frame of counts
+    has no such other one.
+    """
+    if frames.config.counting:
+        return
     shorter = Golden(frames.config.sensor)
     for edges, trace in zip(frames.frames, traces, strict=True):
         whole = shorter.frame(frames.shorter, edges, frames.ready, into_gap=frames.into_gap)
         assert_same_trace(trace, whole, but=() if frames.config.sensor.controller else ("budget",))
 
 
-def assert_plain(config, edges, result):
-    """Check a result against the plain model, as far as the format shows it."""
+def assert_plain(config, edges, result, pulses=None):
+    """Check a result against the plain model, as far as the format shows it. pulses: of each frame,
+    if not those of the configuration.
+    """
     sensor = config.sensor
-    frames, fate = plain_run(config, edges)
+    frames, fate = plain_run(config, edges, pulses)
     assert result["fate"].tolist() == fate
     for f, subgroups in enumerate(frames):
         for s, plain in enumerate(subgroups):
@@ -178,6 +189,18 @@ def assert_plain(config, edges, result):
             _check_records(config, result, records, plain.records, f)
             assert len(records) == result["mg_stored"][f, s]
             assert len(plain.records) == result["mg_stored"][f, s] + result["mg_dropped"][f, s]
+    if config.counting:
+        assert_plain_counts(config, edges, result, pulses)
+
+
+def assert_plain_counts(config, edges, result, pulses):
+    """Check gates and counts of a result against the plain counts."""
+    frame = Frame(config.sensor.subgroup, config.period, config.search_pulses, config.pulses)
+    for f, subgroups in enumerate(plain_counts(config, edges, result["fate"].tolist(), pulses)):
+        for s, groups in enumerate(subgroups):
+            expected = read_rows(groups, frame)
+            for name, values in expected._asdict().items():
+                np.testing.assert_array_equal(result[name][f, s], values, err_msg=name)
 
 
 def _check_records(config, result, rows, records, frame):
