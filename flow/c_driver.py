@@ -5,9 +5,21 @@
 
 from pathlib import Path
 
-from ..model.contract import groups
+from ..model.contract import counts, groups
 from ..model.contract.counters import COUNTER_NAMES
-from ..model.contract.packet import FRAME_END, GROUP_KIND, KIND_BITS, PACKETS, UNUSED, Packet
+from ..model.contract.packet import (
+    COUNTS,
+    FRAME_END,
+    GROUP_KIND,
+    KIND_BITS,
+    PACKETS,
+    UNUSED,
+    WITH_COUNTS,
+    WITH_GROUPS,
+    Field,
+    Packet,
+)
+from ..model.contract.parameters import QUARTERS
 from ..model.contract.table import Limit
 from ..model.shared.licence import SPDX
 
@@ -24,6 +36,15 @@ _GROUPS = {  # places and widths in groups of events
     "MAPPED": groups.MAPPED,
     "AGE_BITS": groups.AGE_BITS,
 } | {f"{name.upper()}_IN_HEAD": bits for name, bits in groups.HEAD._asdict().items()}
+_COUNTS = {
+    "GATES": counts.GATES,
+    "NO_GATE": counts.NO_GATE,
+    "GATE_BITS": counts.GATE_BITS,
+    "GATE_CYCLES": counts.GATE_CYCLES,
+    "QUARTERS": QUARTERS,
+    "COUNT_BITS": counts.COUNT_BITS,
+    "COUNT_PULSE_BITS": next(field.width for field in COUNTS.fields if field.name == "pulses"),
+}
 
 
 def c_driver() -> dict[str, str]:
@@ -48,6 +69,10 @@ def _packets_header() -> str:
         f"#define COINCID_COUNTERS {len(COUNTER_NAMES)}u /* of a subgroup, in a frame end */",
         f"enum {{ {kinds}, COINCID_GROUP = {GROUP_KIND}, COINCID_DAMAGED = {1 << KIND_BITS} }};",
         *(f"#define COINCID_{name} {value}u" for name, value in _GROUPS.items()),
+        "/* Counts in gates. */",
+        *(f"#define COINCID_{name} {value}u" for name, value in _COUNTS.items()),
+        "/* `count` of a frame start, if the frame does not have events one by one. */",
+        f"enum {{ COINCID_WITH_GROUPS = {WITH_GROUPS}, COINCID_WITH_COUNTS = {WITH_COUNTS} }};",
         "/* Bits of the first beat that are 0 in these kinds. */",
         *(
             f"#define {_kind(PACKETS[code])}_UNUSED {unused:#x}ull"
@@ -65,18 +90,26 @@ def _packets_header() -> str:
 
 
 def _kind(packet: Packet) -> str:
-    return f"COINCID_{packet.name.upper()}"
+    name = "gate_counts" if packet is COUNTS else packet.name  # `COINCID_COUNTS` is a register
+    return f"COINCID_{name.upper()}"
 
 
 def _packet(packet: Packet) -> str:
     fields = [
         f"ITEMS({field.name}, {_number(field.width)}, {_number(field.items)})"
         if field.aligned
-        else f"NUMBER({field.name}, {_number(field.width)})"
+        else f"NUMBER({field.name}, {_bits(field)})"
         for field in packet.fields
     ]
     times = "subgroups" if packet is FRAME_END else "1u"
     return f"PACKET({_kind(packet)}, {times}, {' '.join(fields)})"
+
+
+def _bits(field: Field) -> str:
+    """Return the bits of all items of a field, which is one number for the driver."""
+    if isinstance(field.width, int) and isinstance(field.items, int):
+        return _number(field.width * field.items)
+    raise TypeError(f"{field.name}: its width depends on the sensor")
 
 
 def _number(limit: Limit) -> str:

@@ -9,8 +9,10 @@ import io
 
 import numpy as np
 
+from ..model.contract.counts import GATES
 from ..model.contract.packet import built_formats
 from ..model.contract.parameters import Sensor
+from ..model.contract.pixels import pixel_table
 from ..model.contract.result import EVENT_FIELDS, ResultBuilder
 from ..model.golden.frame import Golden
 from .gls import random_frames
@@ -20,8 +22,8 @@ MAP_DIGITS = 16  # hexadecimal digits of a beat of the map
 
 
 def captured_files(sensor: Sensor) -> dict[str, bytes]:
-    """Return the files by name: for each format the beats (text), the events (CSV), and the
-    whole result (NPZ).
+    """Return the files by name: for each format the beats (text), the events or counts (CSV), and
+    the whole result (NPZ).
     """
     files: dict[str, bytes] = {}
     golden, formats = Golden(sensor), built_formats(sensor)
@@ -42,7 +44,9 @@ def captured_files(sensor: Sensor) -> dict[str, bytes]:
         np.savez_compressed(npz, **arrays)  # type: ignore[arg-type]  # no array is called allow_pickle
         files |= {
             f"{FOLDER}/{number}_{name}.txt": _lines(["stream beat last", *beats]),
-            f"{FOLDER}/{number}_{name}.csv": _lines(_rows(arrays)),
+            f"{FOLDER}/{number}_{name}.csv": _lines(
+                _rows_of_counts(arrays, sensor) if config.counting else _rows(arrays)
+            ),
             f"{FOLDER}/{number}_{name}.npz": npz.getvalue(),
         }
     return files
@@ -63,6 +67,24 @@ def _rows(arrays: dict[str, np.ndarray]) -> list[str]:
             else:
                 cells.append(str(int(value)))
         rows.append(",".join(cells))
+    return rows
+
+
+def _rows_of_counts(arrays: dict[str, np.ndarray], sensor: Sensor) -> list[str]:
+    """Return one line per pixel, in the order of the minigroups."""
+    table = pixel_table(sensor)
+    columns = ["subgroup", "pixel", "count_pulses"]
+    for gate in range(GATES):
+        columns += [f"gate_cycle_{gate}", f"gate_hits_{gate}"]
+    rows = [",".join(columns)]
+    for s in range(sensor.subgroups):
+        for i in np.lexsort((table.bit, table.minigroup)).tolist():
+            cells = [s, i, arrays["count_pulses"][0, s, i]]
+            for gate in range(GATES):
+                hits = arrays["gate_hits"][0, s, i, gate]
+                cells += [arrays["gate_cycle"][0, s, table.minigroup[i], gate]]
+                cells += [" ".join(map(str, hits))]
+            rows.append(",".join(map(str, cells)))
     return rows
 
 

@@ -50,6 +50,7 @@ int coincid_probe(const coincid_bus *bus, coincid_sensor_info *info) {
     minigroup = constant(bus, COINCID_MINIGROUP_ROWS, &failed) * constant(bus, COINCID_MINIGROUP_COLS, &failed);
     info->record_stamp_bits = constant(bus, COINCID_COARSE_BITS, &failed) + 2u;
     if (failed || !info->pixels || !minigroup) return COINCID_NO_SENSOR;
+    info->minigroup_pixels = minigroup;
     info->subgroups = rows * cols / info->pixels;
     info->minigroups = info->pixels / minigroup;
     info->record_bits = info->record_stamp_bits + minigroup <= 16u ? 16u : 32u;
@@ -163,12 +164,19 @@ static int decode_group(const uint64_t *beats, size_t n, coincid_packet *packet)
     return (int)k;
 }
 
+/* Return whether a frame has packets of a kind. */
+static int is_expected(const coincid_sensor_info *info, int kind) {
+    if (kind == COINCID_FRAME_START || kind == COINCID_FRAME_END) return 1;
+    return (info->grouped == COINCID_WITH_COUNTS) == (kind == COINCID_GATE_COUNTS);
+}
+
 int coincid_decode(const coincid_sensor_info *info, uint32_t subgroups, const uint64_t *beats, size_t n, coincid_packet *packet) {
     coincid_packet found = no_packet();
     uint32_t length = 0, bit = 0, times = 1;
     if (!n) return 0;
-    if (info->grouped && (begins_group(beats[0]) || is_damaged(beats[0]))) return decode_group(beats, n, packet);
+    if (info->grouped == COINCID_WITH_GROUPS && (begins_group(beats[0]) || is_damaged(beats[0]))) return decode_group(beats, n, packet);
     found.kind = (int)(beats[0] >> KIND_LSB);
+    if (!is_expected(info, found.kind)) return COINCID_BAD_STREAM;
     switch (found.kind) {
 #define NUMBER(name, width) found.name = number(beats, n, &bit, width);
 #define ITEMS(name, width, items)                                                  \
@@ -264,6 +272,29 @@ void coincid_entry(const coincid_sensor_info *info, const coincid_packet *packet
     const uint64_t entry = packet->entries[minigroup / per_beat] >> minigroup % per_beat * info->record_bits;
     *stamp = (uint32_t)(entry & ((1u << info->record_stamp_bits) - 1u));
     *map = (uint32_t)(entry & (info->record_bits == 32u ? 0xffffffffu : 0xffffu)) >> info->record_stamp_bits;
+}
+
+uint32_t coincid_gate(const coincid_packet *packet, uint32_t gate) {
+    return packet->gates >> gate * COINCID_GATE_BITS & ((1u << COINCID_GATE_BITS) - 1u);
+}
+
+uint32_t coincid_pulses(const coincid_packet *packet, uint32_t pixel) {
+    const uint32_t bit = pixel * COINCID_COUNT_PULSE_BITS;
+    return (uint32_t)(packet->pulses[bit / 64u] >> bit % 64u & ((1u << COINCID_COUNT_PULSE_BITS) - 1u));
+}
+
+uint32_t coincid_gate_hits(const coincid_packet *packet, uint32_t gate, uint32_t pixel, uint32_t quarter) {
+    const uint32_t cycle = coincid_gate(packet, gate) + quarter / COINCID_QUARTERS;
+    const uint64_t row = packet->rows[gate * COINCID_GATE_CYCLES + cycle % COINCID_GATE_CYCLES];
+    const uint32_t bit = quarter % COINCID_QUARTERS * (64u / COINCID_QUARTERS) + pixel * COINCID_COUNT_BITS;
+    return (uint32_t)(row >> bit & ((1u << COINCID_COUNT_BITS) - 1u));
+}
+
+uint32_t coincid_pixel(const coincid_sensor_info *info, const coincid_packet *packet, uint32_t pixel) {
+    const uint32_t across = info->subgroup_cols / info->minigroup_cols;
+    const uint32_t row = packet->minigroup / across * info->minigroup_rows + pixel / info->minigroup_cols;
+    const uint32_t col = packet->minigroup % across * info->minigroup_cols + pixel % info->minigroup_cols;
+    return row * info->subgroup_cols + col;
 }
 
 uint32_t coincid_counter(const coincid_packet *packet, uint32_t index, uint32_t counter) {

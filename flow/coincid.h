@@ -27,7 +27,8 @@ typedef struct {
     uint32_t record_bits, record_stamp_bits; /* of a minigroup's entry */
     uint32_t subgroup_bits, pixel_bits, offset_bits; /* of the fields in groups of events */
     uint32_t minigroup_rows, minigroup_cols, subgroup_cols; /* in pixels */
-    uint32_t grouped; /* whether the frame's events come in groups: set it to the `count` of the frame start, 1 or 0 */
+    uint32_t minigroup_pixels;
+    uint32_t grouped; /* what the frame has: set it to the `count` of the frame start; 0 events, 1 groups of events, 2 counts */
 } coincid_sensor_info;
 
 int coincid_probe(const coincid_bus *bus, coincid_sensor_info *info);
@@ -38,11 +39,14 @@ int coincid_reset(const coincid_bus *bus);
 /* Poll the status up to `polls` times until the frame has been delivered, then clear the `done` bit. */
 int coincid_wait(const coincid_bus *bus, uint32_t polls);
 
-/* A packet of the stream, of a kind of coincid_packets.h. map, offsets, entries and counters point to beats of the stream, or are 0 if the kind has none. */
+/* A packet of the stream, of a kind of coincid_packets.h. map, offsets, entries, counters, pulses and rows point to beats of the stream,
+   or are 0 if the kind has none. */
 typedef struct {
     int kind;
     uint32_t overrun, subgroup, pulse, count, winner, stamp; /* pulse: in the frame; for frame start and end, the frame number */
     const uint64_t *map, *offsets, *entries, *counters;
+    const uint64_t *pulses, *rows; /* of counts: read them with coincid_pulses and coincid_gate_hits */
+    uint32_t gates, minigroup; /* of counts: read the first one with coincid_gate */
     const uint64_t *group; /* of a group of events: its beats */
     uint32_t group_beats, bit, number, stamp_bits, with_offsets; /* number: of groups before it in the frame, modulo 256 */
 } coincid_packet;
@@ -70,6 +74,13 @@ int coincid_hit(const coincid_packet *packet, uint32_t pixel);
 uint32_t coincid_offset(const coincid_packet *packet, uint32_t minigroup);
 /* Stamp and map of a minigroup's entry in a record; the map is 0 if the minigroup has not latched. */
 void coincid_entry(const coincid_sensor_info *info, const coincid_packet *packet, uint32_t minigroup, uint32_t *stamp, uint32_t *map);
+/* Of the counts of a minigroup (kind COINCID_GATE_COUNTS). A gate is 0 or 1, `pixel` the pixel's number in the minigroup, `quarter` from
+   0 to 15 the quarter of a cycle since the gate's beginning. First cycle of a gate, or COINCID_NO_GATE; number of pulses in which a
+   pixel counted; its hits; its number in the subgroup. */
+uint32_t coincid_gate(const coincid_packet *packet, uint32_t gate);
+uint32_t coincid_pulses(const coincid_packet *packet, uint32_t pixel);
+uint32_t coincid_gate_hits(const coincid_packet *packet, uint32_t gate, uint32_t pixel, uint32_t quarter);
+uint32_t coincid_pixel(const coincid_sensor_info *info, const coincid_packet *packet, uint32_t pixel);
 /* Counter `counter` (in the order of the registers) of subgroup `index` of the stream, from a frame end. */
 uint32_t coincid_counter(const coincid_packet *packet, uint32_t index, uint32_t counter);
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* An example of the driver: decodes a captured frame (captured/NAME.txt), and prints its events as in captured/NAME.csv.
+/* An example of the driver: decodes a captured frame (captured/NAME.txt), and prints its events or counts as in captured/NAME.csv.
    Here the registers are those of coincid_regs.h; on a chip, `read` and `write` access the bus. */
 #include <inttypes.h>
 #include <stdio.h>
@@ -60,7 +60,25 @@ static void print_event(const coincid_sensor_info *info, const coincid_packet *p
     putchar('\n');
 }
 
-/* Print the events of one stream, which carries `subgroups` subgroups. Return 0, or 1 if its beats are no frame. */
+/* Print the pixels of a minigroup, one per line. */
+static void print_counts(const coincid_sensor_info *info, const coincid_packet *packet) {
+    uint32_t pixel;
+    uint32_t gate;
+    uint32_t quarter;
+    for (pixel = 0; pixel < info->minigroup_pixels; pixel++) {
+        printf("%" PRIu32 ",%" PRIu32, packet->subgroup, coincid_pixel(info, packet, pixel));
+        printf(",%" PRIu32, coincid_pulses(packet, pixel));
+        for (gate = 0; gate < COINCID_GATES; gate++) {
+            printf(",%" PRIu32, coincid_gate(packet, gate));
+            for (quarter = 0; quarter < COINCID_GATE_CYCLES * COINCID_QUARTERS; quarter++) {
+                printf("%c%" PRIu32, quarter ? ' ' : ',', coincid_gate_hits(packet, gate, pixel, quarter));
+            }
+        }
+        putchar('\n');
+    }
+}
+
+/* Print the events or counts of one stream, which carries `subgroups` subgroups. Return 0, or 1 if its beats are no frame. */
 static int print_stream(coincid_sensor_info *info, uint32_t subgroups, const uint64_t *beats, size_t n) {
     size_t at = 0;
     while (at < n) {
@@ -74,6 +92,8 @@ static int print_stream(coincid_sensor_info *info, uint32_t subgroups, const uin
             coincid_group group;
             coincid_group_begin(&packet, &group);
             while (coincid_group_event(info, &group, &packet)) print_event(info, &packet);
+        } else if (packet.kind == COINCID_GATE_COUNTS) {
+            print_counts(info, &packet);
         } else if (packet.kind != COINCID_RECORD && packet.kind != COINCID_FRAME_END) {
             print_event(info, &packet);
         }

@@ -19,12 +19,15 @@ from coincid.flow.register_files import HEADER, register_files
 from coincid.host.driver import Driver
 from coincid.host.transport import RefusedError
 from coincid.model.contract.counters import COUNTER_NAMES
+from coincid.model.contract.gate_counts import Counts
 from coincid.model.contract.packet import (
-    FORMATS,
+    COUNTS,
+    EVENT_FORMATS,
     FRAME_END,
     FRAME_START,
     GROUP_KIND,
     RECORD,
+    WITH_COUNTS,
     header_field,
     layout,
 )
@@ -44,7 +47,7 @@ FLAGS = ["-std=c99", *WARNINGS, "-O1"]
 U32 = ctypes.c_uint32
 READ = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, U32, ctypes.POINTER(U32))
 WRITE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, U32, U32)
-EVENT_KINDS = {packet.code for packet in FORMATS.values()}
+EVENT_KINDS = {packet.code for packet in EVENT_FORMATS.values()}
 REFUSED, TIMEOUT, BAD_STREAM = -1, -3, -4
 
 
@@ -80,7 +83,9 @@ def compiled_driver(sensor) -> ctypes.CDLL:
             check=True,
         )
         loaded = ctypes.CDLL(str(folder / "driver.so"))
-    loaded.coincid_counter.restype = loaded.coincid_offset.restype = ctypes.c_uint32
+    of_packets = "counter", "offset", "gate", "pulses", "gate_hits", "pixel"
+    for name in of_packets:
+        getattr(loaded, f"coincid_{name}").restype = ctypes.c_uint32
     return loaded
 
 
@@ -183,8 +188,10 @@ def test_a_wait_polls_as_often_as_it_is_told(library, polls, done_at):
 
 
 def test_the_example_prints_maps_of_several_words(tmp_path):
-    """As the captured files have them, on a sensor with more than 64 pixels in a subgroup."""
-    sensor = random_cases.built_sensor(random_cases.SENSORS["wide"])
+    """And counts, as the captured files have them, on a sensor with more than 64 pixels in a
+    subgroup.
+    """
+    sensor = random_cases.built_sensor(random_cases.GOLDEN_SENSORS["wide"])
     files = c_driver() | {HEADER: register_files(sensor)[HEADER]}
     for file, text in files.items():
         (tmp_path / file).write_text(text, encoding="utf-8")
@@ -202,6 +209,7 @@ def test_the_example_prints_maps_of_several_words(tmp_path):
                 ["./decode", name], cwd=tmp_path, check=True, capture_output=True
             ).stdout
             _, rows = captured[name.replace(".txt", ".csv")].split(b"\n", 1)
+            assert len(rows) > 100
             assert printed == rows, name
 
 
@@ -236,10 +244,16 @@ def test_the_driver_drives_and_decodes(library):
     assert_decoded(library, info, beats, SENSOR)
 
 
-def assert_decoded(library, info, beats, sensor):
-    """Check that a frame has the events, records and counters that the decoder in Python finds."""
+def assert_decoded(library, info, beats, sensor, first=0):
+    """Check that a frame has the events, records, counts and counters that the decoder in Python
+    finds; return how many events and records, and whether there are hits in gates. first: subgroup
+    of the stream.
+    """
     frame = decode_frame(beats, sensor, info.subgroups)
     events, records, counters = [], [], []
+    counts = None
+    if frame.counts is not None:
+        counts = Counts(*(np.full(array.shape, -1) for array in frame.counts))
     group = -1
     for packet in packets(library, info, beats):
         where = ctypes.byref(packet)
@@ -250,6 +264,8 @@ def assert_decoded(library, info, beats, sensor):
             events.append(event(library, info, packet))
             if packet.map:
                 assert hits_of(library, where, info) == events[-1][1]
+        elif packet.kind == COUNTS.code:
+            put_counts(library, info, packet, counts, packet.subgroup - first)
         elif packet.kind == RECORD.code:
             entries = [entry(library, info, where, g) for g in range(info.minigroups)]
             records.append(((packet.subgroup, packet.pulse), entries))
@@ -262,7 +278,24 @@ def assert_decoded(library, info, beats, sensor):
     expected = zip(map(tuple, frame.records.tolist()), frame.entries.tolist(), strict=True)
     assert records == [(of, list(map(tuple, entries))) for of, entries in expected]
     assert counters == frame.counters.tolist()
-    return len(events), len(records)
+    if counts is not None:
+        for found, expected in zip(counts, frame.counts, strict=True):
+            assert np.array_equal(found, expected)
+    has_hits = counts is not None and counts.gate_hits.any()
+    return len(events), len(records), int(has_hits)
+
+
+def put_counts(library, info, packet, counts, subgroup):
+    """Put the counts of a minigroup into arrays, as the driver answers one by one."""
+    where = ctypes.byref(packet)
+    for gate in range(2):
+        counts.gate_cycle[subgroup, packet.minigroup, gate] = library.coincid_gate(where, gate)
+    for j in range(4):
+        pixel = library.coincid_pixel(ctypes.byref(info), where, j)
+        counts.count_pulses[subgroup, pixel] = library.coincid_pulses(where, j)
+        for gate, quarter in np.ndindex(2, 16):
+            hits = library.coincid_gate_hits(where, gate, j, quarter)
+            counts.gate_hits[subgroup, pixel, gate, quarter] = hits
 
 
 def hits_of(library, where, info):
@@ -300,9 +333,11 @@ def test_every_pair_of_features_is_decoded(library):
         for trace in frames.traces(Golden(sensor)):
             for stream, beats in enumerate(trace.beats):
                 info.subgroups = len(sensor.stream_subgroups(stream))
-                counts = assert_decoded(library, info, beats, sensor)
-                found.append((info.record_bits, *counts))
-    wide, events, records = np.array(found).T
+                first = sensor.stream_subgroups(stream).start
+                of_frame = assert_decoded(library, info, beats, sensor, first)
+                found.append((info.record_bits, *of_frame))
+    wide, events, records, with_counts = np.array(found).T
+    assert with_counts.sum() > 5
     assert events.sum() > 3000
     assert records[wide == 16].sum() > 20
     assert records[wide == 32].sum() > 20
@@ -351,9 +386,14 @@ def events_of(library, info, beats):
 
 def test_what_is_no_packet(library):
     info, packet, beats = Info(2, 64, 16, 16, 12), Packet(), np.zeros(20, np.uint64)
-    right = ((2, 1, 0), (2, 2, 2), (6, 1, 1), (7, 12, 0), (7, 13, 13), (1, 0, 0))
-    for kind, n, expected in ((0, 1, BAD_STREAM), (5, 1, BAD_STREAM), *right):
+    info.minigroup_pixels = 4
+    end = (6, 1, 1), (7, 12, 0), (7, 13, 13)
+    of_events = (0, 1, BAD_STREAM), (5, 1, BAD_STREAM), (2, 1, 0), (2, 2, 2), *end, (1, 0, 0)
+    of_counts = (0, 10, 10), (0, 9, 0), (1, 1, BAD_STREAM), (4, 20, BAD_STREAM), (5, 1, BAD_STREAM)
+    cases = [(0, case) for case in of_events]
+    cases += [(WITH_COUNTS, case) for case in (*of_counts, *end)]
+    for info.grouped, (kind, n, expected) in cases:
         beats[0] = np.uint64(kind << 61)
         start, length = ctypes.c_void_p(beats.ctypes.data), ctypes.c_size_t(n)
         done = library.coincid_decode(ctypes.byref(info), 2, start, length, ctypes.byref(packet))
-        assert done == expected, (kind, n)
+        assert done == expected, (info.grouped, kind, n)

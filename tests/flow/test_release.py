@@ -29,7 +29,7 @@ from coincid.hdl.sensor import FPGA_TOP, SensorTop
 from coincid.hdl.unit import Port
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.edges import Edges
-from coincid.model.contract.packet import FORMAT_NAMES
+from coincid.model.contract.packet import built_formats
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.stream import COLUMN, decode_frame
 from coincid.model.golden.frame import Golden
@@ -147,7 +147,7 @@ def test_smoke_test_passes_with_the_forms_for_cells(releases, tmp_path):
 @pytest.mark.parametrize("preset", SMALL)
 def test_captured_streams_decode_to_their_rows(releases, preset):
     of, folder = config(preset).sensor, releases / preset / "captured"
-    for name in FORMAT_NAMES:
+    for name in built_formats(of):
         (text,) = folder.glob(f"*_{name}.txt")
         rows = [line.split() for line in text.read_text(encoding="utf-8").splitlines()[1:]]
         result = read_npz(text.with_suffix(".npz"), ("subgroup", "stamp", "count", "opened"))
