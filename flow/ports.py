@@ -19,8 +19,9 @@ from ..hdl.sensor import FPGA_TOP, SensorTop
 from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.packet import (
     BEAT_BITS,
+    COUNTS,
     ENTRIES,
-    FORMATS,
+    EVENT_FORMATS,
     FRAME_END,
     FRAME_START,
     HEADER,
@@ -33,7 +34,7 @@ from ..model.contract.packet import (
 from ..model.contract.parameters import TOP, Sensor
 from ..model.shared import markdown
 from ..tools.pages import put
-from .contract_tables import header_table, settings_tables
+from .contract_tables import counts_table, header_table, settings_tables
 
 GROUPS = Path(__file__).with_name("groups.md")
 EXAMPLE = Sensor(rows=8, cols=16)  # for docs/integrate.md: two subgroups, one module
@@ -178,7 +179,7 @@ def stream_words(sensor: Sensor, groups_link: str = "contract.md#groups-of-event
     )
     counters = ", ".join(f"`{name}`" for name in COUNTER_NAMES)
     rows = [(FRAME_START, "frame start", 1, "nothing; `pulse` holds the frame's number")]
-    for name, packet in FORMATS.items():
+    for name, packet in EVENT_FORMATS.items():
         if packet.grouped:
             continue
         behind = (
@@ -186,6 +187,9 @@ def stream_words(sensor: Sensor, groups_link: str = "contract.md#groups-of-event
             or "nothing"
         )
         rows.append((packet, f"event, format {name}", lengths.length(packet), behind))
+    if sensor.counts:
+        after = "the pulses of its pixels, then its rows"
+        rows.append((COUNTS, "counts of a minigroup", lengths.length(COUNTS), after))
     rows += [
         (RECORD, "minigroup record", lengths.length(RECORD), "the minigroups' entries"),
         (
@@ -209,6 +213,8 @@ def stream_words(sensor: Sensor, groups_link: str = "contract.md#groups-of-event
     table = markdown.table(("type", "packet", "beats", "after the header"), coded, left=(1, 3))
     groups_told = "In the formats `compact` and `compact-full`, events leave in groups, whose beats have type 5"
     told += f"\n{groups_told} ([{groups_link.partition('#')[0]}]({groups_link})).\n"
+    if sensor.counts:
+        told += f"\nA packet with counts has other fields:\n\n{counts_table()}"
     return (
         f"The first beat of every packet is a header: {fields}.\n\n"
         + "\n".join(table)
@@ -230,7 +236,11 @@ def pages() -> dict[str, dict[str, str]]:
             "instance": f"```verilog\n{instantiation(EXAMPLE)}```\n",
             "words": stream_words(EXAMPLE),
         },
-        "docs/contract.md": {"header": header_table(), "groups": groups_page()},
+        "docs/contract.md": {
+            "header": header_table(),
+            "groups": groups_page(),
+            "counts": counts_table(),
+        },
         "docs/files.md": settings_tables(),
     }
 
