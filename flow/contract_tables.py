@@ -14,13 +14,15 @@ from ..model.contract.packet import (
     FRAME_START,
     GROUP_KIND,
     HEADER,
+    KIND_BITS,
+    KIND_LSB,
     RECORD,
     Field,
     Part,
     parts_of,
 )
 from ..model.contract.parameters import Sensor
-from ..model.contract.table import Kind, Limit, Setting
+from ..model.contract.table import Kind, Limit, Setting, number
 from ..model.shared import markdown
 
 
@@ -84,8 +86,8 @@ def header_table() -> str:
         if not of.grouped
     )
     docs["kind"] = (
-        f"event: {kinds}; {GROUP_KIND} group of events, {RECORD.code} minigroup record,"
-        f" {COUNTS.code} [counts](#counts) of a minigroup, {FRAME_START.code} frame start, {FRAME_END.code} frame end"
+        f"{COUNTS.code} [counts](#counts) of a minigroup; event: {kinds}; {GROUP_KIND} group of events,"
+        f" {RECORD.code} minigroup record, {FRAME_START.code} frame start, {FRAME_END.code} frame end"
     )
     rows = [
         (f"`{name}`", f"{lsb + width - 1}:{lsb}", docs[name])
@@ -97,36 +99,26 @@ def header_table() -> str:
 
 
 def counts_table() -> str:
-    """Return the fields of a packet with counts, beat by beat."""
+    """Return the fields of a packet with counts: by beat, the highest bits of each beat first."""
     sensor = Sensor(counts=1)
-    lsb, width = HEADER["kind"]
-    rows = [("0", _bits(lsb, width), "`kind`", str(COUNTS.code))]
-    fields = {field.name: field for field in COUNTS.fields}
-    for name, group in groupby(parts_of(sensor, COUNTS), lambda part: part.field):
-        rows.append(_row_of_parts(fields[name], list(group), sensor))
-    rows.sort(key=lambda row: int(row[0].split()[0]))
-    return "\n".join(
-        [*markdown.table(["beat", "bits", "field", "meaning"], rows, left=range(4)), ""]
-    )
+    kind = Part("kind", KIND_BITS, 0, 0, KIND_LSB)
+    meanings = {"kind": str(COUNTS.code)} | {
+        field.name: _meaning(field, sensor) for field in COUNTS.fields
+    }
+    parts = [kind, *parts_of(sensor, COUNTS)]
+    parts.sort(key=lambda part: (part.beat, -part.lsb))
+    rows = []
+    for name, group in groupby(parts, lambda part: part.field):
+        first, *others = group
+        beats = f"{first.beat} to {others[-1].beat}" if others else f"{first.beat}"
+        bits = f"{first.lsb + first.width - 1}:{first.lsb}"
+        rows.append((beats, bits, f"`{name}`", meanings[name]))
+    head = "beat", "bits", "field", "meaning"
+    return "\n".join([*markdown.table(head, rows, left=range(4)), ""])
 
 
-def _row_of_parts(field: Field, parts: list[Part], sensor: Sensor) -> tuple[str, str, str, str]:
-    """Return the row of a field. parts: of one beat, or one whole beat after the other."""
-    first = parts[0]
-    last = parts[-1]
-    beats = f"{first.beat} to {last.beat}" if len(parts) > 1 else f"{first.beat}"
-    items = field.bits(sensor) // int(field.width) if isinstance(field.width, int) else 1
-    if len(parts) > 1:
-        assert all(part.width == BEAT_BITS for part in parts)
-    elif items > 1:
-        return (
-            beats,
-            _bits(first.lsb, first.width),
-            f"`{field.name}`",
-            f"{items} x {field.width} bits: {field.doc}",
-        )
-    return beats, _bits(first.lsb, first.width), f"`{field.name}`", field.doc
-
-
-def _bits(lsb: int, width: int) -> str:
-    return f"{lsb + width - 1}:{lsb}"
+def _meaning(field: Field, sensor: Sensor) -> str:
+    """Return what a field holds; several items in a beat with their width."""
+    width = int(number(field.width, sensor))
+    items = field.bits(sensor) // width
+    return f"{items} x {width} bits: {field.doc}" if items > 1 and width < BEAT_BITS else field.doc

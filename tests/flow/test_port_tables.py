@@ -7,11 +7,13 @@ import re
 import subprocess
 from pathlib import Path
 
+import attrs
 import pytest
 from amaranth.hdl import ClockDomain, Module
 from amaranth.sim import Simulator
 
-from coincid.flow.ports import EXAMPLE, UNDEFINED, instantiation, pages, port_rows
+from coincid.flow.contract_tables import counts_table
+from coincid.flow.ports import EXAMPLE, UNDEFINED, instantiation, pages, port_rows, stream_words
 from coincid.flow.release import README, release_files
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.front_end_views import POLYPHASE, view_at
@@ -139,3 +141,16 @@ def test_the_diagrams_show_what_the_page_says():
     assert refused["s_axi_bresp"] == 2
     for picture in timing_diagrams.PICTURES.values():
         assert picture(trace if picture.form == "id" else timing_diagrams.traced(picture.form)).axes
+
+
+def test_words_of_a_sensor_with_counts():
+    """Beat by beat, as docs/contract.md places the fields; a sensor without counts has none."""
+    shown = stream_words(attrs.evolve(EXAMPLE, counts=1))
+    assert "| 0 | counts of a minigroup | 10 | the pulses of its pixels, then its rows |" in shown
+    rows = [line.split(" | ")[:3] for line in shown.splitlines() if line.startswith("| 2 to 9")]
+    assert rows == [["| 2 to 9", "63:0", "`rows`"]]
+    in_first = [line for line in counts_table().splitlines() if line.startswith("| 0 |")]
+    bits = [re.search(r"(\d+):(\d+) \| `(\w+)`", line).groups() for line in in_first]
+    expected = [("63", "61", "kind"), ("59", "48", "subgroup"), ("47", "16", "minigroup")]
+    assert bits == [*expected, ("15", "0", "gates")]
+    assert "counts" not in stream_words(EXAMPLE)

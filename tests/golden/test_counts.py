@@ -219,3 +219,20 @@ def test_bins_become_full_in_every_step(phases):
     assert np.all(result["count_pulses"] == 15)
     full = result["gate_hits"][0, 0].reshape(16, 2, 4, 4)[..., 0] == 15
     assert full.any(axis=(1, 2)).all()
+
+
+def test_the_other_bin_of_the_cycle_that_fills_one_gets_its_hits():
+    """It makes the peak in cycle 10 higher than the one in cycle 20, so it is the first gate."""
+    phases = 4
+    sensor = dict(rows=4, cols=4, subgroup=[4, 4], phases=phases, counts=1)
+    frame = {"pulses": 41, "period": 40, "format": "counts", "search_pulses": 20}
+    config = configured(sensor | {"window_max": WINDOW_MAX_TICKS}, frame)
+    minigroup = [0, 1, 4, 5]
+    hits = [(20 + k, pixel, 20 * phases + k % 2 * 2) for k in range(16) for pixel in minigroup]
+    hits += [(20 + k, pixel, 10 * phases) for k in range(15) for pixel in minigroup]
+    hits += [(38, pixel, 10 * phases) for pixel in (0, 1)]
+    hits += [(39, 0, 10 * phases)] + [(39, pixel, 10 * phases + 2) for pixel in (1, 4, 5)]
+    edges = Edges(*np.array(hits).T)
+    result = golden_result(config, edges)
+    assert_plain(config, edges, result)
+    assert result["gate_cycle"][0, 0, 0].tolist() == [8, 19]
