@@ -139,7 +139,9 @@ def tree_rests(b: Bench):
         if flow.name == "In":
             m.d.comb += signal.eq(b.anything(len(signal)))
             m.d.comb += gated.flat_ports()[name][1].eq(signal)
-    strobes = b.same("strobes", Cat(free.timing[name] for name in bus.strobes(sensor)).any() | free.accept)
+    strobes = b.same(
+        "strobes", Cat(free.timing[name] for name in bus.strobes(sensor)).any() | free.accept
+    )
     calm = _quiet_for(b, ~strobes & ~ResetSignal(), TREE_CYCLES)
     needed = b.same("needed", strobes | (calm != TREE_CYCLES) | ResetSignal())
     enable = b.same("enable", b.anything(1) | needed)

@@ -12,7 +12,14 @@ from ..model.contract import registers
 from ..model.contract.config import Config
 from ..model.contract.packet import FRAME_END, FRAME_START, layout
 from ..model.contract.parameters import SENSOR, Sensor
-from ..model.contract.registers import ID_VALUE, VERSION_VALUE, WRITABLE, Access, Register
+from ..model.contract.registers import (
+    ID_VALUE,
+    VERSION_VALUE,
+    VERSION_WITH_COUNTS,
+    WRITABLE,
+    Access,
+    Register,
+)
 from ..model.contract.stream import NO_HEADER, StreamError, is_grouped, kind_of
 from ..model.contract.table import Kind, Setting
 from ..model.shared.errors import InputError, check_integer
@@ -294,5 +301,9 @@ def read_sensor(transport: Transport) -> Sensor:
             else constant(name)
         )
 
-    values: dict[str, Any] = {name: parameter(setting) for name, setting in SENSOR.items()}
+    values: dict[str, Any] = {
+        name: parameter(setting)
+        for name, setting in SENSOR.items()
+        if not setting.needs or found >= VERSION_WITH_COUNTS
+    }
     return Sensor(**values)

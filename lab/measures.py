@@ -12,7 +12,7 @@ from attrs import frozen
 
 from ..model.contract.config import Config
 from ..model.contract.groups import FIRST_PIXELS, PAYLOAD_BITS, group_widths
-from ..model.contract.packet import BEAT_BITS, FORMATS, RECORD, layout
+from ..model.contract.packet import BEAT_BITS, COUNTS, FORMATS, RECORD, layout
 from ..model.depth.pulse_ticks import pulse_ticks
 from ..model.depth.quality import (
     OTHER_SURFACE_M,
@@ -282,19 +282,19 @@ MEASURES = {name: Measure(*rest) for name, rest in (_SWEPT | _OTHERS).items()}
 
 
 def stream_beats(config: Config, events: np.ndarray, records: np.ndarray) -> np.ndarray:
-    """Number[streams]: beats of a frame, including its start, end and counters. With groups it is a
-    mean (`event_beats`).
+    """Number[streams]: beats of a frame, including its start, end, counters and counts. With groups
+    it is a mean (`event_beats`).
 
     events, records: number[subgroups], events and minigroup records that leave the sensor.
     """
     sensor, packets = config.sensor, layout(config.sensor)
-    payload, counter_beats = (
-        events * event_beats(config) + records * packets.length(RECORD),
-        packets.counter_beats,
-    )
+    payload = events * event_beats(config) + records * packets.length(RECORD)
+    at_end = packets.counter_beats
+    if config.counting:
+        at_end += sensor.minigroups * packets.length(COUNTS)
     subgroups = [sensor.stream_subgroups(stream) for stream in range(sensor.streams)]
     return np.array(
-        [2 + payload[of_stream].sum() + len(of_stream) * counter_beats for of_stream in subgroups]
+        [2 + payload[of_stream].sum() + len(of_stream) * at_end for of_stream in subgroups]
     )
 
 

@@ -6,8 +6,9 @@ import numpy as np
 from ..lab.measures import event_beats, stream_beats
 from ..lab.pace import LASER_MEAN_W, pulse_energy_j
 from ..model.contract.config import Config
+from ..model.contract.counts import CYCLES_MAX
 from ..model.contract.link import stream_gbps
-from ..model.contract.packet import BEAT_BITS, FORMATS, WITH_MAP
+from ..model.contract.packet import BEAT_BITS, COUNTS, FORMATS, WITH_MAP, layout
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from .price import um2_per_pixel, uw_per_pixel
 
@@ -19,51 +20,82 @@ def meaning(config: Config) -> list[tuple[str, str]]:
     """Return (name, value with its unit) of everything that follows from a configuration."""
     sensor, tick_s = config.sensor, config.tick_s
     cycle_ns, metres_per_s = 1e3 / config.clock_mhz, SPEED_OF_LIGHT_M_S / 2
-    window, threshold = _span(config.window), _span(config.threshold)
     frame_s = config.frame_cycles * cycle_ns * 1e-9
     sent_gbps = float(stream_gbps(config.clock_mhz))
-    controlled = (
-        f", by the controller in {config.controlled.sum()} of {sensor.subgroups}"
-        if config.controlled.any()
-        else ""
-    )
-    off = (
-        f"; coincidence is off in {np.sum(~config.coincidence)}"
-        if not config.coincidence.all()
-        else ""
-    )
-    beats = event_beats(config)
     streams = f"{sensor.streams} of {sent_gbps:.4g} Gbit/s"
     link_share = f"{float(config.link_share):.1%}"
-    events_per_us = config.capacity / frame_s / 1e6
     range_m = config.period_ticks * tick_s * metres_per_s
     period_ns = config.period * cycle_ns
     cycle_cm = cycle_ns * 1e-9 * metres_per_s * 100
     tick_cm = tick_s * metres_per_s * 100
     pixels = f"{sensor.rows} x {sensor.cols} pixels"
-    grouped = " with three pixels" * FORMATS[config.format].grouped
+    limit = f"no window opens in the last {sensor.guard} cycles"
+    if config.counting:
+        limit = f"hits count in the first {min(config.period, CYCLES_MAX)} cycles"
     return [
         ("array", f"{pixels} in {sensor.subgroups} subgroups of {_size(sensor.subgroup)}"),
         ("minigroups", f"{sensor.minigroups} of {_size(sensor.minigroup)} in a subgroup"),
         ("clock", f"{config.clock_mhz:g} MHz: a cycle is {cycle_ns:.4g} ns, {cycle_cm:.4g} cm"),
         ("tick", f"{tick_s * 1e12:.4g} ps, {tick_cm:.4g} cm ({sensor.phases} per cycle)"),
-        ("window", f"{window} ticks, {_span(config.window, tick_s * 1e9)} ns"),
-        ("threshold", f"{threshold} pixels{controlled}{off}"),
+        *([] if config.counting else _windows(config)),
         ("laser period", f"{config.period} cycles, {period_ns:.4g} ns: {1e6 / period_ns:.4g} kHz"),
         *_pace(config),
-        ("range", f"{range_m:.4g} m; no window opens in the last {sensor.guard} cycles"),
+        ("range", f"{range_m:.4g} m; {limit}"),
         (
             "frame",
             f"{config.pulses} pulses, {frame_s * 1e6:.4g} us: {1 / frame_s:,.0f} frames per second",
         ),
-        ("event", f"{config.format}: {beats:.3g} beats of {BEAT_BITS} bits{grouped}"),
+        *(_counts(config) if config.counting else _events(config, frame_s)),
         ("stream", f"{streams}; the link takes {link_share} of its beats"),
+        ("area", f"about {um2_per_pixel(sensor):.0f} um2 per pixel in 45 nm"),
+        ("power", f"about {uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux"),
+    ]
+
+
+def _windows(config: Config) -> list[tuple[str, str]]:
+    """Return the rows of windows and thresholds."""
+    window = _span(config.window)
+    threshold = _span(config.threshold)
+    controlled = ""
+    if config.controlled.any():
+        controlled = (
+            f", by the controller in {config.controlled.sum()} of {config.sensor.subgroups}"
+        )
+    off = ""
+    if not config.coincidence.all():
+        off = f"; coincidence is off in {np.sum(~config.coincidence)}"
+    return [
+        ("window", f"{window} ticks, {_span(config.window, config.tick_s * 1e9)} ns"),
+        ("threshold", f"{threshold} pixels{controlled}{off}"),
+    ]
+
+
+def _events(config: Config, frame_s: float) -> list[tuple[str, str]]:
+    """Return the rows of events."""
+    beats = event_beats(config)
+    grouped = " with three pixels" * FORMATS[config.format].grouped
+    events_per_us = config.capacity / frame_s / 1e6
+    return [
+        ("event", f"{config.format}: {beats:.3g} beats of {BEAT_BITS} bits{grouped}"),
         (
             "events that fit",
             f"{config.capacity:,} per stream and frame, {events_per_us:.4g} million per second",
         ),
-        ("area", f"about {um2_per_pixel(sensor):.0f} um2 per pixel in 45 nm"),
-        ("power", f"about {uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux"),
+    ]
+
+
+def _counts(config: Config) -> list[tuple[str, str]]:
+    """Return the rows of counts in gates."""
+    sensor = config.sensor
+    search = config.search_pulses
+    beats = layout(sensor).length(COUNTS)
+    bits = sensor.subgroups * sensor.minigroups * beats * BEAT_BITS
+    return [
+        (
+            "steps",
+            f"{search} pulses for regions, {search} for gates, {config.pulses - 2 * search} for counts",
+        ),
+        ("counts", f"{beats} beats per minigroup, {bits / 1e3:.4g} kbit per frame"),
     ]
 
 
@@ -92,13 +124,15 @@ def warnings(config: Config) -> list[str]:
     gate_end = config.gate_start + config.gate_len
     full = "-full" * (config.format == "full")
 
-    coincidence_on = bool(config.coincidence.any())
-    lets_all_through = config.coincidence & (config.threshold == 1) & ~config.auto
-    never_commits = config.coincidence & (config.threshold > pixels_on)
-    controller_idle = config.auto & ~config.coincidence
-    controlled = bool(config.controlled.any())
+    coincidence = config.coincidence & (not config.counting)
+    coincidence_on = bool(coincidence.any())
+    lets_all_through = coincidence & (config.threshold == 1) & ~config.auto
+    never_commits = coincidence & (config.threshold > pixels_on)
+    controller_idle = config.auto & ~coincidence
+    controlled = bool((config.auto & coincidence).any())
     gate_given = _any_given(config, "subgroup.gate_start", "subgroup.gate_len", "frame.gate_every")
     gate_too_long = config.gating & (gate_end > config.period) & (config.gate_start > 0)
+    off = "frames have counts" if config.counting else "coincidence is off"
     records_given = _any_given(config, "frame.mg_threshold", "frame.mg_window")
     found = {
         f"streams = {sensor.streams} does not divide {sensor.subgroups} subgroups: "
@@ -120,12 +154,10 @@ def warnings(config: Config) -> list[str]:
         ),
         "Coincidence is on, but threshold 1 lets every photon through, "
         "as with coincidence off.": bool(lets_all_through.any()),
-        "window is set, but has no effect: coincidence is off.": (
+        f"window is set, but has no effect: {off}.": (
             _any_given(config, "subgroup.window") and not coincidence_on
         ),
-        "The controller is on, but coincidence is off: it has no effect.": (
-            bool(controller_idle.any())
-        ),
+        f"The controller is on, but {off}: it has no effect.": bool(controller_idle.any()),
         "The controller is on for one frame, but needs a few frames to settle.": (
             controlled and config.frames == 1
         ),
@@ -138,7 +170,7 @@ def warnings(config: Config) -> list[str]:
         ),
         "The gate ends after the laser period.": bool(gate_too_long.any()),
         f"format = '{config.format}' sends no map of pixels: there is no depth per pixel.": (
-            config.format not in WITH_MAP
+            config.format not in WITH_MAP and not config.counting
         ),
         f"format = '{config.format}' sends a whole map; "
         f"'compact{full}' carries the same events in fewer bits.": (
@@ -146,6 +178,15 @@ def warnings(config: Config) -> list[str]:
         ),
         "mg_threshold and mg_window have no effect: minigroup_records is off.": (
             records_given and not frame.minigroup_records
+        ),
+        "minigroup_records has no effect: frames have counts.": (
+            frame.minigroup_records and config.counting
+        ),
+        "search_pulses has no effect: the format is not 'counts'.": (
+            _any_given(config, "frame.search_pulses") and not config.counting
+        ),
+        f"Hits after cycle {CYCLES_MAX - 1} of the {config.period} do not count.": (
+            config.counting and config.period > CYCLES_MAX
         ),
         "dither_seed has no effect: dither_bits is 0.": (
             _any_given(config, "frame.dither_seed") and not frame.dither_bits

@@ -142,7 +142,9 @@ class Scoreboard:
         if PACKETS[kind] not in (FRAME_START, FRAME_END):
             fields = packet_fields(beats, np.array([start]), self.sensor, PACKETS[kind])
             of = ", ".join(
-                f"{name} {fields[name][0, 0]}" for name in ("subgroup", "pulse") if name in fields
+                f"{name} {fields[name][0, 0]}"
+                for name in ("subgroup", "minigroup", "pulse")
+                if name in fields
             )
         packet = f"{PACKETS[kind].name} packet, beat {index - start} of it"
         return f"frame {self.frame}, stream {stream}, {of}, cycle {cycle}, {packet}"

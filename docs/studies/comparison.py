@@ -21,7 +21,7 @@ from scipy import special
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import SETTLING, Setup
-from coincid.model.contract.packet import BEAT_BITS, FORMATS, layout
+from coincid.model.contract.packet import BEAT_BITS, EVENT_FORMATS, layout
 from coincid.model.contract.parameters import bits_for
 from coincid.model.depth.histograms import pixel_image
 from coincid.model.depth.peaks import APART_SIGMAS, pixel_peaks
@@ -211,7 +211,7 @@ def _by_words(shot: Shot, words: other_schemes.Words, arrival: np.ndarray, form:
     packets of the same length.
     """
     config, sensor = shot.config, shot.config.sensor
-    beats = layout(sensor).length(FORMATS[form])
+    beats = layout(sensor).length(EVENT_FORMATS[form])
     sent = other_schemes.read_out(shot.photons, words, sensor, sensor.phases, config.period, beats)
     return _by_stamps(shot, words.chosen(sent), arrival[sent], int(sent.sum()) * beats * BEAT_BITS)
 

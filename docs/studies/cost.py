@@ -14,7 +14,7 @@ from coincid.flow.mapped import map_block
 from coincid.hdl.subgroup import Subgroup
 from coincid.lab.measures import event_beats
 from coincid.model.contract.config import parse_config, sensor_table
-from coincid.model.contract.packet import BEAT_BITS, FORMATS, layout
+from coincid.model.contract.packet import BEAT_BITS, EVENT_FORMATS, layout
 from coincid.model.contract.parameters import CLOCK_MHZ, Sensor
 from coincid.model.shared.files import write_csv
 from coincid.model.shared.markdown import text_table
@@ -46,7 +46,7 @@ def point(sensor: Sensor) -> dict[str, float]:
     """
     config = parse_config({"sensor": sensor_table(sensor)})
     # the coder takes as many
-    cycles = {name: layout(sensor).length(packet) for name, packet in FORMATS.items()}
+    cycles = {name: layout(sensor).length(packet) for name, packet in EVENT_FORMATS.items()}
     return (
         {
             "area_um2_per_pixel": round(area_per_pixel_um2(sensor), 1),
@@ -54,7 +54,7 @@ def point(sensor: Sensor) -> dict[str, float]:
         }
         | {
             f"bits_{name}": round(BEAT_BITS * event_beats(config.with_frame(format=name)))
-            for name in FORMATS
+            for name in EVENT_FORMATS
         }
         | {f"mevents_per_s_{name}": round(CLOCK_MHZ / n, 1) for name, n in cycles.items()}
     )
@@ -101,7 +101,7 @@ def _draw(rows: list[dict[str, Any]]) -> Figure:
             at = [row["value"] for row in points]
             area, bits, rate = grid[:, column]
             area.plot(at, [row["area_um2_per_pixel"] / 1000 for row in points], "o-", color=INK)
-            for name, colour in zip(FORMATS, cycle((GREEN, ORANGE, VIOLET, BLUE, INK))):
+            for name, colour in zip(EVENT_FORMATS, cycle((GREEN, ORANGE, VIOLET, BLUE, INK))):
                 bits.plot(
                     at,
                     [row[f"bits_{name}"] for row in points],

@@ -185,6 +185,25 @@ def test_what_a_configuration_means_by_hand(clock_mhz, gap):
         assert told["gap"] == pytest.approx([gap, gap * cycle_ns / 1e3], **near)
 
 
+WITH_COUNTS = {"counts": 1}
+COUNTING = {"format": "counts"}
+
+
+def test_what_frames_of_counts_mean():
+    document = {"sensor": WITH_COUNTS, "frame": COUNTING | {"pulses": 60, "period": 250}}
+    told = dict(meaning(parse_config(document)))
+    assert told["steps"] == "12 pulses for regions, 12 for gates, 36 for counts"
+    assert told["counts"] == "10 beats per minigroup, 163.8 kbit per frame"
+    assert told["range"].endswith("; hits count in the first 250 cycles")
+    assert not told.keys() & {"window", "threshold", "event", "events that fit"}
+    # the controller and thresholds do nothing, and hits of all cycles count
+    of_events = {"subgroup": {"threshold": 1, "mask": "0"}}
+    assert not warnings(parse_config(document | of_events | {"sensor": LEAN_WITH_COUNTS}))
+
+
+LEAN_WITH_COUNTS = WITH_COUNTS | {"window_max": 16, "coarse_bits": 8}
+
+
 @pytest.mark.parametrize(
     ("document", "words"),
     [
@@ -199,6 +218,16 @@ def test_what_a_configuration_means_by_hand(clock_mhz, gap):
         ({"frame": {"mg_window": 3}}, "minigroup_records is off"),
         ({"frame": {"dither_seed": 3}}, "dither_seed has no effect"),
         ({"frame": {"pulses": 2}}, "Counters fill"),
+        ({"sensor": WITH_COUNTS, "frame": {"search_pulses": 2}}, "the format is not 'counts'"),
+        ({"sensor": WITH_COUNTS, "frame": COUNTING | {"period": 257}}, "Hits after cycle 255"),
+        (
+            {"sensor": WITH_COUNTS, "frame": COUNTING, "subgroup": {"window": 9}},
+            "frames have counts",
+        ),
+        (
+            {"sensor": WITH_COUNTS, "frame": COUNTING | {"minigroup_records": True}},
+            "minigroup_records has no effect",
+        ),
     ],
 )
 def test_what_is_wasted(document, words):
