@@ -21,11 +21,9 @@ from coincid.model.contract.table import Kind, Setting
 from coincid.model.golden.frame import Golden
 from coincid.tb.frame_record import FrameJob
 
-# Whether the RTL has the format counts: 1 gives it to sensors that are built in benches.
-RTL_COUNTS = 0
 # small ones, so that a case is fast; together they change every parameter from its default
 SENSORS = {
-    "default": dict(rows=8, cols=16, counts=RTL_COUNTS),
+    "default": dict(rows=8, cols=16),
     "one": dict(rows=8, cols=8),
     "coarse": dict(rows=8, cols=16, phases=8, window_max=16, rearm=2, fifo_depth=2),
     "tiny": dict(
@@ -59,7 +57,6 @@ SENSORS = {
         rearm=3,
         fifo_depth=5,
         offset_phases=4,
-        counts=RTL_COUNTS,
     ),
     "odd": dict(
         rows=6,
@@ -71,6 +68,9 @@ SENSORS = {
         offset_phases=8,
         streams=2,
         held=0,  # beside a controller
+    ),
+    "counting": dict(
+        rows=4, cols=8, subgroup=[4, 4], phases=8, coarse_bits=9, window_max=20, counts=1
     ),
 }
 WITH_COUNTS = ("default", "wide")

@@ -53,8 +53,8 @@ SENSORS = random_cases.SENSORS | {
 }
 SAMPLES = {
     "sliced": [name for name in SENSORS if name != "one"],
-    "icarus": ["one", "tiny", "narrow"],
-    "verilator": ["default"],
+    "icarus": ["one", "tiny", "narrow", "counting"],
+    "verilator": ["default", "counting"],
 }
 LONG = {("narrow", "sliced"), ("coarse", "sliced"), ("wide", "sliced")}  # compiled for little else
 BUILDS = [

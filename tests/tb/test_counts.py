@@ -13,7 +13,7 @@ from coincid.tb.sliced import SlicedSensor, play_side_by_side
 from .. import random_cases
 
 SENSORS = {
-    "one": dict(rows=4, cols=8, subgroup=[4, 4], phases=8, coarse_bits=9, window_max=20),
+    "counting": random_cases.SENSORS["counting"],
     "odd": dict(
         rows=6,
         cols=12,
@@ -98,7 +98,7 @@ def test_frames_of_counts(name):
 
 def test_resets_and_aborts_in_every_step():
     """An abort in the pauses, and a soft reset in them: the next frame is like a first one."""
-    config = counting("one", pulses=10, period=20)
+    config = counting("counting", pulses=10, period=20)
     pauses = counts.pause_cycles(config.sensor.minigroups)
     edges = light(config, 3, 20)
     ends = [2 * 20 + 5, 2 * 20 + pauses[0] - 3, 4 * 20 + pauses[0] + 700, 2 * 20 + pauses[0] + 25]
