@@ -146,7 +146,7 @@ class Counts(Unit):
             is_group = search.group == g
             place(
                 m,
-                f"minigroup_{g}",
+                f"counts_of_{g}",
                 minigroup,
                 platform,
                 accepted=accepted.word_select(g, pixels),

@@ -39,6 +39,7 @@ KINDS = (
     ("switching", "driven pins"),
     ("leakage", "leakage"),
 )
+PLACES = (*GROUPS, ("counts", "counts"))  # counts are not in the default sensor
 # frames per second; pulses of a frame, and their period
 RATES_HZ, VIDEO_PULSES, PERIOD_US = (30, 100), 100, 0.5
 # 50 ns of 500 ns, around the light of the target
@@ -136,13 +137,13 @@ def group_of(block: str) -> str | None:
     return next(
         name
         for instance in reversed(instances)
-        for begin, name in GROUPS
+        for begin, name in PLACES
         if instance.startswith(begin)
     )
 
 
 def _grouped(blocks: dict[str, Power]) -> dict[str, Power]:
-    groups = {name: Power() for _, name in GROUPS}
+    groups = {name: Power() for _, name in PLACES}
     for block, one in blocks.items():
         name = group_of(block)
         if name:
