@@ -8,14 +8,14 @@ import pytest
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.depth import planes
+from coincid.model.depth import surfaces
 from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.histograms import by_subgroup, frame_events
 from coincid.model.depth.likelihood import Grid, Guess, log_likelihood
-from coincid.model.depth.planes import LIGHTS
 from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, wrong_share
 from coincid.model.depth.seeds import find_seeds
+from coincid.model.depth.surfaces import LIGHTS
 from coincid.model.depth.unheard import unheard, windows_of
 from coincid.model.light.light import Light, signal_per_pulse
 from coincid.model.light.spad import Spad
@@ -129,11 +129,11 @@ def test_seeds_are_not_biased(monkeypatch):
     """They are middles of their bins, which are five ticks wide."""
     seen, scene = [], tilted()
     monkeypatch.setattr(
-        planes, "find_seeds", lambda *levels: seen.append(find_seeds(*levels)) or seen[-1]
+        surfaces, "find_seeds", lambda *levels: seen.append(find_seeds(*levels)) or seen[-1]
     )
     run = Run(Setup.of(scene, sensor={"rows": ROWS, "cols": COLS}, klux=20.0))
     run.depth()
-    step = round(planes.COARSE_SIGMAS * pulse_sigma_ticks(run.config))
+    step = round(surfaces.COARSE_SIGMAS * pulse_sigma_ticks(run.config))
     error_ticks = seen[0].time(step) - scene.truth_m / (run.config.tick_s * SPEED_OF_LIGHT_M_S / 2)
     assert abs(np.mean(error_ticks)) < 1 < step / 2
 
