@@ -191,6 +191,19 @@ def gate_moved(config: Config, pulse: np.ndarray) -> np.ndarray:
     return frame.gate_step * (pulse // frame.gate_every % frame.gate_steps)
 
 
+def open_share(config: Config, subgroup: int, pulses: range) -> np.ndarray:
+    """float64[cycles]: share of some pulses in which the gate of a subgroup is open; without gating,
+    it always is.
+    """
+    if not config.gating[subgroup]:
+        return np.ones(config.period)
+    opens = config.gate_start[subgroup] + gate_moved(config, np.array(pulses))
+    start, number = np.unique(opens, return_counts=True)
+    cycle = np.arange(config.period)[:, None]
+    is_open = (cycle >= start) & (cycle < start + config.gate_len[subgroup])
+    return is_open @ number / number.sum()
+
+
 def armed_ticks(stamp: np.ndarray, window: int | np.ndarray, config: Config) -> np.ndarray:
     """int64[n]: tick at which the tree is armed again after events at `stamp`."""
     sensor = config.sensor

@@ -27,7 +27,7 @@ from ..contract.latency import armed_cycle, close_cycle
 from ..contract.packet import BEAT_BITS
 from ..shared.compiled import njit, part
 from ..shared.threads import Threads
-from .clusters import gate_moved
+from .clusters import open_share
 from .histograms import Events, by_subgroup, pixel_image
 from .likelihood import DEAD_S
 from .pulse_ticks import PulseTicks
@@ -234,23 +234,11 @@ def _subgroup_of(
         pulses=pulses,
         mapped=events.mapped,
         rejected=1.0 - kept[1 : max(2, until)],
-        seen=_seen(config, s),
+        seen=np.repeat(open_share(config, s, range(config.pulses)), sensor.phases),
         opened=float(events.opened[s]),
         activity=np.where(mask, activity, 0.0),
         dead_ticks=DEAD_S / config.tick_s,
     )
-
-
-def _seen(config: Config, s: int) -> np.ndarray:
-    """float64[ticks]: share of the pulses in which the gate of subgroup s is open."""
-    if not config.gating[s]:
-        return np.ones(config.period_ticks)
-    pulse = np.arange(config.pulses)
-    opens = config.gate_start[s] + gate_moved(config, pulse)
-    start, number = np.unique(opens, return_counts=True)
-    cycle = np.arange(config.period)[:, None]
-    is_open = (cycle >= start) & (cycle < start + config.gate_len[s])
-    return np.repeat(is_open @ number / number.sum(), config.sensor.phases)
 
 
 @njit
