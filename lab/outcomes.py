@@ -15,6 +15,7 @@ from attrs import evolve
 from ..model.contract.config import Config
 from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
+from ..model.contract.gate_counts import Counts
 from ..model.contract.packet import FORMATS
 from ..model.contract.result import ResultBuilder, counter_arrays, frame_rows
 from ..model.depth.depth import Depth
@@ -282,7 +283,10 @@ class Run:
             number * self.config.pulses,
         )
         counters = counter_arrays(self._frames_of_golden().counters)
-        return with_pulse(rows.columns | counters, self.pulse)
+        columns = rows.columns
+        if self.config.counting:
+            columns = columns | _at_frame(columns, number, self.config.frames)
+        return with_pulse(columns | counters, self.pulse)
 
     @property
     def has_result(self) -> bool:
@@ -343,6 +347,15 @@ class Run:
     def __getitem__(self, measure: str) -> Number:
         """Return a measure of the last frame."""
         return self.frame()[measure]
+
+
+def _at_frame(columns: dict[str, np.ndarray], number: int, frames: int) -> dict[str, np.ndarray]:
+    """Return the counts of one frame at its place in arrays of all frames; the others have none."""
+    placed = {}
+    for name in Counts._fields:
+        placed[name] = np.zeros((frames, *columns[name].shape[1:]), columns[name].dtype)
+        placed[name][number] = columns[name][0]
+    return placed
 
 
 class Frame:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of counts in gates (`counting.py`) and of their likelihood (`count_depth.py`)."""
+"""Kernels of counts in gates (`counting.py`)."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +9,6 @@ from coincid.model.contract.parameters import QUARTERS
 from coincid.model.shared.compiled import njit, part
 
 NO_GATE = -1
-MISSED = -6.0  # log likelihood of a surface outside of all gates
 
 
 class Hits(NamedTuple):
@@ -110,73 +108,3 @@ def count_hits(
             if counts.hits[s, i, gate, here] == most:
                 full[i] = True
                 counts.pulses[s, i] = hits.pulse[e] - begin + 1
-
-
-class Seen(NamedTuple):
-    """What the likelihood reads of a pixel's bins, [pixels, gates, bins], pixels by subgroup."""
-
-    first: np.ndarray  # int64[pixels, gates], first tick of a gate; negative: none
-    hits: np.ndarray  # int64
-    misses: np.ndarray  # float64, pulses in which the pixel could have been hit, but was not
-    background: np.ndarray  # float64[pixels], photons per tick
-
-
-class Law(NamedTuple):
-    """Shares of a pulse before whole ticks after its time, float64[ticks]."""
-
-    reach: int  # ticks: the first one is for -reach
-    before: np.ndarray
-    width: int  # ticks of a bin
-
-
-@part
-def _before(law: Law, tick: int) -> float:
-    """Return the share of the pulse before a tick after its time."""
-    return law.before[min(max(tick + law.reach, 0), 2 * law.reach)]
-
-
-@njit
-def add_up(
-    seen: Seen, law: Law, lights: np.ndarray, first: np.ndarray, step: int, total: np.ndarray
-) -> None:
-    """Compute log likelihoods, float32[pixels, times * lights].
-
-    The times are step * (first + k + 1/2).
-    """
-    gates, bins = seen.hits.shape[1:]
-    number = len(lights)
-    for i in range(len(total)):
-        for k in range(total.shape[1] // number):
-            tick = (step * (2 * (first[i] + k) + 1)) // 2
-            line = total[i, k * number : (k + 1) * number]
-            known = False
-            for g in range(gates):
-                begin = seen.first[i, g]
-                from_begin = tick - begin
-                if begin < 0 or not -law.reach <= from_begin <= bins * law.width + law.reach:
-                    continue
-                known = True
-                low = max(0, -((law.reach - from_begin) // law.width))
-                high = min(bins, (from_begin + law.reach) // law.width + 1)
-                for b in range(low, high):
-                    _add_bin(seen, law, lights, i, g, b, tick, line)
-            if not known:
-                line[:] = MISSED
-
-
-@part
-def _add_bin(
-    seen: Seen, law: Law, lights: np.ndarray, i: int, g: int, b: int, tick: int, line: np.ndarray
-) -> None:
-    """Add what bin b of gate g says about a surface of pixel i at a tick, to float32[lights]."""
-    off = seen.first[i, g] + b * law.width - tick
-    share = _before(law, off + law.width) - _before(law, off)
-    hits = seen.hits[i, g, b]
-    misses = seen.misses[i, g, b]
-    back = 1 - math.exp(-seen.background[i] * law.width)
-    for x in range(len(lights)):
-        light = lights[x] * share
-        value = -misses * light
-        if hits:
-            value += hits * math.log((1 - math.exp(-light) + back) / back)
-        line[x] += value

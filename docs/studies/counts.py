@@ -26,7 +26,7 @@ from coincid.tools.pages import counted, put
 
 from .comparison import schemes
 from .confidence import scene_in_perspective
-from .count_depth import depth_of
+from .count_depth import surfaces_of
 from .count_kernels import NO_GATE
 from .counting import Beside, Rule, count, find_gates, hits_of, memory_bits, sent_bits
 
@@ -148,10 +148,7 @@ def find(run: Run, way: Way) -> Found:
     else:
         start = ideal_gates(run.scene.truth_m, rule, config, way.margin_ticks)
     counts = count(hits, start, sensor, rule, range(rule.first_pulses(pulses), pulses))
-    background = run.light.background_cps * config.tick_s
-    of_pixels = by_subgroup(background.reshape(sensor.rows, sensor.cols), sensor)
-    of_subgroups = np.broadcast_to(of_pixels.mean(axis=1, keepdims=True), of_pixels.shape)
-    depth_m = depth_of(counts, config, of_subgroups).time * _tick_m(config)
+    depth_m = surfaces_of(counts, config).time[:, :, 0] * _tick_m(config)
     return Found(depth_m, _outside(run.scene.truth_m, start, rule, config))
 
 

@@ -155,8 +155,10 @@ class Config(SubgroupSettings):
         return given if given is not None else max(1, self.pulses // SEARCH_SHARE)
 
     def check_map(self) -> None:
-        """Raise `InputError` if the events of the format have no map, which depth needs."""
-        if self.format not in WITH_MAP:
+        """Raise `InputError` if depth cannot be made of the format: it needs events with a map, or
+        counts.
+        """
+        if not self.counting and self.format not in WITH_MAP:
             legal = " or ".join(WITH_MAP)
             raise wrong_value(
                 "frame.format", self.format, f"{legal}, because depth needs the ID map"

@@ -44,6 +44,7 @@ LAW = {  # method: weights of `features` and a constant, set by `python -m docs.
     "matched": (0.271, 0.112, -0.294, -0.302, 0.0318, -0.0309, -0.415, 0.0348, -0.688, -5.27),
     "background": (0.228, 0.215, 0.453, -0.307, 0.0528, -0.109, -0.321, -0.0449, -0.65, -5.1),
     "planes": (0.353, 1.62, -0.161, -0.329, 0.156, 0.088, 0.382, -0.994, -0.146, -5.71),
+    "counts": (0.353, 1.62, -0.161, -0.329, 0.156, 0.088, 0.382, -0.994, -0.146, -5.71),
 }
 
 
@@ -118,6 +119,29 @@ def chance_of_right(features: np.ndarray, weights: Sequence[float]) -> np.ndarra
     return special.expit((features * np.array(of_features)).sum(axis=-1) + constant)
 
 
+class Hits(NamedTuple):
+    """Hits of the pixels, int64[subgroups, pixels]."""
+
+    total: np.ndarray  # all of them
+    near: np.ndarray  # those that fit the pixel's depth
+    other: np.ndarray  # the most that fit another depth
+
+
+class Lit(NamedTuple):
+    """How bright the pixels look, [subgroups, pixels]."""
+
+    near: np.ndarray  # hits that fit the pixel's depth, of all pulses
+    fired: np.ndarray  # float64, share of the pulses in which such a hit is, or prevents one
+    pulses: int
+
+
+class ByChance(NamedTuple):
+    """Hits of background to be expected, float64[subgroups, pixels]."""
+
+    near: np.ndarray
+    other: np.ndarray
+
+
 def find_signs(
     events: Events,
     config: Config,
@@ -128,7 +152,7 @@ def find_signs(
     everywhere: bool,
     threads: Threads,
 ) -> Signs:
-    """Return the signs of first returns.
+    """Return the signs of first returns in events.
 
     pulses: number of pulses in which the events came. ticks, sure: float64[rows, cols], NaN = none;
     how sure the estimator is. everywhere: it takes all events of a subgroup for each of its pixels.
@@ -137,7 +161,7 @@ def find_signs(
     sensor = config.sensor
     reach = REACH_SIGMAS * sigma_ticks
     time = by_subgroup(ticks, sensor)
-    hits = _Hits(
+    hits = Hits(
         total=np.zeros(time.shape, np.int64),
         near=np.zeros(time.shape, np.int64),
         other=np.zeros(time.shape, np.int64),
@@ -146,17 +170,43 @@ def find_signs(
         lambda s: _count_hits(events, s, time[s], reach, everywhere, hits), range(sensor.subgroups)
     )
     gate_from, gate_to = _gates(config)
-    start = gate_from[:, None]
-    end = gate_to[:, None]
     # Share of the hits of background that fit a depth.
-    by_chance = (events.window[:, None] + 2 * reach) / np.maximum(end - start, 1)
+    share = (events.window + 2 * reach) / np.maximum(gate_to - gate_from, 1)
     not_near = hits.total - hits.near
-    evidence = _evidence(hits.near, not_near * by_chance)
-    elsewhere = _evidence(hits.other, (not_near - hits.other) * by_chance)
+    by_chance = ByChance(not_near * share[:, None], (not_near - hits.other) * share[:, None])
     lost = (events.committed - np.diff(events.bounds)) / np.maximum(events.committed, 1)
-    edge_ticks = np.minimum(np.abs(time - start), np.abs(time - end))
+    near = hits.near
+    alone = (events.window == 1)[
+        :, None
+    ]  # an event holds one pixel: a bright one takes the others'
+    fired = np.where(alone, near.sum(axis=1, keepdims=True), near) / pulses
+    lit = Lit(near, fired, pulses)
+    return signs_of(hits, by_chance, lit, lost, config, sigma_ticks, ticks, sure)
+
+
+def signs_of(
+    hits: Hits,
+    by_chance: ByChance,
+    lit: Lit,
+    lost: np.ndarray,
+    config: Config,
+    sigma_ticks: float,
+    ticks: np.ndarray,
+    sure: np.ndarray,
+) -> Signs:
+    """Return the signs of first returns with these hits.
+
+    lost: float64[subgroups], share of the events that did not leave the sensor. ticks, sure: as in
+    `find_signs`.
+    """
+    sensor = config.sensor
+    time = by_subgroup(ticks, sensor)
+    gate_from, gate_to = _gates(config)
+    evidence = _evidence(hits.near, by_chance.near)
+    elsewhere = _evidence(hits.other, by_chance.other)
+    edge_ticks = np.minimum(np.abs(time - gate_from[:, None]), np.abs(time - gate_to[:, None]))
     at_edge = config.gating[:, None] & (edge_ticks <= EDGE_SIGMAS * sigma_ticks)
-    folded = _folded(hits.near, time, events.window == 1, pulses) & (evidence >= LIT)
+    folded = _folded(lit, time) & (evidence >= LIT)
     near = pixel_image(hits.near, sensor)
     other = pixel_image(hits.other, sensor)
     depth_m = ticks * (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
@@ -174,14 +224,6 @@ def find_signs(
     )
 
 
-class _Hits(NamedTuple):
-    """Hits of the pixels, int64[subgroups, pixels]."""
-
-    total: np.ndarray  # all of them
-    near: np.ndarray  # those that fit the pixel's depth
-    other: np.ndarray  # the most that fit another depth
-
-
 class _Sought(NamedTuple):
     """Which hits of a subgroup's pixels fit their depths, and how many fit another one; ticks."""
 
@@ -192,7 +234,7 @@ class _Sought(NamedTuple):
 
 
 def _count_hits(
-    events: Events, s: int, time: np.ndarray, reach: float, everywhere: bool, hits: _Hits
+    events: Events, s: int, time: np.ndarray, reach: float, everywhere: bool, hits: Hits
 ) -> None:
     """Count the hits of the pixels of subgroup s.
 
@@ -207,7 +249,7 @@ def _count_hits(
         until=time + reach,
         span=int(window + 2 * reach),
     )
-    own = _Hits(hits.total[s], hits.near[s], hits.other[s])
+    own = Hits(hits.total[s], hits.near[s], hits.other[s])
     _count(events.stamp[rows][order], events.hits[rows][order], sought, own)
 
 
@@ -294,19 +336,18 @@ def _evidence(seen: np.ndarray, expected: np.ndarray) -> np.ndarray:
     return more * portable.log(more / expected) - more + expected
 
 
-def _folded(near: np.ndarray, time: np.ndarray, alone: np.ndarray, pulses: int) -> np.ndarray:
+def _folded(lit: Lit, time: np.ndarray) -> np.ndarray:
     """bool[subgroups, pixels]: much darker than the picture's bright surfaces would be at the
     pixel's distance.
 
     Light that comes from beyond the laser period's range is as weak as its true distance makes it.
-    alone: bool[subgroups], an event holds one pixel, so that a bright pixel takes those of the
-    others.
     """
+    near = lit.near
+    pulses = lit.pulses
     known = ~np.isnan(time) & (near > 0)
     if not known.any():
         return known
-    fired = np.where(alone[:, None], near.sum(axis=1, keepdims=True), near) / pulses
-    fired = np.clip(fired, 0.5 / pulses, 1 - 0.5 / pulses)
+    fired = np.clip(lit.fired, 0.5 / pulses, 1 - 0.5 / pulses)
     pile_up = -portable.log1p(-fired) / fired
     squared = np.nan_to_num(time) ** 2
     most_hits = near + 2 * np.sqrt(near) + 2  # the true mean is hardly above it
@@ -318,7 +359,7 @@ def _folded(near: np.ndarray, time: np.ndarray, alone: np.ndarray, pulses: int) 
 
 
 @njit
-def _count(stamp: np.ndarray, hits: np.ndarray, sought: _Sought, own: _Hits) -> None:
+def _count(stamp: np.ndarray, hits: np.ndarray, sought: _Sought, own: Hits) -> None:
     """Count each pixel's hits, `own`, in a subgroup's events.
 
     stamp: ascending; hits: uint64[n, words].

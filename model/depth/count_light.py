@@ -17,7 +17,6 @@ from ..contract.pixels import pixel_table
 from ..shared.compiled import njit, part
 from .count_likelihood import NO_TICK, Seen
 from .pulse_ticks import PulseTicks
-from .unheard import Guess
 
 LEAST_RATE = 1e-7  # photons per tick and pixel: some background is everywhere
 ROUNDS = 12  # in which the first background settles
@@ -74,19 +73,18 @@ def first_background(trials: Trials, config: Config) -> np.ndarray:
 
 
 def better_background(
-    trials: Trials, config: Config, pulse: PulseTicks, guess: Guess, rate: np.ndarray
+    trials: Trials, config: Config, pulse: PulseTicks, time: np.ndarray, rate: np.ndarray
 ) -> np.ndarray:
     """float64[subgroups, pixels]: photons per tick, when the surfaces are known roughly.
 
-    guess: of the surfaces. rate: `first_background`.
+    time: float64[subgroups, pixels], of the surfaces, ticks; NaN: none. rate: `first_background`.
     """
-    share = pulse_shares(trials.first, trials.width, trials.hits.shape[3], pulse, guess.time)
+    share = pulse_shares(trials.first, trials.width, trials.hits.shape[3], pulse, time)
     live = config.mask[:, :, None, None]
     tried = np.where(live, trials.hits + trials.misses, 0.0)
     exposed = tried * trials.width
     hits = np.where(live, trials.hits, 0)
     number = trials.of_minigroups(hits, config)
-    pixels = np.zeros(0)
     for _ in range(TURNS):
         seen = Seen(trials.first, trials.hits, trials.misses, rate, trials.width)
         light, _ = fit_lights(seen, share)
@@ -97,9 +95,9 @@ def better_background(
         strange = _exceeds(number, expected)[:, pixel_table(config.sensor).minigroup]
         counted = (tried > 0) & ~strange
         of_pixels = np.where(counted, noise, 0.0).sum(axis=(2, 3))
-        pixels = np.where(counted, exposed, 0.0).sum(axis=(2, 3))
-        mean = _mean_rate(of_pixels, pixels, pixels > 0)
-        expected_of_pixel = pixels * mean[:, None]
+        ticks = np.where(counted, exposed, 0.0).sum(axis=(2, 3))
+        mean = _mean_rate(of_pixels, ticks, ticks > 0)
+        expected_of_pixel = ticks * mean[:, None]
         rate = mean[:, None] * (of_pixels + OWN_HITS) / (expected_of_pixel + OWN_HITS)
     return np.maximum(rate, LEAST_RATE)
 

@@ -100,7 +100,8 @@ def count_likelihood(
         common = np.zeros(bins * len(lights), np.float32)
         mean_over_lights(common, pixels, prior, ratio, 0, place[s], level, light)
 
-    def chances(pixels: Pixels) -> np.ndarray:
+    def chances(s: int) -> np.ndarray:
+        pixels = found[s]
         known = pixels.mask & (np.max(pixels.total, axis=1) > MISSED)
         chance = np.zeros((len(known), len(lights)), np.float32)
         add_light_chances(np.zeros(bins * len(lights), np.float32), pixels, known, chance)
@@ -112,7 +113,7 @@ def count_likelihood(
         list(spread(lambda s: average(s, prior, evidence(s)), subgroups))
     else:
         found = list(spread(evidence, subgroups))
-        prior = learned_prior(np.concatenate(list(spread(chances, found))))
+        prior = learned_prior(np.concatenate(list(spread(chances, subgroups))))
         list(spread(lambda s: average(s, prior, found[s]), subgroups))
     shape = (sensor.rows, sensor.cols, bins)
     return Levels(level.reshape(shape), light.reshape(shape), prior)

@@ -6,17 +6,19 @@ All of this is our own choice. Nothing but the counts is known: also the backgro
 (`count_light.py`).
 """
 
+import math
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ..contract.config import Config
-from ..contract.counts import GATE_CYCLES, GATES, NO_GATE
-from ..contract.parameters import QUARTERS
+from ..contract.counts import GATES, NO_GATE
 from ..contract.pixels import pixel_table
 from ..shared.errors import InputError, check_integer
 from ..shared.threads import Threads
+from .belief import REACH_SIGMAS, ByChance, Hits, Lit, Signs, signs_of
 from .clusters import open_share
 from .count_light import Trials, better_background, first_background, fit_lights, pulse_shares
 from .count_likelihood import NO_TICK, Seen, count_likelihood
@@ -25,7 +27,6 @@ from .intensity import Intensity
 from .likelihood import DEAD_S, Grid, Levels
 from .pulse_ticks import PulseTicks
 from .surfaces import Coarse, Fitter, peak_offset
-from .unheard import Guess
 
 ARRAYS = ("gate_cycle", "gate_hits", "count_pulses")  # of a result
 
@@ -34,7 +35,8 @@ class GateCounts(NamedTuple):
     """Counts of one frame or of several, which stand behind each other as further gates."""
 
     trials: Trials
-    pulses: int  # in which pixels counted, of all frames
+    own_pulses: np.ndarray  # int64[subgroups, pixels], in which each pixel counted
+    pulses: int  # in which pixels could count
 
 
 def gate_counts(
@@ -56,33 +58,48 @@ def gate_counts(
         check_integer("frame", frame, 0, frames - 1)
         chosen = range(frame, frame + 1)
     of_frames = [_trials_of(arrays, config, k) for k in chosen]
-    first, hits, misses = (np.concatenate(part, axis=2) for part in zip(*of_frames, strict=True))
-    counting = config.pulses - 2 * config.search_pulses
-    trials = Trials(first, hits, misses, config.sensor.quarter_ticks)
-    return GateCounts(trials, len(of_frames) * counting)
-
-
-def _trials_of(
-    arrays: dict[str, np.ndarray], config: Config, frame: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return first ticks, hits and misses of a frame, as in `Trials`."""
-    sensor = config.sensor
-    minigroup = pixel_table(sensor).minigroup
-    cycle = arrays["gate_cycle"][frame].astype(np.int64)[:, minigroup]
-    first = np.where(cycle == NO_GATE, NO_TICK, cycle * sensor.phases)
-    hits = arrays["gate_hits"][frame].astype(np.int64)
-    pulses = arrays["count_pulses"][frame].astype(np.float64)
-    quarter_cycle = np.minimum(
-        cycle[..., None] + np.arange(GATE_CYCLES * QUARTERS) // QUARTERS, config.period - 1
+    trials = Trials(
+        first=np.concatenate([one.first for one in of_frames], axis=2),
+        hits=np.concatenate([one.hits for one in of_frames], axis=2),
+        misses=np.concatenate([one.misses for one in of_frames], axis=2),
+        width=config.sensor.quarter_ticks,
     )
+    counting = config.pulses - 2 * config.search_pulses
+    own_pulses = arrays["count_pulses"][chosen.start : chosen.stop].sum(axis=0, dtype=np.int64)
+    return GateCounts(trials, own_pulses, len(of_frames) * counting)
+
+
+def _trials_of(arrays: dict[str, np.ndarray], config: Config, frame: int) -> Trials:
+    """Return the counts of a frame."""
+    sensor = config.sensor
+    cycle = arrays["gate_cycle"][frame].astype(np.int64)[:, pixel_table(sensor).minigroup]
+    return trials_of(
+        np.where(cycle == NO_GATE, NO_TICK, cycle * sensor.phases),
+        arrays["gate_hits"][frame].astype(np.int64),
+        arrays["count_pulses"][frame],
+        config,
+        range(2 * config.search_pulses, config.pulses),
+    )
+
+
+def trials_of(
+    first: np.ndarray, hits: np.ndarray, own_pulses: np.ndarray, config: Config, counted: range
+) -> Trials:
+    """Return counts with the pulses in which pixels could be hit.
+
+    first, hits: as in `Trials`, bins have a quarter of a cycle. own_pulses: int64[subgroups,
+    pixels], in which each pixel counted. counted: the pulses of the frame in which pixels count.
+    """
+    sensor = config.sensor
+    bins = hits.shape[3]
+    begin = first[..., None] + sensor.quarter_ticks * np.arange(bins)
+    cycle = np.clip(begin // sensor.phases, 0, config.period - 1)
     tried = np.empty(hits.shape)
-    search = 2 * config.search_pulses
     for s in range(sensor.subgroups):
-        is_open = open_share(config, s, range(search, config.pulses))
-        tried[s] = pulses[s][:, None, None] * is_open[quarter_cycle[s]]
+        tried[s] = own_pulses[s][:, None, None] * open_share(config, s, counted)[cycle[s]]
     tried = np.maximum(tried - _dead(hits, first, config), hits)
     tried[first == NO_TICK] = 0
-    return first, hits, tried - hits
+    return Trials(first, hits, tried - hits, sensor.quarter_ticks)
 
 
 def _dead(hits: np.ndarray, first: np.ndarray, config: Config) -> np.ndarray:
@@ -137,8 +154,7 @@ def find_surfaces(
     looked = count_likelihood(seen, config, pulse, grid, zero, fitter.coarse_times, threads.map)
     coarse = fitter.coarse(looked.level, looked.light)
     if background is None:
-        guess = _guess(coarse, fitter, config)
-        rate = better_background(counts.trials, config, pulse, guess, rate)
+        rate = better_background(counts.trials, config, pulse, _time_of(coarse, config), rate)
         seen = seen._replace(background=rate)
 
     def around(prior: np.ndarray | None, width: int, first: np.ndarray) -> Levels:
@@ -168,14 +184,22 @@ def find_surfaces(
     return CountSurfaces(*found, seen)
 
 
-def _guess(coarse: Coarse, fitter: Fitter, config: Config) -> Guess:
-    """Return the surfaces as far as the coarse grid shows them."""
+def seen_behind(counts: GateCounts, config: Config, pulse: PulseTicks, ticks: np.ndarray) -> Seen:
+    """Return the counts, and the background behind returns that are known.
+
+    ticks: float64[rows, cols, returns], NaN = none.
+    """
+    time = by_subgroup(ticks[:, :, 0], config.sensor)
+    rate = first_background(counts.trials, config)
+    rate = better_background(counts.trials, config, pulse, time, rate)
+    return Seen(*counts.trials[:3], rate, counts.trials.width)
+
+
+def _time_of(coarse: Coarse, config: Config) -> np.ndarray:
+    """float64[subgroups, pixels]: times of the surfaces in ticks, as the coarse grid shows them."""
     found = coarse.found
     time = found.time(coarse.step) + coarse.step * peak_offset(coarse.level, found.bin)
-    chosen = np.maximum(found.bin, 0)[:, :, None]
-    light = fitter.coarse_lights[np.take_along_axis(coarse.light, chosen, 2)[:, :, 0]]
-    sensor = config.sensor
-    return Guess(by_subgroup(time, sensor), by_subgroup(light.astype(np.float64), sensor))
+    return by_subgroup(time, config.sensor)
 
 
 def count_intensity(seen: Seen, config: Config, pulse: PulseTicks, ticks: np.ndarray) -> Intensity:
@@ -194,3 +218,44 @@ def count_intensity(seen: Seen, config: Config, pulse: PulseTicks, ticks: np.nda
         signal[:, :, k] = pixel_image(np.where(there, light, np.nan), sensor)
         error[:, :, k] = pixel_image(np.where(there, doubt, np.nan), sensor)
     return Intensity(signal=signal, error=error)
+
+
+def count_signs(
+    counts: GateCounts,
+    seen: Seen,
+    config: Config,
+    sigma_ticks: float,
+    ticks: np.ndarray,
+    sure: np.ndarray,
+) -> Signs:
+    """Return the signs of first returns, as `belief.find_signs` does for events."""
+    sensor = config.sensor
+    time = by_subgroup(ticks, sensor)
+    reach = REACH_SIGMAS * sigma_ticks
+    bins = seen.hits.shape[3]
+    begin = seen.first[..., None] + seen.width * np.arange(bins) - time[:, :, None, None]
+    near = (begin < reach) & (begin + seen.width > -reach)  # of NaN: none
+    noise = (seen.hits + seen.misses) * seen.background[:, :, None, None] * seen.width
+    together = min(bins, math.ceil(2 * reach / seen.width) + 1)  # bins that may fit one depth
+    others = _sliding_sums(np.where(near, 0, seen.hits), together)
+    at = others.argmax(axis=2)[:, :, None]
+    others_noise = _sliding_sums(np.where(near, 0.0, noise), together)
+    hits = Hits(
+        total=seen.hits.sum(axis=(2, 3)),
+        near=np.where(near, seen.hits, 0).sum(axis=(2, 3)),
+        other=np.take_along_axis(others, at, 2)[:, :, 0],
+    )
+    by_chance = ByChance(
+        near=np.where(near, noise, 0.0).sum(axis=(2, 3)),
+        other=np.take_along_axis(others_noise, at, 2)[:, :, 0],
+    )
+    full = hits.near * counts.pulses / np.maximum(counts.own_pulses, 1)
+    lit = Lit(full, full / counts.pulses, counts.pulses)
+    nothing_lost = np.zeros(sensor.subgroups)
+    return signs_of(hits, by_chance, lit, nothing_lost, config, sigma_ticks, ticks, sure)
+
+
+def _sliding_sums(values: np.ndarray, together: int) -> np.ndarray:
+    """[subgroups, pixels, places]: sums of so many bins in turn of each gate."""
+    sums = sliding_window_view(values, together, axis=3).sum(axis=4)
+    return sums.reshape(*values.shape[:2], -1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimation of depth from a sensor's events.
+"""Estimation of depth from a sensor's events, or from its counts.
 
 Ref: paper IV (a histogram per pixel, and its peak), Fig. 7 (tolerance of a right pixel). The
 other methods are our own choice.
@@ -7,7 +7,7 @@ other methods are our own choice.
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from attrs import evolve
@@ -22,6 +22,9 @@ from ..shared.threads import Threads
 from .arrivals import SYSTEM_FWHM_S
 from .belief import Signs, believe, find_signs
 from .clusters import forget_clusters
+from .count_likelihood import Seen
+from .counts import GateCounts, count_intensity, count_signs, gate_counts, seen_behind
+from .counts import find_surfaces as find_in_counts
 from .depth import Depth
 from .histograms import (
     Events,
@@ -38,6 +41,7 @@ from .methods import (
     Estimator,
     Method,
     Reading,
+    check_counting,
     check_no_source,
     chosen_method,
 )
@@ -72,7 +76,7 @@ def estimate_depth(
         The configuration of the run.
     method : str or Estimator
         `planes` (default), `maximum` (the paper's highest bin), `matched` or `background`; see
-        docs/depth.md. Or an estimator of your own, or the name under which it is registered; see
+        docs/depth.md. With the format `counts`, there is only `planes`. Or an estimator of your own, or the name under which it is registered; see
         docs/extend.md.
     source : str
         Origin of a pixel's histogram: `map`, `minigroup` or `subgroup`. `planes` always uses all
@@ -132,7 +136,7 @@ def estimate_depth(
         )
         signs = found.signs(config, threads)
     tick_m, confidence = config.tick_s * SPEED_OF_LIGHT_M_S / 2, found.sure.copy()
-    confidence[:, :, 0], reason = believe(signs, config, chosen)
+    confidence[:, :, 0], reason = believe(signs, config, found.law)
     error_m, slope_m = (
         None if part is None else part * tick_m for part in (found.error, found.slope)
     )
@@ -196,9 +200,12 @@ def _light_at(depth_m: np.ndarray, reading: Reading, arrays: dict[str, np.ndarra
     """Return the light at the distances that an estimator of a user's own found."""
     config = reading.config
     pulse = pulse_ticks(config, reading.system_fwhm_s, reading.pulse)
+    ticks = depth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
+    if config.counting:
+        counts = gate_counts(arrays, config, reading.frame)
+        return count_intensity(seen_behind(counts, config, pulse, ticks), config, pulse, ticks)
     events = frame_events(arrays, config, pulse, reading.frame)
     pulses = _pulses(arrays, config, reading.frame)
-    ticks = depth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
     with Threads(reading.workers) as threads:
         return find_intensity(events, config, pulse, pulses, ticks, threads)
 
@@ -208,11 +215,36 @@ def _pulses(arrays: dict[str, np.ndarray], config: Config, frame: int | None) ->
     return config.pulses * (len(arrays["opened"]) if frame is None else 1)
 
 
-class Found(NamedTuple):
-    """What an estimator finds, in ticks: [rows, cols, returns], error and slope as in `Depth`;
-    and the events it looked at.
+class Found(Protocol):
+    """What an estimator finds, in ticks: [rows, cols, returns], error and slope as in `Depth`.
 
-    sure: as `confidence` of `Depth`, but as the estimator itself sees the first return.
+    sure: as `confidence` of `Depth`, but as the estimator itself sees the first return. law: name of
+    the law of confidence.
+    """
+
+    @property
+    def ticks(self) -> np.ndarray: ...
+    @property
+    def sure(self) -> np.ndarray: ...
+    @property
+    def error(self) -> np.ndarray | None: ...
+    @property
+    def slope(self) -> np.ndarray | None: ...
+    @property
+    def law(self) -> str: ...
+
+    def signs(self, config: Config, threads: Threads) -> Signs:
+        """Return what speaks for and against the first returns."""
+        ...
+
+    def light(self, config: Config, workers: int | None) -> Intensity:
+        """Return the light of the returns."""
+        ...
+
+
+class FoundInEvents(NamedTuple):
+    """What an estimator finds in events.
+
     everywhere: all events of a subgroup count for each of its pixels.
     """
 
@@ -224,6 +256,7 @@ class Found(NamedTuple):
     pulses: int
     pulse: PulseTicks
     everywhere: bool
+    law: str
 
     def signs(self, config: Config, threads: Threads) -> Signs:
         """Return what speaks for and against the first returns."""
@@ -245,6 +278,28 @@ class Found(NamedTuple):
             return find_intensity(self.events, config, self.pulse, self.pulses, self.ticks, threads)
 
 
+class FoundInCounts(NamedTuple):
+    """What `planes` finds in counts."""
+
+    ticks: np.ndarray
+    sure: np.ndarray
+    error: np.ndarray | None
+    slope: np.ndarray | None
+    counts: GateCounts
+    seen: Seen
+    pulse: PulseTicks
+    law: str = "counts"
+
+    def signs(self, config: Config, threads: Threads) -> Signs:  # noqa: ARG002 as of events
+        """Return what speaks for and against the first returns."""
+        first = self.ticks[:, :, 0], self.sure[:, :, 0]
+        return count_signs(self.counts, self.seen, config, self.pulse.sigma, *first)
+
+    def light(self, config: Config, workers: int | None) -> Intensity:  # noqa: ARG002 as of events
+        """Return the light of the returns."""
+        return count_intensity(self.seen, config, self.pulse, self.ticks)
+
+
 def find_returns(
     arrays: dict[str, np.ndarray],
     config: Config,
@@ -261,6 +316,18 @@ def find_returns(
     check_choice("method", method, (PLANES, *PEAKS))
     check_integer("returns", returns, 1, RETURNS_MAX)
     shape = pulse_ticks(config, system_fwhm_s, pulse)
+    if config.counting:
+        check_counting(method)
+        counts = gate_counts(arrays, config, frame)
+        found = find_in_counts(
+            counts,
+            config,
+            shape,
+            tolerance_ticks=SUCCESS_TOLERANCE_S / config.tick_s,
+            returns=returns,
+            threads=threads,
+        )
+        return FoundInCounts(*found[:4], counts, found.seen, shape)
     events = frame_events(arrays, config, shape, frame)
     pulses = _pulses(arrays, config, frame)
     if method == PLANES:
@@ -274,7 +341,7 @@ def find_returns(
             threads=threads,
         )
         forget_clusters()  # another frame has others
-        return Found(*parts, events, pulses, shape, everywhere=False)
+        return FoundInEvents(*parts, events, pulses, shape, everywhere=False, law=method)
     live, group = (
         _live(arrays, events, config, source, frame) if method == "background" else (None, None)
     )
@@ -300,7 +367,8 @@ def find_returns(
     ]
     ticks, sure = (pixel_image(np.stack(part), config.sensor) for part in zip(*peaks, strict=True))
     sure = np.where(np.isnan(ticks), 0.0, sure)
-    return Found(ticks, sure, None, None, events, pulses, shape, everywhere=source == "subgroup")
+    everywhere = source == "subgroup"
+    return FoundInEvents(ticks, sure, None, None, events, pulses, shape, everywhere, law=method)
 
 
 def _live(

@@ -17,10 +17,11 @@ METHODS = {
     "maximum": "highest bin of the pixel's histogram",
     "matched": "highest point of the histogram after filtering with the pulse",
     "background": "largest excess of hits over the expected background, corrected for the times when the tree is not armed",
-    "planes": "likelihood of all events, fitted by planes that neighbouring pixels share",
+    "planes": "likelihood of all events, or of all counts, fitted by planes that neighbouring pixels share",
 }
 DEFAULT_METHOD = "planes"
 DEFAULT_SOURCE = "map"
+WITHOUT_EVENTS = "because the format counts has no events"
 
 
 @frozen(kw_only=True, eq=False)
@@ -145,6 +146,14 @@ def _taken_along(estimator: Method) -> Method:
         return estimator
     check_no_source(name, source or DEFAULT_SOURCE)
     return _registered[name]
+
+
+def check_counting(method: str) -> None:
+    """Raise `InputError` if a built-in estimator cannot read the format `counts`, which has no
+    events.
+    """
+    if method != DEFAULT_METHOD:
+        raise wrong_value("method", method, f"{DEFAULT_METHOD}, {WITHOUT_EVENTS}")
 
 
 def check_no_source(name: str, source: str) -> None:
