@@ -122,9 +122,11 @@ def _capacity_share(frame: MeasuredFrame) -> float | None:
 
 
 def _bound_mm(frame: MeasuredFrame) -> float | None:
-    """Return the bound of a wall with the median light of the pixels that have some."""
+    """Return the bound of a wall with the median light of the pixels that have some; None without
+    events.
+    """
     usual = median_light(frame.light)
-    if usual is None:
+    if usual is None or frame.config.counting:
         return None
     config = with_usual_threshold(frame.config, frame.threshold)
     pulse = pulse_ticks(config, pulse=frame.light.pulse)
@@ -268,7 +270,7 @@ _OTHERS: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
     ),
     "bound_mm": (
         float,
-        "lowest RMS error of a pixel's distance from its own words, in mm, at the median light",
+        "lowest RMS error of a pixel's distance from its own events, in mm, at the median light",
         _bound_mm,
     ),
     "found_rms_m": (

@@ -3,7 +3,8 @@
 
 The scheme `off` has coincidence off (the paper's scheme 1), `fixed` has one threshold for all
 subgroups, and `auto` has the thresholds of the controller, which first settles in frames of new
-photons. The compared frames see the same photons.
+photons. The compared frames see the same photons. In the format `counts`, thresholds have no effect,
+so there is one scheme, `counts`.
 """
 
 from collections.abc import Iterable
@@ -16,7 +17,7 @@ from ..lab.long_frames import PlayedFrames, Progress, play_last_frame, play_long
 from ..lab.measures import Number
 from ..lab.outcomes import Run
 from ..lab.setup import fixed_thresholds
-from ..model.contract.parameters import Sensor
+from ..model.contract.config import Config
 from ..model.golden.frame import Golden
 from ..model.scenes.scene import Scene
 from .progress import Bar
@@ -27,21 +28,26 @@ SCHEMES = {  # name: (title, settings that differ), in the order of the frames
     "auto": ("controller", {"coincidence": True, "auto": True}),
 }
 CONTROLLED = "auto"
+COUNTING: dict[str, tuple[str, dict[str, bool]]] = {"counts": ("counts in gates", {})}
 PROGRESS_PARTS = 1000
 
 
-def schemes_of(sensor: Sensor) -> dict[str, tuple[str, dict[str, bool]]]:
-    """Return those of `SCHEMES` that a sensor supports."""
+def schemes_of(config: Config) -> dict[str, tuple[str, dict[str, bool]]]:
+    """Return those of `SCHEMES` that a sensor supports, or the one of the format `counts`."""
+    if config.counting:
+        return COUNTING
     return {
-        name: scheme for name, scheme in SCHEMES.items() if sensor.controller or name != CONTROLLED
+        name: scheme
+        for name, scheme in SCHEMES.items()
+        if config.sensor.controller or name != CONTROLLED
     }
 
 
-def seeing_all(sensor: Sensor, scene: Scene) -> list[str]:
+def seeing_all(config: Config, scene: Scene) -> list[str]:
     """Return the schemes that play all frames: the controller; without it, the last scheme of a
     scene that moves.
     """
-    last = list(schemes_of(sensor))[-1]
+    last = list(schemes_of(config))[-1]
     return [last] if last == CONTROLLED or scene.later else []
 
 
@@ -60,7 +66,7 @@ def _settings(scheme: str, threshold: ArrayLike | None) -> dict[str, Any]:
     """Return the settings of the subgroups that a scheme has. threshold: of `fixed`; the others have
     none.
     """
-    _, settings = SCHEMES[scheme]
+    _, settings = (SCHEMES | COUNTING)[scheme]
     return settings | ({"threshold": threshold} if scheme == "fixed" else {})
 
 
@@ -74,8 +80,8 @@ def scheme_runs(run: Run, threshold: ArrayLike) -> dict[str, Run]:
     others only see those of the last frame.
     """
     golden, runs = Golden(run.config.sensor), {}
-    all_frames = seeing_all(run.config.sensor, run.scene)
-    for name in schemes_of(run.config.sensor):
+    all_frames = seeing_all(run.config, run.scene)
+    for name in schemes_of(run.config):
         settings = _settings(name, threshold)
         if name in all_frames:
             own = run.but(subgroup=settings)
@@ -98,15 +104,15 @@ def long_scheme_runs(
     for the schemes that see the last frame only, once for the one that sees all.
     """
     sensor = run.config.sensor
-    all_frames = seeing_all(sensor, run.scene)
-    schemes = schemes_of(sensor)
+    all_frames = seeing_all(run.config, run.scene)
+    schemes = schemes_of(run.config)
     settings: dict[str | int, dict[str, Any]] = {}
     for name in schemes:
         if name == "fixed" and threshold is None:
             settings |= {one: _settings(name, one) for one in fixed_thresholds(sensor)}
         elif name not in all_frames:
             settings[name] = _settings(name, threshold)
-    alone = _last_frame_runs(run, settings, bar)
+    alone = _last_frame_runs(run, settings, bar) if settings else {}
     if threshold is None:
         bar.stage("best threshold")
         best, alone["fixed"] = _take_best(alone, fixed_thresholds(sensor))

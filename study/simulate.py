@@ -28,6 +28,7 @@ from ..lab.pace import frames_per_s, pulse_energy_j, told_pace
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config, frame_table, own_rule, sensor_table
 from ..model.contract.counters import COUNTER_NAMES
+from ..model.contract.packet import BEAT_BITS
 from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import subgroup_image
 from ..model.contract.result import ResultFile
@@ -68,6 +69,7 @@ PICTURES = {  # file: (estimator of `model/depth/estimate.py`, suffix of the rep
     "depth.png": (DEFAULT_METHOD, "", "planes through the likelihood of all events"),
     "depth_peak.png": ("maximum", "_peak", "peak of every pixel's histogram, as in the paper"),
 }
+COUNTED = {"depth.png": (DEFAULT_METHOD, "", "planes through the likelihood of all counts")}
 LIGHT = "light.png"  # the estimated light, by the estimator of the first picture
 LINK_GBPS = 8.0  # if nothing else sets the rate: the pins of such a chip can carry this much
 # if the configuration sets no format: such a link carries the most events in it
@@ -116,6 +118,11 @@ class GoldenRuns:
         began = time.perf_counter()
         runs = scheme_runs(run, threshold)
         return cls(runs, threshold, time.perf_counter() - began)
+
+
+def pictures_of(config: Config) -> dict[str, tuple[str, str, str]]:
+    """Return the pictures of depth: `PICTURES`, or those of the format `counts`."""
+    return COUNTED if config.counting else PICTURES
 
 
 def with_link(config: Config, link_gbps: float | None = None) -> Config:
@@ -185,7 +192,7 @@ def simulate_to_folder(
     waves: bool = False,
     **told: Any,
 ) -> dict[str, Any]:
-    """Simulate a scene; leave `PICTURES`, `LIGHT`, report.html, events.npz, depth.npz and
+    """Simulate a scene; leave `pictures_of`, `LIGHT`, report.html, events.npz, depth.npz and
     report.json in `out`, and return the report.
 
     threshold: of `fixed`; None: that of the configuration if it gives one, else the best of 1 to 7
@@ -226,15 +233,18 @@ def simulate_to_folder(
         "pulse_nj": pulse_energy_j(config) * 1e9,
         "configuration": settings_of(config),
     }
-    results = [out / name for name in (*PICTURES, LIGHT, EVENTS, DEPTH, PAGE)]
-    for path in (out / DEPTHS, out / ANIMATION):  # from an earlier run
+    pictures = pictures_of(config)
+    results = [out / name for name in (*pictures, LIGHT, EVENTS, DEPTH, PAGE)]
+    others = [out / name for name in PICTURES if name not in pictures]
+    for path in (*others, out / DEPTHS, out / ANIMATION):  # from an earlier run
         path.unlink(missing_ok=True)
     compiled = partial(_prepare, engine, config.sensor, waves, shown)
-    schemes = schemes_of(config.sensor)
-    all_frames = seeing_all(config.sensor, scene)
+    schemes = schemes_of(config)
+    all_frames = seeing_all(config, scene)
     total = sum(settling if name in all_frames else 1 for name in schemes)
     with Bar(console, lines=True) as bar, in_background(compiled) as preparing:
-        predicted = _golden_runs(run, "subgroup.threshold" not in config.given, shown is None, bar)
+        chooses = not config.counting and "subgroup.threshold" not in config.given
+        predicted = _golden_runs(run, chooses, shown is None, bar)
         if shown is not None:
             bar.stage("RTL: emitted and compiled once")
             preparing.result()
@@ -344,7 +354,7 @@ def _write_report_page(
 def _pictures(
     out: Path, heading: str, titles: dict[str, str], seen: dict[str, Frame]
 ) -> dict[str, Any]:
-    """Write `PICTURES`; return the shares of wrong pixels, by the paper's criterion and by 15 cm,
+    """Write `pictures_of`; return the shares of wrong pixels, by the paper's criterion and by 15 cm,
     under the report's keys.
     """
     from .pictures import Panel, depth_row
@@ -353,7 +363,7 @@ def _pictures(
     last = seen[list(seen)[-1]]
     told = "the controller's thresholds" if CONTROLLED in seen else "the thresholds"
     blocks = told, subgroup_image(last.threshold, last.config.sensor)
-    for file, (method, suffix, what) in PICTURES.items():
+    for file, (method, suffix, what) in pictures_of(last.config).items():
         frames = {name: frame.by(method) for name, frame in seen.items()}
         panels = [
             Panel(titles[name], frame.depth_m, frame.first.reason) for name, frame in frames.items()
@@ -401,10 +411,14 @@ def settings_of(config: Config) -> dict[str, Any]:
     subgroup["mask"] = [
         f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask
     ]
-    derived = {"auto_bounds": config.auto_bounds.tolist(), "capacity": config.capacity}
+    derived: dict[str, Any] = {}
+    if config.sensor.controller:
+        derived = {"auto_bounds": config.auto_bounds.tolist(), "capacity": config.capacity}
+    if config.sensor.counts:
+        derived["search_pulses"] = config.search_pulses
     return {
         "sensor": sensor_table(config.sensor) | own_rule(config.sensor),
-        "frame": frame_table(config.frame) | (derived if config.sensor.controller else {}),
+        "frame": frame_table(config.frame) | derived,
         "subgroup": {name: v[0] if len(set(v)) == 1 else v for name, v in subgroup.items()},
     }
 
@@ -464,15 +478,8 @@ def _span(values: np.ndarray) -> str:
     return f"{low}" if low == high else f"{low} to {high}"
 
 
-def _tell(
-    console: Console,
-    notes: list[str],
-    config: Config,
-    titles: dict[str, str],
-    report: dict[str, Any],
-    written: list[Path],
-) -> None:
-    """Print the table of the schemes, the notes and the written files."""
+def _table(titles: dict[str, str], report: dict[str, Any]) -> Table:
+    """Return the table of the schemes."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("frame", no_wrap=True)
     for title in ("threshold", "events", "dropped"):
@@ -490,7 +497,36 @@ def _tell(
             f"{report[f'wrong_share_{name}']:.1%}",
             f"{report[f'wrong_share_{name}_peak']:.1%}",
         )
-    console.print(table)
+    return table
+
+
+def _counting_table(titles: dict[str, str], report: dict[str, Any]) -> Table:
+    """Return the table of frames in the format `counts`."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("frame", no_wrap=True)
+    for title in ("bits", "stream load", "link load", "wrong pixels"):
+        table.add_column(title.replace(" ", "\n"), justify="right")
+    for name, title in titles.items():
+        table.add_row(
+            title,
+            f"{BEAT_BITS * report[f'beats_{name}']:,}",
+            f"{report[f'stream_load_{name}']:.1%}",
+            f"{report[f'load_{name}']:.1%}",
+            f"{report[f'wrong_share_{name}']:.1%}",
+        )
+    return table
+
+
+def _tell(
+    console: Console,
+    notes: list[str],
+    config: Config,
+    titles: dict[str, str],
+    report: dict[str, Any],
+    written: list[Path],
+) -> None:
+    """Print the table of the schemes, the notes and the written files."""
+    console.print(_counting_table(titles, report) if config.counting else _table(titles, report))
     if CONTROLLED in titles:
         console.print(f"the controller's thresholds after {report['frames']} frames, by subgroup:")
         for row in subgroup_image(np.array(report[f"threshold_{CONTROLLED}"]), config.sensor):

@@ -80,7 +80,10 @@ def _least_wrong(setup: Setup, window: int, workers: int) -> float:
     """Return the share of wrong pixels at the best fixed threshold."""
     run = Run(setup, workers=workers)
     shares = []
-    for threshold in fixed_thresholds(setup.config.sensor):
+    config = setup.config
+    # Thresholds and windows change nothing in counts.
+    thresholds = [1] if config.counting else fixed_thresholds(config.sensor)
+    for threshold in thresholds:
         tried = run.but(subgroup={"threshold": threshold, "window": window})
         share = tried["wrong_share"]
         shares.append(1.0 if share is None else float(share))

@@ -22,7 +22,7 @@ from .belief import REACH_SIGMAS, ByChance, Hits, Lit, Signs, signs_of
 from .clusters import open_share
 from .count_light import Trials, better_background, first_background, fit_lights, pulse_shares
 from .count_likelihood import NO_TICK, Seen, count_likelihood
-from .histograms import by_subgroup, pixel_image
+from .histograms import Events, by_subgroup, pixel_image, winner_map
 from .intensity import Intensity
 from .likelihood import DEAD_S, Grid, Levels
 from .pulse_ticks import PulseTicks
@@ -120,6 +120,37 @@ def _dead(hits: np.ndarray, first: np.ndarray, config: Config) -> np.ndarray:
             blocks = (ticks > 0) & (ticks < dead_ticks)
             dead[:, :, later][near] += (blocks @ hits[:, :, earlier][near][:, :, None])[:, :, 0]
     return dead
+
+
+def hits_as_events(arrays: dict[str, np.ndarray], config: Config, frame: int) -> Events:
+    """Return the counted hits of a frame as events of one pixel each, in the middle of their bins,
+    for views of single hits; estimators do not read them.
+    """
+    sensor = config.sensor
+    trials = gate_counts(arrays, config, frame).trials
+    at = np.nonzero(trials.hits)
+    repeats = trials.hits[at]
+    subgroup, pixel, gate, here = (np.repeat(axis, repeats) for axis in at)
+    tick = trials.first[subgroup, pixel, gate] + here * trials.width + trials.width // 2
+    number = len(subgroup)
+    zeros = np.zeros(sensor.subgroups)
+    return Events(
+        bounds=np.searchsorted(subgroup, np.arange(sensor.subgroups + 1)),
+        pulse=np.zeros(number, np.int64),
+        stamp=tick,
+        count=np.ones(number, np.int64),
+        winner=pixel,
+        overrun=np.zeros(number, bool),
+        arrival=tick.astype(np.float64),
+        mapped=True,
+        hits=winner_map(pixel, sensor),
+        offset=np.empty((number, 0), np.uint8),
+        threshold=np.ones(sensor.subgroups, np.int64),
+        window=np.ones(sensor.subgroups, np.int64),
+        photon_rate=zeros,
+        opened=zeros,
+        committed=zeros,
+    )
 
 
 class CountSurfaces(NamedTuple):

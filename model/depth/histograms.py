@@ -78,7 +78,7 @@ def frame_events(
     stamp = arrays["stamp"][row]
     count = arrays["count"][row]
     winner = arrays["winner"][row]
-    hits = arrays["hits"][row] if "hits" in arrays else _winner_map(winner, config.sensor)
+    hits = arrays["hits"][row] if "hits" in arrays else winner_map(winner, config.sensor)
     offset = np.empty((len(row), 0), np.uint8)
     if "mg_offset" in arrays:
         offset = arrays["mg_offset"][row]
@@ -115,7 +115,7 @@ def _rows_by_subgroup(
     return row[np.argsort(subgroup[row], kind="stable")]
 
 
-def _winner_map(winner: np.ndarray, sensor: Sensor) -> np.ndarray:
+def winner_map(winner: np.ndarray, sensor: Sensor) -> np.ndarray:
     """uint64[n, words]: maps that hold only the winner."""
     hits = np.zeros((len(winner), -(-sensor.pixels // BEAT_BITS)), np.uint64)
     bit = (winner % BEAT_BITS).astype(np.uint64)

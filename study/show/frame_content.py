@@ -13,6 +13,7 @@ from ...lab.measures import SWEPT
 from ...lab.outcomes import Frame
 from ...model.contract.config import Config
 from ...model.contract.pixels import pixel_table
+from ...model.depth.counts import hits_as_events
 from ...model.depth.histograms import Events, frame_events, pixel_image
 from ...model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from ...model.depth.quality import wrong_pixels
@@ -59,7 +60,8 @@ class FrameView:
     needed) and drops (events that the subgroup's full FIFO dropped); reflectivity (NaN = no
     target); signal and background, mean photons that the pixel detects in a laser period; estimated
     and estimated_error, the signal of the first return as estimated, and its standard error;
-    bound_mm, the lowest possible RMS error of the distance (`lab/bound.py`).
+    bound_mm, the lowest possible RMS error of the distance (`lab/bound.py`). events: in the format
+    `counts`, each counted hit as an event of its pixel alone.
     candidate_m, candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: measures
     (`lab/measures.py`), and `sun_share`. objects: see `seen_objects`.
     """
@@ -92,14 +94,20 @@ class FrameView:
         self.signal = light.signal_per_pulse.sum(axis=1).reshape(shape)
         self.estimated = _of_first(found.signal_per_pulse, shape)
         self.estimated_error = _of_first(found.signal_error, shape)
-        usual = with_usual_threshold(config, frame.threshold)
-        self.bound_mm = pixel_bounds_mm(usual, light).reshape(shape)
+        self.bound_mm = np.full(shape, np.nan)  # it is that of events
+        if not config.counting:
+            usual = with_usual_threshold(config, frame.threshold)
+            self.bound_mm = pixel_bounds_mm(usual, light).reshape(shape)
         self.background = light.background_cps.reshape(shape) * (
             config.period_ticks * config.tick_s
         )
-        self.events = frame_events(frame.result, config, pulse, frame.number)
+        if config.counting:
+            self.events = hits_as_events(frame.result, config, frame.number)
+        else:
+            self.events = frame_events(frame.result, config, pulse, frame.number)
         self.numbers = {name: frame[name] for name in SHOWN}
-        self.numbers["sun_share"] = _sun_share(self.events, scene, config, pulse)
+        sun_share = None if config.counting else _sun_share(self.events, scene, config, pulse)
+        self.numbers["sun_share"] = sun_share
         self.objects = seen_objects(scene, light, self.depth_m)
 
     @property
