@@ -16,7 +16,7 @@ from ..model.contract.config import SETTINGS, Config, parse_config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import SENSOR, Sensor
 from ..model.contract.settings import THRESHOLD_MAX
-from ..model.depth.methods import DEFAULT_METHOD, Method, taken_along
+from ..model.depth.methods import DEFAULT_METHOD, Method, check_counting, taken_along
 from ..model.light.light import BACKGROUNDS, Light
 from ..model.light.photons import edge_chunks, edges_at_most
 from ..model.light.spad import Spad, SpadGate
@@ -144,7 +144,8 @@ class Setup:
         Front end of the RTL; see `tb.replay`.
     estimators : tuple of str or Estimator
         METHOD or METHOD/SOURCE of `estimate_depth`, or estimators of your own, which a registered name becomes here;
-        measures use the first one. If empty, there is no depth.
+        measures use the first one. If empty, there is no depth. In the format `counts`, only `planes`
+        and estimators of your own.
     """
 
     config: Config
@@ -169,6 +170,10 @@ class Setup:
         check_integer("seed", self.seed, 0, SEED_MAX)
         check_choice("background", self.background, BACKGROUNDS)
         check_switch("spad_gate", self.spad_gate)
+        if self.config.counting:
+            for one in self.estimators:
+                if isinstance(one, str):
+                    check_counting(one.partition("/")[0])
 
     @classmethod
     def of(

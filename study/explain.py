@@ -29,6 +29,7 @@ def meaning(config: Config) -> list[tuple[str, str]]:
     cycle_cm = cycle_ns * 1e-9 * metres_per_s * 100
     tick_cm = tick_s * metres_per_s * 100
     pixels = f"{sensor.rows} x {sensor.cols} pixels"
+    unpriced = ", without the part for counts" * sensor.counts
     limit = f"no window opens in the last {sensor.guard} cycles"
     if config.counting:
         limit = f"hits count in the first {min(config.period, CYCLES_MAX)} cycles"
@@ -47,8 +48,11 @@ def meaning(config: Config) -> list[tuple[str, str]]:
         ),
         *(_counts(config) if config.counting else _events(config, frame_s)),
         ("stream", f"{streams}; the link takes {link_share} of its beats"),
-        ("area", f"about {um2_per_pixel(sensor):.0f} um2 per pixel in 45 nm"),
-        ("power", f"about {uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux"),
+        ("area", f"about {um2_per_pixel(sensor):.0f} um2 per pixel in 45 nm{unpriced}"),
+        (
+            "power",
+            f"about {uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux{unpriced}",
+        ),
     ]
 
 

@@ -68,8 +68,9 @@ def frame_events(
     """Return the events of a result (`result.py`) in one frame, or in all frames (None).
 
     Without an ID map (format short), the map of an event holds only its winner. Raises `InputError`
-    if the result has no such frame.
+    if the result has no such frame, or no events.
     """
+    _check_events(config)
     frames = len(arrays["opened"])
     if frame is not None and not 0 <= frame < frames:
         raise InputError(f"frame = {frame}: must be an integer from 0 to {frames - 1}")
@@ -103,6 +104,16 @@ def frame_events(
         opened=opened.sum(axis=0),
         committed=arrays["committed"][counted].sum(axis=0),
     )
+
+
+def _check_events(config: Config) -> None:
+    """Raise `InputError` if frames have counts in place of events."""
+    if config.counting:
+        raise InputError(
+            "frame.format = 'counts': must be one of the formats of events here; the counts are in"
+            " the arrays gate_cycle, gate_hits and count_pulses of the result",
+            field="frame.format",
+        )
 
 
 def _rows_by_subgroup(
@@ -185,7 +196,7 @@ def pixel_histogram(
     Raises
     ------
     InputError
-        If the pixel or the frame does not exist.
+        If the pixel or the frame does not exist, or the format has no events.
     """
     table = pixel_table(config.sensor)
     check_integer("pixel", pixel, 0, config.sensor.array_pixels - 1)
@@ -207,6 +218,7 @@ def _histogram_maker(
 
     events: as in `subgroup_histograms`. Raises `InputError`.
     """
+    _check_events(config)
     check_choice("source", source, tuple(SOURCES))
     if events is None:
         events = frame_events(arrays, config, pulse, frame)

@@ -259,6 +259,8 @@ def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
             document[table][key] = (
                 [int(n) for n in value.split("x")] if SETTINGS[key].kind is Kind.SIZE else value
             )
+    if values["format"] == "counts":  # a part that is built only if it is asked for
+        document["sensor"]["counts"] = 1
     return document
 
 

@@ -63,7 +63,7 @@ class FrameView:
     bound_mm, the lowest possible RMS error of the distance (`lab/bound.py`). events: in the format
     `counts`, each counted hit as an event of its pixel alone.
     candidate_m, candidate_confidence: float64[rows, cols, CANDIDATES]. numbers: measures
-    (`lab/measures.py`), and `sun_share`. objects: see `seen_objects`.
+    (`lab/measures.py`), `sun_share`, and `counted`, the hits in gates. objects: see `seen_objects`.
     """
 
     def __init__(self, title: str, frame: Frame) -> None:
@@ -108,6 +108,7 @@ class FrameView:
         self.numbers = {name: frame[name] for name in SHOWN}
         sun_share = None if config.counting else _sun_share(self.events, scene, config, pulse)
         self.numbers["sun_share"] = sun_share
+        self.numbers["counted"] = len(self.events.stamp) if config.counting else None
         self.objects = seen_objects(scene, light, self.depth_m)
 
     @property

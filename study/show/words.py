@@ -22,14 +22,22 @@ NUMBERS: tuple[tuple[str, str, _Form], ...] = (  # label, name in `FrameView.num
     ("wrong, above 3.4 cm", "wrong_share", _SHARE),
     ("wrong, above 15 cm", "wrong_share_15cm", _SHARE),
 )
+# Of frames in the format `counts`, which has neither windows nor thresholds.
+COUNT_NUMBERS = (
+    ("edges", "edges", _COUNT),
+    ("counted hits", "counted", _COUNT),
+    *(row for row in NUMBERS if row[1] in ("bits", "stream_load", "link_load")),
+    *(row for row in NUMBERS if row[1] in ("wrong_share", "wrong_share_15cm")),
+)
 OBJECT_HEADS = ("", "reflects", "distance", "photons per pulse", "wrong")
 
 
 def number_rows(*views: FrameView) -> list[list[str]]:
     """Return one row per number: label, then the value of each view."""
+    counting = all(view.config.counting for view in views)
     return [
         [label, *(_said(view.numbers[name], form) for view in views)]
-        for label, name, form in NUMBERS
+        for label, name, form in (COUNT_NUMBERS if counting else NUMBERS)
     ]
 
 
@@ -65,17 +73,24 @@ def where_to_look(view: FrameView) -> str:
     return f"The darkest part, {dark.name}, is around row {row}, column {col}."
 
 
+def _words_sent(view: FrameView) -> str:
+    """Return a sentence about the words of a frame."""
+    numbers = view.numbers
+    if view.config.counting:
+        bits = f"{numbers['bits']:,} bits left the sensor"
+        return f"The pixels counted {numbers['counted']:,} hits in their gates; {bits}."
+    dropped = ""
+    if numbers["dropped"]:
+        dropped = f", and {numbers['dropped']:,} found the FIFO full and were dropped"
+    return (
+        f"Of {numbers['opened']:,} windows {numbers['committed']:,} met their threshold{dropped}."
+    )
+
+
 def story(view: FrameView) -> str:
     """Return some sentences about the frame."""
     numbers = view.numbers
-    dropped = (
-        f", and {numbers['dropped']:,} found the FIFO full and were dropped"
-        if numbers["dropped"]
-        else ""
-    )
-    text = (
-        f"Of {numbers['opened']:,} windows {numbers['committed']:,} met their threshold{dropped}."
-    )
+    text = _words_sent(view)
     if numbers["sun_share"] is not None:
         text += f" {numbers['sun_share']:.0%} of the events contain only sunlight."
     if len(view.objects) > 1:
