@@ -3,8 +3,10 @@
 
 All thresholds and windows see the same photons. Several of them leave about the fewest wrong pixels
 and do not overload the link; the one of these with the fewest bits is chosen. For it, the slowest
-sufficient link is advised, and the format with the fewest bits on this link. If none of them
-leaves a useful picture, the advice says so, and what would help.
+sufficient link is advised, and the format with the fewest bits on this link. A sensor with counts
+also tries the format `counts`, in which thresholds and windows have no effect; for another one, the
+advice says what counts would do. If none of them leaves a useful picture, the advice says so, and
+what would help.
 """
 
 import math
@@ -17,7 +19,7 @@ from attrs import evolve, frozen
 
 from ..lab.bound import median_light, photon_bound_mm, word_bounds_mm
 from ..lab.outcomes import Frame, Run
-from ..lab.pace import told_pace
+from ..lab.pace import frames_per_s, told_pace
 from ..lab.setup import SETTLING, Setup
 from ..model.contract.config import Config, toml_text
 from ..model.contract.link import SHARE_MIN, stream_gbps
@@ -25,6 +27,7 @@ from ..model.contract.packet import BEAT_BITS
 from ..model.depth.pulse_ticks import pulse_ticks
 from ..model.golden.frame import Golden
 from ..model.light.photons import edge_chunks
+from ..model.shared.errors import InputError
 from ..model.shared.files import whole_file, write_csv
 from ..model.shared.quantities import check_real
 from .palette import ALARM, GREY, SERIES
@@ -40,6 +43,7 @@ LINKS_GBPS = (1.0, 2.0, 4.0, 8.0, 16.0)
 SLOW_LINKS_GBPS = (0.05, 0.1, 0.25, 0.5)  # that are tried if the pulses are apart
 FIRST_LINK_GBPS = 8.0  # with which thresholds and windows are compared
 FORMATS = ("compact", "id")
+COUNTS = "counts"  # that is tried, too, if the sensor has it
 # more wrong pixels that count as equal: as a share of all, and of the best one's wrong pixels
 WORSE_MAX = 0.002, 0.1
 # share of the events; a link that drops more, or has a load above 1, is overloaded
@@ -58,13 +62,15 @@ HEADS = (
     "bits per frame",
     "dropped",
     "link load",
+    "frames per second",
 )
 Progress = Callable[[str, int, int], None]  # stage, done, in total
 
 
 @frozen(kw_only=True)
 class Tried:
-    """A configuration, and the outcome of its last frame. wrong, far: shares of pixels; error_mm:
+    """A configuration, and the outcome of its last frame. With counts, there is no threshold, and
+    window_ns is NaN. wrong, far: shares of pixels; error_mm:
     RMS of the pixels that are not wrong, NaN if all are; load: of the link.
     """
 
@@ -78,15 +84,24 @@ class Tried:
 
     @property
     def threshold(self) -> str:
+        if self.config.counting:
+            return "none"
         return "controller" if self.config.auto.any() else str(self.config.threshold[0])
 
     @property
     def window_ns(self) -> float:
+        if self.config.counting:
+            return math.nan
         return float(self.config.window[0] * self.config.tick_s * 1e9)
 
     @property
     def link_gbps(self) -> float:
         return float(self.config.frame.link_gbps or BEAT_BITS * self.config.clock_mhz / 1e3)
+
+    @property
+    def frames_per_s(self) -> float:
+        """Frames per second if one begins as soon as the periods of the last one end."""
+        return frames_per_s(self.config)
 
     @property
     def overloaded(self) -> bool:
@@ -97,6 +112,7 @@ class Tried:
         return (
             self.threshold, self.window_ns, self.config.format, self.link_gbps,
             self.wrong, self.far, self.error_mm, self.bits, self.dropped, self.load,
+            self.frames_per_s,
         )  # fmt: skip
 
 
@@ -107,7 +123,8 @@ class Advice:
     settings: thresholds and windows, all with the link `FIRST_LINK_GBPS`; chosen: the best of them.
     links: links and formats for `chosen`; best: the advised one. klux: the light for which the
     power is told. limit: what a threshold costs in millimetres. useless: sentences about a scene of
-    which no setting leaves a useful picture; "" if one does.
+    which no setting leaves a useful picture; "" if one does. counts: what counts would do; "" if
+    they were tried as a format.
     """
 
     settings: list[Tried]
@@ -117,6 +134,7 @@ class Advice:
     klux: float
     limit: str = ""
     useless: str = ""
+    counts: str = ""
 
     @property
     def tried(self) -> list[Tried]:
@@ -142,9 +160,13 @@ class Advice:
         window = int(config.window[0])
         ticks = f"{window} tick{'s' * (window > 1)}"
         start = "The least bad: take" if self.useless else "Take"
+        settings = (
+            ""
+            if config.counting
+            else f"{threshold}, a window of {best.window_ns:.3g} ns ({ticks}), "
+        )
         text = (
-            f"{start} {threshold}, a window of {best.window_ns:.3g} ns ({ticks}), the format"
-            f" {config.format} and a link of {best.link_gbps:g} Gbit/s: {best.wrong:.1%} of the"
+            f"{start} {settings}the format {config.format} and a link of {best.link_gbps:g} Gbit/s: {best.wrong:.1%} of the"
             f" pixels are wrong ({best.far:.1%} by more than 15 cm), for {best.bits:,} bits per"
             f" frame ({rate_gbps:.2g} Gbit/s), and {self.price}."
         )
@@ -217,8 +239,9 @@ def advise(
     settings = tell(stage, _settings(run, thresholds, windows), rows)
     chosen = cheapest(settings, lambda one: one.bits)
     rates_gbps = links_of(run.config)
-    found = _links(run, chosen.config, rates_gbps)
-    links = tell("links and formats", found, len(rates_gbps) * len(FORMATS))
+    formats = (*FORMATS, COUNTS) if setup.config.sensor.counts else FORMATS
+    found = _links(run, chosen.config, rates_gbps, formats)
+    links = tell("links and formats", found, len(rates_gbps) * len(formats))
     best = cheapest(links, lambda one: (one.link_gbps, one.bits))
     useless = ""
     least_wrong = min(one.wrong for one in (*settings, *links))
@@ -234,6 +257,21 @@ def advise(
         klux=klux,
         limit=_limit(run, best.config),
         useless=useless,
+        counts="" if COUNTS in formats else _with_counts(run),
+    )
+
+
+def _with_counts(run: Run) -> str:
+    """Return a sentence about the same sensor with counts; "" if it cannot have them."""
+    try:
+        config = run.config.with_sensor(counts=1)
+    except InputError:  # its minigroups have another size
+        return ""
+    counted = _tried(run.alone(-1, config=config.with_frame(frames=1, format=COUNTS)))
+    return (
+        f"With counts (counts = 1, format = {COUNTS}), the sensor would send {counted.bits:,} bits per"
+        f" frame, and {counted.wrong:.1%} of the pixels would be wrong ({counted.far:.1%} by more than"
+        f" 15 cm), at {counted.frames_per_s:,.4g} frames per second."
     )
 
 
@@ -281,13 +319,19 @@ def links_of(config: Config) -> list[float]:
     return [rate_gbps for rate_gbps in (*slow, *LINKS_GBPS) if rate_gbps >= slowest_gbps]
 
 
-def _links(run: Run, chosen: Config, rates_gbps: list[float]) -> Iterator[Tried]:
+def _links(
+    run: Run, chosen: Config, rates_gbps: list[float], formats: tuple[str, ...]
+) -> Iterator[Tried]:
     """Try the links and formats for the settings of `chosen`."""
     subgroup = {name: getattr(chosen, name) for name in ("auto", "threshold", "window")}
     start = run.but(subgroup=subgroup) if chosen.auto.any() else run.alone(-1, subgroup=subgroup)
     for link_gbps in rates_gbps:
-        for packets in FORMATS:
-            yield _tried(start.but(frame={"link_gbps": link_gbps, "format": packets}))
+        for packets in formats:
+            settings = {"link_gbps": link_gbps, "format": packets}
+            if packets == COUNTS:
+                yield _tried(run.alone(-1, frame=settings))
+            else:
+                yield _tried(start.but(frame=settings))
 
 
 def _tried(run: Run) -> Tried:

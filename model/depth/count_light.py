@@ -3,9 +3,9 @@
 
 All of this is our own choice. Most bins of the gates have background only, but which ones is not
 known before the surfaces are. So the background of a subgroup is first the mean of the bins that
-have no more hits than such a mean explains. When the surfaces are known roughly, the lights of the
-pixels and the background are fitted in turns: background is what the lights leave of the hits.
-Where even both together explain too few, there is another surface, and the bin is left out.
+have no more hits than such a mean explains. When the surfaces are known roughly, it is that of the
+bins beside them, without those that have too many hits still: they have another surface. A pixel
+with many or few of these hits has a background of its own.
 """
 
 from typing import NamedTuple
@@ -20,9 +20,10 @@ from .pulse_ticks import PulseTicks
 
 LEAST_RATE = 1e-7  # photons per tick and pixel: some background is everywhere
 ROUNDS = 12  # in which the first background settles
-TURNS = 4  # of lights and background
+TURNS = 4  # the same, of the second one
+DARK_SHARE = 1e-4  # of a pulse: a bin with less has no light of the surface
 EXCESS_SIGMAS = 3.0  # of the hits of a minigroup's bin: more is another surface,
-EXCESS_HITS = 1.0  # if it is also so many more
+EXCESS_HITS = 2.0  # if it is also so many more
 PRIOR_HITS = 5.0  # weight of the array's mean in the background of a subgroup, in hits,
 OWN_HITS = 10.0  # and of the subgroup's in that of a pixel
 FAINTEST = 1e-7  # photons per pulse
@@ -66,7 +67,7 @@ def first_background(trials: Trials, config: Config) -> np.ndarray:
     explained = exposed > 0
     rate = _mean_rate(number, exposed, explained)
     for _ in range(ROUNDS):
-        expected = exposed * _for_bins(rate)
+        expected = exposed * rate[:, None, None, None]
         explained = (exposed > 0) & ~_exceeds(number, expected)
         rate = _mean_rate(number, exposed, explained)
     return np.repeat(rate[:, None], config.sensor.pixels, axis=1)
@@ -80,22 +81,16 @@ def better_background(
     time: float64[subgroups, pixels], of the surfaces, ticks; NaN: none. rate: `first_background`.
     """
     share = pulse_shares(trials.first, trials.width, trials.hits.shape[3], pulse, time)
-    live = config.mask[:, :, None, None]
-    tried = np.where(live, trials.hits + trials.misses, 0.0)
-    exposed = tried * trials.width
-    hits = np.where(live, trials.hits, 0)
+    apart = config.mask[:, :, None, None] & (share < DARK_SHARE)
+    hits = np.where(apart, trials.hits, 0)
+    exposed = np.where(apart, trials.hits + trials.misses, 0.0) * trials.width
     number = trials.of_minigroups(hits, config)
+    minigroup = pixel_table(config.sensor).minigroup
     for _ in range(TURNS):
-        seen = Seen(trials.first, trials.hits, trials.misses, rate, trials.width)
-        light, _ = fit_lights(seen, share)
-        chance = -np.expm1(-light[:, :, None, None] * share)
-        back = _of_bins(rate) * trials.width
-        noise = hits * back / (chance + back)  # the share of the hits that is background's
-        expected = trials.of_minigroups(tried * (chance + back), config)
-        strange = _exceeds(number, expected)[:, pixel_table(config.sensor).minigroup]
-        counted = (tried > 0) & ~strange
-        of_pixels = np.where(counted, noise, 0.0).sum(axis=(2, 3))
-        ticks = np.where(counted, exposed, 0.0).sum(axis=(2, 3))
+        expected = trials.of_minigroups(exposed * rate[:, :, None, None], config)
+        explained = ~_exceeds(number, expected)[:, minigroup]
+        of_pixels = np.where(explained, hits, 0).sum(axis=(2, 3))
+        ticks = np.where(explained, exposed, 0.0).sum(axis=(2, 3))
         mean = _mean_rate(of_pixels, ticks, ticks > 0)
         expected_of_pixel = ticks * mean[:, None]
         rate = mean[:, None] * (of_pixels + OWN_HITS) / (expected_of_pixel + OWN_HITS)
@@ -117,14 +112,6 @@ def _mean_rate(number: np.ndarray, exposed: np.ndarray, counted: np.ndarray) -> 
 def _exceeds(number: np.ndarray, expected: np.ndarray) -> np.ndarray:
     """bool: there are more hits than chance explains."""
     return number > expected + EXCESS_SIGMAS * np.sqrt(expected) + EXCESS_HITS
-
-
-def _for_bins(rate: np.ndarray) -> np.ndarray:
-    return rate[:, None, None, None]
-
-
-def _of_bins(rate: np.ndarray) -> np.ndarray:
-    return rate[:, :, None, None]
 
 
 def pulse_shares(

@@ -7,6 +7,7 @@ Commands check all their input before they build or simulate anything. Each comm
 """
 
 import contextlib
+import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -328,13 +329,13 @@ def advise(
     for head in HEADS:
         table.add_column(head, justify="right")
     for one in advice.tried:
-        threshold, window_ns, packets, link_gbps, wrong, far, error_mm, bits, dropped, load = (
-            one.row()
-        )
-        setting = threshold, f"{window_ns:.3g}", packets, f"{link_gbps:g}"
-        shares = f"{wrong:.1%}", f"{far:.1%}"
-        prices = f"{error_mm:.1f}", f"{bits:,}", f"{dropped:.1%}", f"{load:.0%}"
-        table.add_row(*setting, *shares, *prices, style="bold" if one is advice.best else None)
+        window = "none" if math.isnan(one.window_ns) else f"{one.window_ns:.3g}"
+        setting = one.threshold, window, one.config.format, f"{one.link_gbps:g}"
+        shares = f"{one.wrong:.1%}", f"{one.far:.1%}"
+        prices = f"{one.error_mm:.1f}", f"{one.bits:,}", f"{one.dropped:.1%}", f"{one.load:.0%}"
+        rate = f"{one.frames_per_s:,.0f}"
+        style = "bold" if one is advice.best else None
+        table.add_row(*setting, *shares, *prices, rate, style=style)
     shown = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
     if advice.useless:
         print(advice.useless)
@@ -343,6 +344,8 @@ def advise(
     for note in looked_at.notes:
         print(note)
     print(advice.limit)
+    if advice.counts:
+        print(advice.counts)
     print(advice.sentence)
     print(" ".join(map(str, files)))
 

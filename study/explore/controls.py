@@ -463,7 +463,10 @@ _DESCRIBED: tuple[Control, ...] = (
         group="Sensor",
         label="Format",
         choices=(*WITH_MAP, "counts"),
-        sentence="Content of an event: id: which pixels fired; full: also the minigroups' time stamps. Depth needs the pixels. counts: counts in gates, no events.",
+        sentence=(
+            "Content of an event: id: which pixels fired; full: also the minigroups' time stamps. Depth"
+            " needs the pixels. counts: no events, but counts in gates that the sensor finds itself."
+        ),
         default="id",
         table="frame",
     ),

@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Depth from the format `counts`: walls, light, background and confidence, and frames that are not
+as usual.
+"""
+
+import numpy as np
+import pytest
+from attrs import frozen
+
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
+from coincid.model.contract.counts import GATE_CYCLES, NO_GATE
+from coincid.model.contract.pixels import pixel_table
+from coincid.model.contract.result import ResultBuilder
+from coincid.model.depth.belief import Reason
+from coincid.model.depth.count_light import first_background
+from coincid.model.depth.counts import find_surfaces, gate_counts
+from coincid.model.depth.depth import Depth
+from coincid.model.depth.estimate import estimate_depth
+from coincid.model.depth.histograms import by_subgroup, pixel_histogram, pixel_image
+from coincid.model.depth.pulse_ticks import pulse_ticks
+from coincid.model.depth.quality import TOLERANCE_M
+from coincid.model.golden.frame import Golden
+from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
+from coincid.model.shared.errors import InputError
+from coincid.model.shared.threads import Threads
+
+SIDE = 16
+
+
+def counted(scene, klux=20.0, *, side=SIDE, frame=None, subgroup=None, sensor=None, **fields):
+    """Return the run of a scene in the format counts."""
+    setup = Setup.of(
+        scene,
+        klux=klux,
+        sensor={"rows": side, "cols": side, "counts": 1} | (sensor or {}),
+        frame={"pulses": 500, "format": "counts", "link_gbps": 0} | (frame or {}),
+        subgroup=subgroup,
+        **fields,
+    )
+    return Run(setup, workers=2)
+
+
+def off_m(run, **options):
+    """Return by how much each pixel is off, in metres."""
+    return run.depth(**options).depth_m[:, :, 0] - run.scene.truth_m
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "reflectivity", "klux"),
+    [(1.5, 0.2, 10), (3.0, 0.8, 100), (6.0, 0.4, 50), (9.0, 0.5, 0), (14.0, 0.4, 20)],
+)
+def test_a_wall_has_no_bias_at_any_distance_and_light(distance_m, reflectivity, klux):
+    means_m = []
+    for seed in range(1, 5):
+        off = off_m(counted(f"flat:{distance_m},{reflectivity}", klux, seed=seed))
+        assert np.mean(np.abs(off) > TOLERANCE_M) < 0.02
+        means_m.append(np.mean(off[np.abs(off) < TOLERANCE_M]))
+    assert abs(np.mean(means_m)) < 0.002, means_m
+
+
+def test_standard_errors_cover_the_errors_of_a_wall():
+    scaled = []
+    for seed in range(1, 7):
+        run = counted("flat:8,0.3", 50.0, seed=seed)
+        depth = run.depth()
+        scaled.append((depth.depth_m - run.scene.truth_m[:, :, None]) / depth.error_m)
+    inside = np.mean(np.abs(scaled) < 2)
+    assert 0.85 < inside, inside
+
+
+def test_confidence_is_the_share_of_right_pixels_where_light_is_scarce():
+    sure = []
+    right = []
+    for seed in range(1, 7):
+        run = counted("flat:22,0.3", 30.0, frame={"pulses": 250}, seed=seed)
+        depth = run.depth()
+        sure.append(depth.confidence[:, :, 0].mean())
+        off = np.abs(depth.depth_m[:, :, 0] - run.scene.truth_m)
+        right.append(np.mean(off < TOLERANCE_M))
+    assert 0.2 < np.mean(right) < 0.98  # neither easy nor hopeless
+    assert abs(np.mean(sure) - np.mean(right)) < 0.15, (sure, right)
+
+
+@pytest.mark.parametrize(("distance_m", "klux"), [(3.0, 50.0), (8.0, 10.0)])
+def test_light_of_the_pixels_is_estimated_with_its_error(distance_m, klux):
+    run = counted(f"flat:{distance_m},0.3", klux, side=32)
+    depth = run.depth()
+    truth = run.light.total_signal.reshape(32, 32)
+    signal = depth.signal_per_pulse[:, :, 0]
+    assert abs(np.mean(signal) / np.mean(truth) - 1) < 0.08
+    scaled = (signal - truth) / depth.signal_error[:, :, 0]
+    assert 0.7 < np.std(scaled) < 1.3
+
+
+@pytest.mark.parametrize("klux", [10.0, 50.0, 100.0])
+def test_background_is_learned_from_the_counts(klux):
+    run = counted("five-objects", klux, side=32, frame={"pulses": 1000})
+    config = run.config
+    truth = run.light.background_cps.reshape(32, 32) * config.tick_s
+    counts = gate_counts(run.result, config, 0)
+    with Threads(1) as alone:
+        found = find_surfaces(
+            counts, config, pulse_ticks(config), tolerance_ticks=1.0, threads=alone
+        )
+    of_subgroups = by_subgroup(truth, config.sensor).mean(axis=1)
+    learned = found.seen.background.mean(axis=1)
+    assert np.all(np.abs(np.log(learned / of_subgroups)) < 1.2)  # dark ones have few hits
+    assert abs(np.log(learned.mean() / of_subgroups.mean())) < 0.2
+    first = first_background(counts.trials, config).mean(axis=1)
+    assert abs(np.log(first.mean() / of_subgroups.mean())) < 0.9
+
+
+def test_a_told_background_is_hardly_better():
+    run = counted("five-objects", 100.0, side=32, frame={"pulses": 1000})
+    config = run.config
+    counts = gate_counts(run.result, config, 0)
+    told = by_subgroup(run.light.background_cps.reshape(32, 32) * config.tick_s, config.sensor)
+    wrong = []
+    for background in (None, told):
+        with Threads(1) as alone:
+            found = find_surfaces(
+                counts,
+                config,
+                pulse_ticks(config),
+                tolerance_ticks=SUCCESS_TOLERANCE_S / config.tick_s,
+                threads=alone,
+                background=background,
+            )
+        depth_m = found.time[:, :, 0] * config.tick_s * SPEED_OF_LIGHT_M_S / 2
+        wrong.append(np.mean(~(np.abs(depth_m - run.scene.truth_m) < TOLERANCE_M)))
+    learned, with_truth = wrong
+    assert learned <= with_truth + 0.005
+
+
+def without_gates(arrays, minigroup):
+    """Return a result in which a minigroup of subgroup 0 has found no gate; None: all have not."""
+    changed = {name: arrays[name].copy() for name in arrays}
+    if minigroup is None:
+        changed["gate_cycle"][:] = NO_GATE
+        changed["gate_hits"][:] = 0
+    else:
+        changed["gate_cycle"][:, 0, minigroup] = NO_GATE
+        changed["gate_hits"][:, 0, pixel_table_of(minigroup)] = 0
+    return changed
+
+
+def pixel_table_of(minigroup):
+    """Return the pixels of a minigroup of the default sensor, by their numbers in the subgroup."""
+    return np.flatnonzero(pixel_table(counted("flat:4,0.4").config.sensor).minigroup == minigroup)
+
+
+def test_pixels_without_a_gate_are_not_believed():
+    run = counted("flat:4,0.4")
+    depth = estimate_depth(without_gates(run.result, 5), run.config)
+    empty = np.zeros((run.config.sensor.subgroups, run.config.sensor.pixels), bool)
+    empty[0, pixel_table_of(5)] = True
+    empty = pixel_image(empty, run.config.sensor)
+    assert np.all(depth.reason[empty] == Reason.NO_LIGHT)
+    assert np.all(depth.confidence[empty] < 0.5)
+    assert np.mean(depth.reason[~empty] == Reason.BELIEVED) > 0.95
+
+
+def test_frame_without_any_gate_has_no_depth():
+    run = counted("flat:4,0.4")
+    depth = estimate_depth(without_gates(run.result, None), run.config)
+    assert np.isnan(depth.depth_m).all()
+    assert np.all(depth.confidence == 0)
+    assert np.all(depth.reason == Reason.NO_LIGHT)
+    assert np.isnan(depth.signal_per_pulse).all()
+
+
+def test_surface_in_no_gate_is_not_believed():
+    """All gates are at the beginning of the period, where there is background only."""
+    run = counted("flat:20,0.5", 100.0)
+    moved = {name: run.result[name].copy() for name in run.result}
+    moved["gate_cycle"][:] = (0, GATE_CYCLES)
+    rng = np.random.default_rng(1)
+    moved["gate_hits"] = rng.poisson(0.1, moved["gate_hits"].shape).astype(np.uint8)
+    depth = estimate_depth(moved, run.config)
+    assert np.mean(depth.confidence[:, :, 0] > 0.5) < 0.05
+
+
+def test_masked_pixels_have_no_effect():
+    masked = {"mask": "fffffffffffffffe"}  # pixel 0 of each subgroup
+    run = counted("flat:4,0.4", subgroup=masked)
+    assert not run.config.mask[:, 0].any()
+    nonsense = {name: run.result[name].copy() for name in run.result}
+    assert nonsense["gate_hits"][:, :, 0].sum() == 0
+    expected = run.depth()
+    nonsense["gate_hits"][:, :, 0] = 3
+    depth = estimate_depth(nonsense, run.config)
+    known = pixel_image(run.config.mask, run.config.sensor)
+    assert np.array_equal(depth.depth_m[known], expected.depth_m[known])
+    assert np.isnan(depth.signal_per_pulse[~known]).all()
+    assert not np.isnan(depth.signal_per_pulse[known]).any()
+
+
+def aborted(run, pulses):
+    """Return the result of a frame that is aborted after so many pulses."""
+    trace = Golden(run.config.sensor).frame(
+        run.config, run.edges.take(run.edges.pulse < pulses), pulses=pulses
+    )
+    built = ResultBuilder(run.config)
+    built.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
+    return built.arrays()
+
+
+def test_frame_that_is_aborted_while_pixels_count():
+    run = counted("flat:4,0.4")
+    depth = estimate_depth(aborted(run, 350), run.config)
+    assert np.mean(np.abs(depth.depth_m[:, :, 0] - run.scene.truth_m) < TOLERANCE_M) > 0.98
+    truth = run.light.total_signal.reshape(SIDE, SIDE)
+    assert abs(np.mean(depth.signal_per_pulse[:, :, 0]) / truth.mean() - 1) < 0.1
+
+
+def test_frame_that_is_aborted_in_the_search_has_no_depth():
+    run = counted("flat:4,0.4")
+    depth = estimate_depth(aborted(run, 150), run.config)
+    assert np.isnan(depth.depth_m).all()
+
+
+def test_frames_together_say_more_than_one():
+    run = counted("flat:22,0.3", 30.0, frame={"pulses": 200, "frames": 6})
+    alone, together = (np.abs(off_m(run, frame=frame)) for frame in (0, None))
+    assert np.mean(together < TOLERANCE_M) > np.mean(alone < TOLERANCE_M) + 0.05
+    with pytest.raises(InputError, match="frame = 6: must be an integer from 0 to 5"):
+        run.depth(frame=6)
+
+
+def test_second_return_in_the_second_gate():
+    run = counted("returns:4@0.2,9@0.6", 5.0)
+    depth = run.depth(returns=2)
+    both = np.sort(depth.depth_m, axis=2)
+    assert np.median(np.abs(both[:, :, 0] - 4)) < TOLERANCE_M
+    assert np.median(np.abs(both[:, :, 1] - 9)) < TOLERANCE_M
+
+
+def test_no_surface_is_sought_where_the_gating_is_closed():
+    closed = {"gating": True, "gate_start": 20, "gate_len": 30}
+    run = counted("flat:4,0.4", 50.0, subgroup=closed)
+    open_m = 20 * 2e-9 * SPEED_OF_LIGHT_M_S / 2
+    assert run.scene.truth_m.max() > 3.9 > open_m
+    assert np.mean(np.abs(off_m(run)) < TOLERANCE_M) > 0.98
+
+
+def test_number_of_threads_changes_nothing():
+    run = counted("five-objects", 50.0, side=32)
+    one, three = (run.depth(workers=workers, returns=2) for workers in (1, 3))
+    for name in ("depth_m", "confidence", "error_m", "slope_m", "signal_per_pulse"):
+        assert np.array_equal(getattr(one, name), getattr(three, name), equal_nan=True)
+
+
+@pytest.mark.parametrize("method", ["maximum", "matched", "background"])
+def test_methods_of_events_are_refused(method):
+    run = counted("flat:4,0.4")
+    with pytest.raises(
+        InputError, match=f"method = '{method}': must be planes, because the format"
+    ):
+        run.depth(method)
+    with pytest.raises(InputError, match="the format counts has no events"):
+        counted("flat:4,0.4", estimators=(f"{method}/map",))
+
+
+def test_views_of_events_are_refused():
+    run = counted("flat:4,0.4")
+    with pytest.raises(InputError, match=r"frame.format = 'counts': must be one of the formats of"):
+        pixel_histogram(run.result, run.config, 0)
+
+
+def test_counts_of_a_result_of_events_are_asked_for_by_name():
+    run = counted("flat:4,0.4")
+    events = counted("flat:4,0.4", frame={"format": "id"})
+    with pytest.raises(InputError, match="gate_cycle is missing"):
+        estimate_depth(events.result, run.config)
+
+
+@frozen
+class Earliest:
+    """An estimator of a user's own: the beginning of the earliest gate."""
+
+    name: str = "earliest"
+    version: str = "1"
+    reads: tuple[str, ...] = ("gate_cycle",)
+
+    def estimate(self, reading):
+        sensor = reading.config.sensor
+        cycle = reading.arrays["gate_cycle"][reading.frame or 0].min(axis=2)
+        ticks = cycle[:, pixel_table(sensor).minigroup] * sensor.phases
+        tick_m = reading.config.tick_s * SPEED_OF_LIGHT_M_S / 2
+        return Depth.of(pixel_image(ticks * tick_m, sensor))
+
+
+def test_estimator_of_ones_own_reads_counts_and_is_given_the_light():
+    run = counted("flat:4,0.4")
+    depth = run.depth(Earliest())
+    assert np.all(np.abs(depth.depth_m - 4) < 1)
+    assert depth.signal_per_pulse.shape == (SIDE, SIDE, 1)
