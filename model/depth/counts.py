@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy import special
 
 from ..contract.config import Config
 from ..contract.counts import GATES, NO_GATE
@@ -26,8 +27,10 @@ from .histograms import Events, by_subgroup, pixel_image, winner_map
 from .intensity import Intensity
 from .likelihood import DEAD_S, Grid, Levels
 from .pulse_ticks import PulseTicks
+from .seeds import seed_scores
 from .surfaces import Coarse, Fitter, peak_offset
 
+ODDS_OF_NONE = 10.0  # that a surface is in no gate, times the places for accidents in gates
 ARRAYS = ("gate_cycle", "gate_hits", "count_pulses")  # of a result
 
 
@@ -204,7 +207,7 @@ def find_surfaces(
     levels = around(None, 1, first)
     again = partial(around, levels.prior)
     fit = fitter.with_slants(fitter.fit(levels, first), levels.level, middle, again)
-    found = fitter.surfaces(
+    time, confidence, error, slope = fitter.surfaces(
         fit,
         coarse,
         again,
@@ -212,7 +215,17 @@ def find_surfaces(
         returns=returns,
         apart_ticks=float(seen.width),
     )
-    return CountSurfaces(*found, seen)
+    confidence[:, :, 0] *= _chance_of_light(coarse, fitter)
+    return CountSurfaces(time, confidence, error, slope, seen)
+
+
+def _chance_of_light(coarse: Coarse, fitter: Fitter) -> np.ndarray:
+    """float64[rows, cols]: probability that gates have the light of the pixel's surface at all.
+
+    Where they have not, the likeliest time is among accidents of background.
+    """
+    score = seed_scores(coarse.level, coarse.light, coarse.found, fitter.blocks)
+    return special.expit(score.astype(np.float64) - math.log(ODDS_OF_NONE))
 
 
 def seen_behind(counts: GateCounts, config: Config, pulse: PulseTicks, ticks: np.ndarray) -> Seen:
@@ -283,7 +296,9 @@ def count_signs(
     full = hits.near * counts.pulses / np.maximum(counts.own_pulses, 1)
     lit = Lit(full, full / counts.pulses, counts.pulses)
     nothing_lost = np.zeros(sensor.subgroups)
-    return signs_of(hits, by_chance, lit, nothing_lost, config, sigma_ticks, ticks, sure)
+    signs = signs_of(hits, by_chance, lit, nothing_lost, config, sigma_ticks, ticks, sure)
+    has_gate = pixel_image((seen.first > NO_TICK).any(axis=2), sensor)
+    return signs._replace(known=signs.known & has_gate)
 
 
 def _sliding_sums(values: np.ndarray, together: int) -> np.ndarray:
