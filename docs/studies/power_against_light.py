@@ -39,7 +39,6 @@ KINDS = (
     ("switching", "driven pins"),
     ("leakage", "leakage"),
 )
-PLACES = (*GROUPS, ("counts", "counts"))  # counts are not in the default sensor
 # frames per second; pulses of a frame, and their period
 RATES_HZ, VIDEO_PULSES, PERIOD_US = (30, 100), 100, 0.5
 # 50 ns of 500 ns, around the light of the target
@@ -87,6 +86,7 @@ GROUPS = (
     ("gating", "gate"),
     ("subgroup", "ports' registers"),
 )
+PLACES = (*GROUPS, ("counts", "counts"))  # counts are not in the default sensor
 
 
 def setup(case: Case, **sensor: Any) -> Setup:
