@@ -363,12 +363,13 @@ def _pictures(
     last = seen[list(seen)[-1]]
     told = "the controller's thresholds" if CONTROLLED in seen else "the thresholds"
     blocks = told, subgroup_image(last.threshold, last.config.sensor)
+    shown = None if last.config.counting else blocks  # no threshold has an effect on counts
     for file, (method, suffix, what) in pictures_of(last.config).items():
         frames = {name: frame.by(method) for name, frame in seen.items()}
         panels = [
             Panel(titles[name], frame.depth_m, frame.first.reason) for name, frame in frames.items()
         ]
-        depth_row(out / file, panels, last.truth_m, f"{heading}: {what}", blocks=blocks)
+        depth_row(out / file, panels, last.truth_m, f"{heading}: {what}", blocks=shown)
         for name, frame in frames.items():
             key = f"wrong_share_{name}{suffix}"
             shares |= {key: frame["wrong_share"], f"{key}_15cm": frame["wrong_share_15cm"]}
