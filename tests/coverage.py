@@ -16,9 +16,11 @@ from hypothesis import strategies as st
 
 from coincid.model.contract.config import Config
 from coincid.model.contract.counters import COUNTER_NAMES
+from coincid.model.contract.counts import COUNT_BITS, GATE_CYCLES, NO_GATE
 from coincid.model.contract.edges import Fate
+from coincid.model.contract.gate_counts import Counts
 from coincid.model.contract.latency import armed_cycle, close_cycle
-from coincid.model.contract.packet import FORMAT_NAMES, HEADER
+from coincid.model.contract.packet import EVENT_FORMATS, HEADER
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden, Trace
@@ -34,7 +36,7 @@ COUNTED = dict(  # by counters
     mg_dropped="record dropped",
 )
 SITUATIONS = {  # name -> required number
-    **{f"{mode}, {name}": 10 for mode in MODES for name in FORMAT_NAMES},
+    **{f"{mode}, {name}": 10 for mode in MODES for name in EVENT_FORMATS},
     **{f"fate {fate.name.lower()}": 100 for fate in Fate},
     **{f"stream {kind}": 10 for kind in random_cases.READY_KINDS},
     "edge at a window's last tick is counted": 20,
@@ -61,6 +63,10 @@ SITUATIONS = {  # name -> required number
     "budget down": 5,
     "window rejected": 10,
     "masked pixel": 10,
+    "minigroup without a gate": 20,
+    "minigroup with two gates": 20,
+    "two gates side by side": 5,
+    "pixel with a full bin": 20,
 }
 
 
@@ -80,8 +86,10 @@ def situations(
     for name, happened in COUNTED.items():
         counts[happened] += int((c[name] > 0).sum())
     for stream, beats in enumerate(trace.beats):
-        events = decode_frame(beats, sensor, len(sensor.stream_subgroups(stream))).events
-        counts["overrun flag"] += int(events[:, list(HEADER).index("overrun")].sum())
+        frame = decode_frame(beats, sensor, len(sensor.stream_subgroups(stream)))
+        counts["overrun flag"] += int(frame.events[:, list(HEADER).index("overrun")].sum())
+        if frame.counts is not None:
+            gates(frame.counts, counts)
     subgroup, cycle = table.subgroup[edges.pixel], edges.tick // sensor.phases
     order = np.lexsort((edges.tick, edges.pulse, subgroup))
     end, last, armed_from = -1, (-1, -1), -1
@@ -122,6 +130,17 @@ def situations(
             counts["edge in the cycle after the gate"] += at == start + length
 
 
+def gates(of_frame: Counts, counts: collections.Counter) -> None:
+    """Count what happened to the minigroups and pixels of a stream in a frame of counts."""
+    first, second = of_frame.gate_cycle.astype(int).transpose(2, 0, 1)
+    both = second != NO_GATE
+    counts["minigroup without a gate"] += int((first == NO_GATE).sum())
+    counts["minigroup with two gates"] += int(both.sum())
+    counts["two gates side by side"] += int((both & (abs(second - first) == GATE_CYCLES)).sum())
+    full = of_frame.gate_hits == (1 << COUNT_BITS) - 1
+    counts["pixel with a full bin"] += int(full.any(axis=(2, 3)).sum())
+
+
 def steps(config: Config, before: Trace, after: Trace, counts: collections.Counter) -> None:
     """Count what the threshold controller did between two frames."""
     used = COUNTER_NAMES.index("threshold_used")
@@ -134,7 +153,7 @@ def steps(config: Config, before: Trace, after: Trace, counts: collections.Count
 def main() -> None:
     counts: collections.Counter = collections.Counter()
     for name in ("default", "tiny", "coarse", "odd"):
-        sensor = random_cases.SENSORS[name]
+        sensor = random_cases.GOLDEN_SENSORS[name]
         configs = random_cases.drawn(
             random_cases.configurations(sensor, frames_max=1), EXAMPLES, SEED
         )
@@ -155,6 +174,9 @@ def main() -> None:
                 random_cases.ready_pattern(number, kind, 400),
             )
             situations(config, edges, golden.frame(config, edges, ready), kind, counts)
+        for config in random_cases.counting(sensor):
+            edges = random_cases.returns(config, 0, 60.0)
+            situations(config, edges, golden.frame(config, edges), "always", counts)
         golden = Golden(golden.sensor)
         traces = [
             (config, golden.frame(config, random_cases.trouble(config, 0, 25.0)))

@@ -23,7 +23,7 @@ from hypothesis import given, seed
 from hypothesis import strategies as st
 
 from coincid.model.contract.config import Config, parse_config
-from coincid.model.contract.packet import FORMAT_NAMES
+from coincid.model.contract.packet import EVENT_FORMATS
 from coincid.model.golden.frame import Golden
 from coincid.tb import toolchain
 from coincid.tb.frame_record import FrameJob, save_job
@@ -41,6 +41,7 @@ FRAMES = 60  # with random settings, of each sensor
 DEFAULT_FRAMES = 12  # the same, of the default sensor, whose frames take longer
 FRAMES_IN_LANES = 600
 CASES_SEED = 2026
+EVENTS = tuple(EVENT_FORMATS)
 DENSITIES = (4.0, 12.0, 25.0, 1.0)  # of edges, by turns
 LATE = np.arange(480) // 80 == 3  # a receiver that takes nothing for long
 
@@ -53,7 +54,8 @@ def frames(sensor: dict = random_cases.SMALL, drawn: int = FRAMES) -> list[Frame
     golden = Golden(parse_config({"sensor": sensor}).sensor)
     jobs = _drawn_frames(golden, sensor, drawn)
     for config, density, ready in _chosen_frames(sensor):
-        edges = random_cases.trouble(config, 0, density)
+        light = random_cases.returns if config.counting else random_cases.trouble
+        edges = light(config, 0, density)
         jobs.append(random_cases.predicted(golden, config, edges, ready))
     jobs.append(random_cases.predicted(golden, *random_cases.aged(sensor)))
     return jobs
@@ -70,7 +72,7 @@ def _drawn_frames(golden: Golden, sensor: dict, drawn: int) -> list[FrameJob]:
         k = len(jobs)
         if k >= drawn:
             return
-        form = FORMAT_NAMES[k % len(FORMAT_NAMES)]
+        form = EVENTS[k % len(EVENTS)]
         config = config.with_frame(pulses=2 + k % 4, format=form)
         edges = random_cases.trouble(config, draw, DENSITIES[k // 4 % len(DENSITIES)])
         kind = random_cases.READY_KINDS[k % len(random_cases.READY_KINDS)]
@@ -84,14 +86,16 @@ def _drawn_frames(golden: Golden, sensor: dict, drawn: int) -> list[FrameJob]:
 
 def _chosen_frames(sensor: dict) -> Iterator[tuple[Config, float, np.ndarray | None]]:
     """Yield settings for rare situations, with density and back-pressure (None: always ready)."""
-    for config, form in zip(random_cases.gate_bits(sensor), itertools.cycle(FORMAT_NAMES)):
+    for config, form in zip(random_cases.gate_bits(sensor), itertools.cycle(EVENTS)):
         yield config.with_frame(format=form), 300.0, None
     for config in random_cases.collections(sensor):
         yield config, 6.0, None
     yield random_cases.dithered(sensor), 6.0, None
-    for form in FORMAT_NAMES:
+    for form in EVENTS:
         yield random_cases.overfull(sensor).with_frame(format=form), 40.0, LATE
     yield random_cases.lengthy(sensor), 2.0, None
+    for config in random_cases.counting(sensor):
+        yield config, 60.0, None
     for config in random_cases.scarce(sensor):
         yield config, 25.0, None
 
@@ -109,11 +113,11 @@ def _tell(fate: Fate) -> None:
 def try_golden(total: int, seed_: int, folder: Path) -> tuple[list[Fate], list[str]]:
     """Return the fates of `total` mutants of the golden model, and complaints about excuses."""
     # The second sensor has five subgroups and two streams, the third one maps of more bits than a
-    # half word.
+    # half word, and counts.
     jobs = [
         *frames(),
         *frames(random_cases.SENSORS["odd"]),
-        *frames(random_cases.SENSORS["default"], DEFAULT_FRAMES),
+        *frames(random_cases.GOLDEN_SENSORS["default"], DEFAULT_FRAMES),
     ]
     save_job(folder / "jobs", jobs)
     mutants = sample(total, golden_mutants(), np.random.default_rng(seed_))

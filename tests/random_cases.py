@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from coincid.model.contract.config import Config, parse_config, sensor_table
+from coincid.model.contract.counts import CYCLES_MAX
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.packet import COUNTS, built_formats
 from coincid.model.contract.parameters import Sensor
@@ -316,6 +317,18 @@ def overfull(sensor: dict) -> Config:
     )
 
 
+def counting(sensor: dict) -> list[Config]:
+    """Return frames of counts, the second one with so many pulses that bins become full; none for a
+    sensor without them.
+    """
+    built = built_sensor(sensor)
+    if not built.counts:
+        return []
+    frame = dict(period=built.guard + 12, format=COUNTS.name)
+    pulses = dict(pulses=120, search_pulses=20)
+    return [configured(sensor, frame | {"pulses": 9}), configured(sensor, frame | pulses)]
+
+
 def lively(sensor: dict) -> Config:
     """Return a frame with many events."""
     built = built_sensor(sensor)
@@ -390,6 +403,33 @@ def trouble(config: Config, seed: int, per_subgroup_period: float) -> Edges:
     else:
         pixel = np.zeros(0, np.int64)
     return Edges(pulse.astype(np.int64), pixel.astype(np.int64), tick.astype(np.int64))
+
+
+def returns(config: Config, seed: int, per_subgroup_period: float) -> Edges:
+    """Return edges of one frame, most of them in two returns of each minigroup; some pixels are much
+    brighter than others.
+    """
+    rng = np.random.default_rng(seed)
+    sensor = config.sensor
+    table = pixel_table(sensor)
+    number = rng.poisson(per_subgroup_period * sensor.subgroups * config.pulses)
+    bright = rng.random(sensor.array_pixels) ** 3
+    pixel = rng.choice(sensor.array_pixels, number, p=bright / bright.sum())
+    group = table.subgroup[pixel] * sensor.minigroups + table.minigroup[table.inside[pixel]]
+    surfaces = rng.integers(0, config.period_ticks, (2, sensor.subgroups * sensor.minigroups))
+    # often the same for neighbours, and often at the borders of the period and of its counted part
+    surfaces[:, rng.random(surfaces.shape[1]) < 0.7] = surfaces[:, :1]
+    borders = np.array([0, config.period_ticks - 1, sensor.phases * CYCLES_MAX])
+    at_border = rng.random(surfaces.shape) < 0.1
+    surfaces = np.where(at_border, rng.choice(borders, surfaces.shape), surfaces)
+    tick = surfaces[rng.integers(0, 2, number), group] + rng.normal(0, sensor.phases / 2, number)
+    even = rng.integers(0, config.period_ticks, number)
+    tick = np.where(rng.random(number) < 0.3, even, tick).astype(np.int64)
+    return Edges(
+        pulse=rng.integers(0, config.pulses, number),
+        pixel=pixel,
+        tick=tick.clip(0, config.period_ticks - 1),
+    )
 
 
 def aged(sensor: dict) -> tuple[Config, Edges, np.ndarray]:

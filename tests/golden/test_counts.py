@@ -10,13 +10,12 @@ from hypothesis import strategies as st
 
 from coincid.model.contract import latency
 from coincid.model.contract.edges import Edges, Fate
-from coincid.model.contract.pixels import pixel_table
 from coincid.model.golden.frame import Golden, golden_result, trace_of
 from coincid.model.golden.shape import COUNTER
 
 from ..benches.plain_model import period_starts
-from ..random_cases import configured, ready_pattern, trouble
-from .counts_in_rows import CYCLES_MAX, plain_counts
+from ..random_cases import configured, ready_pattern, returns, trouble
+from .counts_in_rows import plain_counts
 from .test_golden import assert_plain, assert_same_trace
 
 WINDOW_MAX_TICKS = 16
@@ -70,32 +69,7 @@ def frames(draw):
         },
     )
     density = draw(st.sampled_from((0.2, 3.0, 12.0)))
-    return config, light(config, draw(seeds), density)
-
-
-def light(config, seed, per_subgroup_period):
-    """Return edges of one frame: background and, for each minigroup, two returns."""
-    rng = np.random.default_rng(seed)
-    sensor = config.sensor
-    table = pixel_table(sensor)
-    number = rng.poisson(per_subgroup_period * sensor.subgroups * config.pulses)
-    bright = rng.random(sensor.array_pixels) ** 3
-    pixel = rng.choice(sensor.array_pixels, number, p=bright / bright.sum())
-    group = table.subgroup[pixel] * sensor.minigroups + table.minigroup[table.inside[pixel]]
-    surfaces = rng.integers(0, config.period_ticks, (2, sensor.subgroups * sensor.minigroups))
-    # often the same for neighbours, and often at the borders of the period and of its counted part
-    surfaces[:, rng.random(surfaces.shape[1]) < 0.7] = surfaces[:, :1]
-    borders = np.array([0, config.period_ticks - 1, sensor.phases * CYCLES_MAX])
-    at_border = rng.random(surfaces.shape) < 0.1
-    surfaces = np.where(at_border, rng.choice(borders, surfaces.shape), surfaces)
-    tick = surfaces[rng.integers(0, 2, number), group] + rng.normal(0, sensor.phases / 2, number)
-    even = rng.integers(0, config.period_ticks, number)
-    tick = np.where(rng.random(number) < 0.3, even, tick).astype(np.int64)
-    return Edges(
-        pulse=rng.integers(0, config.pulses, number),
-        pixel=pixel,
-        tick=tick.clip(0, config.period_ticks - 1),
-    )
+    return config, returns(config, draw(seeds), density)
 
 
 def plain_words(config, subgroups, stream):
@@ -194,7 +168,7 @@ def test_frames_do_not_remember_counts():
     """A frame after a frame of counts, or after an aborted one, is like the first one."""
     table = SENSORS["square"]
     config = configured(table, {"pulses": 12, "period": 40, "format": "counts"})
-    edges = light(config, 3, 9.0)
+    edges = returns(config, 3, 9.0)
     golden = Golden(config.sensor)
     first = golden.frame(config, edges)
     golden.frame(config, edges.take(edges.pulse < 3), pulses=3)

@@ -33,11 +33,11 @@ def config(**tables):
 class Memory:
     """A transport to a dictionary that records the writes."""
 
-    def __init__(self):
-        self.words = registers.reset_values(SENSOR) | {address("status"): 0}
+    def __init__(self, sensor=SENSOR):
+        self.words = registers.reset_values(sensor) | {address("status"): 0}
         self.words |= {
-            address(r.name): r.reset(SENSOR)
-            for r in registers.built(registers.GLOBAL, SENSOR)
+            address(r.name): r.reset(sensor)
+            for r in registers.built(registers.GLOBAL, sensor)
             if r.access is Access.CONSTANT
         }
         self.read, self.written = self.words.__getitem__, []
@@ -149,10 +149,18 @@ def test_no_sensor(name, value, says):
         read_sensor(memory)
 
 
+@pytest.mark.parametrize("counts", (0, 1))
+def test_parameters_are_those_as_built(counts):
+    """A register that is not built is not read."""
+    sensor = Sensor(rows=8, cols=16, counts=counts)
+    assert read_sensor(Memory(sensor)) == sensor
+
+
 def test_later_maps_of_the_same_version_are_known():
-    memory = Memory()
+    sensor = Sensor(rows=8, cols=16, counts=1)
+    memory = Memory(sensor)
     memory.words[address("version")] += 1
-    assert read_sensor(memory) == SENSOR
+    assert read_sensor(memory) == sensor
 
 
 def test_a_sensor_in_use():
