@@ -28,7 +28,7 @@ from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.edges import NAMES, Edges
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.registers import BY_NAME, SUBGROUP, address
-from coincid.model.contract.result import differences, stall
+from coincid.model.contract.result import differences, read_result, stall
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.link_budget import link_budget
 from coincid.model.shared.errors import InputError
@@ -121,6 +121,16 @@ def test_bad_edges(files, arrays, words):
     np.savez("edges.npz", **arrays)
     assert_refused(command(REPLAY), "edges.npz", *words)
     assert not (files / "out").exists()
+
+
+def test_replay_tells_how_many_hits_there_are_in_gates(files):
+    np.savez("edges.npz", **some_edges(2000))
+    shown = command(f"{REPLAY} --set counts=1 --set format=counts").output
+    result = read_result("out/result.npz")
+    hits = result["gate_hits"].sum()
+    gates = (result["gate_cycle"] != 255).sum()
+    assert hits > 100
+    assert f"out/result.npz: {hits} hits in {gates} gates, of 2000 edges" in shown
 
 
 @pytest.mark.parametrize(

@@ -414,6 +414,7 @@ def replay(
     ] = None,
 ) -> None:
     """Run an edge file through the golden model or the RTL and write what leaves the sensor."""
+    from coincid.model.contract.counts import NO_GATE
     from coincid.model.contract.edges import load_edges
     from coincid.model.contract.result import stall as low
     from coincid.model.contract.result import write_result
@@ -445,6 +446,11 @@ def replay(
     ) as bar:
         result = run(engine, settings, loaded, low(stall), bar.done, view=view)
     write_result(out, result)
+    if settings.counting:
+        gates = int((result["gate_cycle"] != NO_GATE).sum())
+        hits = int(result["gate_hits"].sum())
+        print(f"{out}: {hits} hits in {gates} gates, of {len(loaded)} edges")
+        return
     print(
         f"{out}: {len(result['pulse'])} events and {len(result['mg_pulse'])} minigroup records of {len(loaded)} edges, "
         f"{int(result['dropped'].sum())} events dropped"

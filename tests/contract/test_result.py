@@ -4,47 +4,98 @@
 import numpy as np
 import pytest
 
-from coincid.model.contract.result import differences, read_result, write_result
-from coincid.model.golden.frame import golden_result
+from coincid.model.contract.gate_counts import Counts
+from coincid.model.contract.result import (
+    ResultBuilder,
+    ResultFile,
+    differences,
+    read_result,
+    write_result,
+)
+from coincid.model.contract.stream import StreamError
+from coincid.model.golden.frame import Golden, golden_result
 
-from ..random_cases import SENSORS, configured, random_edges
+from ..random_cases import GOLDEN_SENSORS, configured, random_edges
 
-CONFIG = configured(
-    SENSORS["tiny"],
+EVENTS = configured(
+    GOLDEN_SENSORS["tiny"],
     {"format": "full", "minigroup_records": True, "mg_threshold": 1, "pulses": 20},
     {"threshold": 1},
 )
-RESULT = golden_result(CONFIG, random_edges(CONFIG, 300, 1))
-NAMES = sorted(RESULT.keys() - {"fate"})
+COUNTS = configured(
+    GOLDEN_SENSORS["default"], {"format": "counts", "pulses": 20, "period": 60, "frames": 2}
+)
+EDGES = {EVENTS: random_edges(EVENTS, 300, 1), COUNTS: random_edges(COUNTS, 4000, 1)}
+RESULTS = {config: golden_result(config, edges) for config, edges in EDGES.items()}
+ARRAYS = [
+    *((EVENTS, name) for name in sorted(RESULTS[EVENTS].keys() - {"fate"})),
+    *((COUNTS, name) for name in Counts._fields),
+]
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_any_changed_element_is_a_difference(name):
+def of_array(case):
+    return case if isinstance(case, str) else case.format
+
+
+@pytest.mark.parametrize(("config", "name"), ARRAYS, ids=of_array)
+def test_any_changed_element_is_a_difference(config, name):
     """Also the last one, in either result."""
-    assert RESULT[name].size
-    changed = RESULT[name].copy()
+    result = RESULTS[config]
+    assert result[name].size
+    changed = result[name].copy()
     changed.flat[-1] = not changed.flat[-1] if changed.dtype == bool else changed.flat[-1] ^ 1
     last = [length - 1 for length in changed.shape]
-    for one, other in ((RESULT, changed), (changed, RESULT)):
-        results = [each if each is RESULT else RESULT | {name: changed} for each in (one, other)]
+    for one, other in ((result, changed), (changed, result)):
+        results = [each if each is result else result | {name: changed} for each in (one, other)]
         (line,) = differences(*results)
-        values = [result[name][tuple(last)] for result in results]
+        values = [of[name][tuple(last)] for of in results]
         assert line == f"{name}{last}: {values[0]} and {values[1]}"
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_another_type_another_length_and_a_missing_array_are_differences(name):
-    shorter = RESULT | {name: RESULT[name][:-1]}
-    wider = RESULT | {name: RESULT[name].astype(np.float64)}
-    without = {each: array for each, array in RESULT.items() if each != name}
+@pytest.mark.parametrize(("config", "name"), ARRAYS, ids=of_array)
+def test_another_type_another_length_and_a_missing_array_are_differences(config, name):
+    result = RESULTS[config]
+    shorter = result | {name: result[name][:-1]}
+    wider = result | {name: result[name].astype(np.float64)}
+    without = {each: array for each, array in result.items() if each != name}
     for other in (shorter, wider, without):
-        for pair in ((RESULT, other), (other, RESULT)):
+        for pair in ((result, other), (other, result)):
             (line,) = differences(*pair)
             assert line.startswith(f"{name}: ")
 
 
-def test_a_result_equals_itself_and_what_is_read_again(tmp_path):
-    write_result(tmp_path / "r.npz", RESULT)
+@pytest.mark.parametrize("config", RESULTS, ids=of_array)
+def test_a_result_equals_itself_and_what_is_read_again(config, tmp_path):
+    result = RESULTS[config]
+    write_result(tmp_path / "r.npz", result)
     again = read_result(tmp_path / "r.npz")
-    assert again.keys() == RESULT.keys() and not differences(RESULT, again)
-    assert not differences(RESULT, RESULT | {"fate": RESULT["fate"][:0]})  # only golden has it
+    assert again.keys() == result.keys() and not differences(result, again)
+    assert not differences(result, result | {"fate": result["fate"][:0]})  # only golden has it
+
+
+@pytest.mark.parametrize("config", RESULTS, ids=of_array)
+def test_a_file_of_frames_is_the_file_of_their_arrays(config, tmp_path):
+    """It also has a fixed length per frame: of counts, a row of all subgroups."""
+    golden = Golden(config.sensor)
+    grown = ResultFile(config)
+    whole = ResultBuilder(config)
+    for number in range(config.frames):
+        edges, _ = EDGES[config].frame(number, config.pulses)
+        trace = golden.frame(config, edges)
+        for result in (grown, whole):
+            result.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
+    grown.write(tmp_path / "grown.npz", {})
+    write_result(tmp_path / "whole.npz", whole.arrays())
+    assert not differences(read_result(tmp_path / "grown.npz"), whole.arrays())
+    with np.load(tmp_path / "grown.npz") as one, np.load(tmp_path / "whole.npz") as other:
+        assert one.files == other.files
+    if config.counting:
+        for name in Counts._fields:
+            assert whole.arrays()[name].shape[:2] == (config.frames, config.sensor.subgroups)
+
+
+def test_a_frame_of_events_is_none_of_counts():
+    of_events = COUNTS.with_frame(format="id")
+    trace = Golden(COUNTS.sensor).frame(of_events, EDGES[COUNTS].frame(0, COUNTS.pulses)[0])
+    with pytest.raises(StreamError, match="has events in place of counts"):
+        ResultBuilder(COUNTS).add(trace.beats)
