@@ -180,7 +180,7 @@ _SWEPT: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
     "threshold_mean": (
         float,
         "threshold in pixels, mean of the subgroups",
-        lambda frame: float(frame.threshold.mean()),
+        lambda frame: None if frame.config.counting else float(frame.threshold.mean()),
     ),
     "commits_per_pulse": (
         float,

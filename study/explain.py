@@ -136,6 +136,7 @@ def warnings(config: Config) -> list[str]:
     controlled = bool((config.auto & coincidence).any())
     gate_given = _any_given(config, "subgroup.gate_start", "subgroup.gate_len", "frame.gate_every")
     gate_too_long = config.gating & (gate_end > config.period) & (config.gate_start > 0)
+    counts_too = " and counts" * config.counting
     off = "frames have counts" if config.counting else "coincidence is off"
     records_given = _any_given(config, "frame.mg_threshold", "frame.mg_window")
     found = {
@@ -146,7 +147,7 @@ def warnings(config: Config) -> list[str]:
         f"link_gbps = {frame.link_gbps:g} is more than a stream sends, {sent_gbps:g} Gbit/s.": (
             frame.link_gbps > sent_gbps
         ),
-        f"Counters fill {counters / link_beats:.0%} of the link: "
+        f"Counters{counts_too} fill {counters / link_beats:.0%} of the link: "
         "with more pulses per frame, this share falls.": (
             counters > FILLED_BY_COUNTERS * link_beats
         ),

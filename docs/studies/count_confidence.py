@@ -38,6 +38,7 @@ from .confidence import (
 )
 
 METHOD = "counts"  # name of the law
+SEEN = "seen"  # beside the features of the law: probability that gates have the light
 PULSES = (200, 400, 1000)
 TRIED_SEEDS = range(26, 32)  # of rooms in perspective
 
@@ -83,7 +84,7 @@ def look(run: Run) -> Seen:
     known = signs.known & ~np.isnan(right_m)
     depth_m = found.ticks[:, :, 0] * (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
     return Seen(
-        features={METHOD: signs.features[known]},
+        features={METHOD: signs.features[known], SEEN: signs.seen[known]},
         right={METHOD: ~wrong_pixels(depth_m, right_m)[known]},
         on_surface={METHOD: ~off_surfaces(depth_m, run.scene.surfaces_m)[known]},
     )
@@ -96,7 +97,8 @@ def rows(seen: Mapping[str, Sequence[Seen]]) -> Iterator[Sequence[str]]:
     for name, runs in seen.items():
         features = np.concatenate([one.features[METHOD] for one in runs])
         right = np.concatenate([one.right[METHOD] for one in runs])
-        sure = chance_of_right(features, LAW[METHOD])
+        seen_there = np.concatenate([one.features[SEEN] for one in runs])
+        sure = seen_there * chance_of_right(features, LAW[METHOD])
         cells = [f"{right.mean():.0%} of {len(right)}"]
         for chosen in ((sure >= NINETY[0]) & (sure < NINETY[1]), sure >= NINETY[1]):
             own = right[chosen]

@@ -87,6 +87,8 @@ class Signs(NamedTuple):
     lost: np.ndarray  # float64, share of the subgroup's events that did not leave the sensor
     at_edge: np.ndarray  # bool: the gate opens or closes within the pulse
     folded: np.ndarray  # bool, of `_folded`
+    # float64: probability that the sensor's words have light of the pixel's surface at all
+    seen: np.ndarray
 
 
 def believe(signs: Signs, config: Config, method: str) -> tuple[np.ndarray, np.ndarray]:
@@ -94,7 +96,8 @@ def believe(signs: Signs, config: Config, method: str) -> tuple[np.ndarray, np.n
 
     confidence: float64, the probability that a depth is right. reason: uint8, its `Reason`.
     """
-    confidence = np.where(signs.known, chance_of_right(signs.features, LAW[method]), 0.0)
+    right = signs.seen * chance_of_right(signs.features, LAW[method])
+    confidence = np.where(signs.known, right, 0.0)
     other_share = signs.other / np.maximum(signs.near + signs.other, 1)
     lit_share = np.where(signs.elsewhere > LIT, other_share, 0)
     doubtful = signs.at_edge | signs.folded | (lit_share > RIVAL_SHARE)
@@ -222,6 +225,7 @@ def signs_of(
         lost=pixel_image(np.broadcast_to(lost[:, None], time.shape), sensor),
         at_edge=pixel_image(at_edge, sensor),
         folded=pixel_image(folded, sensor),
+        seen=np.ones(ticks.shape),
     )
 
 

@@ -30,7 +30,9 @@ from .pulse_ticks import PulseTicks
 from .seeds import seed_scores
 from .surfaces import Coarse, Fitter, peak_offset
 
-ODDS_OF_NONE = 10.0  # that a surface is in no gate, times the places for accidents in gates
+# Of a pixel with its neighbours: a score that accidents of background and dark surfaces reach alike,
+EVEN_SCORE = -4.0
+SCORE_WIDTH = 2.0  # and the change of it that makes odds e times as high
 ARRAYS = ("gate_cycle", "gate_hits", "count_pulses")  # of a result
 
 
@@ -163,6 +165,7 @@ class CountSurfaces(NamedTuple):
     confidence: np.ndarray
     error: np.ndarray
     slope: np.ndarray
+    light: np.ndarray  # float64[rows, cols], of `_chance_of_light`
     seen: Seen
 
 
@@ -215,17 +218,18 @@ def find_surfaces(
         returns=returns,
         apart_ticks=float(seen.width),
     )
-    confidence[:, :, 0] *= _chance_of_light(coarse, fitter)
-    return CountSurfaces(time, confidence, error, slope, seen)
+    light = _chance_of_light(coarse, fitter)
+    return CountSurfaces(time, confidence, error, slope, light, seen)
 
 
 def _chance_of_light(coarse: Coarse, fitter: Fitter) -> np.ndarray:
     """float64[rows, cols]: probability that gates have the light of the pixel's surface at all.
 
-    Where they have not, the likeliest time is among accidents of background.
+    Where they have not, the likeliest time is among accidents of background. Minigroups whose gates
+    miss a dark surface lower the score of those beside them, so its scale is wide.
     """
     score = seed_scores(coarse.level, coarse.light, coarse.found, fitter.blocks)
-    return special.expit(score.astype(np.float64) - math.log(ODDS_OF_NONE))
+    return special.expit((score.astype(np.float64) - EVEN_SCORE) / SCORE_WIDTH)
 
 
 def seen_behind(counts: GateCounts, config: Config, pulse: PulseTicks, ticks: np.ndarray) -> Seen:
@@ -271,8 +275,12 @@ def count_signs(
     sigma_ticks: float,
     ticks: np.ndarray,
     sure: np.ndarray,
+    light: np.ndarray,
 ) -> Signs:
-    """Return the signs of first returns, as `belief.find_signs` does for events."""
+    """Return the signs of first returns, as `belief.find_signs` does for events.
+
+    light: as in `CountSurfaces`.
+    """
     sensor = config.sensor
     time = by_subgroup(ticks, sensor)
     reach = REACH_SIGMAS * sigma_ticks
@@ -298,7 +306,7 @@ def count_signs(
     nothing_lost = np.zeros(sensor.subgroups)
     signs = signs_of(hits, by_chance, lit, nothing_lost, config, sigma_ticks, ticks, sure)
     has_gate = pixel_image((seen.first > NO_TICK).any(axis=2), sensor)
-    return signs._replace(known=signs.known & has_gate)
+    return signs._replace(known=signs.known & has_gate, seen=light)
 
 
 def _sliding_sums(values: np.ndarray, together: int) -> np.ndarray:

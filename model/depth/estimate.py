@@ -285,6 +285,7 @@ class FoundInCounts(NamedTuple):
     sure: np.ndarray
     error: np.ndarray | None
     slope: np.ndarray | None
+    light_there: np.ndarray  # float64[rows, cols], probability that gates have the surface's light
     counts: GateCounts
     seen: Seen
     pulse: PulseTicks
@@ -292,8 +293,10 @@ class FoundInCounts(NamedTuple):
 
     def signs(self, config: Config, threads: Threads) -> Signs:  # noqa: ARG002 as of events
         """Return what speaks for and against the first returns."""
-        first = self.ticks[:, :, 0], self.sure[:, :, 0]
-        return count_signs(self.counts, self.seen, config, self.pulse.sigma, *first)
+        ticks, sure = self.ticks[:, :, 0], self.sure[:, :, 0]
+        return count_signs(
+            self.counts, self.seen, config, self.pulse.sigma, ticks, sure, self.light_there
+        )
 
     def light(self, config: Config, workers: int | None) -> Intensity:  # noqa: ARG002 as of events
         """Return the light of the returns."""
@@ -327,7 +330,7 @@ def find_returns(
             returns=returns,
             threads=threads,
         )
-        return FoundInCounts(*found[:4], counts, found.seen, shape)
+        return FoundInCounts(*found[:5], counts, found.seen, shape)
     events = frame_events(arrays, config, shape, frame)
     pulses = _pulses(arrays, config, frame)
     if method == PLANES:
