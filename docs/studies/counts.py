@@ -1,20 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compares counts in gates (`counting.py`) with raw events and with rivals on the same photons, and
-says which part of the rule costs what.
+"""Compares the format `counts` with raw events and with rivals on the same photons, and says which
+part of its rule costs what (`counting.py`), and what leaves a large array.
 
 `python -m docs.studies.counts` writes the tables of docs/counts.md.
 """
 
 from collections.abc import Iterator
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from coincid.lab.campaign import Processes, campaign
+from coincid.lab.measures import stream_beats
 from coincid.lab.outcomes import Run
+from coincid.lab.pace import frames_per_s
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import Config
+from coincid.model.contract.counts import NO_GATE as NO_CYCLE
+from coincid.model.contract.counts import pause_cycles
+from coincid.model.contract.packet import BEAT_BITS
+from coincid.model.contract.parameters import QUARTERS
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.depth.histograms import by_subgroup
 from coincid.model.depth.quality import OTHER_SURFACE_M, wrong_share
@@ -28,12 +34,15 @@ from .comparison import schemes
 from .confidence import scene_in_perspective
 from .count_depth import surfaces_of
 from .count_kernels import NO_GATE
-from .counting import Beside, Rule, count, find_gates, hits_of, memory_bits, sent_bits
+from .counting import Beside, Rule, count, find_gates, hits_of, memory_bits
 
 PAGE = "docs/counts.md"
 SIDE = 32  # rows and columns
 EVENT_WINDOW_TICKS = 16  # of the events beside the counts
 RULE = Rule()
+ARRAY = (128, 256)  # rows and columns
+ARRAY_FRAMES_PER_S = 30
+ARRAY_PULSES = (1_000, 10_000)
 RIVALS = ("zoomed: 16 bins", "equi-depth: 16 bins")
 DEFAULT_LINK_GBPS = 8.0
 LINK_THRESHOLD = 2
@@ -79,6 +88,13 @@ DIVIDED = (
 )
 
 
+ARRAY_CASE = Case("room 41", 50, 1000)
+ARRAY_EVENTS: dict[str, dict[str, Any]] = {
+    "threshold 1, format id": {"frame": {"format": "id"}, "subgroup": {"threshold": 1}},
+    "threshold 2, format compact": {"frame": {"format": "compact"}, "subgroup": {"threshold": 2}},
+}
+
+
 class Way(NamedTuple):
     """A rule, and where its gates come from."""
 
@@ -94,7 +110,6 @@ ONE_STEP = RULE._replace(
     peak_bins=2,
 )
 WAYS = {
-    "the rule": Way(RULE),
     "gates from the truth, 40 ticks before it": Way(RULE, margin_ticks=40),
     "gates from the truth, 16 ticks before it": Way(RULE, margin_ticks=16),
     "gates that begin at any quarter of a cycle": Way(RULE._replace(gate_step=1)),
@@ -129,6 +144,16 @@ def _scene(case: Case) -> Scene:
     return scene_in_perspective(int(seed), case.size)
 
 
+def in_counts(setup: Setup) -> Setup:
+    """Return a setup in the format `counts`."""
+    return setup.but(config=setup.config.with_sensor(counts=1).with_frame(format="counts"))
+
+
+def built(run: Run) -> Run:
+    """Return the run of the same photons in the format `counts`."""
+    return Run(in_counts(run.setup), cache=run.cache)
+
+
 class Found(NamedTuple):
     """What counts show."""
 
@@ -136,8 +161,16 @@ class Found(NamedTuple):
     outside: float  # share of the pixels whose surface is in no gate
 
 
+def find_built(run: Run) -> Found:
+    """Return what the sensor shows of a run's photons in the format `counts`."""
+    frame = built(run).frame()
+    cycle = frame.result["gate_cycle"][0].astype(np.int64)
+    start = np.where(cycle == NO_CYCLE, NO_GATE, cycle * QUARTERS)
+    return Found(frame.depth_m, _outside(run.scene.truth_m, start, RULE, run.config))
+
+
 def find(run: Run, way: Way) -> Found:
-    """Return what the counts of a run's photons show."""
+    """Return what the counts of a run's photons show by a rule that is not built."""
     config = run.config
     rule = way.rule
     sensor = config.sensor
@@ -222,7 +255,7 @@ def look(run: Run) -> Seen:
         frame={"link_gbps": DEFAULT_LINK_GBPS}, subgroup={"threshold": LINK_THRESHOLD}
     ).frame(estimator="planes")
     rivals = schemes(run, RIVALS)
-    found = find(run, Way(RULE))
+    found = find_built(run)
     return Seen(
         counts=_shares(found.depth_m, run),
         outside=found.outside,
@@ -234,8 +267,9 @@ def look(run: Run) -> Seen:
 
 
 def divide(run: Run) -> list[tuple[float, float]]:
-    """Return the wrong shares of all ways."""
-    return [_shares(find(run, way).depth_m, run) for way in WAYS.values()]
+    """Return the wrong shares of the rule that is built, and of all ways."""
+    found = [find_built(run), *(find(run, way) for way in WAYS.values())]
+    return [_shares(one.depth_m, run) for one in found]
 
 
 def _words(shares: tuple[float, float]) -> str:
@@ -261,20 +295,75 @@ def loss_rows(run: Processes) -> Iterator[tuple[str, ...]]:
     memory = partial(
         memory_bits, sensor=config.sensor, pulses=config.pulses, period_cycles=config.period
     )
-    for number, (name, way) in enumerate(WAYS.items()):
+    ways = {"the rule": Way(RULE)} | WAYS
+    for number, (name, way) in enumerate(ways.items()):
         bits = f"{memory(way.rule):.0f}"
         yield (name, bits, *(_words(found[case][number]) for case in DIVIDED))
 
 
 def budget() -> str:
-    """Return the sentence about memory and bits."""
-    config = setup(CASES[0]).config
-    arguments = (RULE, config.sensor, config.pulses, config.period)
-    groups = config.sensor.subgroups * config.sensor.minigroups
-    frame_kbit = sent_bits(*arguments) * groups / 1e3
+    """Return the sentences about memory, bits and pauses."""
+    config = in_counts(setup(CASES[0])).config
+    sensor = config.sensor
+    memory = memory_bits(RULE, sensor, config.pulses, config.period)
+    pauses = pause_cycles(sensor.minigroups)
+    periods = sum(pauses) / config.period
     return (
-        f"With {config.pulses} pulses, a pixel has {memory_bits(*arguments):g} bits of memory, "
-        f"and {frame_kbit:.0f} kbit leave the {SIDE} x {SIDE} pixels in a frame."
+        f"With {config.pulses} pulses, a pixel has {memory:g} bits of memory, and"
+        f" {sent_bits(config) / 1e3:.0f} kbit leave the {SIDE} x {SIDE} pixels in a frame. Its"
+        f" pauses take {pauses[0]:,} and {pauses[1]:,} cycles, the time of {periods:.0f} periods."
+    )
+
+
+def sent_bits(config: Config, events: np.ndarray | None = None) -> float:
+    """Return the bits that leave the sensor in a frame. events: number[subgroups]; None: none."""
+    none = np.zeros(config.sensor.subgroups)
+    return BEAT_BITS * float(stream_beats(config, none if events is None else events, none).sum())
+
+
+def array_rows(run: Processes) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table of a large array.
+
+    The events of each subgroup are the mean of those of a small array that sees the same light.
+    """
+    small = setup(ARRAY_CASE)
+    seen = campaign({name: small.but(**way) for name, way in ARRAY_EVENTS.items()}, _events, run)
+    for pulses in ARRAY_PULSES:
+        for name, events in seen.items():
+            config = _array_config(ARRAY_EVENTS[name]["frame"]["format"], pulses)
+            of_subgroup = events * pulses / ARRAY_CASE.pulses
+            yield _array_row(
+                f"events, {name}", config, np.full(config.sensor.subgroups, of_subgroup)
+            )
+        yield _array_row("counts", _array_config("counts", pulses))
+
+
+def _events(run: Run) -> float:
+    """Return the events that a subgroup commits in a frame, as a mean."""
+    return float(run.frame().counter("committed").mean())
+
+
+def _array_config(packets: str, pulses: int) -> Config:
+    """Return the configuration of the large array, without a limit of the link."""
+    return Setup.of(
+        None,
+        sensor={"rows": ARRAY[0], "cols": ARRAY[1], "counts": int(packets == "counts")},
+        frame={"pulses": pulses, "format": packets, "link_gbps": 0},
+    ).config
+
+
+def _array_row(name: str, config: Config, events: np.ndarray | None = None) -> tuple[str, ...]:
+    """Return a row of the table: pulses, words, bits, their rate, and frames per second."""
+    bits = sent_bits(config, events)
+    link_frames_per_s = DEFAULT_LINK_GBPS * 1e9 / bits
+    most_frames_per_s = min(frames_per_s(config), link_frames_per_s)
+    return (
+        f"{config.pulses:,}",
+        name,
+        f"{bits / 1e6:,.3g}" if bits < 1e9 else f"{bits / 1e6:,.0f}",
+        f"{bits * ARRAY_FRAMES_PER_S * 1e-9:,.3g}",
+        f"{frames_per_s(config):,.0f}",
+        f"{most_frames_per_s:,.3g}",
     )
 
 
@@ -293,6 +382,15 @@ def make() -> None:
         put(PAGE, "scenes", text_table(head, scene_rows(run)))
         ways = ("what changes", "bits per pixel", *(case.name for case in DIVIDED))
         put(PAGE, "loss", text_table(ways, loss_rows(run)))
+        array = (
+            "pulses",
+            "words",
+            "Mbit per frame",
+            f"Gbit/s at {ARRAY_FRAMES_PER_S} frames/s",
+            "frames/s without a limit of the link",
+            f"frames/s on {DEFAULT_LINK_GBPS:g} Gbit/s",
+        )
+        put(PAGE, "array", text_table(array, array_rows(run)))
 
 
 if __name__ == "__main__":

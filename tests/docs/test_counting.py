@@ -4,11 +4,13 @@ their likelihood against a drawn frame.
 """
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup, scene_of
+from coincid.model.contract.counts import NO_GATE as NO_CYCLE
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import QUARTERS, Sensor
 from coincid.model.depth.quality import wrong_share
@@ -26,7 +28,7 @@ from docs.studies.counting import (
     regions_of,
     sent_bits,
 )
-from docs.studies.counts import Way, find
+from docs.studies.counts import Way, find, find_built, in_counts
 
 from ..golden import counts_in_rows
 
@@ -220,6 +222,32 @@ def test_bits_of_the_rule_are_those_of_its_fields():
     of_minigroup = 4 * of_pixel + 2 * 8
     assert sent_bits(rule, Sensor(), 1000, 250) == of_minigroup
     assert memory_bits(rule, Sensor(), 1000, 250) == of_minigroup / 4 <= 150
+
+
+@pytest.mark.parametrize(("scene", "klux"), [("five-objects", 100.0), ("sun-and-shade", 20.0)])
+def test_the_rule_is_that_of_the_golden_model(scene, klux):
+    setup = in_counts(
+        Setup.of(
+            scene,
+            sensor={"rows": 16, "cols": 16},
+            frame={"pulses": 300, "link_gbps": 0},
+            klux=klux,
+        )
+    )
+    run = Run(setup)
+    config = run.config
+    rule = Rule()
+    seen = hits_of(run.edges, config.sensor)
+    start = find_gates(seen, config.sensor, rule, config.pulses, config.period)
+    counted = range(rule.first_pulses(config.pulses), config.pulses)
+    counts = count(seen, start, config.sensor, rule, counted)
+    result = run.result
+    cycle = np.where(start == NO_GATE, NO_CYCLE, start // QUARTERS)
+    assert np.array_equal(cycle, result["gate_cycle"][0])
+    assert np.array_equal(counts.hits, result["gate_hits"][0])
+    assert np.array_equal(counts.pulses, result["count_pulses"][0])
+    depth_m = find(run, Way(rule)).depth_m
+    assert np.array_equal(depth_m, find_built(run).depth_m, equal_nan=True)
 
 
 def test_counts_find_a_wall_behind_a_bright_box():
