@@ -14,7 +14,7 @@ from .planted import ROOT, copy_of_sources
 
 PLACES = {  # file: line before which its example goes, in the order of the page
     "model/contract/settings.py": "    mask: np.ndarray = ",
-    "model/contract/packet.py": "}\nFORMAT_NAMES = ",
+    "model/contract/packet.py": "}\n# Of a minigroup; a frame of this format has no events.",
 }
 SETTING = """
 from coincid.flow.contract_tables import settings_tables
@@ -75,15 +75,15 @@ with SlicedSensor(sensor) as rtl:
 assert np.array_equal(beats, Golden(sensor).frame(config, edges).beats[0])
 shown, full = decode_frame(beats, sensor, 2), decode_frame(
     Golden(sensor).frame(config.with_frame(format="full"), edges).beats[0], sensor, 2)
-assert len(shown.events) > 20 and np.all(shown.events[:, 0] == 0)
+assert len(shown.events) > 20 and np.all(shown.events[:, 0] == 1)
 assert np.array_equal(shown.events[:, 1:], full.events[:, 1:]) and np.array_equal(shown.offsets, full.offsets)
 assert golden_result(config, edges).keys() & {"hits", "mg_offset"} == {"mg_offset"}
-events = [packet for packet in packets(library, info, beats) if packet.kind == 0]
+events = [packet for packet in packets(library, info, beats) if packet.kind == 1]
 assert [packet.stamp for packet in events] == full.events[:, 6].tolist() and not any(packet.map for packet in events)
 for packet, offsets in zip(events, full.offsets):
     assert [library.coincid_offset(ctypes.byref(packet), g) for g in range(sensor.minigroups)] == offsets.tolist()
-assert "| 0 | event, format times | 2 | the offsets |" in stream_words(sensor)
-assert "0 times (with offsets)" in header_table()
+assert "| 1 | event, format times | 2 | the offsets |" in stream_words(sensor)
+assert "1 times (with offsets)" in header_table()
 """
 
 

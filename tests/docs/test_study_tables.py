@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from coincid.model.contract.config import parse_config
-from coincid.model.contract.packet import BEAT_BITS, FORMATS, layout
+from coincid.model.contract.packet import BEAT_BITS, EVENT_FORMATS, layout
 from coincid.model.contract.parameters import CLOCK_MHZ
 from coincid.model.depth.histograms import SOURCES
 from coincid.model.depth.quality import TOLERANCE_M
@@ -138,7 +138,7 @@ def test_the_cost_of_a_format_is_that_of_its_packets(monkeypatch):
         sensor = parse_config({"sensor": sizes}).sensor
         row = cost.point(sensor)
         assert row["area_um2_per_pixel"] == 7 * sensor.pixels
-        for name, packet in FORMATS.items():
+        for name, packet in EVENT_FORMATS.items():
             beats = layout(sensor).length(packet)
             assert row[f"mevents_per_s_{name}"] == round(CLOCK_MHZ / beats, 1)
             if not packet.grouped:
