@@ -45,7 +45,7 @@ LAW = {  # method: weights of `features` and a constant, set by `python -m docs.
     "background": (0.228, 0.215, 0.453, -0.307, 0.0528, -0.109, -0.321, -0.0449, -0.65, -5.1),
     "planes": (0.353, 1.62, -0.161, -0.329, 0.156, 0.088, 0.382, -0.994, -0.146, -5.71),
     # of `planes` in the format counts, set by `python -m docs.studies.count_confidence`
-    "counts": (0.311, 1.37, -1.74, -0.512, 0.14, -0.49, 0.106, -0.506, -0.0848, -3.11),
+    "counts": (0.305, 1.39, -1.65, -0.513, 0.147, -0.528, 0.0821, -0.484, -0.0848, -2.99),
 }
 
 
@@ -64,7 +64,7 @@ class Reason(IntEnum):
 
 SENTENCES = {
     Reason.BELIEVED: "more likely right than wrong",
-    Reason.NO_LIGHT: "no light: the pixel is in no event",
+    Reason.NO_LIGHT: "no light: no hit of the pixel left the sensor",
     Reason.BACKGROUND: "background only: background alone explains its hits",
     Reason.TWO_SURFACES: "two surfaces: more than a fifth of its hits come from another distance",
     Reason.FOLDED: "range folded: its light is so weak that it seems to come from beyond the range",

@@ -305,7 +305,7 @@ def count_signs(
     lit = Lit(full, full / counts.pulses, counts.pulses)
     nothing_lost = np.zeros(sensor.subgroups)
     signs = signs_of(hits, by_chance, lit, nothing_lost, config, sigma_ticks, ticks, sure)
-    has_gate = pixel_image((seen.first > NO_TICK).any(axis=2), sensor)
+    has_gate = pixel_image(np.any(seen.first > NO_TICK, axis=2), sensor)
     return signs._replace(known=signs.known & has_gate, seen=light)
 
 
