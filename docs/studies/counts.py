@@ -360,11 +360,16 @@ def _array_row(name: str, config: Config, events: np.ndarray | None = None) -> t
     return (
         f"{config.pulses:,}",
         name,
-        f"{bits / 1e6:,.3g}" if bits < 1e9 else f"{bits / 1e6:,.0f}",
-        f"{bits * ARRAY_FRAMES_PER_S * 1e-9:,.3g}",
-        f"{frames_per_s(config):,.0f}",
-        f"{most_frames_per_s:,.3g}",
+        _told(bits / 1e6),
+        _told(bits * ARRAY_FRAMES_PER_S * 1e-9),
+        _told(frames_per_s(config)),
+        _told(most_frames_per_s),
     )
+
+
+def _told(number: float) -> str:
+    """Return a number with three digits at least, and not as a power of ten."""
+    return f"{number:,.0f}" if number >= 100 else f"{number:,.3g}"
 
 
 def make() -> None:
