@@ -324,7 +324,8 @@ def counting(sensor: dict) -> list[Config]:
     built = built_sensor(sensor)
     if not built.counts:
         return []
-    frame = dict(period=built.guard + 12, format=COUNTS.name)
+    # more wide bins than there are regions
+    frame = dict(period=built.guard + 100, format=COUNTS.name)
     pulses = dict(pulses=120, search_pulses=20)
     return [configured(sensor, frame | {"pulses": 9}), configured(sensor, frame | pulses)]
 
