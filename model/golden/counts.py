@@ -289,6 +289,7 @@ def _find_gates(given: _Given, memory: _Memory) -> None:
             if second == NO_GATE:
                 continue
             if abs(second - first) < GATE_CYCLES:
+                # equivalent (second >= first: GtE): they never begin in the same cycle
                 second = first + GATE_CYCLES if second >= first else first - GATE_CYCLES
             if 0 <= second <= last:
                 begins[1] = second
