@@ -259,7 +259,9 @@ def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
             document[table][key] = (
                 [int(n) for n in value.split("x")] if SETTINGS[key].kind is Kind.SIZE else value
             )
-    if values["format"] == "counts":  # a part that is built only if it is asked for
+    if (
+        values["format"] == "counts" or values["search_pulses"] is not None
+    ):  # a part that is built only if it is asked for
         document["sensor"]["counts"] = 1
     return document
 

@@ -34,7 +34,7 @@ OBJECT_HEADS = ("", "reflects", "distance", "photons per pulse", "wrong")
 
 def number_rows(*views: FrameView) -> list[list[str]]:
     """Return one row per number: label, then the value of each view."""
-    counting = all(view.config.counting for view in views)
+    counting = all(view.numbers.get("counted") is not None for view in views)
     return [
         [label, *(_said(view.numbers[name], form) for view in views)]
         for label, name, form in (COUNT_NUMBERS if counting else NUMBERS)
@@ -76,7 +76,7 @@ def where_to_look(view: FrameView) -> str:
 def _words_sent(view: FrameView) -> str:
     """Return a sentence about the words of a frame."""
     numbers = view.numbers
-    if view.config.counting:
+    if numbers.get("counted") is not None:
         bits = f"{numbers['bits']:,} bits left the sensor"
         return f"The pixels counted {numbers['counted']:,} hits in their gates; {bits}."
     dropped = ""
