@@ -336,7 +336,7 @@ def advise(
         rate = f"{one.frames_per_s:,.0f}"
         style = "bold" if one is advice.best else None
         table.add_row(*setting, *shares, *prices, rate, style=style)
-    shown = Console(highlight=False, width=None if sys.stdout.isatty() else 132)
+    shown = Console(highlight=False, width=None if sys.stdout.isatty() else 150)
     if advice.useless:
         print(advice.useless)
     shown.print(table)
