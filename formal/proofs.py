@@ -4,8 +4,10 @@
 from . import async_front as async_front
 from . import clock_gate as clock_gate
 from . import controller as controller
+from . import counts as counts
 from . import dpcu as dpcu
 from . import fifo as fifo
+from . import gate_search as gate_search
 from . import groups as groups
 from . import idle as idle
 from . import readout as readout

@@ -3,6 +3,8 @@
 twice.
 """
 
+from attrs import evolve
+
 from ..model.contract.parameters import Sensor
 
 SMALL = Sensor(
@@ -16,3 +18,6 @@ SMALL = Sensor(
     subgroup=(4, 4),
     minigroup=(2, 2),
 )
+
+# With counts, which use the same structures and none of those of events less.
+SMALL_COUNTS = evolve(SMALL, counts=1)

@@ -1,0 +1,548 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Proofs of the search for regions and gates.
+
+The order and the time of a search are those of counters that go through its minigroups, rounds and
+bins, so no proof plays a whole search. What it finds is proven for one wide bin, or one peak, that
+may be any, against a specification that sees every bin once in a round.
+"""
+
+from amaranth.hdl import Cat, Const, Mux, Signal, Value
+from attrs import frozen
+
+from ..hdl import bus
+from ..hdl.gate_search import GateSearch
+from ..hdl.minigroup_counts import NOTE_BITS
+from ..model.contract import counts
+from .counts import gates_are_legal
+from .proof_bench import Bench, proof
+from .sensors import SMALL_COUNTS
+
+N = SMALL_COUNTS.minigroups
+VALUE_MAX = 6 * ((1 << counts.WIDE_BITS) - 1)
+VALUE_BITS = VALUE_MAX.bit_length()
+COUNT_ROUND = VALUE_BITS  # behind one round for each bit
+MARK_ROUND = VALUE_BITS + 1
+REGION_ROUNDS = VALUE_BITS + 2
+GATE_ROUND = counts.CYCLES_MAX + 4  # cycles
+REGION_CYCLES = N * REGION_ROUNDS * counts.WIDE_BINS
+GATE_CYCLES = N * counts.GATES * GATE_ROUND
+PAUSES = counts.pause_cycles(N)
+
+
+@frozen
+class Search:
+    """Where a search is.
+
+    active: from its start until it is done; since: cycles since then; regions: what it is for;
+    reads: it reads bins; group, round, position: which; begun: cycles since a frame has begun, or 0
+    after the memory has been cleared.
+    """
+
+    active: Signal
+    since: Signal
+    regions: Signal
+    reads: Signal
+    group: Signal
+    round: Signal
+    position: Signal
+    begun: Signal
+
+    @property
+    def in_regions(self) -> Value:
+        """Return whether it reads wide bins."""
+        return self.reads & self.regions
+
+    @property
+    def in_gates(self) -> Value:
+        """Return whether it reads narrow bins."""
+        return self.reads & ~self.regions
+
+
+@proof(depth=3, cover=14)
+def gate_search(b: Bench):
+    """A search reads the bins of each minigroup in order, as often as it has to, and is done within
+    the contract's pause; it writes each minigroup's four words of marks, or its gates, once, and
+    clears the memory.
+    """
+    unit = b.place(GateSearch(SMALL_COUNTS))
+    search = _search(b, unit)
+    _search_is_done_in_time(b, unit, search)
+    _memory_is_cleared(b, unit, search)
+    _words_are_written(b, unit, search)
+    _values_are_sums(b, unit, search)
+    b.cover(unit.valued & (unit.value == VALUE_MAX))
+    b.cover(unit.clear & (unit.clear_row == counts.ROWS - 1))
+
+
+def _search(b: Bench, unit: GateSearch) -> Search:
+    """Specify a search: it goes through groups, rounds and bins. It starts when no other goes on,
+    and the beginning of a frame ends it.
+    """
+    m = b.m
+    active = Signal()
+    since = Signal(range(max(PAUSES) + 1))
+    regions = Signal()
+    reads = Signal()
+    group = Signal(range(N))
+    number = Signal(range(REGION_ROUNDS))
+    position = Signal(range(GATE_ROUND))
+    begun = Signal(range(counts.ROWS + 1))
+
+    starts_one = (unit.step == bus.Step.WIDE) | (unit.step == bus.Step.NARROW)
+    b.assume(~unit.busy & ~unit.frame_begin & starts_one, where=unit.start)
+
+    last_position = Mux(regions, counts.WIDE_BINS, GATE_ROUND) - 1
+    last_round = Mux(regions, REGION_ROUNDS, counts.GATES) - 1
+    round_ends = b.same("spec_round_ends", position == last_position)
+    group_ends = b.same("spec_group_ends", round_ends & (number == last_round))
+    m.d.sync += since.eq(Mux(since == max(PAUSES), since, since + 1))
+    m.d.sync += begun.eq(Mux((begun == 0) | (begun == counts.ROWS), 0, begun + 1))
+    with m.If(reads):
+        m.d.sync += position.eq(Mux(round_ends, 0, position + 1))
+        with m.If(round_ends):
+            m.d.sync += number.eq(Mux(group_ends, 0, number + 1))
+        with m.If(group_ends):
+            m.d.sync += group.eq(group + 1)
+            m.d.sync += reads.eq(group != N - 1)
+    with m.If(unit.done):
+        m.d.sync += active.eq(0)
+    with m.If(unit.start):
+        m.d.sync += [active.eq(1), reads.eq(1), since.eq(1), regions.eq(unit.step == bus.Step.WIDE)]
+        m.d.sync += [group.eq(0), number.eq(0), position.eq(0)]
+    with m.If(unit.frame_begin):
+        m.d.sync += [active.eq(0), reads.eq(0), begun.eq(1)]
+    search = Search(active, since, regions, reads, group, number, position, begun)
+
+    b.always(unit.for_regions == search.in_regions)
+    b.always(unit.for_gates == search.in_gates)
+    same_place = (unit.reads == group) & (unit.round == number)
+    number_read = Mux(regions, position * counts.WIDE_CYCLES, position)
+    b.always(same_place & (unit.number == number_read), where=reads)
+    b.always(unit.cycle == number_read[: counts.GATE_BITS], where=reads)
+    b.always(unit.valued == b.past(search.in_regions), where=~b.past(unit.start))
+    b.always(~unit.valued, where=b.past(unit.start))
+    b.always(active, where=reads)
+    b.always(round_ends | (position < last_position), where=reads)
+    b.always(number <= last_round, where=reads)
+    return search
+
+
+def _search_is_done_in_time(b: Bench, unit: GateSearch, search: Search) -> None:
+    """State that a search is over before its pause is, and that it is done once.
+
+    Help the induction: the time since the start follows from the place.
+    """
+    since = search.since
+    regions = search.regions
+    pause = Mux(regions, *PAUSES)
+    done = Signal()
+    with b.m.If(unit.start | unit.frame_begin):
+        b.m.d.sync += done.eq(0)
+    with b.m.Elif(unit.done):
+        b.m.d.sync += done.eq(1)
+    b.always(~unit.busy & done, where=b.past(search.active) & (since >= pause))
+    b.always(since < pause, where=search.active)
+    b.always(search.active & ~done, where=unit.done)
+    b.always(unit.busy, where=search.active | (search.begun != 0))
+    b.always(~search.active, where=done | (search.begun != 0))
+
+    region_round = search.group * REGION_ROUNDS + search.round
+    gate_round = search.group * counts.GATES + search.round
+    before = Mux(regions, region_round * counts.WIDE_BINS, gate_round * GATE_ROUND)
+    b.always(since == before + search.position + 1, where=search.reads)
+    read = b.same("read", Mux(regions, REGION_CYCLES + 1, GATE_CYCLES))
+    b.always(since > read - regions, where=search.active & ~search.reads)
+    b.always(since <= read + counts.ROWS + 2, where=search.active)
+    b.always(unit.done == (search.active & (since == read + counts.ROWS + 2)))
+    searched = search.active & (since > 1) & (since <= read + 1)
+    b.always(unit.searched == searched, where=search.begun == 0)
+    clears = search.active & (since > read + 1) & (since <= read + 1 + counts.ROWS)
+    b.always(unit.clear == (clears | (search.begun != 0)))
+    b.always(unit.clear_row == since - read - 2, where=clears)
+    b.always(unit.clears_after == clears, where=unit.clear)
+    b.always(unit.clear_row == search.begun - 1, where=search.begun != 0)
+    b.always(~unit.searched | (search.begun == 1), where=search.begun != 0)
+
+
+def _memory_is_cleared(b: Bench, unit: GateSearch, search: Search) -> None:
+    """State that each row is cleared once, after a search and when a frame begins, and not while a
+    search reads.
+    """
+    m = b.m
+    cleared = Signal(range(counts.ROWS + 1), init=counts.ROWS)
+    with m.If(unit.frame_begin | unit.start):
+        m.d.sync += cleared.eq(0)
+    with m.Elif(unit.clear):
+        m.d.sync += cleared.eq(cleared + 1)
+    b.always((unit.clear_row == cleared) & ~search.reads, where=unit.clear)
+    b.always(cleared < counts.ROWS, where=unit.clear)
+    b.always(cleared == counts.ROWS, where=unit.done | ~unit.busy)
+    # Help the induction.
+    b.always(cleared == search.begun - 1, where=search.begun != 0)
+    b.always((cleared == 0) | unit.clear | unit.done, where=search.active)
+
+
+def _words_are_written(b: Bench, unit: GateSearch, search: Search) -> None:
+    """State when marks and gates are written, and to which minigroup."""
+    marks = search.in_regions & (search.round == MARK_ROUND)
+    ends_word = b.same("ends_word", marks & (search.position % NOTE_BITS == NOTE_BITS - 1))
+    word = b.past(Mux(ends_word, 1 << (search.position // NOTE_BITS), 0), 2)
+    b.always(unit.note_to == word)
+    b.always(unit.group == b.past(search.group, 2), where=word.any())
+    last_round = search.in_gates & (search.round == counts.GATES - 1)
+    ends_gates = b.same("ends_gates", last_round & (search.position == GATE_ROUND - 1))
+    b.always(unit.set_gates == b.past(ends_gates))
+    b.always(unit.group == b.past(search.group), where=unit.set_gates)
+
+
+def _values_are_sums(b: Bench, unit: GateSearch, search: Search) -> None:
+    """State that a value is twice the minigroup's own hits, and those of the minigroups beside it."""
+    cols = SMALL_COUNTS.subgroup[1] // SMALL_COUNTS.minigroup[1]
+    hits = [unit.wide.word_select(g, counts.WIDE_BITS) for g in range(N)]
+    value: Value = Const(0)
+    for g in range(N):
+        of_group = 2 * hits[g]
+        for other in range(N):
+            away = abs(g // cols - other // cols) + abs(g % cols - other % cols)
+            if away == 1:
+                of_group = of_group + hits[other]
+        value = Mux(search.group == g, of_group, value)
+    b.always(unit.value == b.past(value), where=unit.valued)
+    _value_is_in_registers(b, unit, search)
+
+
+def _value_is_in_registers(b: Bench, unit: GateSearch, search: Search) -> None:
+    """Help the induction: registers hold where a value is from."""
+    valued = unit.valued
+    b.always(unit.value_group == b.past(search.group), where=valued)
+    b.always(unit.value_round == b.past(search.round), where=valued)
+    b.always(unit.value_word == b.past(search.position), where=valued)
+    last = b.past(search.position) == counts.WIDE_BINS - 1
+    b.always(unit.value_last == last, where=valued)
+    b.always(unit.value <= VALUE_MAX)
+
+
+@frozen
+class Values:
+    """The values of a round, before the one that is read in this cycle.
+
+    here: a value of the minigroup that is followed is read; at_bin: it is that of the bin that is
+    followed; own: this value; reach, above: so many reach it, and are above it; all_reach,
+    all_above: the same of a whole round; before: values that equal it, in bins before it.
+    """
+
+    here: Signal
+    at_bin: Signal
+    number: Value
+    round: Value
+    last: Signal
+    own: Signal
+    reach: Signal
+    above: Signal
+    all_reach: Signal
+    all_above: Signal
+    before: Signal
+
+
+@proof(depth=2, cover=10)
+def gate_search_regions(b: Bench):
+    """An arbitrary wide bin is marked exactly if fewer than ten values are higher, or equal and in
+    bins before it.
+    """
+    unit = b.place(GateSearch(SMALL_COUNTS))
+    search = _search(b, unit)
+    _value_is_in_registers(b, unit, search)
+    group = b.same("watched_group", b.constant(range(N)))
+    watched = b.same("watched_bin", b.constant(range(counts.WIDE_BINS)))
+    values = _values(b, unit, search, group, watched)
+
+    _bin_is_marked(b, unit, values, group, watched)
+
+    _tenth_is_between(b, unit, values)
+    _found_is_between(b, unit, search, values)
+    _left_is_what_is_left(b, unit, values)
+
+    b.cover(values.at_bin & (values.number == 3) & (unit.found == 2))
+
+
+def _values(b: Bench, unit: GateSearch, search: Search, group: Signal, watched: Signal) -> Values:
+    """Specify the values of a round. They are the same in all rounds, since the memory does not
+    change in a search.
+    """
+    m = b.m
+    size = range(counts.WIDE_BINS + 1)
+    own = b.same("own", b.constant(VALUE_BITS))
+    number = b.past(search.position)
+    here = b.same("here", unit.valued & (b.past(search.group) == group))
+    round_now = b.past(search.round)
+    at_bin = b.same("at_bin", here & (number == watched))
+    last = b.same("last_of_round", here & (number == counts.WIDE_BINS - 1))
+    kept_reach = Signal(size)
+    kept_above = Signal(size)
+    all_reach = Signal(size)
+    all_above = Signal(size)
+    before = Signal(size)
+    reach = b.same("reach", Mux(number == 0, 0, kept_reach))
+    above = b.same("above_own", Mux(number == 0, 0, kept_above))
+    reach_now = b.same("reach_now", reach + (unit.value >= own))
+    above_now = b.same("above_now", above + (unit.value > own))
+    with m.If(here):
+        m.d.sync += [kept_reach.eq(reach_now), kept_above.eq(above_now)]
+    with m.If(last & (round_now == 0)):
+        m.d.sync += [all_reach.eq(reach_now), all_above.eq(above_now)]
+    with m.If(at_bin & (round_now == 0)):
+        m.d.sync += before.eq(reach - above)
+    b.assume(unit.value == own, where=at_bin)
+    again = (reach_now == all_reach) & (above_now == all_above)
+    b.assume(again, where=last & (round_now != 0))
+    b.assume(before == reach - above, where=at_bin & (round_now != 0))
+    # Help the induction.
+    b.always((above <= reach) & (reach <= number), where=here)
+    after_bin = here & ((number > watched) | (round_now != 0))
+    counted = Mux(round_now == 0, reach, all_reach) - Mux(round_now == 0, above, all_above)
+    b.always(before < counted, where=after_bin)
+    b.always(all_above <= all_reach, where=here & (round_now != 0))
+    return Values(
+        here=here,
+        at_bin=at_bin,
+        number=number,
+        round=round_now,
+        last=last,
+        own=own,
+        reach=reach,
+        above=above,
+        all_reach=all_reach,
+        all_above=all_above,
+        before=before,
+    )
+
+
+def _bin_is_marked(
+    b: Bench, unit: GateSearch, values: Values, group: Signal, watched: Signal
+) -> None:
+    """State the mark of a bin, in the word that is written.
+
+    Help the induction: in the round that marks, the word is shifted by one place with each bin.
+    """
+    marked = b.same("spec_mark", values.all_above + values.before < counts.REGIONS)
+    place = watched % NOTE_BITS
+    word = watched // NOTE_BITS
+    written = unit.note_to.bit_select(word, 1) & (unit.group == group)
+    b.always(unit.note.bit_select(place, 1) == marked, where=written)
+    marks = values.here & (values.round == MARK_ROUND)
+    since = (values.number - watched).as_unsigned()[:NOTE_BITS.bit_length()]
+    same_word = (values.number // NOTE_BITS == word) & (values.number > watched)
+    here = unit.note.bit_select((NOTE_BITS - since)[:NOTE_BITS.bit_length()], 1)
+    b.always(here == marked, where=marks & same_word)
+    written_after = b.past(marks & (values.number // NOTE_BITS == word))
+    b.always(written_after, where=written)
+
+
+def _tenth_is_between(b: Bench, unit: GateSearch, values: Values) -> None:
+    """Help the induction: what is known of the tenth value, one bit with each round."""
+    tenth = unit.tenth
+    later = values.here & (values.round != 0)
+    unknown = b.same("unknown", _power_of(values.round))
+    for limit, number in ((values.own, values.all_reach), (values.own + 1, values.all_above)):
+        b.always((number >= counts.REGIONS) | (limit == 0), where=later & (tenth >= limit))
+        b.always(number < counts.REGIONS, where=later & (tenth + unknown <= limit))
+    b.always((tenth & (unknown - 1)[:VALUE_BITS]) == 0, where=unit.valued)
+    b.always(tenth <= VALUE_MAX)
+
+
+def _power_of(number: Value) -> Value:
+    """Return the distance of the numbers that the tenth value can be in a round."""
+    power: Value = Const(1)
+    for k in range(VALUE_BITS):
+        power = Mux(number == k, 1 << (VALUE_BITS - k), power)
+    return power
+
+
+def _found_is_between(b: Bench, unit: GateSearch, search: Search, values: Values) -> None:
+    """Help the induction: how many values have reached the limit, beside those that are counted for
+    the bin.
+    """
+    found = unit.found
+    bits = values.here & (values.round < COUNT_ROUND)
+    step = _power_of(values.round) >> 1
+    limit = b.same("spec_limit", unit.tenth + step)
+    b.always(unit.limit == limit, where=unit.valued & (unit.value_round < COUNT_ROUND))
+    for bound, number in ((values.own, values.reach), (values.own + 1, values.above)):
+        b.always(found >= number, where=bits & (limit <= bound))
+        b.always(found <= number, where=bits & (limit >= bound))
+    counts_above = values.here & (values.round == COUNT_ROUND)
+    b.always(found == values.above, where=counts_above & (unit.tenth == values.own))
+    b.always(found <= values.number, where=unit.valued)
+    too_high = unit.valued & (unit.value_round < COUNT_ROUND) & (limit > VALUE_MAX)
+    b.always(found == 0, where=too_high)
+    at_begin = search.in_regions & (search.since == 1)
+    b.always((found == 0) & (unit.tenth == 0), where=at_begin)
+    b.always(unit.tenth == 0, where=unit.valued & (unit.value_round == 0))
+
+
+def _left_is_what_is_left(b: Bench, unit: GateSearch, values: Values) -> None:
+    """Help the induction: how many values that equal the tenth are still marked."""
+    marks = values.here & (values.round == MARK_ROUND)
+    equal = values.reach - values.above
+    taken = values.all_above + equal
+    left = Mux(taken >= counts.REGIONS, 0, counts.REGIONS - taken)
+    b.always(unit.equal_left == left, where=marks & (unit.tenth == values.own))
+
+
+@frozen
+class Peak:
+    """A peak that is followed, in a round.
+
+    begin: number of its first bin; height, moment: of the bins that have been read.
+    """
+
+    begin: Signal
+    bins: list[Signal]
+    height: Signal
+    moment: Signal
+
+
+@proof(depth=2, cover=10)
+def gate_search_gates(b: Bench):
+    """The peak that a round finds is as high as an arbitrary one, and higher than one before it;
+    the gates are those of the contract, in the period, and do not overlap.
+    """
+    unit = b.place(GateSearch(SMALL_COUNTS))
+    search = _search(b, unit)
+    b.assume(unit.last_gate <= counts.CYCLES_MAX - counts.GATE_CYCLES)
+    b.assume_stable(unit.last_gate, where=search.active)
+    first = _first_gate(b, unit, search)
+    peak = _peak(b, unit, search, first)
+
+    ends = b.same("peak_found", search.in_gates & (search.position == GATE_ROUND - 1))
+    _highest_is_found(b, unit, peak, ends)
+    _gates_are_those_of_the_contract(b, unit, search, first, ends)
+
+    _bins_are_in_registers(b, unit, search, peak)
+    _highest_is_in_registers(b, unit, search, peak)
+    b.cover(search.in_gates & (unit.height == 9))
+
+
+def _first_gate(b: Bench, unit: GateSearch, search: Search) -> Signal:
+    """Specify the first gate, which is known from the end of the first round on.
+
+    All rounds read the same bins: if there is no first gate, all are 0.
+    """
+    first = Signal(counts.GATE_BITS, name="spec_first")
+    with b.m.If(search.in_gates & (search.round == 0) & (search.position == GATE_ROUND - 1)):
+        b.m.d.sync += first.eq(_gate(b, unit, "first"))
+    second_round = search.in_gates & (search.round == 1)
+    b.always(unit.first_gate == first, where=second_round)
+    b.assume(unit.narrow == 0, where=second_round & (first == counts.NO_GATE))
+    b.always(unit.height == 0, where=second_round & (first == counts.NO_GATE) & (search.position != 0))
+    b.always((first <= unit.last_gate) | (first == counts.NO_GATE), where=second_round)
+    return first
+
+
+def _gate(b: Bench, unit: GateSearch, name: str) -> Signal:
+    """Return the gate of the peak that was found, by the contract's formula."""
+    begin = unit.peak_begin
+    height = unit.height
+    moment = unit.moment
+    even = begin // 2 - 2 + (moment >= 2 * height) + (moment >= 6 * height)
+    odd = begin // 2 - 1 + (moment >= 4 * height)
+    wanted = b.same(f"{name}_wanted", Mux(begin % 2 == 0, even, odd))
+    late = Mux(wanted > unit.last_gate, unit.last_gate, wanted)
+    kept = Mux(wanted < 0, 0, late)
+    return b.same(f"{name}_of_peak", Mux(height == 0, counts.NO_GATE, kept)[: counts.GATE_BITS])
+
+
+def _highest_is_found(b: Bench, unit: GateSearch, peak: Peak, ends: Signal) -> None:
+    """State that at the end of a round the highest peak is known, the first of equal ones."""
+    is_found = unit.peak_begin == peak.begin
+    as_high = (unit.height > peak.height) | (unit.peak_begin <= peak.begin) | (peak.height == 0)
+    b.always((unit.height >= peak.height) & as_high, where=ends)
+    same = (unit.height == peak.height) & (unit.moment == peak.moment)
+    b.always(same, where=ends & is_found & (unit.height != 0))
+
+
+def _gates_are_those_of_the_contract(
+    b: Bench, unit: GateSearch, search: Search, first: Signal, ends: Signal
+) -> None:
+    """State the gates that are written."""
+    gate = _gate(b, unit, "second")
+    overlap = (gate < first + counts.GATE_CYCLES) & (first < gate + counts.GATE_CYCLES)
+    both = (gate != counts.NO_GATE) & (first != counts.NO_GATE)
+    behind = first + counts.GATE_CYCLES
+    ahead = first - counts.GATE_CYCLES
+    moved = b.same("moved", Mux(gate >= first, behind, ahead))
+    within = (moved >= 0) & (moved <= unit.last_gate)
+    beside = Mux(within, moved, counts.NO_GATE)
+    second = b.same("spec_second", Mux(both & overlap, beside, gate)[: counts.GATE_BITS])
+    written = b.past(ends & (search.round == 1))
+    b.always(unit.gates == b.past(Cat(first, second)), where=written)
+    b.always(unit.set_gates == written)
+    begins = [unit.gates.word_select(g, counts.GATE_BITS) for g in range(counts.GATES)]
+    for begin in begins:
+        in_period = (begin <= b.past(unit.last_gate)) | (begin == counts.NO_GATE)
+        b.always(in_period, where=unit.set_gates)
+    b.always(gates_are_legal(unit.gates), where=unit.set_gates)
+
+
+def _peak(b: Bench, unit: GateSearch, search: Search, first: Signal) -> Peak:
+    """Specify the bins of a peak, in the order in which a round reads them. In the second round
+    those of the first gate are 0.
+    """
+    m = b.m
+    most = counts.NARROW_PER_CYCLE * counts.CYCLES_MAX - counts.PEAK_BINS
+    begin = b.same("watched_peak", b.constant(range(most + 1)))
+    b.assume(begin <= most)
+    cycle = search.position
+    of_group = unit.narrow.word_select(search.group, counts.REGION_BITS)
+    in_first = (cycle >= first) & (cycle < first + counts.GATE_CYCLES) & (first != counts.NO_GATE)
+    empty = (cycle >= counts.CYCLES_MAX) | ((search.round == 1) & in_first)
+    both = b.same("both_bins", Mux(empty, 0, of_group))
+    bins = [Signal(counts.NARROW_BITS, name=f"peak_bin_{k}") for k in range(counts.PEAK_BINS)]
+    with m.If(search.in_gates):
+        for k, kept in enumerate(bins):
+            with m.If(cycle == 0):
+                m.d.sync += kept.eq(0)
+            with m.If(2 * cycle == begin + k):
+                m.d.sync += kept.eq(both[: counts.NARROW_BITS])
+            with m.If(2 * cycle + 1 == begin + k):
+                m.d.sync += kept.eq(both[counts.NARROW_BITS :])
+    height = b.same("peak_height", sum(bins, start=Const(0)))
+    moment = b.same("peak_moment", sum((2 * k + 1) * kept for k, kept in enumerate(bins)))
+    return Peak(begin, bins, height, moment)
+
+
+def _bins_are_in_registers(b: Bench, unit: GateSearch, search: Search, peak: Peak) -> None:
+    """Help the induction: registers hold the last bins, and the peaks that end in a cycle."""
+    cycle = search.position
+    in_round = search.in_gates & (cycle != 0)
+    bins_max = counts.NARROW_PER_CYCLE * counts.CYCLES_MAX
+    calm = ~search.reads & ((search.begun == 0) | (search.begun > 5)) | search.in_regions
+    at_begin = search.in_gates & (cycle == 0)
+    for j, kept in enumerate(unit.bins):
+        number = b.same(f"number_of_bin_{j}", 2 * cycle - len(unit.bins) + j)
+        for k, watched in enumerate(peak.bins):
+            b.always(kept == watched, where=in_round & (number == peak.begin + k))
+        b.always(kept == 0, where=in_round & ((number < 0) | (number >= bins_max)))
+        b.always(kept == 0, where=calm | at_begin)
+    for k, (height, moment) in enumerate(zip(unit.heights, unit.moments, strict=True)):
+        number = b.same(f"number_of_peak_{k}", 2 * cycle - len(unit.bins) - 2 + k)
+        known = (height == peak.height) & (moment == peak.moment)
+        b.always(known, where=in_round & (number == peak.begin))
+        b.always(height == 0, where=in_round & (number < 1 - counts.PEAK_BINS))
+        b.always(height == 0, where=in_round & (number >= bins_max))
+        b.always(height == 0, where=calm | at_begin)
+    b.always(unit.peak_cycle == cycle - 2, where=in_round & (cycle > 1))
+
+
+def _highest_is_in_registers(b: Bench, unit: GateSearch, search: Search, peak: Peak) -> None:
+    """Help the induction: the highest peak of those that have been compared in this round."""
+    in_round = search.in_gates & (search.position != 0)
+    compared = b.same("compared", 2 * search.position - 8)  # the last one
+    after = in_round & (peak.begin <= compared)
+    as_high = (unit.height > peak.height) | (unit.peak_begin <= peak.begin) | (peak.height == 0)
+    b.always((unit.height >= peak.height) & as_high, where=after)
+    same = (unit.height == peak.height) & (unit.moment == peak.moment)
+    is_peak = (unit.peak_begin == peak.begin) & (unit.height != 0)
+    b.always(same, where=after & is_peak)
+    b.always((unit.height == 0) | (unit.peak_begin <= compared), where=in_round)
+    b.always(unit.height == 0, where=in_round & (compared < 0))
