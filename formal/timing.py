@@ -5,7 +5,7 @@ Each proof names its parts in order: what the inputs may be, the specification, 
 the invariants that only help the induction.
 """
 
-from amaranth.hdl import Mux, Signal
+from amaranth.hdl import Const, Mux, Signal, Value
 from attrs import frozen
 
 from ..hdl import bus
@@ -13,11 +13,13 @@ from ..hdl.controller import SETTLED
 from ..hdl.gating import Gating
 from ..hdl.sequencer import LEAD, TO_FINISH, Sequencer
 from ..hdl.tdc import START_TO_PHASE, Tdc
+from ..model.contract.counts import pause_cycles
 from ..model.contract.dither import DITHER_BITS_MAX, GAP_BITS, LFSR_BITS, LFSR_TAPS
+from ..model.contract.packet import COUNTS, FORMAT_NAMES
 from ..model.contract.parameters import Sensor
-from ..model.contract.settings import GATE_BITS
+from ..model.contract.settings import GATE_BITS, SEARCH_PULSES_MAX
 from .proof_bench import Bench, proof
-from .sensors import SMALL
+from .sensors import SMALL, SMALL_COUNTS
 
 
 @proof(depth=START_TO_PHASE, cover=12)
@@ -140,7 +142,7 @@ class Periods:
     """The periods as the contract counts them, one cycle behind the sequencer's own counters.
 
     `timing` of the sequencer is as late. since: cycles since the period began; number: of the
-    period; in_period: one runs; gap: cycles of a gap that are left; wait: cycles of dither's wait
+    period; in_period: one runs; gap: cycles of a gap that are left, out of gap_length; wait: cycles of dither's wait
     that are left, also while it is in the gap; alive: any of the three; last: a period's last
     cycle; over: the cycle after it; cut: the cycle after an abort in a gap; aborting: no period
     follows this one; lfsr: draws the waits; exact: the gate's shift, without a limit; pulses,
@@ -151,6 +153,7 @@ class Periods:
     number: Signal
     in_period: Signal
     gap: Signal
+    gap_length: Signal
     wait: Signal
     alive: Signal
     last: Signal
@@ -170,7 +173,23 @@ def sequencer(b: Bench):
 
     No window opens in the guard, in a gap or in a wait.
     """
-    unit = b.place(Sequencer(SMALL))
+    unit = _sequencer(b, SMALL)
+    b.cover(unit.timing.may_open)
+
+
+@proof(depth=6, cover=40)
+def sequencer_with_counts(b: Bench):
+    """The same of a sensor with counts; in a frame of counts, the gap after steps 1 and 2 is at
+    least the pause of the search, which is told once, and no window opens.
+    """
+    unit = _sequencer(b, SMALL_COUNTS)
+    b.cover(unit.timing.search & (unit.search_step == bus.Step.WIDE))
+    b.cover(unit.timing.may_open)
+
+
+def _sequencer(b: Bench, sensor: Sensor) -> Sequencer:
+    """Prove the sequencer of a sensor, and return it."""
+    unit = b.place(Sequencer(sensor))
     busy = _front_obeys(b, unit)
 
     periods = _periods(b, unit)
@@ -181,6 +200,8 @@ def sequencer(b: Bench):
 
     _one_frame_at_a_time(b, unit, periods, busy, ending)
     _periods_are_in_registers(b, unit, periods)
+    if sensor.counts:
+        _steps_are_in_registers(b, unit)
     _end_is_in_registers(b, unit, ending)
 
     plan = unit.plan
@@ -199,6 +220,7 @@ def sequencer(b: Bench):
     b.cover(starts_after_gap & (periods.number == 1))
     b.cover(starts_after_both)
     b.cover(unit.done & was_cut & (unit.pulse == 1))
+    return unit
 
 
 def _front_obeys(b: Bench, unit: Sequencer) -> Signal:
@@ -215,7 +237,27 @@ def _front_obeys(b: Bench, unit: Sequencer) -> Signal:
     legal_period = (plan.period > SMALL.guard) & (plan.period <= SMALL.period_max)
     b.assume(legal_period & (plan.pulses != 0) & (plan.pulses <= 1 << 16))
     b.assume((plan.gate_steps != 0) & (plan.dither_bits <= DITHER_BITS_MAX))
+    if unit.sensor.counts:
+        b.assume((plan.search_pulses != 0) & (plan.search_pulses <= SEARCH_PULSES_MAX))
     return busy
+
+
+def _ends_step(unit: Sequencer, begun: Value) -> list[Value]:
+    """Return whether the last one of so many periods ends step 1, and whether it ends step 2."""
+    plan = unit.plan
+    if not unit.sensor.counts:
+        return [Const(0), Const(0)]
+    counting = plan.format == FORMAT_NAMES.index(COUNTS.name)
+    return [counting & (begun == k * plan.search_pulses) for k in (1, 2)]
+
+
+def _gap_after(unit: Sequencer, begun: Value) -> Value:
+    """Return the cycles of the gap after so many periods: the longer one of gap and pause."""
+    gap: Value = unit.plan.gap
+    pauses = pause_cycles(unit.sensor.minigroups)
+    for ends, pause in zip(_ends_step(unit, begun), pauses, strict=True):
+        gap = Mux(ends & (gap < pause), pause, gap)
+    return gap
 
 
 def _periods(b: Bench, unit: Sequencer) -> Periods:
@@ -231,8 +273,10 @@ def _periods(b: Bench, unit: Sequencer) -> Periods:
     aborting = Signal()
     lfsr = Signal(LFSR_BITS)
     gap = Signal(GAP_BITS)
+    gap_length = Signal(GAP_BITS)
     wait = Signal(DITHER_BITS_MAX)
 
+    gap_after = b.same("gap_after", _gap_after(unit, number + 1))
     last = b.same("last", in_period & (since == plan.period - 1))
     more = b.same("more", (number != plan.pulses - 1) & ~aborting)
     stepped = b.same("stepped", (lfsr >> 1) ^ Mux(lfsr[0], LFSR_TAPS, 0))
@@ -250,8 +294,9 @@ def _periods(b: Bench, unit: Sequencer) -> Periods:
         m.d.sync += wait.eq(0)
     with m.Elif(last):
         m.d.sync += number.eq(number + 1)
-        m.d.sync += in_period.eq(more & (plan.gap == 0) & (chosen == 0))
-        m.d.sync += gap.eq(Mux(more, plan.gap, 0))
+        m.d.sync += in_period.eq(more & (gap_after == 0) & (chosen == 0))
+        m.d.sync += gap.eq(Mux(more, gap_after, 0))
+        m.d.sync += gap_length.eq(gap_after)
         m.d.sync += wait.eq(Mux(more, chosen, 0))
         m.d.sync += lfsr.eq(stepped)
     with m.Elif(in_gap & aborted_now):
@@ -291,6 +336,7 @@ def _periods(b: Bench, unit: Sequencer) -> Periods:
         number=number,
         in_period=in_period,
         gap=gap,
+        gap_length=gap_length,
         wait=wait,
         alive=alive,
         last=last,
@@ -315,7 +361,12 @@ def _strobes_are_in_their_cycles(b: Bench, unit: Sequencer, periods: Periods) ->
     b.always(timing.start == (in_period & (since == 0)))
     b.always(timing.start, where=begin)
     b.always(timing.wrap == periods.over)
-    b.always(timing.may_open == (in_period & before_guard))
+    may_open = in_period & before_guard
+    if unit.sensor.counts:
+        may_open &= unit.plan.format != FORMAT_NAMES.index(COUNTS.name)
+        one, other = _ends_step(unit, periods.number)
+        b.always(timing.search == (periods.over & (one | other)))
+    b.always(timing.may_open == may_open)
     b.always(unit.laser == b.past(timing.start, LEAD))
     b.always(periods.number < unit.plan.pulses, where=periods.alive)
 
@@ -378,10 +429,12 @@ def _periods_are_in_registers(b: Bench, unit: Sequencer, periods: Periods) -> No
     b.always(b.past(unit.in_gap) == (gap != 0), where=alive)
     b.always(b.past(unit.left) == wait, where=alive)
     b.always(unit.waiting == (unit.in_gap | (unit.left != 0)))
-    b.always(unit.has_gap == b.past(plan.gap != 0), where=b.past(1))
-    begun = Mux(gap == 0, 0, plan.gap - gap + 1)
+    has_gap = b.past(unit.has_gap)
+    b.always(has_gap == (_gap_after(unit, periods.number + 1) != 0), where=periods.last)
+    begun = Mux(gap == 0, 0, periods.gap_length - gap + 1)
     b.always(b.past(unit.waited) == begun[:GAP_BITS], where=alive)
-    b.always(gap <= plan.gap, where=alive)
+    b.always(gap <= periods.gap_length, where=alive)
+    b.always(periods.gap_length == _gap_after(unit, periods.number), where=gap != 0)
     b.always(b.past(unit.gap_over) == (gap == 1), where=gap != 0)
     b.always(b.past(unit.lfsr) == periods.lfsr, where=alive)
     b.always(unit.mask == b.past((1 << plan.dither_bits) - 1), where=b.past(1))
@@ -394,6 +447,28 @@ def _periods_are_in_registers(b: Bench, unit: Sequencer, periods: Periods) -> No
     b.always(unit.aborted == periods.aborting)
     b.always(b.past(unit.cycle) == periods.since, where=alive)
     b.always(b.past(unit.pulse) == periods.number, where=alive)
+
+
+def _steps_are_in_registers(b: Bench, unit: Sequencer) -> None:
+    """Help the induction: registers hold the step, and how many of its periods have begun.
+
+    They change one cycle after a period has begun; what follows from them is two cycles later.
+    """
+    plan = unit.plan
+    in_period = unit.running & ~unit.waiting & (unit.cycle != 0)
+    begun = b.same("periods_begun", unit.pulse + in_period)
+    sought = plan.search_pulses
+    is_counts = plan.format == FORMAT_NAMES.index(COUNTS.name)
+    b.always(unit.counting == b.past(is_counts), where=b.past(1))
+    past_first = is_counts & (begun > sought)
+    past_second = is_counts & (begun > 2 * sought)
+    step = Mux(past_second, bus.Step.GATED, Mux(past_first, bus.Step.NARROW, bus.Step.WIDE))
+    periods = begun - Mux(past_second, 2 * sought, Mux(past_first, sought, 0))
+    b.always(unit.search_step.as_value() == step, where=unit.running)
+    b.always(unit.step_pulses == periods[: bus.PULSE_BITS], where=unit.running)
+    one, other = _ends_step(unit, begun)
+    settled = unit.running & ~unit.restart & (~in_period | (unit.cycle > 1))
+    b.always(unit.step_ends == (one | other), where=settled & b.past(unit.running, 2))
 
 
 def _end_is_in_registers(b: Bench, unit: Sequencer, ending: Signal) -> None:
