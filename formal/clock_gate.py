@@ -26,6 +26,7 @@ from ..hdl.minigroup_counts import MinigroupCounts
 from ..hdl.settings import SubgroupRegisters
 from ..hdl.subgroup import AWAKE_CYCLES, Subgroup
 from ..hdl.tree import CoincidenceTree
+from ..model.contract.parameters import Sensor
 from .proof_bench import Bench, parts_of, proof, registers_in
 from .sensors import SMALL, SMALL_COUNTS
 
@@ -71,7 +72,18 @@ def subgroup_rests(b: Bench):
     """Behind a closed clock gate no register of a subgroup would change, and no row of a memory,
     whatever is in them.
     """
-    unit, tree = Subgroup(SMALL), CoincidenceTree(SMALL)
+    _subgroup_rests(b, SMALL)
+
+
+@proof(depth=AWAKE_CYCLES + 4, cover=AWAKE_CYCLES + 8)
+def counting_subgroup_rests(b: Bench):
+    """The same of a subgroup with counts."""
+    _subgroup_rests(b, SMALL_COUNTS)
+
+
+def _subgroup_rests(b: Bench, sensor: Sensor) -> None:
+    """Prove that a subgroup rests."""
+    unit, tree = Subgroup(sensor), CoincidenceTree(sensor)
     shown = b.free(tree)
     unit.view = SimpleNamespace(
         front_end=lambda sensor: tree,
@@ -85,8 +97,9 @@ def subgroup_rests(b: Bench):
         (unit.command.operation == bus.Operation.IDLE) & ~strobes & ~unit.grant & ~ResetSignal(),
     )
     calm = _quiet_for(b, quiet, TREE_CYCLES)
-    for name in ("closed", "blind", "record_due"):  # as proven below
-        b.assume(~shown[name], where=calm == TREE_CYCLES)
+    resting = ("closed", "blind", "record_due", *(("accepted",) if sensor.counts else ()))
+    for name in resting:  # as proven below
+        b.assume(~shown[name].any(), where=calm == TREE_CYCLES)
 
 
 @proof(depth=2, cover=6)
@@ -147,15 +160,14 @@ def tree_rests(b: Bench):
     """A tree whose clock stops while no strobe comes shows the same as one whose clock runs;
     without strobes it shows nothing.
     """
-    m, sensor = b.m, SMALL
+    m, sensor = b.m, SMALL_COUNTS
     gated, free = CoincidenceTree(sensor), CoincidenceTree(sensor)
     for name, (flow, signal) in free.flat_ports().items():
         if flow.name == "In":
             m.d.comb += signal.eq(b.anything(len(signal)))
             m.d.comb += gated.flat_ports()[name][1].eq(signal)
-    strobes = b.same(
-        "strobes", Cat(free.timing[name] for name in bus.strobes(sensor)).any() | free.accept
-    )
+    in_frame = Cat(free.timing[name] for name in bus.strobes(sensor)).any()
+    strobes = b.same("strobes", in_frame | free.accept)
     calm = _quiet_for(b, ~strobes & ~ResetSignal(), TREE_CYCLES)
     needed = b.same("needed", strobes | (calm != TREE_CYCLES) | ResetSignal())
     enable = b.same("enable", b.anything(1) | needed)
@@ -169,13 +181,16 @@ def tree_rests(b: Bench):
     b.assume_stable(free.frame.as_value(), where=~enable)
     for name, signal in gated.outputs().items():
         other = free.outputs()[name]
-        if name.startswith(("offsets", "window", "entries", "latched")):
+        if name.startswith(("offsets", "window", "entries", "latched", "quarters")):
             continue
         b.always(signal == other)
     b.always(gated.window.as_value() == free.window.as_value(), where=free.closed)
     b.always(gated.latched == free.latched)
-    for name in ("closed", "blind", "record_due"):
-        b.always(~getattr(free, name), where=calm == TREE_CYCLES)
+    for j, accepted in enumerate(free.accepted):
+        same = gated.quarters.word_select(j, 2) == free.quarters.word_select(j, 2)
+        b.always(same, where=accepted)
+    for name in ("closed", "blind", "record_due", "accepted"):
+        b.always(~getattr(free, name).any(), where=calm == TREE_CYCLES)
     # Registers are equal, as at power-on, except data that edges outside of frames have left:
     # nothing there is valid.
     for one, other in zip(*map(registers_in, bodies), strict=True):

@@ -11,8 +11,9 @@ from amaranth.hdl import Cat, Mux, Signal
 
 from ..hdl.readout import Readout
 from ..hdl.sequencer import IDLE_AFTER, Sequencer
+from ..model.contract.parameters import Sensor
 from .proof_bench import Bench, proof, registers_in
-from .sensors import SMALL
+from .sensors import SMALL, SMALL_COUNTS
 
 READY = "m_axis__tready"
 
@@ -25,7 +26,18 @@ def idle_gap(b: Bench):
     Nothing starts or aborts a frame, and none is ending. Two cycles, since a voted register has a
     copy that alternates.
     """
-    unit = Sequencer(SMALL)
+    _idle_gap(b, SMALL)
+
+
+@proof(depth=IDLE_AFTER + 2, cover=40)
+def idle_gap_with_counts(b: Bench):
+    """The same of a sensor with counts, also in the pause of a search."""
+    _idle_gap(b, SMALL_COUNTS)
+
+
+def _idle_gap(b: Bench, sensor: Sensor) -> None:
+    """Prove that a gap is idle."""
+    unit = Sequencer(sensor)
     registers = registers_in(b.drive(unit, "dut"))
     waits = unit.running & unit.waiting & unit.in_gap & ~unit.draining
     quiet = ~unit.start_frame & ~unit.abort_frame
@@ -40,7 +52,8 @@ def idle_gap(b: Bench):
         if register is not unit.waited:
             b.always(register == b.last(b.last(register)), where=idle)
     b.always(unit.waited == b.last(unit.waited) + 1, where=idle)
-    b.always(unit.gap_over == b.last(unit.waited >= unit.plan.gap - 1), where=idle)
+    gap = unit.least_gap if sensor.counts else unit.plan.gap
+    b.always(unit.gap_over == b.last(unit.waited >= gap - 1), where=idle)
     b.cover(idle & (unit.waited == IDLE_AFTER + 4))
 
 
@@ -51,14 +64,25 @@ def unasked_ready(b: Bench):
     Its buffer may hold anything, but the same for both values of `tready`. In plain formats, what
     the buffer has is offered: this is proven for the coder.
     """
-    low = Readout(SMALL, 2)
+    _unasked_ready(b, SMALL)
+
+
+@proof(depth=2, cover=20)
+def unasked_ready_with_counts(b: Bench):
+    """The same of a sensor with counts."""
+    _unasked_ready(b, SMALL_COUNTS)
+
+
+def _unasked_ready(b: Bench, sensor: Sensor) -> None:
+    """Prove that `tready` changes nothing while no beat is offered."""
+    low = Readout(sensor, 2)
     of_low = registers_in(b.drive(low, "low"))
     shared = {
         port: signal
         for port, (flow, signal) in low.flat_ports().items()
         if flow.name == "In" and port != READY
     }
-    high = Readout(SMALL, 2)
+    high = Readout(sensor, 2)
     of_high = registers_in(b.drive(high, "high", **shared))
     b.assume(low.buffer.r_data == high.buffer.r_data)
     b.assume(low.m_axis.tvalid, where=low.buffer.r_rdy & ~low.grouped)

@@ -17,33 +17,50 @@ from ..hdl.readout import Readout
 from ..model.contract import latency
 from ..model.contract.packet import (
     BEAT_BITS,
+    COUNTS,
+    EVENT_FORMATS,
+    FORMAT_NAMES,
     FORMATS,
     FRAME_END,
     FRAME_START,
     KIND_LSB,
     RECORD,
+    WITH_COUNTS,
+    WITH_GROUPS,
+    Layout,
+    Part,
     layout,
     parts_of,
 )
-from ..model.contract.parameters import bits_for
+from ..model.contract.counts import ROW_BITS
+from ..model.contract.parameters import Sensor, bits_for
 from .proof_bench import Bench, proof
-from .sensors import SMALL
+from .sensors import SMALL, SMALL_COUNTS
 
 N = 3
-PARTS = layout(SMALL)
-HIGHEST_FORMAT = len(FORMATS) - 1
+COUNTS_FORMAT = FORMAT_NAMES.index(COUNTS.name)
 # From a grant's register to the beat at the readout's input.
 SUBGROUP_TO_BEAT = latency.GRANT_TO_BEAT - 2
 
 
-def _length(send, form):
-    """Return the beats of a packet by the contract, independent of the RTL's multiplexer."""
-    event = 0
-    for number, packet in enumerate(FORMATS.values()):
-        event = Mux(form == number, PARTS.length(packet), event)
-    record = PARTS.length(RECORD)
-    others = Mux(send == bus.Send.RECORD, record, PARTS.counter_beats)
-    return Mux(send == bus.Send.EVENT, event, others)
+def _highest_format(sensor: Sensor) -> int:
+    """Return the highest number of a format."""
+    return len(FORMATS if sensor.counts else EVENT_FORMATS) - 1
+
+
+def _length(parts: Layout, send, form):
+    """Return the beats of a packet by the contract, independent of the RTL's multiplexer.
+
+    A frame of counts has no events; the RTL's length of one is that of the last format with events.
+    """
+    *others, last = EVENT_FORMATS.values()
+    event = parts.length(last)
+    for number, packet in enumerate(others):
+        event = Mux(form == number, parts.length(packet), event)
+    length = Mux(send == bus.Send.RECORD, parts.length(RECORD), parts.counter_beats)
+    if parts.sensor.counts:
+        length = Mux(send == bus.Send.COUNTS, parts.length(COUNTS), length)
+    return Mux(send == bus.Send.EVENT, event, length)
 
 
 def _carries(b: Bench, beat, index, packet, fields, where):
@@ -54,21 +71,28 @@ def _carries(b: Bench, beat, index, packet, fields, where):
     for part in parts_of(SMALL, packet):
         if part.field in fields:
             value = fields[part.field][part.shift : part.shift + part.width]
-            shown = beat[part.lsb : part.lsb + part.width]
-            b.always(shown == b.past(value), where=where & (index == part.beat))
+            b.always(_shown(beat, part) == b.past(value), where=where & (index == part.beat))
+
+
+def _shown(beat: Value, part: Part) -> Value:
+    """Return the part of a field that a beat holds."""
+    return beat[part.lsb : part.lsb + part.width]
 
 
 @frozen
 class PlacedReadout:
     """A readout on the bench, with a format that stays.
 
-    form: the number of the format; grouped: it is coded in groups; taken: the coder takes a beat;
-    rest: beats of a granted packet that a subgroup still sends; sends: it sends one.
+    form: the number of the format; grouped: it is coded in groups; counting: it has counts; taken:
+    the coder takes a beat; rest: beats of a granted packet that a subgroup still sends; sends: it
+    sends one.
     """
 
     unit: Readout
+    parts: Layout
     form: Value
     grouped: Signal
+    counting: Value
     taken: Signal
     rest: Signal
     sends: Signal
@@ -100,15 +124,31 @@ def readout(b: Bench):
     """One grant at a time, after at most n - 1 others; no overflow, no leak of places; `tlast` ends
     the frame.
     """
-    dut = _place_readout(b)
+    _readout(b, SMALL)
+
+
+@proof(depth=4, cover=14)
+def readout_with_counts(b: Bench):
+    """The same of a sensor with counts; in a frame of counts, each minigroup of each subgroup is
+    granted once, in order, after the last word and before the frame end.
+    """
+    _readout(b, SMALL_COUNTS)
+
+
+def _readout(b: Bench, sensor: Sensor) -> None:
+    """Prove the readout of a sensor."""
+    dut = _place_readout(b, sensor)
     events = _events_in_subgroups(b, dut)
     _sequencer_obeys(b, dut)
 
     _one_grant_of_what_is_there(b, dut, events)
     grants = _everybody_gets_a_turn(b, dut)
+    if sensor.counts:
+        grants = grants | _minigroups_in_order(b, dut, events)
     beats = _beats(b, dut, grants)
     _places_are_never_lost(b, dut, beats)
     expected = _tlast_ends_the_frame(b, dut)
+    _frame_start_tells_the_packets(b, dut)
     _frame_end_is_delivered_last(b, dut)
 
     _events_are_in_registers(b, dut, events)
@@ -122,21 +162,22 @@ def readout(b: Bench):
     b.cover(dut.taken & first_beat)
 
 
-def _place_readout(b: Bench) -> PlacedReadout:
+def _place_readout(b: Bench, sensor: Sensor) -> PlacedReadout:
     """Place a readout. Its subgroups send granted packets without gaps, after a fixed time.
 
     Behind the buffer anything may happen that `groups.py` allows: a beat is taken if there is one.
     """
-    unit = Readout(SMALL, N)
-    frame = Signal(bus.frame_layout(SMALL))
-    form = b.constant(bits_for(HIGHEST_FORMAT))
+    unit = Readout(sensor, N)
+    parts = layout(sensor)
+    frame = Signal(bus.frame_layout(sensor))
+    form = b.constant(bits_for(_highest_format(sensor)))
     b.m.d.comb += frame.format.eq(form)
-    b.assume(form <= HIGHEST_FORMAT)
+    b.assume(form <= _highest_format(sensor))
 
-    rest = Signal(range(PARTS.longest + 1))
+    rest = Signal(range(parts.longest + 1))
     granted = unit.grant.any()
     sends = b.same("sends", granted | (rest != 0))
-    b.m.d.sync += rest.eq(Mux(granted, _length(unit.send, form) - 1, rest - (rest != 0)))
+    b.m.d.sync += rest.eq(Mux(granted, _length(parts, unit.send, form) - 1, rest - (rest != 0)))
 
     taken = b.free(unit.coder)["take"]
     b.free(unit.packer)
@@ -145,7 +186,17 @@ def _place_readout(b: Bench) -> PlacedReadout:
     b.assume(unit.buffer.r_rdy, where=taken)
     b.assume(taken == (unit.buffer.r_rdy & unit.m_axis.tready), where=~grouped)
     b.place(unit, frame=frame, valid=b.past(sends, SUBGROUP_TO_BEAT))
-    return PlacedReadout(unit, form, grouped, taken, rest, sends)
+    counting = form == COUNTS_FORMAT if sensor.counts else Const(0)
+    return PlacedReadout(
+        unit=unit,
+        parts=parts,
+        form=form,
+        grouped=grouped,
+        counting=counting,
+        taken=taken,
+        rest=rest,
+        sends=sends,
+    )
 
 
 def _events_in_subgroups(b: Bench, dut: PlacedReadout) -> list[Signal]:
@@ -155,6 +206,7 @@ def _events_in_subgroups(b: Bench, dut: PlacedReadout) -> list[Signal]:
     for s in range(N):
         b.m.d.sync += events[s].eq(events[s] + unit.stored_in[s] - unit.take_event[s])
         b.assume(events[s] + unit.stored_in[s] < SMALL.fifo_depth, where=unit.stored[s])
+        b.assume(~unit.stored[s], where=dut.counting)  # no window opens
         b.assume(~unit.records[s] & ~unit.record_stored_in[s], where=unit.record_stored[s])
     return events
 
@@ -188,7 +240,7 @@ def _one_grant_of_what_is_there(b: Bench, dut: PlacedReadout, events: list[Signa
     had_record = b.past(unit.records)
     b.always((grant & ~had_record) == 0, where=granted & (unit.send == bus.Send.RECORD))
     somebody_waits = dut.in_state("events") & unit.waiting.any()
-    may_grant = somebody_waits & (unit.left == 0) & (unit.space >= PARTS.longest_word)
+    may_grant = somebody_waits & (unit.left == 0) & (unit.space >= dut.parts.longest_word)
     b.always(granted, where=b.past(may_grant))
 
 
@@ -216,6 +268,41 @@ def _everybody_gets_a_turn(b: Bench, dut: PlacedReadout) -> Signal:
         b.cover((others == N - 1) & grants & unit.chosen[s])
     pointers = (_round_begins_at(unit, pointer) for pointer in range(N + 1))
     b.always(sum(pointers, start=0) == 1)
+    return grants
+
+
+def _minigroups_in_order(b: Bench, dut: PlacedReadout, events: list[Signal]) -> Signal:
+    """State the grants of counts; return when there is one.
+
+    The end of the frame waits until there have been all. Help the induction: registers hold which
+    minigroup is next.
+    """
+    unit = dut.unit
+    minigroups = unit.sensor.minigroups
+    every = N * minigroups
+    granted = Signal(range(every + 1))  # of this frame
+    in_events = dut.in_state("events")
+    in_order = dut.counting & (granted != every) & unit.finish_in & ~unit.waiting.any()
+    grants = b.same("grants_counts", in_events & in_order & unit.free)
+    with b.m.If(dut.in_state("head")):
+        b.m.d.sync += granted.eq(0)
+    with b.m.Elif(grants):
+        b.m.d.sync += granted.eq(granted + 1)
+    sends = unit.grant.any() & (unit.send == bus.Send.COUNTS)
+    b.always(sends == b.past(grants))
+    subgroup = granted // minigroups
+    b.always(unit.grant == b.past(1 << subgroup), where=sends)
+    left = sum((event != 0 for event in events), start=Const(0))
+    b.always((left == 0) & (unit.records == 0), where=sends)
+    ends = unit.own_kind == FRAME_END.code
+    b.always((granted == every) | ~dut.counting, where=ends)
+    b.always(unit.counting == dut.counting, where=b.past(1))
+    here = dut.counting & in_events
+    next_one = (unit.minigroup == granted % minigroups) & (granted <= every)
+    b.always(next_one & (unit.counted_all == (granted == every)), where=here)
+    b.always(unit.tail == (1 << subgroup)[:N], where=here & (granted != every))
+    b.always(unit.counted_all, where=in_events & ~dut.counting)
+    b.cover(sends & b.past(sends, dut.parts.length(COUNTS)))
     return grants
 
 
@@ -251,7 +338,7 @@ def _places_are_never_lost(b: Bench, dut: PlacedReadout, beats: Beats) -> None:
     b.always(
         (stored_beats >= 0)
         & (stored_beats <= unit.depth)
-        & (unit.left < PARTS.longest)
+        & (unit.left < dut.parts.longest)
         & (unit.space <= unit.depth)
     )
     b.always(buffer.w_rdy, where=buffer.w_en)
@@ -268,15 +355,26 @@ def _tlast_ends_the_frame(b: Bench, dut: PlacedReadout) -> Signal:
     m = b.m
     unit = dut.unit
     buffer = unit.buffer
-    expected = Signal(range(N * PARTS.counter_beats + 1))
+    all_beats = N * dut.parts.counter_beats
+    expected = Signal(range(all_beats + 1))
     ends_here = unit.own[-1] == FRAME_END.code
     with m.If(ends_here):
-        m.d.sync += expected.eq(N * PARTS.counter_beats)
+        m.d.sync += expected.eq(all_beats)
     with m.Elif(buffer.w_en & (expected != 0)):
         m.d.sync += expected.eq(expected - 1)
     is_last = (expected == 1) & unit.valid_in & ~ends_here
     b.always(buffer.w_data[BEAT_BITS] == is_last, where=buffer.w_en)
     return expected
+
+
+def _frame_start_tells_the_packets(b: Bench, dut: PlacedReadout) -> None:
+    """State that the frame start tells whether events come in groups, and whether there are counts."""
+    unit = dut.unit
+    starts = unit.own[-1] == FRAME_START.code
+    told = Mux(dut.counting, WITH_COUNTS, Mux(dut.grouped, WITH_GROUPS, 0))
+    for part in parts_of(unit.sensor, FRAME_START):
+        if part.field == "count":
+            b.always(_shown(unit.buffer.w_data, part) == told, where=starts)
 
 
 def _frame_end_is_delivered_last(b: Bench, dut: PlacedReadout) -> None:
@@ -322,7 +420,7 @@ def _lengths_are_in_registers(b: Bench, dut: PlacedReadout) -> None:
     b.always(unit.event_last == unit.event_length - 1, where=b.past(1))
     b.always(unit.taken == b.past(dut.taken))
     b.always(unit.grouped == dut.grouped, where=b.past(1))
-    b.always(unit.event_length == _length(bus.Send.EVENT, dut.form), where=b.past(1))
+    b.always(unit.event_length == _length(dut.parts, bus.Send.EVENT, dut.form), where=b.past(1))
 
 
 def _beats_form_one_sequence(b: Bench, dut: PlacedReadout, beats: Beats) -> None:
@@ -339,7 +437,7 @@ def _beats_form_one_sequence(b: Bench, dut: PlacedReadout, beats: Beats) -> None
         b.always(~(own[k] & from_subgroup[k]))
     subgroup_goes_on = b.past(beats.active) & ~own[0] & ~unit.grant.any()
     b.always(dut.rest == Mux(subgroup_goes_on, unit.left + 1, 0), where=~unit.grant.any())
-    b.always(unit.left == _length(unit.send, dut.form) - 1, where=unit.grant.any())
+    b.always(unit.left == _length(dut.parts, unit.send, dut.form) - 1, where=unit.grant.any())
 
 
 def _calm_means_empty(b: Bench, dut: PlacedReadout, beats: Beats) -> None:
@@ -356,13 +454,13 @@ def _counters_to_come_are_known(
     """Help the induction: beats of counters are to be granted, on their way, or gone."""
     unit = dut.unit
     pipe = beats.pipe
-    all_beats = N * PARTS.counter_beats
+    all_beats = N * dut.parts.counter_beats
     in_counters = dut.in_state("counters")
     in_flush = dut.in_state("flush")
     after_end = in_counters | in_flush
     left_of_tail = sum((Mux(unit.tail[s], N - s, 0) for s in range(N)), start=0)
     ungranted = b.same("ungranted", Mux(in_counters, left_of_tail, 0))
-    to_come = b.same("to_come", ungranted * PARTS.counter_beats + unit.left)
+    to_come = b.same("to_come", ungranted * dut.parts.counter_beats + unit.left)
     is_end = [b.same(f"own_{k}_ends", kind == FRAME_END.code) for k, kind in enumerate(unit.own)]
     end_coming = b.same("end_coming", Cat(is_end).any())
     for k, here in enumerate(is_end):
@@ -386,6 +484,7 @@ class PlacedPacketizer:
     """
 
     unit: Packetizer
+    parts: Layout
     form: Value
     rest: Signal
     kind: Signal
@@ -399,10 +498,25 @@ def packetizer(b: Bench):
     """A grant gives a packet of exact length without gaps; its last beat, and no other, frees the
     place.
     """
-    dut = _place_packetizer(b)
+    _packetizer(b, SMALL)
+
+
+@proof(depth=3, cover=12)
+def packetizer_with_counts(b: Bench):
+    """The same of a sensor with counts; a packet of counts has all rows of its minigroup, and its
+    last beat, and no other, goes on to the next one.
+    """
+    _packetizer(b, SMALL_COUNTS)
+
+
+def _packetizer(b: Bench, sensor: Sensor) -> None:
+    """Prove the packetizer of a sensor."""
+    dut = _place_packetizer(b, sensor)
 
     _packets_have_no_gaps(b, dut)
     _beats_carry_their_fields(b, dut)
+    if sensor.counts:
+        _beats_carry_counts(b, dut)
 
     _packet_is_in_registers(b, dut)
 
@@ -410,20 +524,21 @@ def packetizer(b: Bench):
     b.cover(b.past(dut.rest == 1) & (b.past(dut.now) == bus.Send.COUNTERS))
 
 
-def _place_packetizer(b: Bench) -> PlacedPacketizer:
+def _place_packetizer(b: Bench, sensor: Sensor) -> PlacedPacketizer:
     """Place a packetizer, and specify the packet that it forms: beats follow a grant at once."""
     m = b.m
-    unit = Packetizer(SMALL)
+    unit = Packetizer(sensor)
+    parts = layout(sensor)
     grant = unit.grant
     send = unit.send
-    form = b.constant(bits_for(HIGHEST_FORMAT))
-    b.assume((form <= HIGHEST_FORMAT) & (send.as_value() <= 2))
+    form = b.constant(bits_for(_highest_format(sensor)))
+    b.assume((form <= _highest_format(sensor)) & (send.as_value() <= _highest_kind(sensor)))
     b.place(unit, frame=None)
     m.d.comb += unit.frame.format.eq(form)
-    rest = Signal(range(PARTS.longest + 1))
+    rest = Signal(range(parts.longest + 1))
     kind = Signal(bus.Send)
     b.assume(~grant, where=rest != 0)  # as proven for the readout
-    length = b.same("length", _length(send, form))
+    length = b.same("length", _length(parts, send, form))
     active = b.same("active_now", grant | (rest != 0))
     last = b.same("last_now", Mux(grant, length == 1, rest == 1))
     m.d.sync += rest.eq(Mux(grant, length - 1, rest - (rest != 0)))
@@ -431,6 +546,7 @@ def _place_packetizer(b: Bench) -> PlacedPacketizer:
         m.d.sync += kind.eq(send)
     return PlacedPacketizer(
         unit=unit,
+        parts=parts,
         form=form,
         rest=rest,
         kind=kind,
@@ -438,6 +554,12 @@ def _place_packetizer(b: Bench) -> PlacedPacketizer:
         active=active,
         last=last,
     )
+
+
+def _highest_kind(sensor: Sensor) -> int:
+    """Return the number of the last kind of packet that a subgroup sends."""
+    kinds = [kind.value for kind in bus.Send if sensor.counts or kind is not bus.Send.COUNTS]
+    return max(kinds)
 
 
 def _packets_have_no_gaps(b: Bench, dut: PlacedPacketizer) -> None:
@@ -475,10 +597,10 @@ def _beats_carry_their_fields(b: Bench, dut: PlacedPacketizer) -> None:
     was_event = b.past(dut.active & (dut.now == bus.Send.EVENT))
     was_record = b.past(dut.active & (dut.now == bus.Send.RECORD))
 
-    index = Signal(range(PARTS.longest))  # of the beat that was formed in the last cycle
+    index = Signal(range(dut.parts.longest))  # of the beat that was formed in the last cycle
     b.m.d.sync += index.eq(Mux(unit.grant, 0, index + 1))
     b.always(index + 1 == unit.index_before, where=dut.rest != 0)
-    for number, packet in enumerate(FORMATS.values()):
+    for number, packet in enumerate(EVENT_FORMATS.values()):
         of_format = was_event & (dut.form == number)
         b.always(unit.beat[KIND_LSB:] == packet.code, where=of_format & (index == 0))
         b.cover(b.past(unit.take_event) & (dut.form == number))
@@ -486,13 +608,41 @@ def _beats_carry_their_fields(b: Bench, dut: PlacedPacketizer) -> None:
     _carries(b, unit.beat, index, RECORD, of_record, was_record)
 
 
+def _beats_carry_counts(b: Bench, dut: PlacedPacketizer) -> None:
+    """State that every beat of a packet of counts has its fields, and the row that it asks for."""
+    unit = dut.unit
+    of_counts = dut.active & (dut.now == bus.Send.COUNTS)
+    b.always(unit.reading == of_counts)
+    b.always(unit.take_counts == (of_counts & dut.last))
+    fields = {
+        "gates": unit.of_minigroup.gates,
+        "minigroup": unit.minigroup,
+        "subgroup": unit.subgroup,
+        "pulses": unit.of_minigroup.pulses,
+    }
+    was_counts = b.past(of_counts)
+    index = b.same("index_of_counts", b.past(unit.index))
+    b.always(unit.beat[KIND_LSB:] == COUNTS.code, where=was_counts & (index == 0))
+    for part in parts_of(unit.sensor, COUNTS):
+        here = was_counts & (index == part.beat)
+        shown = _shown(unit.beat, part)
+        if part.field == "rows":
+            b.always(shown == b.past(unit.of_minigroup.row), where=here)
+            b.always(b.past(unit.read_row) == part.shift // ROW_BITS, where=here)
+            continue
+        field = fields[part.field]
+        value = field[part.shift : part.shift + part.width]
+        b.always(shown == b.past(value), where=here)
+    b.cover(b.past(unit.take_counts))
+
+
 def _packet_is_in_registers(b: Bench, dut: PlacedPacketizer) -> None:
     """Help the induction: the packetizer knows the packet's kind and how much of it is left."""
     unit = dut.unit
     rest = dut.rest
-    b.always(dut.kind.as_value() <= 2)
+    b.always(dut.kind.as_value() <= _highest_kind(unit.sensor))
     b.always(unit.sending == (rest != 0))
     b.always(unit.at_last == (rest == 1), where=rest != 0)
     same_packet = unit.send_before == dut.kind
-    sum_is_length = unit.index_before + rest == _length(dut.kind, dut.form)
+    sum_is_length = unit.index_before + rest == _length(dut.parts, dut.kind, dut.form)
     b.always(same_packet & sum_is_length, where=rest != 0)

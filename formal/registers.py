@@ -22,10 +22,11 @@ from ..hdl.registers import (
     write_cycles_max,
 )
 from ..model.contract import registers
+from ..model.contract.parameters import Sensor
 from ..model.contract.registers import WRITABLE
 from ..model.contract.settings import AUTO_BOUNDS
 from .proof_bench import Bench, proof, registers_in
-from .sensors import SMALL
+from .sensors import SMALL, SMALL_COUNTS
 
 SENT = 2 * SMALL.streams + AUTO_BOUNDS  # words for the thresholds: budgets, limits and bounds
 
@@ -62,13 +63,24 @@ def register_front(b: Bench):
     returns the word around its address; a frame's settings stay. A soft reset comes when it is
     asked for, in any state, and no access is lost in it.
     """
-    unit = b.place(Registers(SMALL))
+    _register_front(b, SMALL)
+
+
+@proof(depth=3, cover=20)
+def register_front_counts(b: Bench):
+    """The same of a sensor with counts."""
+    _register_front(b, SMALL_COUNTS)
+
+
+def _register_front(b: Bench, sensor: Sensor) -> None:
+    """Prove the register front of a sensor."""
+    unit = b.place(Registers(sensor))
     _sequencer_obeys(b, unit)
 
     waiting = _waiting(b, unit)
 
     _port_obeys_axi(b, unit, waiting)
-    _answers_come_in_time(b, waiting)
+    _answers_come_in_time(b, waiting, sensor)
     _settings_are_legal_and_change_by_writes(b, unit)
     _table_decides_what_is_written(b, unit)
     _nothing_asked_is_nothing_done(b, unit, waiting)
@@ -158,10 +170,10 @@ def _port_obeys_axi(b: Bench, unit: Registers, waiting: Waiting) -> None:
     b.always(axi.rdata == 0, where=axi.rvalid & (axi.rresp == SLVERR))
 
 
-def _answers_come_in_time(b: Bench, waiting: Waiting) -> None:
+def _answers_come_in_time(b: Bench, waiting: Waiting, sensor: Sensor) -> None:
     """State that an answer comes in time, independent of the other channel."""
-    b.always(waiting.write_cycles <= write_cycles_max(SMALL))
-    b.always(waiting.read_cycles <= read_cycles_max(SMALL))
+    b.always(waiting.write_cycles <= write_cycles_max(sensor))
+    b.always(waiting.read_cycles <= read_cycles_max(sensor))
 
 
 def _settings_are_legal_and_change_by_writes(b: Bench, unit: Registers) -> None:
@@ -172,7 +184,7 @@ def _settings_are_legal_and_change_by_writes(b: Bench, unit: Registers) -> None:
         register = registers.BY_NAME[name]
         was_reset = b.past(unit.soft_reset)
         b.always((setting == b.last(setting)) | granted | was_reset, where=b.past(1))
-        b.always((setting >= register.low(SMALL)) & (setting <= register.high(SMALL)))
+        b.always((setting >= register.low(unit.sensor)) & (setting <= register.high(unit.sensor)))
     b.always(granted, where=operation == bus.Operation.WRITE)
     b.always(granted & unit.flag["busy"], where=unit.start_frame)
     b.always(unit.start_frame == (operation == bus.Operation.BEGIN))
@@ -185,18 +197,18 @@ def _table_decides_what_is_written(b: Bench, unit: Registers) -> None:
     """
     state = unit.machine.ongoing
     address = unit.write_address
-    blocks_end = registers.SUBGROUP_BASE + registers.SUBGROUP_STRIDE * SMALL.subgroups
+    blocks_end = registers.SUBGROUP_BASE + registers.SUBGROUP_STRIDE * unit.sensor.subgroups
     in_block = (address >= registers.SUBGROUP_BASE) & (address < blocks_end)
     allowed = []
     for table, where, offset_bits in (
         (registers.GLOBAL, 1, registers.ADDRESS_BITS),
         (registers.SUBGROUP, in_block, BLOCK_BITS),
     ):
-        for offset, register, _ in registers.words(table, SMALL):
+        for offset, register, _ in registers.words(table, unit.sensor):
             if register.access in WRITABLE:
                 here = where & (address[:offset_bits] == offset)
-                above_low = unit.value >= register.low(SMALL)
-                below_high = unit.value <= register.high(SMALL)
+                above_low = unit.value >= register.low(unit.sensor)
+                below_high = unit.value <= register.high(unit.sensor)
                 allowed.append(here & above_low & below_high)
     fits = b.same("fits", unit.empty | (Cat(allowed).any() & unit.whole))
     resets = _asks(unit, "control", CONTROL.bit("reset"))
@@ -238,10 +250,10 @@ def _reads_return_whole_words(b: Bench, unit: Registers, waiting: Waiting) -> No
     b.always(unit.read_word == word, where=waiting.read)
     in_read = waiting.read & unit.machine.ongoing("read")
     b.always(unit.address == Cat(Const(0, 2), word), where=in_read)
-    for offset, register, _ in registers.words(registers.GLOBAL, SMALL):
+    for offset, register, _ in registers.words(registers.GLOBAL, unit.sensor):
         if register.access is registers.Access.CONSTANT:
             here = axi.rvalid & (word == offset // 4)
-            b.always((axi.rresp == OKAY) & (axi.rdata == register.reset(SMALL)), where=here)
+            b.always((axi.rresp == OKAY) & (axi.rdata == register.reset(unit.sensor)), where=here)
 
 
 def _frame_keeps_its_settings(b: Bench, unit: Registers) -> None:
@@ -251,7 +263,7 @@ def _frame_keeps_its_settings(b: Bench, unit: Registers) -> None:
     b.stable(Cat(unit.frame.as_value(), plan.as_value()), where=busy & ~unit.soft_reset)
     begins = ~b.past(busy) & busy & ~b.past(unit.done)
     b.always(begins, where=unit.command.operation == bus.Operation.TAKE)
-    b.always((plan.period > SMALL.guard) & (plan.period <= SMALL.period_max), where=busy)
+    b.always((plan.period > unit.sensor.guard) & (plan.period <= unit.sensor.period_max), where=busy)
     b.always((plan.pulses != 0) & (plan.gate_steps != 0), where=busy)
 
 
@@ -293,7 +305,7 @@ def _only_a_write_resets(b: Bench, unit: Registers, waiting: Waiting) -> None:
     state = unit.machine.ongoing
     asks = _asks(unit, "control", CONTROL.bit("reset"))
     granted = b.same("reset_granted", state("write") & asks & waiting.strobe.all())
-    fits = unit.value <= CONTROL.high(SMALL)
+    fits = unit.value <= CONTROL.high(unit.sensor)
     b.always(unit.soft_reset == b.past(granted & fits))
     b.always(_granted(unit) & state("idle"), where=unit.soft_reset)
     for register in registers_in(Fragment.get(unit.behind_port, None)):

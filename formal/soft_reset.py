@@ -11,7 +11,7 @@ from amaranth.hdl import Fragment, ResetSignal
 from ..hdl.sensor import Core
 from ..hdl.subgroup_pair import SensorModule
 from .proof_bench import Bench, proof, registers_in
-from .sensors import SMALL
+from .sensors import SMALL_COUNTS
 
 FRONT = "registers"
 BEHIND_PORT = "behind_port"
@@ -22,7 +22,7 @@ def soft_reset(b: Bench):
     """From any state and with any receiver, a soft reset gives every register of the core its value
     after `rst`; only the register bus keeps its accesses.
     """
-    unit = Core(SMALL)
+    unit = Core(SMALL_COUNTS)
     dut = b.drive(unit, "dut")
     was_reset = b.last(unit.soft_reset)
     for part, name, _ in dut.subfragments:
@@ -35,7 +35,7 @@ def module_reset(b: Bench):
     """From any state, one cycle of reset gives every register of a module its first value, a cycle
     later.
     """
-    _is_reset(b, b.drive(SensorModule(SMALL), "dut"), b.last(b.last(ResetSignal())))
+    _is_reset(b, b.drive(SensorModule(SMALL_COUNTS), "dut"), b.last(b.last(ResetSignal())))
     b.cover(b.last(b.last(ResetSignal())))
 
 

@@ -90,6 +90,7 @@ class Sequencer(Unit):
         self.waiting = Signal()  # in the gap or in dither's wait
         self.in_gap = Signal()  # where it waits
         self.has_gap = Signal()  # the frame has gaps
+        self.least_gap = Signal(GAP_BITS)  # with the pause of a search, if counts are built
         self.waited = Signal(GAP_BITS)  # cycles of the gap, with this one
         self.gap_over = Signal()  # this cycle is the gap's last one
         self.left = Signal(DITHER_BITS_MAX)  # cycles of dither's wait
@@ -167,7 +168,7 @@ class Sequencer(Unit):
     def _least_gap(self, m):
         """Return the cycles of the gap after this period, with those of a search."""
         regions, gates = pause_cycles(self.sensor.minigroups)
-        gap = Signal.like(self.plan.gap, name="least_gap")
+        gap = self.least_gap
         pause = Mux(self.search_step == bus.Step.WIDE, regions, gates)
         is_longer = self.step_ends & (self.plan.gap < pause)
         m.d.comb += gap.eq(Mux(is_longer, pause, self.plan.gap))
