@@ -26,12 +26,13 @@ COUNT_MAX = (1 << counts.COUNT_BITS) - 1
 
 @frozen
 class Hits:
-    """The hits of a cycle, one cycle after they were accepted.
+    """The hits of a cycle, in stage 3: one cycle after they were accepted.
 
-    counted: pixels whose hits count; late: hits in the second half of the cycle; quarters: two bits
-    for each pixel.
+    cycle: its number; counted: pixels whose hits count; late: hits in the second half of the cycle;
+    quarters: two bits for each pixel.
     """
 
+    cycle: Signal
     counted: Signal
     late: Signal
     quarters: Signal
@@ -104,28 +105,32 @@ def minigroup_counts(b: Bench):
 
 def _hits(b: Bench, unit: MinigroupCounts) -> Hits:
     """Specify the hits that count: of pixels that have not stopped, in cycles that count."""
-    hits = Signal(PIXELS)
-    quarters = Signal(2 * PIXELS)
-    b.m.d.sync += hits.eq(unit.accepted)
-    b.m.d.sync += quarters.eq(unit.quarters)
-    may_count = (unit.counting & (unit.step != bus.Step.NONE)).replicate(PIXELS)
-    counted = b.same("counted_now", hits & ~unit.stopped & may_count)
+    hits = b.past(unit.accepted)
+    quarters = b.past(unit.quarters)
+    in_step = (unit.step != bus.Step.NONE).replicate(PIXELS)
+    counted = b.same("counted_now", hits & ~unit.stopped & in_step)
     late = b.same("late", Cat(quarters.word_select(j, 2)[1] for j in range(PIXELS)))
-    return Hits(counted, late, quarters)
+    return Hits(b.last(unit.cycle), counted, late, quarters)
 
 
 def _search_obeys(b: Bench, unit: MinigroupCounts, hits: Hits) -> Search:
     """Assume what is proven for the search and for the subgroup's counts.
 
-    A step begins, and the memory is cleared, when no hit is on its way. The search writes at most
+    A step begins, and the memory is cleared, when no hit is on its way, except that the last row is
+    cleared while the first cycle of a frame is in stage 2. The search writes at most
     ten marks at the end of step 1, and gates that do not overlap at the end of step 2. Rows are
     read when the periods are over.
     """
     m = b.m
-    some = hits.counted.any()
+    comes = unit.accepted.any()
+    some = comes | b.past(comes)
     b.assume_stable(unit.step.as_value(), where=~b.last(unit.begin) & ~b.last(ResetSignal()))
-    b.assume(~some, where=unit.begin | unit.clear | unit.reading)
-    b.assume(~b.past(some), where=unit.begin | unit.clear)
+    b.assume(~some, where=unit.begin | b.past(unit.begin))
+    b.assume(~comes, where=unit.shows | unit.reading)
+    b.assume(~b.past(comes), where=unit.clear)
+    last_row = (unit.clear_row == counts.ROWS - 1) & (unit.step == bus.Step.WIDE)
+    b.assume(last_row & (unit.cycle == 0), where=unit.clear & comes)
+    b.assume(unit.cycle == b.last(unit.next_cycle), where=comes)
     b.assume(unit.note_to == 0, where=unit.step != bus.Step.WIDE)
     b.assume((unit.note_to == 0) | ~some)
     b.assume(~unit.set_gates, where=unit.step == bus.Step.GATED)
@@ -182,15 +187,14 @@ def _cycles_obey(b: Bench, unit: MinigroupCounts, hits: Hits, search: Search) ->
     same_step = b.last(unit.step) == unit.step.as_value()
     b.m.d.comb += in_order.eq(unit.first | (goes_on & same_step & b.past(search.marked)))
     b.assume(unit.cycle == 0, where=unit.first)
-    b.assume(in_order, where=hits.counted.any() & (unit.step == bus.Step.NARROW))
+    b.assume(in_order, where=unit.accepted.any() & (unit.step == bus.Step.NARROW))
     return in_order
 
 
 def _bin_is_right(
     b: Bench, unit: MinigroupCounts, step: bus.Step, watched: WatchedBin, hits: Hits
 ) -> Signal:
-    """State that a bin has the contract's hits, in the memory or on the way into it; return when it
-    is known: from its row's clearing on, until hits of another step are in the memory.
+    """State that a bin of the memory has the contract's hits; return when it is known: from its row's clearing on, until hits of another step are in the memory.
     """
     m = b.m
     known = Signal(name=f"{step.name.lower()}_known")
@@ -208,11 +212,10 @@ def _bin_is_right(
 
 
 def _row(b: Bench, unit: MinigroupCounts, name: str, number: Value) -> Signal:
-    """Return what is in a row of the memory, or on the way into it."""
+    """Return what is in a row of the memory."""
     look = unit.rows.rows.read_port(domain="comb")
     b.m.d.comb += look.addr.eq(number)
-    is_held = unit.holds & (unit.held_row == number)
-    return b.same(name, Mux(is_held, unit.held, look.data))
+    return b.same(name, look.data)
 
 
 def _wide_bin(b: Bench, unit: MinigroupCounts, hits: Hits, place: Value) -> WatchedBin:
@@ -221,7 +224,7 @@ def _wide_bin(b: Bench, unit: MinigroupCounts, hits: Hits, place: Value) -> Watc
     row = b.same("wide_row", number // counts.WIDE_PER_ROW)
     lane = b.same("wide_lane", number % counts.WIDE_PER_ROW)
     before = Signal(counts.WIDE_BITS, name="wide_before")
-    hit = b.same("wide_hit", hits.counted.any() & (unit.cycle // counts.WIDE_CYCLES == number))
+    hit = b.same("wide_hit", hits.counted.any() & (hits.cycle // counts.WIDE_CYCLES == number))
     total = b.same("wide_total", before + hits.number(b, "wide_new"))
     full = b.same("wide_full", hit & (total >= WIDE_MAX))
     value = _row(b, unit, "row_of_wide", row).word_select(lane, counts.WIDE_BITS)
@@ -240,7 +243,7 @@ def _narrow_bins(
     lane = b.same("narrow_lane", Mux(upper, rank - counts.REGIONS_PER_ROW, rank)[:3])
     is_region = b.same("place_is_region", search.marks.bit_select(region, 1))
     before = Signal(counts.REGION_BITS, name="narrow_before")
-    hit = b.same("narrow_hit", hits.counted.any() & (unit.cycle == place) & is_region)
+    hit = b.same("narrow_hit", hits.counted.any() & (hits.cycle == place) & is_region)
     halves = []
     full = []
     for half, which in enumerate((~hits.late, hits.late)):
@@ -281,7 +284,7 @@ def _count_bin(
     row = b.same("count_row", Cat(cycle, gate))
     before = Signal(counts.COUNT_BITS, name="count_before")
     begin = search.gates.word_select(gate, counts.GATE_BITS)
-    inside = b.same("inside", _inside(unit.cycle, begin) & (unit.cycle[:2] == cycle))
+    inside = b.same("inside", _inside(hits.cycle, begin) & (hits.cycle[:2] == cycle))
     of_pixel = hits.counted.bit_select(pixel, 1) & (hits.quarters.word_select(pixel, 2) == quarter)
     hit = b.same("count_hit", of_pixel & inside)
     content = _row(b, unit, "row_of_count", row)
@@ -314,7 +317,7 @@ def _all_stop_together(
     rises = unit.stopped & ~b.past(unit.stopped)
     for where, watched in ((wide, bins[bus.Step.WIDE]), (narrow, bins[bus.Step.NARROW])):
         b.always(unit.stopped == Mux(b.past(watched.full), everybody, 0), where=b.past(where))
-    is_region = _chosen(list(search.marks), unit.cycle // counts.WIDE_CYCLES)
+    is_region = _chosen(list(search.marks), hits.cycle // counts.WIDE_CYCLES)
     outside = (step == bus.Step.NARROW) & ~is_region & search.marked
     nothing = b.same("nothing", ~hits.counted.any() | outside)
     b.always(rises == 0, where=b.past(nothing))
@@ -342,7 +345,7 @@ def _pixel_stops(
     rises = b.same("rises", stopped & ~b.past(stopped))
     b.always(rises == b.past(count.full), where=b.past(in_step & count.hit & known))
     begins = [search.gates.word_select(g, counts.GATE_BITS) for g in range(counts.GATES)]
-    in_gate = _inside(unit.cycle, begins[0]) | _inside(unit.cycle, begins[1])
+    in_gate = _inside(hits.cycle, begins[0]) | _inside(hits.cycle, begins[1])
     hit = b.same("pixel_hit", hits.counted.bit_select(pixel, 1) & in_gate)
     b.always(~rises, where=b.past(in_step & ~hit))
 
@@ -350,10 +353,10 @@ def _pixel_stops(
     pulse_known = Signal()
     of_hit = b.last(unit.pulse)
     was_in_step = b.past(in_step)
-    with m.If(rises):
-        m.d.sync += [stop.eq(of_hit), pulse_known.eq(was_in_step)]
-    with m.Elif(~in_step | unit.begin):
+    with m.If(~in_step | unit.begin):
         m.d.sync += pulse_known.eq(0)
+    with m.Elif(rises):
+        m.d.sync += [stop.eq(of_hit), pulse_known.eq(was_in_step)]
     kept = unit.stops.word_select(pixel, NOTE_BITS)
     b.always(kept == stop, where=pulse_known & in_step)
     b.always(stopped, where=pulse_known & in_step)
@@ -369,27 +372,28 @@ def _search_is_shown(
     search: Search,
     in_order: Signal,
 ) -> None:
-    """State that the bins of a cycle are shown, and the row that is read."""
+    """State that the bins of a cycle are shown one cycle later, and the row that is read."""
     wide, narrow = bins[bus.Step.WIDE], bins[bus.Step.NARROW]
-    in_wide = unit.cycle // counts.WIDE_CYCLES == place // counts.WIDE_CYCLES
-    shows = ~unit.reading
-    here = shows & (unit.step == bus.Step.WIDE) & in_wide & known[bus.Step.WIDE]
-    b.always(unit.wide == wide.before, where=here)
-    in_narrow = shows & (unit.step == bus.Step.NARROW) & (unit.cycle == place) & in_order
+    same_bin = unit.cycle // counts.WIDE_CYCLES == place // counts.WIDE_CYCLES
+    shows = unit.shows & ~unit.reading & ~unit.clear
+    in_wide = b.past(shows & (unit.step == bus.Step.WIDE) & same_bin)
+    b.always(unit.wide == wide.before, where=in_wide & known[bus.Step.WIDE])
+    same_cycle = (unit.cycle == place) & in_order
+    in_narrow = b.past(shows & (unit.step == bus.Step.NARROW) & same_cycle & search.marked)
     b.always(unit.narrow == narrow.before, where=in_narrow & known[bus.Step.NARROW])
     is_region = search.marks.bit_select(place // counts.WIDE_CYCLES, 1)
     b.always(unit.narrow == 0, where=in_narrow & search.marked & ~is_region)
-    content = _row(b, unit, "row_that_is_read", unit.read_row)
-    b.always(unit.row == content, where=unit.reading)
+    content = _row(b, unit, "row_that_is_read", b.last(unit.read_row))
+    b.always(unit.row == content, where=b.past(unit.reading & ~unit.clear))
 
 
 def _hits_are_in_registers(b: Bench, unit: MinigroupCounts, hits: Hits) -> None:
     """Help the induction: registers hold the hits."""
-    b.always(unit.hits == b.past(unit.accepted))
+    counts_here = unit.counts_here.replicate(PIXELS)
+    b.always(unit.hits == b.past(unit.accepted & counts_here))
     for j in range(PIXELS):
         same = unit.quarter.word_select(j, 2) == hits.quarters.word_select(j, 2)
         b.always(same, where=unit.hits[j])
-    b.always(unit.holds.bool() == 0, where=~b.past(hits.counted.any()))
     b.always(unit.stopping == 0, where=~b.past(hits.counted.any()))
 
 
