@@ -558,7 +558,9 @@ def _bins_are_in_registers(b: Bench, unit: GateSearch, search: Search, peak: Pea
         for k, watched in enumerate(peak.bins):
             b.always(kept == watched, where=in_round & (number == peak.begin + k))
         b.always(kept == 0, where=in_round & ((number < 0) | (number >= bins_max)))
-        b.always(kept == 0, where=calm((len(unit.bins) - j + 3) // counts.NARROW_PER_CYCLE) | at_begin)
+        b.always(
+            kept == 0, where=calm((len(unit.bins) - j + 3) // counts.NARROW_PER_CYCLE) | at_begin
+        )
     for k, (height, moment) in enumerate(zip(unit.heights, unit.moments, strict=True)):
         number = b.same(f"number_of_peak_{k}", 2 * cycle - len(unit.bins) - 4 + k)
         known = (height == peak.height) & (moment == peak.moment)
@@ -597,7 +599,8 @@ class Periods:
 
     here: it may have hits; cycle: its number in the period, at most 256; pulse: of step 3, at stage
     3; step: by the searches that the frame has had; length: of the last period before a search, at
-    most 256.
+    most 256. in_period, of_counts, searches, waited: of the strobes, four stages before: a period is
+    going on, in a frame of counts; the searches that have been asked for, and how long ago.
     """
 
     here: Value
@@ -605,6 +608,10 @@ class Periods:
     pulse: Signal
     step: Value
     length: Signal
+    in_period: Signal
+    of_counts: Signal
+    searches: Signal
+    waited: Signal
 
 
 @proof(depth=8, cover=24)
@@ -624,6 +631,7 @@ def counts_of_subgroup(b: Bench):
     _search_is_done_in_time(b, unit.gate_search, search)
     last_gate = unit.last_gate == periods.length - counts.GATE_CYCLES
     b.always(last_gate, where=search.active)
+    _searches_are_in_registers(b, unit, periods, search)
     b.cover(periods.here & (periods.cycle == 3))
     b.cover(unit.gate_search.for_regions)
 
@@ -671,20 +679,48 @@ def _periods(b: Bench, unit: Counts) -> Periods:
     kept_cycle = Signal(range(counts.CYCLES_MAX + 1))
     kept_pulse = Signal(bus.PULSE_BITS)
     cycle = b.same("cycle_of_period", Mux(arrives, 0, kept_cycle))
-    pulse = b.same("pulse_of_step", kept_pulse + b.past(arrives & (step == bus.Step.GATED)))
+    next_pulse = kept_pulse + b.past(arrives & (step == bus.Step.GATED))
+    pulse = b.same("pulse_of_step", next_pulse[: bus.PULSE_BITS])
     beyond = cycle == counts.CYCLES_MAX
     m.d.sync += kept_cycle.eq(Mux(beyond, cycle, cycle + 1))
     m.d.sync += kept_pulse.eq(Mux(begin, 0, pulse))
 
     # Help the induction.
-    b.always(searches <= 2)
+    b.always((searches <= 2) & (waited <= max(PAUSES)))
     b.always(begun == 0, where=in_period)
     b.always(of_counts | (searches == 0))
     b.always((waited >= pause) | (searches == 0), where=in_period)
     b.always(unit.cycle == cycle, where=here)
+    b.always(unit.pulse == pulse)
     b.always(unit.starts == Cat(b.past(start, k) for k in range(1, STAGES + 1)))
     b.always(unit.searches == Cat(b.past(asks, k) for k in range(1, STAGES + 1)))
-    return Periods(here, cycle, pulse, step, length)
+    b.always(cycle == b.past(cycles, TO_STAGE_2), where=here & ~arrives)
+    return Periods(
+        here=here,
+        cycle=cycle,
+        pulse=pulse,
+        step=step,
+        length=length,
+        in_period=in_period,
+        of_counts=of_counts,
+        searches=searches,
+        waited=waited,
+    )
+
+
+def _searches_are_in_registers(b: Bench, unit: Counts, periods: Periods, search: Search) -> None:
+    """Help the induction: the step changes when a search that was asked for is done."""
+    pending = b.same("pending", unit.searches.any() | search.active)
+    step = Mux(periods.of_counts, 1 + periods.searches - pending, 0)
+    b.always(unit.step.as_value() == step)
+    b.always(~pending, where=periods.in_period)
+    b.always(periods.of_counts & (periods.searches != 0), where=pending)
+    b.always(search.regions == (periods.searches == 1), where=search.active)
+    b.always(periods.waited == search.since + STAGES, where=search.active)
+    for k, asked in enumerate(unit.searches):
+        b.always((periods.waited == k + 1) & ~search.active, where=asked)
+    known = unit.last_gate == periods.length - counts.GATE_CYCLES
+    b.always(known, where=unit.searches[TO_STAGE_2 - 1 :].any())
 
 
 def _minigroups_are_told(b: Bench, unit: Counts, periods: Periods) -> None:

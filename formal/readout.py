@@ -15,6 +15,7 @@ from ..hdl import bus
 from ..hdl.packetizer import Packetizer
 from ..hdl.readout import Readout
 from ..model.contract import latency
+from ..model.contract.counts import ROW_BITS
 from ..model.contract.packet import (
     BEAT_BITS,
     COUNTS,
@@ -32,7 +33,6 @@ from ..model.contract.packet import (
     layout,
     parts_of,
 )
-from ..model.contract.counts import ROW_BITS
 from ..model.contract.parameters import Sensor, bits_for
 from .proof_bench import Bench, proof
 from .sensors import SMALL, SMALL_COUNTS
@@ -628,7 +628,8 @@ def _beats_carry_counts(b: Bench, dut: PlacedPacketizer) -> None:
         shown = _shown(unit.beat, part)
         if part.field == "rows":
             b.always(shown == b.past(unit.of_minigroup.row), where=here)
-            b.always(b.past(unit.read_row) == part.shift // ROW_BITS, where=here)
+            asked = b.past(unit.read_row, 2) == part.shift // ROW_BITS
+            b.always(asked & b.past(unit.reading, 2), where=here)
             continue
         field = fields[part.field]
         value = field[part.shift : part.shift + part.width]

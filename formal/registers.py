@@ -263,7 +263,9 @@ def _frame_keeps_its_settings(b: Bench, unit: Registers) -> None:
     b.stable(Cat(unit.frame.as_value(), plan.as_value()), where=busy & ~unit.soft_reset)
     begins = ~b.past(busy) & busy & ~b.past(unit.done)
     b.always(begins, where=unit.command.operation == bus.Operation.TAKE)
-    b.always((plan.period > unit.sensor.guard) & (plan.period <= unit.sensor.period_max), where=busy)
+    b.always(
+        (plan.period > unit.sensor.guard) & (plan.period <= unit.sensor.period_max), where=busy
+    )
     b.always((plan.pulses != 0) & (plan.gate_steps != 0), where=busy)
 
 
