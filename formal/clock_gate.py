@@ -19,6 +19,7 @@ from amaranth.hdl import Assume, Cat, EnableInserter, Fragment, Mux, ResetSignal
 from amaranth.hdl._mem import MemoryInstance
 
 from ..hdl import bus
+from ..hdl.counts import Counts
 from ..hdl.dpcu import Dpcu
 from ..hdl.front_end_views import POLYPHASE
 from ..hdl.minigroup import Minigroup
@@ -26,12 +27,13 @@ from ..hdl.minigroup_counts import MinigroupCounts
 from ..hdl.settings import SubgroupRegisters
 from ..hdl.subgroup import AWAKE_CYCLES, Subgroup
 from ..hdl.tree import CoincidenceTree
-from ..model.contract.parameters import Sensor
+from ..model.contract.counts import CYCLES_MAX
 from .proof_bench import Bench, parts_of, proof, registers_in
 from .sensors import SMALL, SMALL_COUNTS
 
 # How the names of registers begin that hold edges before the gate, or data that go with them.
 EDGE_DATA = ("valid_1", "phases_", "step", "root", "coarse_")
+COUNTS_CYCLES = 7  # without a strobe, a hit and a search; then counts stay as they are
 TREE_CYCLES = 12  # without a strobe; then a tree shows nothing
 
 
@@ -48,16 +50,23 @@ def _rests(b: Bench, unit: Any, except_for: Collection[Signal] = ()) -> Signal:
     """
     dut = _driven(b, unit)
     closed = b.same("closed", ~unit.clock_gate.enable)
+    _stays(b, dut, closed, except_for)
+    b.cover(b.past(closed) & ~closed)
+    return closed
+
+
+def _stays(b: Bench, dut: Fragment, where: Signal, except_for: Collection[Signal] = ()) -> None:
+    """State that no register and no row of a memory of an elaborated block changes, except for some
+    registers.
+    """
     excepted = {id(register) for register in except_for}
     for register in registers_in(dut):
         if id(register) not in excepted:
-            b.stable(register, where=closed)
+            b.stable(register, where=where)
     for part in parts_of(dut):
         if isinstance(part, MemoryInstance):
-            b.always(Cat(port._en for port in part._write_ports) == 0, where=closed)
-    b.cover(closed)
-    b.cover(b.past(closed) & ~closed)
-    return closed
+            b.always(Cat(port._en for port in part._write_ports) == 0, where=where)
+    b.cover(where)
 
 
 def _quiet_for(b: Bench, quiet, most: int) -> Signal:
@@ -72,18 +81,7 @@ def subgroup_rests(b: Bench):
     """Behind a closed clock gate no register of a subgroup would change, and no row of a memory,
     whatever is in them.
     """
-    _subgroup_rests(b, SMALL)
-
-
-@proof(depth=AWAKE_CYCLES + 4, cover=AWAKE_CYCLES + 8)
-def counting_subgroup_rests(b: Bench):
-    """The same of a subgroup with counts."""
-    _subgroup_rests(b, SMALL_COUNTS)
-
-
-def _subgroup_rests(b: Bench, sensor: Sensor) -> None:
-    """Prove that a subgroup rests."""
-    unit, tree = Subgroup(sensor), CoincidenceTree(sensor)
+    unit, tree = Subgroup(SMALL), CoincidenceTree(SMALL)
     shown = b.free(tree)
     unit.view = SimpleNamespace(
         front_end=lambda sensor: tree,
@@ -97,9 +95,42 @@ def _subgroup_rests(b: Bench, sensor: Sensor) -> None:
         (unit.command.operation == bus.Operation.IDLE) & ~strobes & ~unit.grant & ~ResetSignal(),
     )
     calm = _quiet_for(b, quiet, TREE_CYCLES)
-    resting = ("closed", "blind", "record_due", *(("accepted",) if sensor.counts else ()))
-    for name in resting:  # as proven below
-        b.assume(~shown[name].any(), where=calm == TREE_CYCLES)
+    for name in ("closed", "blind", "record_due"):  # as proven below
+        b.assume(~shown[name], where=calm == TREE_CYCLES)
+
+
+@proof(depth=COUNTS_CYCLES + 3, cover=COUNTS_CYCLES + 6)
+def counts_rest(b: Bench):
+    """The counts of a subgroup come to rest within `COUNTS_CYCLES` of the last period, strobe, hit,
+    read and search, which keep the subgroup's clock running for longer.
+    """
+    unit = Counts(SMALL_COUNTS)
+    dut = _driven(b, unit)
+    in_period = _cycle_rests(b, unit)
+    asked = (
+        in_period | unit.frame_begin | unit.start | unit.search | unit.wrap | unit.accepted.any()
+    )
+    quiet = ~asked & ~unit.busy & ~unit.reading & ~unit.next_minigroup & ~ResetSignal()
+    calm = _quiet_for(b, quiet, COUNTS_CYCLES)
+    _stays(b, dut, b.same("rests", quiet & (calm == COUNTS_CYCLES)))
+
+
+def _cycle_rests(b: Bench, unit: Counts) -> Signal:
+    """Return whether a period is going on.
+
+    Help the induction: outside of a period, the number of the cycle is the highest.
+    """
+    went_on = Signal()
+    at_stage_2 = Signal()
+    in_period = b.same("in_period", unit.start | (went_on & ~unit.wrap))
+    last = len(unit.wraps) - 1
+    b.m.d.sync += went_on.eq(in_period)
+    b.m.d.sync += at_stage_2.eq(unit.starts[last] | (at_stage_2 & ~unit.wraps[last]))
+    b.always(unit.cycle == CYCLES_MAX, where=~at_stage_2)
+    b.always(went_on | unit.wraps.any(), where=at_stage_2)
+    for k in range(last + 1):
+        b.always(went_on | unit.wraps[:k].any(), where=unit.starts[k])
+    return in_period
 
 
 @proof(depth=2, cover=6)

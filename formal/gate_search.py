@@ -646,7 +646,8 @@ def _periods(b: Bench, unit: Counts) -> Periods:
     begin = unit.frame_begin
     start = unit.start
     asks = unit.search
-    in_period = Signal()
+    went_on = Signal()
+    in_period = b.same("in_period", start | (went_on & ~unit.wrap))
     of_counts = Signal()
     searches = Signal(range(3))
     waited = Signal(range(max(PAUSES) + 1), init=max(PAUSES))
@@ -655,7 +656,8 @@ def _periods(b: Bench, unit: Counts) -> Periods:
     length = Signal(range(counts.CYCLES_MAX + 1))
     pause = Mux(searches == 1, *PAUSES)
 
-    b.assume(~start & ~begin & in_period & of_counts & (searches < 2), where=asks)
+    may_ask = went_on & unit.wrap & of_counts & (searches < 2)
+    b.assume(may_ask & ~start & ~begin, where=asks)
     b.assume((waited >= pause) & (begun == 0) & ~begin, where=start)
     b.assume(cycles >= counts.GATE_CYCLES, where=asks)
     drained = [b.past(in_period, k) for k in range(STAGES + 2)]
@@ -667,7 +669,7 @@ def _periods(b: Bench, unit: Counts) -> Periods:
     m.d.sync += cycles.eq(Mux(start, 1, longer))
     m.d.sync += waited.eq(Mux(waited == max(PAUSES), waited, waited + 1))
     m.d.sync += begun.eq(Mux(begun == BEGIN_TO_START - 1, 0, begun + (begun != 0)))
-    m.d.sync += in_period.eq(start | (in_period & ~asks & ~b.anything(1)))
+    m.d.sync += went_on.eq(in_period)
     with m.If(asks):
         m.d.sync += [searches.eq(searches + 1), waited.eq(1), length.eq(cycles)]
     with m.If(begin):

@@ -29,7 +29,7 @@ class Counts(Unit):
     -----
     frame_begin : in, strobe: a frame begins, and the memories are cleared; counting : in, it is one
         of counts
-    start, search : in, strobes of the time layout, two cycles ahead of the ports
+    start, search, wrap : in, strobes of the time layout, two cycles ahead of the ports
     accepted, quarters : in, of all pixels, in the order of minigroups (stage 2)
     reading : in, show the row with the number read_row (in), one cycle later; next_minigroup : in, strobe: show the
         next one
@@ -52,6 +52,7 @@ class Counts(Unit):
             counting=In(1),
             start=In(1),
             search=In(1),
+            wrap=In(1),
             accepted=In(sensor.pixels),
             quarters=In(2 * sensor.pixels),
             reading=In(1),
@@ -67,9 +68,10 @@ class Counts(Unit):
         self.step = Signal(bus.Step)
         self.starts = Signal(_STAGES)
         self.searches = Signal(_STAGES)
-        self.cycle = Signal(
-            range(counts.CYCLES_MAX + 1)
-        )  # number of the cycle at stage 2, saturated
+        self.wraps = Signal(_AT_STAGE_1 + 1)
+        # Outside of a period the number of the cycle is the highest, so that it comes to rest.
+        beyond = counts.CYCLES_MAX
+        self.cycle = Signal(range(beyond + 1), init=beyond)  # of the period, at stage 2, saturated
         self.next_cycle = Signal.like(self.cycle)  # of the cycle at stage 1
         self.pulse = Signal(bus.PULSE_BITS)  # number of the pulse in step 3, at stage 3
         self.last_gate = Signal(counts.GATE_BITS)  # last cycle in which a gate may begin
@@ -86,11 +88,13 @@ class Counts(Unit):
     def _time(self, m):
         """Count cycles and pulses."""
         cycle = self.cycle
-        following = cycle + (cycle != counts.CYCLES_MAX)
+        ended = self.wraps[_AT_STAGE_1]
+        following = Mux(ended, counts.CYCLES_MAX, cycle + (cycle != counts.CYCLES_MAX))
         m.d.comb += self.next_cycle.eq(Mux(self.starts[_AT_STAGE_1], 0, following))
         m.d.sync += [
             self.starts.eq((self.starts << 1) | self.start),
             self.searches.eq((self.searches << 1) | self.search),
+            self.wraps.eq((self.wraps << 1) | self.wrap),
             cycle.eq(self.next_cycle),
         ]
         with m.If(self.starts[_AT_STAGE_2] & (self.step == bus.Step.GATED)):

@@ -203,6 +203,7 @@ class Subgroup(Unit):
                 counting=self.frame_taken.format == FORMAT_NAMES.index(COUNTS.name),
                 start=self.timing_taken.start,
                 search=self.timing_taken.search,
+                wrap=self.timing_taken.wrap,
                 accepted=tree.accepted,
                 quarters=tree.quarters,
                 reading=packetizer.reading,
