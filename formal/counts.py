@@ -194,7 +194,8 @@ def _cycles_obey(b: Bench, unit: MinigroupCounts, hits: Hits, search: Search) ->
 def _bin_is_right(
     b: Bench, unit: MinigroupCounts, step: bus.Step, watched: WatchedBin, hits: Hits
 ) -> Signal:
-    """State that a bin of the memory has the contract's hits; return when it is known: from its row's clearing on, until hits of another step are in the memory."""
+    """State that a bin of the memory has the contract's hits; return when it is
+    known: from its row's clearing on, until hits of another step are in the memory."""
     m = b.m
     known = Signal(name=f"{step.name.lower()}_known")
     with m.If(unit.clear & (unit.clear_row == watched.row)):
