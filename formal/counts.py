@@ -7,6 +7,8 @@ the invariants that only help the induction.
 A proof follows one bin, or one peak, that may be any. So what holds for it holds for all.
 """
 
+from typing import Any
+
 from amaranth.hdl import Cat, Const, Mux, ResetSignal, Signal, Value
 from attrs import frozen
 
@@ -192,7 +194,7 @@ def _cycles_obey(b: Bench, unit: MinigroupCounts, hits: Hits, search: Search) ->
 
 
 def _bin_is_right(
-    b: Bench, unit: MinigroupCounts, step: bus.Step, watched: WatchedBin, hits: Hits
+    b: Bench, unit: MinigroupCounts, step: Any, watched: WatchedBin, hits: Hits
 ) -> Signal:
     """State that a bin of the memory has the contract's hits; return when it is
     known: from its row's clearing on, until hits of another step are in the memory."""
@@ -304,8 +306,8 @@ def _all_stop_together(
     b: Bench,
     unit: MinigroupCounts,
     hits: Hits,
-    bins: dict[bus.Step, WatchedBin],
-    known: dict[bus.Step, Signal],
+    bins: dict[Any, WatchedBin],
+    known: dict[Any, Signal],
     place: Value,
     search: Search,
 ) -> None:
@@ -366,8 +368,8 @@ def _pixel_stops(
 def _search_is_shown(
     b: Bench,
     unit: MinigroupCounts,
-    bins: dict[bus.Step, WatchedBin],
-    known: dict[bus.Step, Signal],
+    bins: dict[Any, WatchedBin],
+    known: dict[Any, Signal],
     place: Value,
     search: Search,
     in_order: Signal,

@@ -21,7 +21,7 @@ from .proof_bench import Bench, proof
 from .sensors import SMALL_COUNTS
 
 N = SMALL_COUNTS.minigroups
-# In a subgroup of 3 x 3 minigroups, one has a neighbour on each side, so its value can be the highest.
+# In a subgroup of 3 x 3 minigroups, one has a neighbour on each side: its value can be the highest.
 WITH_ALL_NEIGHBOURS = evolve(SMALL_COUNTS, rows=6, cols=12, subgroup=(6, 6))
 VALUE_MAX = 6 * ((1 << counts.WIDE_BITS) - 1)
 VALUE_BITS = VALUE_MAX.bit_length()
@@ -599,8 +599,10 @@ class Periods:
 
     here: it may have hits; cycle: its number in the period, at most 256; pulse: of step 3, at stage
     3; step: by the searches that the frame has had; length: of the last period before a search, at
-    most 256. in_period, of_counts, searches, waited: of the strobes, four stages before: a period is
-    going on, in a frame of counts; the searches that have been asked for, and how long ago.
+    most 256.
+
+    Of the strobes, four stages before: in_period, of_counts: a period is going on, in a frame of
+    counts; searches, waited: the searches that have been asked for, and how long ago.
     """
 
     here: Value

@@ -368,7 +368,7 @@ def _tlast_ends_the_frame(b: Bench, dut: PlacedReadout) -> Signal:
 
 
 def _frame_start_tells_the_packets(b: Bench, dut: PlacedReadout) -> None:
-    """State that the frame start tells whether events come in groups, and whether there are counts."""
+    """State that the frame start tells whether events come in groups, or whether it has counts."""
     unit = dut.unit
     starts = unit.own[-1] == FRAME_START.code
     told = Mux(dut.counting, WITH_COUNTS, Mux(dut.grouped, WITH_GROUPS, 0))
@@ -556,10 +556,9 @@ def _place_packetizer(b: Bench, sensor: Sensor) -> PlacedPacketizer:
     )
 
 
-def _highest_kind(sensor: Sensor) -> int:
+def _highest_kind(sensor: Sensor) -> Value:
     """Return the number of the last kind of packet that a subgroup sends."""
-    kinds = [kind.value for kind in bus.Send if sensor.counts or kind is not bus.Send.COUNTS]
-    return max(kinds)
+    return Value.cast(bus.Send.COUNTS if sensor.counts else bus.Send.COUNTERS)
 
 
 def _packets_have_no_gaps(b: Bench, dut: PlacedPacketizer) -> None:

@@ -142,9 +142,9 @@ class Periods:
     """The periods as the contract counts them, one cycle behind the sequencer's own counters.
 
     `timing` of the sequencer is as late. since: cycles since the period began; number: of the
-    period; in_period: one runs; gap: cycles of a gap that are left, out of gap_length; wait: cycles of dither's wait
-    that are left, also while it is in the gap; alive: any of the three; last: a period's last
-    cycle; over: the cycle after it; cut: the cycle after an abort in a gap; aborting: no period
+    period; in_period: one runs; gap: cycles of a gap that are left, out of gap_length; wait: cycles
+    of dither's wait that are left, also while it is in the gap; alive: any of the three; last: a
+    period's last cycle; over: the cycle after it; cut: the cycle after an abort in a gap; aborting: no period
     follows this one; lfsr: draws the waits; exact: the gate's shift, without a limit; pulses,
     steps: where progressive gating is.
     """
