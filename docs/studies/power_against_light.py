@@ -92,8 +92,11 @@ PLACES = (*GROUPS, ("counts", "counts"))  # counts are not in the default sensor
 def setup(case: Case, **sensor: Any) -> Setup:
     """Return the setup of a short frame on a sensor with one subgroup, whose gate switches the
     SPADs off.
+
+    sensor: parameters that differ from those of a sensor of `SIDE` x `SIDE` pixels.
     """
-    shape = SIDE, SIDE
+    built = {"rows": SIDE, "cols": SIDE} | sensor
+    shape = built["rows"], built["cols"]
     distance_m = np.full(shape, np.nan if case.klux is None else REFERENCE_DISTANCE_M)
     return Setup.of(
         Scene(
@@ -101,7 +104,7 @@ def setup(case: Case, **sensor: Any) -> Setup:
             distance_m=distance_m,
             reflectivity=np.full(shape, REFERENCE_REFLECTIVITY),
         ),
-        sensor={"rows": SIDE, "cols": SIDE} | sensor,
+        sensor=built,
         frame={"pulses": PULSES} | dict(case.frame),
         subgroup=dict(case.subgroup),
         klux=case.klux or 0.0,
