@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from amaranth.lib.wiring import ConnectionError
-from attrs import frozen
+from attrs import evolve, frozen
 
 import coincid
 from coincid.board.parameters import Emulator
@@ -41,6 +41,7 @@ SENSOR = Sensor(
     subgroup=(4, 4),
     minigroup=(2, 2),
 )
+COUNTING = evolve(SENSOR, counts=1)  # every block of the room; the asynchronous view has no counts
 PLACING = ("place", "put")  # functions that put a block into another one
 CUTS_IN_FILE = 2
 pytestmark = pytest.mark.filterwarnings("ignore:.*created but never used")  # of builds that stop
@@ -184,13 +185,13 @@ def build(cut: Cut | None = None) -> int:
         board = importlib.import_module("coincid.board.rtl.ulx3s")
         emulator = Emulator(sensor=SENSOR)
         tops = {
-            "hdl": sensor.SensorTop(SENSOR),
+            "hdl": sensor.SensorTop(COUNTING),
             "silicon": sensor.SensorTop(SENSOR, views.VIEWS["async"]),
             "rtl": top.EmulatorTop(emulator),
             "bus": top.EmulatorTop(emulator, serial=False),
             "fpga": sensor.SensorTop(SENSOR, levels=True),
-            "core": sensor.Core(SENSOR),
-            "slice": pair.Slice(SENSOR),
+            "core": sensor.Core(COUNTING),
+            "slice": pair.Slice(COUNTING),
             "lights": board.Lights(),
         }
         first = cut.file.parent.name if cut else "hdl"

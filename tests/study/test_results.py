@@ -115,9 +115,9 @@ INTERFERENCE = dict(
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "afcb61d616f0dfb5"),
-    "sim": (sim, "abd1d9f44e11d294"),
-    "sweep": (sweep, "a7575357c32939b3"),
-    "explorer": (explorer, "ad0ef438bcd49d12"),
+    "sim": (sim, "5e131e47ec49e90c"),
+    "sweep": (sweep, "c69fcc105daf7337"),
+    "explorer": (explorer, "628ff109b88ad21b"),
     "surfaces": (surface, "aa50220de1a3e5ed"),
     "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "eb8d25e03ee703dc"),
     "modes": (
