@@ -5,10 +5,11 @@ gives their timing.
 
 from enum import unique
 
+from amaranth.hdl import Mux, Value
 from amaranth.lib import data, enum
 
 from ..model.contract import counts
-from ..model.contract.packet import BEAT_BITS, HEADER
+from ..model.contract.packet import BEAT_BITS, COUNTS, FORMAT_NAMES, HEADER
 from ..model.contract.parameters import Sensor, bits_for
 from ..model.contract.registers import BY_NAME, DATA_BITS, SUBGROUP_STRIDE
 from ..model.contract.settings import SUBGROUP
@@ -70,6 +71,16 @@ class Step(enum.Enum, shape=2):  # type: ignore[call-arg]
     WIDE = 1  # hits fill wide bins
     NARROW = 2  # hits fill narrow bins in the regions
     GATED = 3  # pixels count their hits in the gates
+
+
+def step_after(step: Value) -> Value:
+    """Return the step of a frame of counts that follows step 1 or 2."""
+    return Mux(step == Step.WIDE, Step.NARROW, Step.GATED)
+
+
+def is_counts(form: Value) -> Value:
+    """Return whether the format register selects counts."""
+    return form == FORMAT_NAMES.index(COUNTS.name)
 
 
 # parity: of a write's data when they arrived at the register port.

@@ -38,9 +38,8 @@ class Counts(Unit):
         the row
     test_enable : in, opens clock gates and latches for a test of the chip
 
-    A search begins in the cycle in which the last hits of the step
-    have been written, and takes less than `pause_cycles` of `model/contract/counts.py` from the end
-    of the period. Reset ends a frame.
+    A search begins in the cycle in which the last hits of the step have been written, and takes less
+    than `pause_cycles` of `model/contract/counts.py` from the end of the period. Reset ends a frame.
     """
 
     unit_name = "coincid_counts"
@@ -107,9 +106,7 @@ class Counts(Unit):
     def _step(self, m):
         """Go from step to step."""
         with m.If(self.gate_search.done):
-            m.d.sync += self.step.eq(
-                Mux(self.step == bus.Step.WIDE, bus.Step.NARROW, bus.Step.GATED)
-            )
+            m.d.sync += self.step.eq(bus.step_after(self.step))
         with m.If(self.frame_begin):
             m.d.sync += [
                 self.step.eq(Mux(self.counting, bus.Step.WIDE, bus.Step.NONE)),

@@ -17,7 +17,6 @@ from ..model.contract import latency
 from ..model.contract.packet import (
     BEAT_BITS,
     COUNTS,
-    FORMAT_NAMES,
     FRAME_END,
     FRAME_START,
     KIND_BITS,
@@ -201,7 +200,7 @@ class Readout(Unit):
         ]
 
         if self.sensor.counts:
-            is_counts = self.frame.format == FORMAT_NAMES.index(COUNTS.name)
+            is_counts = bus.is_counts(self.frame.format)
             m.d.sync += self.counting.eq(is_counts)
             with m.If(is_counts):
                 m.d.sync += self.grouped.eq(0)

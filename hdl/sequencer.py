@@ -12,7 +12,6 @@ from amaranth.lib.wiring import In, Out
 from ..model.contract import latency
 from ..model.contract.counts import pause_cycles
 from ..model.contract.dither import DITHER_BITS_MAX, GAP_BITS, LFSR_BITS, LFSR_TAPS
-from ..model.contract.packet import COUNTS, FORMAT_NAMES
 from ..model.contract.parameters import Sensor
 from ..model.contract.settings import GATE_BITS
 from . import bus
@@ -183,7 +182,7 @@ class Sequencer(Unit):
         searched = Signal()  # the step has as many periods as it shall have
         m.d.comb += searched.eq(self.step_pulses >= self.plan.search_pulses)
         m.d.sync += [
-            self.counting.eq(self.plan.format == FORMAT_NAMES.index(COUNTS.name)),
+            self.counting.eq(bus.is_counts(self.plan.format)),
             self.step_ends.eq(self.counting & searched & (step != bus.Step.GATED)),
             self.timing.search.eq(self.wrap & self.step_ends),
         ]
@@ -191,7 +190,7 @@ class Sequencer(Unit):
             m.d.sync += self.step_pulses.eq(self.step_pulses + 1)
             with m.If(self.step_ends):
                 m.d.sync += [
-                    step.eq(Mux(step == bus.Step.WIDE, bus.Step.NARROW, bus.Step.GATED)),
+                    step.eq(bus.step_after(step)),
                     self.step_pulses.eq(1),
                 ]
         with m.If(self.restart):

@@ -7,7 +7,7 @@ from amaranth.hdl import Cat, Const, Module, Mux, ResetSignal, Signal, ValueLike
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out
 
-from ..model.contract.packet import BEAT_BITS, COUNTS, FORMAT_NAMES
+from ..model.contract.packet import BEAT_BITS
 from ..model.contract.parameters import Sensor
 from ..model.contract.registers import DATA_BITS
 from . import bus
@@ -200,7 +200,7 @@ class Subgroup(Unit):
                 "counts",
                 self.counts,
                 frame_begin=frame_begin,
-                counting=self.frame_taken.format == FORMAT_NAMES.index(COUNTS.name),
+                counting=bus.is_counts(self.frame_taken.format),
                 start=self.timing_taken.start,
                 search=self.timing_taken.search,
                 wrap=self.timing_taken.wrap,

@@ -26,7 +26,7 @@ from .dither import start_cycles
 from .groups import LARGE_PIXELS, PAYLOAD_BITS, group_widths
 from .link import beats_waiting_max, check_link, link_share, takes_beats
 from .noise_bounds import noise_bounds
-from .packet import FORMATS, RECORD, WITH_MAP, built_formats, layout
+from .packet import COUNTS, FORMATS, RECORD, WITH_MAP, built_formats, layout
 from .parameters import MASK_BITS, PARTS, SENSOR, Sensor
 from .preset_files import PRESETS
 from .registers import MODE
@@ -62,7 +62,7 @@ class Config(SubgroupSettings):
                 f"above the guard of {guard} cycles",
             )
         if self.format not in (built := built_formats(self.sensor)):
-            part = "counts" if self.format == "counts" else "offsets"
+            part = "counts" if self.counting else "offsets"
             legal = (
                 f"one of {', '.join(built)}, because the sensor is built without {PARTS[part]}"
                 f" (sensor.{part} = 0)"
@@ -146,7 +146,7 @@ class Config(SubgroupSettings):
     @property
     def counting(self) -> bool:
         """Whether frames have counts in place of events."""
-        return self.format == "counts"
+        return self.format == COUNTS.name
 
     @property
     def search_pulses(self) -> int:

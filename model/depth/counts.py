@@ -16,6 +16,7 @@ from scipy import special
 
 from ..contract.config import Config
 from ..contract.counts import GATES, NO_GATE
+from ..contract.gate_counts import Counts
 from ..contract.pixels import pixel_table
 from ..shared.errors import InputError, check_integer
 from ..shared.threads import Threads
@@ -33,7 +34,6 @@ from .surfaces import Coarse, Fitter, peak_offset
 # Of a pixel with its neighbours: a score that accidents of background and dark surfaces reach alike,
 EVEN_SCORE = -4.0
 SCORE_WIDTH = 2.0  # and the change of it that makes odds e times as high
-ARRAYS = ("gate_cycle", "gate_hits", "count_pulses")  # of a result
 
 
 class GateCounts(NamedTuple):
@@ -51,7 +51,7 @@ def gate_counts(
 
     Raises `InputError` if the result has no such frame, or no counts.
     """
-    missing = [name for name in ARRAYS if name not in arrays]
+    missing = [name for name in Counts._fields if name not in arrays]
     if missing:
         raise InputError(
             f"arrays: {missing[0]} is missing, which a result of the format counts has",
