@@ -39,7 +39,7 @@ print(
     f"{mine.sum()} avalanches in {config.pulses} pulses, {events.sum()} of them in events that left the sensor"
 )
 
-tick_m = config.tick_s * 299_792_458 / 2
+tick_m = config.tick_m
 figure, (upper, lower) = plt.subplots(2, 1, figsize=(8, 5.4), sharex=True, layout="constrained")
 for value in np.unique(fate):
     chosen = fate == value

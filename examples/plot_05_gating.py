@@ -32,7 +32,7 @@ for axis, (title, config) in zip(axes, cases.items(), strict=True):
     run = coincid.simulate(config, "two-returns:3,9", klux=50)
     events = run.events()
     subgroup = events["subgroup"] == 5
-    distance_m = events["stamp"][subgroup] * config.tick_s * 299_792_458 / 2
+    distance_m = events["stamp"][subgroup] * config.tick_m
     axis.plot(distance_m, events["pulse"][subgroup], ".", color="#277f8e", markersize=4)
     if config.gating.any():
         step = (

@@ -37,7 +37,7 @@ result = coincid.replay("golden", config, edges)
 depth_m = coincid.estimate_depth(result, config).depth_m[:, :, 0]
 
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
-tick_m = config.tick_s * 299_792_458 / 2
+tick_m = config.tick_m
 axes[0].hist(edges.tick * tick_m, bins=150, range=(0, 15), color="#999999", label="all photons")
 axes[0].hist(
     result["stamp"] * tick_m, bins=150, range=(0, 15), color="#c8501e", label="events, threshold 2"

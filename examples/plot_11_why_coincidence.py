@@ -16,7 +16,7 @@ import coincid
 
 KLUX = 50
 wall = coincid.simulate(None, "flat:8", klux=KLUX, coincidence=False, link_gbps=0)
-tick_m = wall.config.tick_s * 299_792_458 / 2
+tick_m = wall.config.tick_m
 period_m = wall.config.frame.period * wall.config.sensor.phases * tick_m
 PIXEL = 3 * 32 + 3  # row 3, column 3: in the first subgroup of 8 x 8 pixels
 WALL_M = 8

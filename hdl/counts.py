@@ -12,7 +12,7 @@ from ..model.contract import counts
 from ..model.contract.parameters import Sensor
 from . import bus
 from .gate_search import GateSearch
-from .logic import any_of
+from .logic import item_of
 from .minigroup_counts import NOTE_BITS, MinigroupCounts
 from .unit import Unit, place
 
@@ -196,11 +196,8 @@ class Counts(Unit):
 
     def _of_shown(self, m, output: str) -> Value:
         """Return an output of the minigroup that is shown."""
-        items = []
-        for g, minigroup in enumerate(self.minigroups):
-            item = getattr(minigroup, output)
-            items.append(item & (self.minigroup == g).replicate(len(item)))
-        return any_of(m, items, f"shown_{output}")
+        items = [getattr(minigroup, output) for minigroup in self.minigroups]
+        return item_of(m, self.minigroup, items, f"shown_{output}")
 
 
 def _all_of(minigroups: list[MinigroupCounts], output: str) -> Value:

@@ -12,7 +12,7 @@ from amaranth.lib.wiring import In, Out
 from ..model.contract import counts
 from ..model.contract.parameters import Sensor
 from . import bus
-from .logic import any_of
+from .logic import item_of
 from .minigroup_counts import NOTE_BITS, NOTES
 from .unit import Unit
 
@@ -175,11 +175,6 @@ class GateSearch(Unit):
             self.shown_word.eq(self.number >> counts.WIDE_CYCLES.bit_length() - 1),
         ]
 
-    def _of_group(self, m, group: Value, items: list[Value], name: str) -> Value:
-        """Return the item of a minigroup."""
-        chosen = [item & (group == g).replicate(len(item)) for g, item in enumerate(items)]
-        return any_of(m, chosen, name)
-
     def _read_value(self, m):
         """Regions: read a wide bin's value."""
         rows, cols = (
@@ -194,10 +189,9 @@ class GateSearch(Unit):
             "left": [own[g - 1] if g % cols else nothing for g in range(len(own))],
             "right": [own[g + 1] if (g + 1) % cols else nothing for g in range(len(own))],
         }
-        hits = self._of_group(m, self.shown_group, own, "own_hits")
+        hits = item_of(m, self.shown_group, own, "own_hits")
         of_neighbours = [
-            self._of_group(m, self.shown_group, items, f"hits_{side}")
-            for side, items in beside.items()
+            item_of(m, self.shown_group, items, f"hits_{side}") for side, items in beside.items()
         ]
         m.d.sync += [
             self.valued.eq(self.shown),
@@ -249,7 +243,7 @@ class GateSearch(Unit):
         narrow = self.narrow
         n = self.sensor.minigroups
         items = [narrow.word_select(g, counts.REGION_BITS) for g in range(n)]
-        read = self._of_group(m, self.shown_group, items, "narrow_read")
+        read = item_of(m, self.shown_group, items, "narrow_read")
         since_gate = Signal(counts.GATE_BITS)
         in_gate = Signal()
         m.d.comb += [

@@ -36,6 +36,12 @@ def any_of(m: Module, items: list[Value], name: str) -> Value:
     return tree(m, items, lambda a, b: a | b, name)
 
 
+def item_of(m: Module, index: Value, items: list[Value], name: str) -> Value:
+    """Return `items[index]` of equally wide values, without priorities; 0 if there is none."""
+    own = [item & (index == k).replicate(len(item)) for k, item in enumerate(items)]
+    return any_of(m, own, name)
+
+
 def total(m: Module, numbers: list[Value], name: str) -> Value:
     """Return the sum of numbers, by an adder tree."""
     return tree(m, numbers, lambda a, b: a + b, name)

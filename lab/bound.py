@@ -32,7 +32,6 @@ from ..model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from ..model.depth.quality import OTHER_SURFACE_M
 from ..model.depth.tree import kept_shares
 from ..model.light.light import Light, background_cps, signal_per_pulse
-from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import check_integer
 from ..model.shared.pulse import TIME_MAX_S, PulseSource, pulse_of
 from ..model.shared.quantities import check_real
@@ -133,7 +132,7 @@ def bound(
 
 def mm_per_tick(config: Config) -> float:
     """Return the distance in millimetres that a tick stands for."""
-    return 1e3 * config.tick_s * SPEED_OF_LIGHT_M_S / 2
+    return 1e3 * config.tick_m
 
 
 def _noise_per_tick(config: Config, noise_cps: float) -> float:

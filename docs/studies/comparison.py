@@ -28,7 +28,6 @@ from coincid.model.depth.peaks import APART_SIGMAS, pixel_peaks
 from coincid.model.depth.pulse_ticks import NEAR_SIGMAS, pulse_ticks
 from coincid.model.light.light import Light
 from coincid.model.scenes.scene import Scene
-from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 
 from . import other_schemes
 
@@ -291,4 +290,4 @@ def _pixel_metres(shot: Shot, ticks: np.ndarray) -> np.ndarray:
     """
     sensor = shot.config.sensor
     image = pixel_image(ticks.reshape(sensor.subgroups, sensor.pixels, RETURNS), sensor)
-    return image * shot.config.tick_s * SPEED_OF_LIGHT_M_S / 2
+    return image * shot.config.tick_m

@@ -25,7 +25,6 @@ from coincid.model.depth.methods import METHODS
 from coincid.model.depth.quality import off_surfaces, wrong_pixels
 from coincid.model.scenes.scene import Scene
 from coincid.model.scenes.transient import dominant_surface_m
-from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.markdown import text_table
 from coincid.model.shared.threads import Threads
 from coincid.study.palette import GREY
@@ -202,7 +201,7 @@ def truth_m(scene: Scene) -> np.ndarray:
 def look(run: Run) -> Seen:
     """Return the pixels of the last frame as the law sees them."""
     right_m, frame = truth_m(run.scene), run.config.frames - 1
-    tick_m = run.config.tick_s * SPEED_OF_LIGHT_M_S / 2
+    tick_m = run.config.tick_m
     features, right, on_surface = {}, {}, {}
     for method in METHODS:
         with Threads(1) as alone:

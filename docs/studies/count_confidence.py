@@ -19,7 +19,6 @@ from coincid.model.depth.belief import LAW, chance_of_right
 from coincid.model.depth.estimate import find_returns
 from coincid.model.depth.methods import DEFAULT_METHOD
 from coincid.model.depth.quality import off_surfaces, wrong_pixels
-from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.markdown import text_table
 from coincid.model.shared.threads import Threads
 from coincid.tools.pages import counted, put
@@ -82,7 +81,7 @@ def look(run: Run) -> Seen:
         )
         signs = found.signs(config, alone)
     known = signs.known & ~np.isnan(right_m)
-    depth_m = found.ticks[:, :, 0] * (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
+    depth_m = found.ticks[:, :, 0] * config.tick_m
     return Seen(
         features={METHOD: signs.features[known], SEEN: signs.seen[known]},
         right={METHOD: ~wrong_pixels(depth_m, right_m)[known]},

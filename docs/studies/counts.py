@@ -26,7 +26,6 @@ from coincid.model.depth.histograms import by_subgroup
 from coincid.model.depth.quality import OTHER_SURFACE_M, wrong_share
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene
-from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.markdown import text_table
 from coincid.tools.pages import counted, put
 
@@ -195,7 +194,7 @@ def _outside(truth_m: np.ndarray, start: np.ndarray, rule: Rule, config: Config)
 
 
 def _tick_m(config: Config) -> float:
-    return config.tick_s * SPEED_OF_LIGHT_M_S / 2
+    return config.tick_m
 
 
 def ideal_gates(truth_m: np.ndarray, rule: Rule, config: Config, margin_ticks: int) -> np.ndarray:

@@ -21,7 +21,6 @@ from coincid.model.depth.histograms import SOURCES, pixel_histogram
 from coincid.model.depth.quality import TOLERANCE_M
 from coincid.model.light.light import Light, background_cps, signal_per_pulse
 from coincid.model.scenes.catalogue import AT, RETURNS
-from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.markdown import text_table
 from coincid.study.palette import ALARM, GREY, SERIES
 from coincid.study.plot_style import legend_below, new_figure, save_figure, style
@@ -156,7 +155,7 @@ def _draw_histogram(axis: Axes, run: Run, source: str) -> None:
         run.config,
         int(np.flatnonzero(pixel_table(run.config.sensor).subgroup == 0)[27]),
     )
-    tick_m = config.tick_s * SPEED_OF_LIGHT_M_S / 2
+    tick_m = config.tick_m
     surfaces_m = run.scene.distance_m[0, 0]
     hits = pixel_histogram(run.result, config, pixel, source=source)
     at_m = (np.arange(len(hits)) + 0.5) * tick_m

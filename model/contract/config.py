@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from attrs import asdict, evolve, field, frozen
 
+from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError, check_integer, out_of_range, wrong_value
 from ..shared.files import FilePath
 from . import registers
@@ -122,6 +123,11 @@ class Config(SubgroupSettings):
     def tick_s(self) -> float:
         """A TDC LSB in seconds."""
         return 1 / (self.clock_mhz * 1e6 * self.sensor.phases)
+
+    @property
+    def tick_m(self) -> float:
+        """Distance that light has travelled, there and back, within a TDC LSB, in metres."""
+        return self.tick_s * SPEED_OF_LIGHT_M_S / 2
 
     @property
     def period(self) -> int:

@@ -16,7 +16,6 @@ from scipy import special
 
 from ..contract.config import Config
 from ..shared.compiled import njit
-from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.threads import Threads
 from . import portable
 from .histograms import Events, by_subgroup, is_hit, pixel_image
@@ -213,7 +212,7 @@ def signs_of(
     folded = _folded(lit, time) & (evidence >= LIT)
     near = pixel_image(hits.near, sensor)
     other = pixel_image(hits.other, sensor)
-    depth_m = ticks * (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
+    depth_m = ticks * config.tick_m
     return Signs(
         known=~np.isnan(ticks) & (sure > 0),
         features=_features(depth_m, sure, near, other, sensor.subgroup),

@@ -14,7 +14,7 @@ from attrs import evolve
 
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
-from ..shared.constants import SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
+from ..shared.constants import SUCCESS_TOLERANCE_S
 from ..shared.errors import InputError, check_integer
 from ..shared.pulse import Pulse
 from ..shared.quantities import check_choice
@@ -135,7 +135,7 @@ def estimate_depth(
             pulse=pulse,
         )
         signs = found.signs(config, threads)
-    tick_m, confidence = config.tick_s * SPEED_OF_LIGHT_M_S / 2, found.sure.copy()
+    tick_m, confidence = config.tick_m, found.sure.copy()
     confidence[:, :, 0], reason = believe(signs, config, found.law)
     error_m, slope_m = (
         None if part is None else part * tick_m for part in (found.error, found.slope)
@@ -200,7 +200,7 @@ def _light_at(depth_m: np.ndarray, reading: Reading, arrays: dict[str, np.ndarra
     """Return the light at the distances that an estimator of a user's own found."""
     config = reading.config
     pulse = pulse_ticks(config, reading.system_fwhm_s, reading.pulse)
-    ticks = depth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2)
+    ticks = depth_m / config.tick_m
     if config.counting:
         counts = gate_counts(arrays, config, reading.frame)
         return count_intensity(seen_behind(counts, config, pulse, ticks), config, pulse, ticks)

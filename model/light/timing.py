@@ -65,6 +65,11 @@ class Timing:
         return 1 / (self.clock_hz * self.phases)
 
     @property
+    def tick_m(self) -> float:
+        """Distance that light has travelled, there and back, within a tick, in metres."""
+        return self.tick_s * SPEED_OF_LIGHT_M_S / 2
+
+    @property
     def period_ticks(self) -> int:
         return self.period_cycles * self.phases
 

@@ -19,7 +19,6 @@ from ...model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from ...model.depth.quality import wrong_pixels
 from ...model.light.light import Light
 from ...model.scenes.scene import Scene
-from ...model.shared.constants import SPEED_OF_LIGHT_M_S
 from ...model.shared.errors import check_integer
 from .timeline import Period, Timeline, frame_timeline, one_period
 
@@ -32,7 +31,7 @@ CANDIDATES = 4  # number of returns shown per pixel, the chosen one first
 
 def metres_per_tick(config: Config) -> float:
     """Return the distance in metres that a tick stands for: light goes there and back."""
-    return config.tick_s * SPEED_OF_LIGHT_M_S / 2
+    return config.tick_m
 
 
 @frozen(kw_only=True)

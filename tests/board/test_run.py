@@ -69,7 +69,7 @@ def test_only_what_lies_within_the_period_has_an_echo(beyond):
     config = load_config("emulator")
     tick = config.period_ticks + beyond
     distance_m = np.full((config.sensor.rows, config.sensor.cols), 2.0)
-    distance_m[0, 0] = tick * config.tick_s * 299_792_458 / 2
+    distance_m[0, 0] = tick * config.tick_m
     scene = Scene(name="far", distance_m=distance_m, reflectivity=np.ones_like(distance_m))
     settings = source_settings(config, scene, 0.0)
     assert (settings.tick < config.period_ticks).all()

@@ -12,7 +12,6 @@ from coincid.model.depth.belief import Reason
 from coincid.model.depth.histograms import SOURCES
 from coincid.model.depth.methods import METHODS
 from coincid.model.light.light import Light
-from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
 
 from ..random_cases import SENSORS, configurations
@@ -30,7 +29,7 @@ def lights(draw, config):
     """
     sensor = config.sensor
     kinds, surfaces = draw(st.integers(1, 4)), draw(st.integers(1, 3))
-    far_m = 1.2 * config.period_ticks * config.tick_s * SPEED_OF_LIGHT_M_S / 2
+    far_m = 1.2 * config.period_ticks * config.tick_m
     table = st.lists(
         st.tuples(st.one_of(st.just(np.nan), st.floats(0.05, far_m)), st.sampled_from(PHOTONS)),
         min_size=surfaces,
@@ -79,6 +78,4 @@ def test_a_depth_or_a_sentence(sensor, data):
     assert depth.reason.dtype == np.uint8 and set(depth.reason.ravel()) <= set(Reason)
     assert not believed[np.isnan(depth.depth_m[:, :, 0])].any()
     seen = depth.depth_m[~np.isnan(depth.depth_m)]
-    assert np.all(
-        (seen >= 0) & (seen <= config.period_ticks * config.tick_s * SPEED_OF_LIGHT_M_S / 2)
-    )
+    assert np.all((seen >= 0) & (seen <= config.period_ticks * config.tick_m))

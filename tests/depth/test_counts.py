@@ -21,7 +21,7 @@ from coincid.model.depth.histograms import by_subgroup, pixel_histogram, pixel_i
 from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.depth.quality import TOLERANCE_M
 from coincid.model.golden.frame import Golden
-from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
+from coincid.model.shared.constants import SUCCESS_TOLERANCE_S
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.threads import Threads
 
@@ -129,7 +129,7 @@ def test_a_told_background_is_hardly_better():
                 threads=alone,
                 background=background,
             )
-        depth_m = found.time[:, :, 0] * config.tick_s * SPEED_OF_LIGHT_M_S / 2
+        depth_m = found.time[:, :, 0] * config.tick_m
         wrong.append(np.mean(~(np.abs(depth_m - run.scene.truth_m) < TOLERANCE_M)))
     learned, with_truth = wrong
     assert learned <= with_truth + 0.005
@@ -291,7 +291,7 @@ class FirstGate:
         sensor = reading.config.sensor
         cycle = reading.arrays["gate_cycle"][reading.frame or 0][:, :, 0] + GATE_CYCLES / 2
         ticks = cycle[:, pixel_table(sensor).minigroup] * sensor.phases
-        tick_m = reading.config.tick_s * SPEED_OF_LIGHT_M_S / 2
+        tick_m = reading.config.tick_m
         return Depth.of(pixel_image(ticks * tick_m, sensor))
 
 

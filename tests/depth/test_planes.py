@@ -112,7 +112,7 @@ def test_the_light_is_learned_from_the_frame(link_gbps):
     assert (result["dropped"].sum() > result["stored"].sum()) == (link_gbps > 0)
     pulse = pulse_ticks(config)
     events = frame_events(result, config, pulse)
-    time = by_subgroup(scene.truth_m / (config.tick_s * SPEED_OF_LIGHT_M_S / 2), config.sensor)
+    time = by_subgroup(scene.truth_m / config.tick_m, config.sensor)
     light = by_subgroup(signal_per_pulse(scene.truth_m, scene.reflectivity[:, :, 0]), config.sensor)
     never = unheard(windows_of(events, config, config.pulses, pulse), config, pulse)
     levels = log_likelihood(
@@ -134,7 +134,7 @@ def test_seeds_are_not_biased(monkeypatch):
     run = Run(Setup.of(scene, sensor={"rows": ROWS, "cols": COLS}, klux=20.0))
     run.depth()
     step = round(surfaces.COARSE_SIGMAS * pulse_sigma_ticks(run.config))
-    error_ticks = seen[0].time(step) - scene.truth_m / (run.config.tick_s * SPEED_OF_LIGHT_M_S / 2)
+    error_ticks = seen[0].time(step) - scene.truth_m / run.config.tick_m
     assert abs(np.mean(error_ticks)) < 1 < step / 2
 
 

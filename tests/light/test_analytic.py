@@ -251,7 +251,7 @@ def test_pixels_of_a_subgroup_keep_their_own_targets():
     found = histogram(
         distance_m, 0.2, 0.0, threshold=3, window_ticks=16, pulses=100, form=CORRECTED
     )
-    peak_m = (np.argmax(found, axis=1) + 0.5) * Timing().tick_s * SPEED_OF_LIGHT_M_S / 2
+    peak_m = (np.argmax(found, axis=1) + 0.5) * Timing().tick_m
     assert peak_m[1:] == pytest.approx(distance_m[1:], abs=0.1)
     assert found[0].sum() == 0
 

@@ -34,7 +34,7 @@ from ..transients import synthetic
 LEVEL = 1e-3
 BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)
 BIN_M = BIN_S * SPEED_OF_LIGHT_M_S / 2
-TICK_M = Timing().tick_s * SPEED_OF_LIGHT_M_S / 2
+TICK_M = Timing().tick_m
 BINS_PER_TICK = round(Timing().tick_s / BIN_S)
 
 

@@ -22,7 +22,6 @@ from coincid.model.contract.config import Config, parse_config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.packet import FORMATS, header_field
 from coincid.model.light.timing import Timing
-from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.study.palette import DEEP_INK, FAINT, NOISE, PALE, SIGNAL
 from coincid.tb.pysim import write_register
 from coincid.tb.stimulus import port_words
@@ -292,7 +291,7 @@ def draw(values: dict[str, list[int]]) -> Figure:
     pulse, stamp, count, winner = (
         int(header_field(header, name)) for name in ("pulse", "stamp", "count", "winner")
     )
-    metres = stamp * Timing().tick_s * SPEED_OF_LIGHT_M_S / 2
+    metres = stamp * Timing().tick_m
     words = f"event = pulse {pulse}, stamp {stamp} ticks of 62.5 ps ({metres:.2f} m), count {count}, winner {winner}"
     words += f"     map = pixels {', '.join(map(str, pixels))}"
     axes.text(0, level["tdata"] - 0.75, words, fontsize=9.5, color=SIGNAL, va="center")
