@@ -285,7 +285,10 @@ def _room_found(begin: np.ndarray, end: np.ndarray, rate: np.ndarray) -> np.ndar
     """
     cells = len(rate)
     total = np.zeros(cells + 1)
-    total[1:] = np.cumsum(rate)
+    for k in range(
+        cells
+    ):  # Numba takes seconds to compile the message of a slice that does not fit
+        total[k + 1] = total[k] + rate[k]
     of_period = total[cells]
     total = total[:cells]  # windows since the period began
     grown = np.exp(total)

@@ -768,7 +768,7 @@ def lint(
 def formal(
     *, names: Annotated[list[str] | None, argument("Proofs; default: all.", "NAMES")] = None
 ) -> None:
-    """Prove the RTL's properties for all inputs and all time; takes a few minutes."""
+    """Prove the RTL's properties for all inputs and all time; takes some 20 minutes."""
     with extra("rtl"):
         from coincid.formal.prove import HEAD, prove
     print(HEAD)
