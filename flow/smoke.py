@@ -3,9 +3,10 @@
 FAIL.
 
 It programs registers over AXI4-Lite, plays the edges of a frame, and compares every word of the
-streams and all counters with those of the golden model. The bench is in `smoke_*.v` and
-`smoke_bench.vh`. This file makes the parts that depend on the sensor (ports, edges and expected
-words), which replace the `include` lines.
+streams and all counters with those of the golden model. A sensor with counts plays a frame of
+events and then a frame of counts. The bench is in `smoke_*.v` and `smoke_bench.vh`. This file makes
+the parts that depend on the sensor (ports, edges and expected words), which replace the `include`
+lines.
 """
 
 import re
@@ -13,6 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from attrs import frozen
 
 from ..hdl import deserialiser
 from ..hdl.front_end_views import POLYPHASE, View
@@ -27,7 +29,10 @@ from ..model.golden.frame import Golden, Trace
 from ..tb.stimulus import line_toggles
 
 SMOKE, FPGA_SMOKE = "coincid_smoke", "coincid_fpga_smoke"
+# powers of two
 PULSES = 4
+COUNTED_PULSES = 8  # of a frame of counts
+SEARCH_PULSES = 3
 # spread over the frame by a multiplicative sequence; each pulse also has a burst of neighbours
 EDGES = 160
 SPREAD = 2_654_435_761  # Knuth's multiplier
@@ -41,10 +46,27 @@ STALL_CYCLES, STALL_EVERY = 300, 4  # in these cycles, `tready` is low every fou
 ADDRESSES = ("period", "status", "control")  # registers that the bench uses by name
 BITS = {"bad_value": "status", "done": "status", "start": "control"}
 
-Accesses = dict[str, list[tuple[int, int, str]]]  # (address, value, comment) of registers, by kind
+Access = tuple[int, int, str]  # address and value of a register, and a comment
+ACCESS = "reg [51:0]"  # of the bench: address and value
 
 
-def smoke_config(sensor: Sensor) -> Config:
+def smoke_configs(sensor: Sensor) -> list[Config]:
+    """Return the frames of the test: one of events, and one of counts if the sensor has them."""
+    events = _events_config(sensor)
+    if not sensor.counts:
+        return [events]
+    return [
+        events,
+        events.with_frame(
+            format="counts",
+            pulses=COUNTED_PULSES,
+            search_pulses=SEARCH_PULSES,
+            minigroup_records=False,
+        ),
+    ]
+
+
+def _events_config(sensor: Sensor) -> Config:
     """Return a short frame that uses all parts. Most settings keep their reset values, so there
     is less to program.
     """
@@ -81,11 +103,11 @@ def smoke_edges(config: Config) -> Edges:
     early = deserialiser.CYCLES + 1  # the test bench joins in the middle of cycle 0
     cycles = config.period - 2 - early
     k = np.arange(EDGES, dtype=np.int64) * SPREAD
-    pulse, pixel = k >> 7 & PULSES - 1, pixels[(k >> 10) % len(pixels)]
+    pulse, pixel = k >> 7 & config.pulses - 1, pixels[(k >> 10) % len(pixels)]
     tick = early * sensor.phases + (k >> 5) % (cycles * sensor.phases)
-    for p in range(PULSES):
+    for p in range(config.pulses):
         burst = (
-            pixels[(p * 7) % len(pixels) + np.arange(4)]
+            pixels.take(7 * p + np.arange(4), mode="wrap")
             if p % 2
             else pixels[-4 - p : len(pixels) - p]
         )
@@ -104,27 +126,14 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
     """Return the test bench of the sensor, which synthesis ignores. levels: for the top of FPGAs,
     whose ports take SPAD levels.
     """
-    config = smoke_config(sensor)
-    edges = smoke_edges(config)
-    ready = np.arange(STALL_CYCLES) % STALL_EVERY != 0
-    trace = Golden(sensor).frame(config, edges, ready.astype(np.uint8))
-    accesses = _accesses(config, trace)
-    if levels:
-        bench, flips = LEVELS, _level_flips(config, edges)
-    elif view.by_words:
-        bench, flips = WORDS, _word_flips(config, edges)
-    else:
-        assert view.circuit is not None, "a view of lines has a circuit"
-        bench, flips = (
-            LINES,
-            line_toggles(config.with_frame(clock_mhz=view.circuit.clock_mhz), edges),
-        )
+    frames = _frames(sensor)
+    bench = LEVELS if levels else WORDS if view.by_words else LINES
     included = {
         BENCH.name: BENCH.read_text(encoding="utf-8"),
-        "smoke_tables.vh": _sizes(config, trace, accesses, levels, view)
-        + _registers(accesses)
-        + _beats(trace)
-        + _flips(sensor, *flips),
+        "smoke_tables.vh": _sizes(sensor, frames, levels, view)
+        + _registers(sensor, frames)
+        + _beats(frames)
+        + _flips(frames, levels, view),
         "smoke_sensor.vh": _instance(sensor, levels, view),
     }
     text = re.sub(
@@ -135,6 +144,27 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
     )
     licence, _, rest = text.partition("\n")
     return f"{licence}\n`ifndef SYNTHESIS\n{rest}`endif\n"
+
+
+@frozen
+class _Frame:
+    """A frame of the test, its light, and what the golden model says of it."""
+
+    config: Config
+    edges: Edges
+    trace: Trace
+
+
+def _frames(sensor: Sensor) -> list[_Frame]:
+    """Return the frames that the sensor plays after a reset, in turn."""
+    golden = Golden(sensor)
+    ready = np.arange(STALL_CYCLES) % STALL_EVERY != 0
+    frames = []
+    for config in smoke_configs(sensor):
+        edges = smoke_edges(config)
+        trace = golden.frame(config, edges, ready.astype(np.uint8))
+        frames.append(_Frame(config, edges, trace))
+    return frames
 
 
 def _instance(sensor: Sensor, levels: bool, view: View) -> str:
@@ -161,16 +191,19 @@ def _by_words(levels: bool, view: View) -> bool:
     return view.by_words and not levels
 
 
-def _sizes(config: Config, trace: Trace, accesses: Accesses, levels: bool, view: View) -> str:
+def _sizes(sensor: Sensor, frames: list[_Frame], levels: bool, view: View) -> str:
     """Return the numbers that the benches use."""
-    sensor = config.sensor
-    work = (
-        config.pulses * config.period
-        + sum(map(len, trace.beats))
-        + sum(map(len, accesses.values()))
-    )
+    work = len(_constants(sensor))
+    for k, frame in enumerate(frames):
+        work += (
+            frame.config.frame_cycles
+            + sum(map(len, frame.trace.beats))
+            + len(_settings(frames, k))
+            + len(_counters(frame))
+        )
     by_words = _by_words(levels, view)
     sizes = {
+        "FRAMES": len(frames),
         "STREAMS": sensor.streams,
         "SUBGROUPS": sensor.subgroups,
         "PORTS": len(_played(sensor)),
@@ -186,31 +219,42 @@ def _sizes(config: Config, trace: Trace, accesses: Accesses, levels: bool, view:
     return "".join(f"  localparam {name} = {value};\n" for name, value in sizes.items())
 
 
-def _accesses(config: Config, trace: Trace) -> Accesses:
-    """Return the constants and counters to read, and the settings to write."""
-    sensor = config.sensor
-    reset = registers.reset_values(sensor)
-    constants = [
+def _constants(sensor: Sensor) -> list[Access]:
+    """Return the registers that tell what is built."""
+    return [
         (r.offset, r.reset(sensor), r.name)
         for r in registers.built(registers.GLOBAL, sensor)
         if r.access is registers.Access.CONSTANT
     ]
-    settings = [
+
+
+def _settings(frames: list[_Frame], number: int) -> list[Access]:
+    """Return the settings to write before a frame: those that differ from the frame before it, or
+    from the values after a reset.
+    """
+    config = frames[number].config
+    before = registers.reset_values(config.sensor)
+    for frame in frames[:number]:
+        before |= dict(frame.config.register_writes())
+    return [
         (address, value, "")
         for address, value in config.register_writes()
-        if reset[address] != value
+        if before[address] != value
     ]
-    counters = [
+
+
+def _counters(frame: _Frame) -> list[Access]:
+    """Return the counters to read after a frame."""
+    return [
         (registers.address(name, s), value, f"{name} of subgroup {s}")
-        for s in _played(sensor)
-        for name, value in zip(COUNTER_NAMES, trace.counters[s].tolist(), strict=True)
+        for s in _played(frame.config.sensor)
+        for name, value in zip(COUNTER_NAMES, frame.trace.counters[s].tolist(), strict=True)
     ]
-    return {"constant": constants, "setting": settings, "counter": counters}
 
 
-def _registers(accesses: Accesses) -> str:
-    """Return addresses and bits, expected values of constants and counters, and the settings to
-    write.
+def _registers(sensor: Sensor, frames: list[_Frame]) -> str:
+    """Return addresses and bits, expected values of constants and of each frame's counters, and
+    each frame's settings to write.
     """
     by_name = registers.BY_NAME
     lines = [
@@ -221,11 +265,21 @@ def _registers(accesses: Accesses) -> str:
         f"  localparam [31:0] {bit.upper()} = 32'd{1 << by_name[register].bit(bit)};"
         for bit, register in BITS.items()
     ]
-    tables = (
-        _table(name, "reg [51:0]", map(_word, rows), f"{name.upper()}S")
-        for name, rows in accesses.items()
+    return "\n".join(
+        [
+            *lines,
+            _table("constant", ACCESS, map(_word, _constants(sensor)), "CONSTANTS"),
+            _by_frame(
+                "setting", ACCESS, [_words(_settings(frames, k)) for k in range(len(frames))]
+            ),
+            _by_frame("counter", ACCESS, [_words(_counters(frame)) for frame in frames]),
+        ]
     )
-    return "\n".join([*lines, *tables])
+
+
+def _words(rows: list[Access]) -> list[str]:
+    """Return accesses as entries of a table."""
+    return [_word(row) for row in rows]
 
 
 def _word(row: tuple[int, int, str]) -> str:
@@ -234,28 +288,57 @@ def _word(row: tuple[int, int, str]) -> str:
     return f"{{20'h{address:05x}, 32'd{value}}};{'  // ' * bool(name)}{name}"
 
 
-def _beats(trace: Trace) -> str:
-    """Return the words of all streams, one stream after the other, and the first word of each."""
-    first = np.cumsum([0, *map(len, trace.beats)])
-    beats = (f"64'h{int(beat):016x};" for stream in trace.beats for beat in stream)
+def _beats(frames: list[_Frame]) -> str:
+    """Return the words of all streams of all frames, one stream after the other, and the first
+    word of each.
+    """
+    streams = [stream for frame in frames for stream in frame.trace.beats]
+    first = np.cumsum([0, *map(len, streams)])
+    beats = (f"64'h{int(beat):016x};" for stream in streams for beat in stream)
     return _table("first", "integer", _numbers(first)) + _table("expected", "reg [63:0]", beats)
 
 
-def _flips(sensor: Sensor, time: np.ndarray, subgroup: np.ndarray, line: np.ndarray) -> str:
-    """Return tables of the changes at the SPAD ports, in order: their time, the number of the
-    port, and the line.
+def _flips(frames: list[_Frame], levels: bool, view: View) -> str:
+    """Return tables of the changes at the SPAD ports, frame by frame and in order: their time in
+    the frame, the number of the port, and the line.
     """
-    port = np.searchsorted(_played(sensor), subgroup)
-    order = np.lexsort((line, port, time))
+    times, ports, lines = [], [], []
+    for frame in frames:
+        time, subgroup, line = _flips_of(frame, levels, view)
+        port = np.searchsorted(_played(frame.config.sensor), subgroup)
+        order = np.lexsort((line, port, time))
+        times.append([f"64'd{t};" for t in time[order]])
+        ports += _numbers(port[order])
+        lines += _numbers(line[order])
     return (
-        _table("flip_time", "reg [63:0]", (f"64'd{t};" for t in time[order]), "FLIPS")
-        + _table("flip_port", "integer", _numbers(port[order]))
-        + _table("flip_line", "integer", _numbers(line[order]))
+        _by_frame("flip_time", "reg [63:0]", times, "flip")
+        + _table("flip_port", "integer", ports)
+        + _table("flip_line", "integer", lines)
     )
+
+
+def _flips_of(frame: _Frame, levels: bool, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (time, subgroup, line) of all changes of a frame at the ports of a view."""
+    if levels:
+        return _level_flips(frame.config, frame.edges)
+    if view.by_words:
+        return _word_flips(frame.config, frame.edges)
+    assert view.circuit is not None, "a view of lines has a circuit"
+    timed = frame.config.with_frame(clock_mhz=view.circuit.clock_mhz)
+    return line_toggles(timed, frame.edges)
 
 
 def _numbers(values: np.ndarray) -> Iterable[str]:
     return (f"{value};" for value in values)
+
+
+def _by_frame(name: str, kind: str, frames: list[list[str]], what: str = "") -> str:
+    """Return a table of all frames, and the table NAME_from of where each frame begins and the
+    last one ends. what: another NAME.
+    """
+    begins = np.cumsum([0, *map(len, frames)])
+    entries = (entry for frame in frames for entry in frame)
+    return _table(name, kind, entries) + _table(f"{what or name}_from", "integer", _numbers(begins))
 
 
 def _table(name: str, kind: str, entries: Iterable[str], count: str = "") -> str:

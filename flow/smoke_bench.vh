@@ -132,22 +132,25 @@
     end
   endtask
 
-  // Streams. Beats of stream s are expected[first[s]] to expected[first[s + 1] - 1].
-  integer received [0:STREAMS-1];
+  // Frames follow one another. Tables hold all of them: those of frame f begin at NAME_from[f].
+  integer frame = 0;
 
-  task take(input integer s);
+  // Streams. Beats of stream s of the frame are expected[first[k]] to expected[first[k + 1] - 1] with k = frame * STREAMS + s.
+  integer received [0:STREAMS-1];
+  integer slot;
+
+  task take(input integer s, input integer begins, input integer ends);
     if (tready[s] && tvalid[s]) begin
-      if (first[s] + received[s] < first[s + 1]) begin
-        check(tdata[64*s+:64] === expected[first[s] + received[s]], tdata[64*s+:64], expected[first[s] + received[s]]);
+      if (begins + received[s] < ends) begin
+        check(tdata[64*s+:64] === expected[begins + received[s]], tdata[64*s+:64], expected[begins + received[s]]);
       end
       received[s] = received[s] + 1;
-      check(tlast[s] === (first[s] + received[s] == first[s + 1]), {63'd0, tlast[s]},
-            {63'd0, first[s] + received[s] == first[s + 1]});
+      check(tlast[s] === (begins + received[s] == ends), {63'd0, tlast[s]}, {63'd0, begins + received[s] == ends});
     end
   endtask
 
   // The frame: cycle 0 is the one in which `laser` goes high for the first time.
-  integer cycle = -1;  // changes at falling edges
+  integer cycle = -1;  // counts at falling edges, and ends with a rising one
   integer stream;
   integer complete;
   reg whole = 1'b0;  // every stream has sent what is expected of it
@@ -161,8 +164,9 @@
     #SETTLE;
     complete = 0;
     for (stream = 0; stream < STREAMS; stream = stream + 1) begin
-      take(stream);
-      if (first[stream] + received[stream] == first[stream + 1]) complete = complete + 1;
+      slot = frame * STREAMS + stream;
+      take(stream, first[slot], first[slot + 1]);
+      if (first[slot] + received[stream] == first[slot + 1]) complete = complete + 1;
     end
     whole = complete == STREAMS;
   end
@@ -184,21 +188,46 @@
   // The test itself.
   integer k;
 
+  task play_frame;
+    begin
+      for (k = setting_from[frame]; k < setting_from[frame+1]; k = k + 1) begin
+        write(setting[k][51:32], setting[k][31:0], OKAY);
+      end
+      write(PERIOD, 32'd0, SLVERR);
+      expect_register(STATUS, BAD_VALUE);
+      write(STATUS, BAD_VALUE, OKAY);
+      write(CONTROL, START, OKAY);
+      while (!whole) @(negedge clk);
+      repeat (50) @(negedge clk);
+      expect_register(STATUS, DONE);
+      for (k = counter_from[frame]; k < counter_from[frame+1]; k = k + 1) begin
+        expect_register(counter[k][51:32], counter[k][31:0]);
+      end
+      check(whole, 64'd0, 64'd1);
+    end
+  endtask
+
+  task next_frame;
+    begin
+      @(posedge clk);
+      frame = frame + 1;
+      cycle = -1;
+      whole = 1'b0;
+      for (k = 0; k < STREAMS; k = k + 1) received[k] = 0;
+    end
+  endtask
+
   initial begin
     repeat (8) @(negedge clk);
     rst = 1'b0;
     repeat (8) @(negedge clk);
     for (k = 0; k < CONSTANTS; k = k + 1) expect_register(constant[k][51:32], constant[k][31:0]);
-    for (k = 0; k < SETTINGS; k = k + 1) write(setting[k][51:32], setting[k][31:0], OKAY);
-    write(PERIOD, 32'd0, SLVERR);
-    expect_register(STATUS, BAD_VALUE);
-    write(STATUS, BAD_VALUE, OKAY);
-    write(CONTROL, START, OKAY);
-    while (!whole) @(negedge clk);
-    repeat (50) @(negedge clk);
-    expect_register(STATUS, DONE);
-    for (k = 0; k < COUNTERS; k = k + 1) expect_register(counter[k][51:32], counter[k][31:0]);
-    check(whole, 64'd0, 64'd1);
+    play_frame;
+    while (frame + 1 < FRAMES) begin
+      write(STATUS, DONE, OKAY);
+      next_frame;
+      play_frame;
+    end
     if (errors == 0) begin
       $display("PASS: %0d checks", checks);
       $finish;

@@ -15,8 +15,9 @@ module coincid_fpga_smoke;
   // Levels change in the middle of a tick. `flip_time` counts ticks; the first falling edge of cycle 0 sets their clock.
   always begin
     #1;
-    if (now < 0 && cycle == 0) now = PHASES / 2;
-    while (now >= 0 && next < FLIPS && flip_time[next] == {32'd0, now}) flip;
+    if (cycle < 0) now = -1;
+    else if (now < 0 && cycle == 0) now = PHASES / 2;
+    while (now >= 0 && next < flip_from[frame+1] && flip_time[next] == {32'd0, now}) flip;
     #1;
     tick = tick + 1;
     if (now >= 0) now = now + 1;

@@ -19,7 +19,7 @@ module coincid_smoke;
     @(negedge clk);
     while (laser !== 1'b1) @(negedge clk);
     begun_ps = $realtime - HALF_PS;
-    while (next < FLIPS) begin
+    while (next < flip_from[FRAMES]) begin
       #(begun_ps + flip_time[next] / 1000.0 - $realtime);
       flip;
     end

@@ -14,7 +14,7 @@ module coincid_smoke;
   always @(posedge clk) begin
     #SETTLE;
     coming = cycle + 1;
-    while (next < FLIPS && flip_time[next] == {32'd0, coming}) flip;
+    while (next < flip_from[frame+1] && flip_time[next] == {32'd0, coming}) flip;
   end
 
   reg [LINES-1:0] at_port [0:PORTS-1];

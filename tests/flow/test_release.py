@@ -414,7 +414,9 @@ def test_constraints_of_the_fpga_top_bound_the_skew_of_the_lines(releases):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "sensor", [SENSORS["tiny"], SENSORS["odd"], LEAN], ids=["tiny", "odd", "lean"]
+    "sensor",
+    [SENSORS["tiny"], SENSORS["odd"], SENSORS["counting"], LEAN],
+    ids=["tiny", "odd", "counting", "lean"],
 )
 def test_smoke_test_of_other_sensors(sensor, tmp_path):
     folder = tmp_path / "rtl"
@@ -440,6 +442,20 @@ def test_smoke_test_finds_a_difference(releases, tmp_path, file, old, new):
     text = (folder / file).read_text(encoding="utf-8")
     assert old in text
     (folder / file).write_text(text.replace(old, new, 1), encoding="utf-8")
+    done = simulated(folder)
+    assert "FAIL" in done.stdout and "PASS" not in done.stdout and done.returncode != 0
+
+
+def test_smoke_test_finds_a_difference_in_counts(tmp_path):
+    """In the second frame of its sensor: the frame of events before it passes."""
+    folder = tmp_path / "rtl"
+    write_release(folder, parse_config({"sensor": SENSORS["counting"]}))
+    file = folder / "coincid_gate_search.v"
+    text, replaced = re.subn(
+        r"set_gates <= \w+;", "set_gates <= 1'h0;", file.read_text(encoding="utf-8")
+    )
+    assert replaced == 1
+    file.write_text(text, encoding="utf-8")
     done = simulated(folder)
     assert "FAIL" in done.stdout and "PASS" not in done.stdout and done.returncode != 0
 
