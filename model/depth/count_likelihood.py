@@ -12,7 +12,6 @@ for some time after each photon. Hits do not depend on the tree, so nothing of i
 likelihoods are relative to a pixel that sees no surface.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -87,7 +86,7 @@ def count_likelihood(
     level = np.empty((sensor.array_pixels, bins), np.float32)
     light = np.empty((sensor.array_pixels, bins), np.uint8)
     place = by_subgroup(np.arange(sensor.array_pixels), sensor)
-    ratio = np.float32(math.log(lights[-1] / lights[0]) / max(1, len(lights) - 1))
+    where = portable.log(lights).astype(np.float32)
 
     def evidence(s: int) -> Pixels:
         total = np.empty((sensor.pixels, bins * len(lights)), np.float32)
@@ -98,7 +97,7 @@ def count_likelihood(
 
     def average(s: int, prior: np.ndarray, pixels: Pixels) -> None:
         common = np.zeros(bins * len(lights), np.float32)
-        mean_over_lights(common, pixels, prior, ratio, 0, place[s], level, light)
+        mean_over_lights(common, pixels, prior, where, 0, place[s], level, light)
 
     def chances(s: int) -> np.ndarray:
         pixels = found[s]

@@ -18,6 +18,8 @@ LEARNING_ROUNDS = 30  # in which the shares of the lights converge
 LIGHT_SPAN = 4.0  # lights more than so many times from those of a subgroup's seeds are left out
 NEGLIGIBLE = -1.0  # log likelihood ratio, below which a mean is not worth its exponentials
 NARROW = np.float32(4.0)  # second difference from which on the steps of the lights are too coarse
+CLIMBS = 2  # steps to the highest point between the lights
+SHARP_MIN = np.float32(0.2)  # of the sharpness of a number of hits: less is no peak
 TURN = np.float32(2 * np.pi)
 BLOCK = 32  # times that are averaged together
 
@@ -97,7 +99,7 @@ class _Work(NamedTuple):
     best: np.ndarray  # int32[BLOCK], number of the likeliest light
     line: np.ndarray  # float32[BLOCK * lights], log likelihoods of a pixel
     prior: np.ndarray  # float32[lights]
-    step: np.float32  # logarithm of the factor from light to light
+    where: np.ndarray  # float32[lights], logarithms of the lights
 
 
 class _Levels(NamedTuple):
@@ -161,7 +163,7 @@ def mean_over_lights(
     common: np.ndarray,
     pixels: Pixels,
     prior: np.ndarray,
-    step: np.float32,
+    where: np.ndarray,
     lightest: int,
     place: np.ndarray,
     level: np.ndarray,
@@ -170,8 +172,8 @@ def mean_over_lights(
     """Compute the logarithm of the mean over the lights, and the likeliest light.
 
     A masked pixel favours no time. common, pixels: from `add_events`; `common` is used up. prior:
-    float32[lights]. step: logarithm of the factor from light to light. lightest: index of the first
-    light in the grid. place: int64[pixels], row of each pixel in the results, level and light.
+    float32[lights]. where: float32[lights], logarithms of the lights. lightest: index of the first
+    of them in the grid. place: int64[pixels], row of each pixel in the results, level and light.
     """
     lights = len(prior)
     times = len(common) // lights
@@ -182,7 +184,7 @@ def mean_over_lights(
         best=np.zeros(BLOCK, np.int32),
         line=np.empty(BLOCK * lights, np.float32),
         prior=prior,
-        step=step,
+        where=where,
     )
     of_all = _Levels(np.empty(times, np.float32), np.empty(times, np.uint8))
     _mean_of_all(common, prior, lightest, work, of_all)
@@ -307,31 +309,101 @@ def _look_between(work: _Work, n: int) -> None:
     """Where the lights are too coarse for the likelihood, replace the mean over them, relative to
     the likeliest, by that over the lights between them, for n times.
 
-    Between three lights, the log likelihood is a log(light) - b light + c, as that of a number of
-    hits. It is highest at a / b; its mean is that of a Gaussian in log(light).
+    Between three lights, the log likelihood is about a log(light) - b light + c, as that of a number
+    of hits. A bright pixel, which fires in most pulses, differs from that (`_difference`). The mean
+    is that of a Gaussian in log(light) around the highest point.
     """
     values = work.values
     prior = work.prior
+    where = work.where
     lights = len(values)
     one = np.float32(1)
-    grow = np.exp(work.step)
-    bend_of_unit = grow + one / grow - np.float32(2)
     for k in range(n):
         x = work.best[k]
         if x == 0 or x == lights - 1:
             continue
+        low = where[x - 1] - where[x]
+        high = where[x + 1] - where[x]
         below = values[x - 1, k] - values[x, k] - prior[x - 1] + prior[x]
         above = values[x + 1, k] - values[x, k] - prior[x + 1] + prior[x]
-        bend = -(below + above)
-        if bend < NARROW:
+        if -(below + above) < NARROW:
             continue
-        b = bend / bend_of_unit  # times the middle light
-        a = (above + b * (grow - one)) / work.step
-        if a <= 0:
+        less = np.exp(low) - one
+        more = np.exp(high) - one
+        b = (high * below - low * above) / (low * more - high * less)  # times the middle light
+        a = (above + b * more) / high
+        if a <= 0 or b <= 0:
             continue
-        off = min(work.step, max(-work.step, fast_log(a / b)))  # to the highest, logarithm
-        light = np.exp(off)
+        off = min(high, max(low, fast_log(a / b)))  # to the highest, logarithm
+        cubic, quartic = _difference(work, k, x, a, b)
+        sharp = a
+        for _ in range(CLIMBS):
+            slope, curve = _slopes(cubic, quartic, low, high, off)
+            light = b * np.exp(off)
+            sharper = light - curve
+            if sharper < SHARP_MIN * a:
+                break
+            sharp = sharper
+            off = min(high, max(low, off + (a - light + slope) / sharp))
+        differs = off * (off - low) * (off - high) * (cubic + quartic * off)
+        top = a * off - b * (np.exp(off) - one) + differs
         side = x + 1 if off > 0 else x - 1
-        between = abs(off) / work.step * (prior[side] - prior[x])
-        spread = fast_log(TURN / (a * work.step * work.step))
-        work.ratio[k] = a * off - b * (light - one) + between + np.float32(0.5) * spread
+        between = off / (high if off > 0 else low) * (prior[side] - prior[x])
+        step = (high - low) / np.float32(2)
+        spread = fast_log(TURN / (sharp * step * step))
+        work.ratio[k] = top + between + np.float32(0.5) * spread
+
+
+@part
+def _difference(
+    work: _Work, k: int, x: int, a: np.float32, b: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Return how the log likelihood at time k differs from a log(light) - b light + c around light x:
+    the factors of the polynomials that `_slopes` has.
+
+    They follow from the lights two steps away, as far as these are in the grid.
+    """
+    lights = len(work.values)
+    none = np.float32(0)
+    low = none
+    high = none
+    if x >= 2:
+        low = _beyond(work, k, x, x - 2, a, b)
+    if x <= lights - 3:
+        high = _beyond(work, k, x, x + 2, a, b)
+    if x < 2:
+        return high, none
+    if x > lights - 3:
+        return low, none
+    apart = work.where[x + 2] - work.where[x - 2]
+    quartic = (high - low) / apart
+    return high - quartic * (work.where[x + 2] - work.where[x]), quartic
+
+
+@part
+def _beyond(work: _Work, k: int, x: int, there: int, a: np.float32, b: np.float32) -> np.float32:
+    """Return by how much the log likelihood of light `there` exceeds a log(light) - b light + c, per
+    the product of its distances to light x and to those beside it.
+    """
+    where = work.where
+    off = where[there] - where[x]
+    product = off * (where[there] - where[x - 1]) * (where[there] - where[x + 1])
+    more = work.values[there, k] - work.values[x, k] - work.prior[there] + work.prior[x]
+    return (more - a * off + b * (np.exp(off) - np.float32(1))) / product
+
+
+@part
+def _slopes(
+    cubic: np.float32, quartic: np.float32, low: np.float32, high: np.float32, off: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Return the first and the second derivative of u (u - low) (u - high) (cubic + quartic u) at
+    `off`.
+    """
+    two = np.float32(2)
+    total = low + high
+    product = low * high
+    value = off * (off - low) * (off - high)
+    first = (np.float32(3) * off - two * total) * off + product
+    second = np.float32(6) * off - two * total
+    factor = cubic + quartic * off
+    return first * factor + value * quartic, second * factor + two * first * quartic

@@ -11,7 +11,6 @@ likelihoods are relative to a pixel that sees no surface, whose hits are backgro
 4. learn how bright the pixels of the frame are, and average over the lights (`lights.py`).
 """
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
@@ -20,6 +19,7 @@ import numpy as np
 
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
+from . import portable
 from .clusters import SubgroupEvents, cluster_events
 from .evidence import (
     WAYS,
@@ -145,7 +145,7 @@ def log_likelihood(
     level = np.empty((sensor.array_pixels, bins), np.float32)
     light = np.empty((sensor.array_pixels, bins), np.uint8)
     place = by_subgroup(np.arange(sensor.array_pixels), sensor)
-    ratio = np.float32(math.log(grid.lights[-1] / grid.lights[0]) / max(1, len(grid.lights) - 1))
+    where = portable.log(grid.lights).astype(np.float32)
 
     def average(s: int, prior: np.ndarray, evidence: _Evidence) -> None:
         own_prior = prior
@@ -154,7 +154,9 @@ def log_likelihood(
         own_prior = np.ascontiguousarray(own_prior[lights[s]])
         lightest = lights[s].start
         common, pixels = evidence
-        mean_over_lights(common, pixels, own_prior, ratio, lightest, place[s], level, light)
+        mean_over_lights(
+            common, pixels, own_prior, where[lights[s]], lightest, place[s], level, light
+        )
 
     if grid.prior is not None:
         prior = grid.prior
