@@ -15,6 +15,9 @@ discs of growing size, a plane and a curved surface:
   bias of the plane; it grows with the area of the disc, so large discs tell it for small ones, too.
 - A smaller disc says how far the curved surface is off.
 
+Behind a lens, planes in space are curved from pixel to pixel (`lens.py`). Such a lens is looked for in
+the peaks of the frame, and both shapes follow it.
+
 The estimate is the one with the smallest sum of variance and squared bias. The discs grow as long as
 the curved surfaces agree within their noise (Goldenshluger and Nemirovski 1997; Lepski 1991).
 """
@@ -25,6 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..shared.compiled import njit, part
+from .lens import Lens, find_lens, no_lens, seen_at
 from .patchmatch import HALF, Field, Planes, own_level, plane_at
 from .seeds import Blocks
 
@@ -119,11 +123,17 @@ def refine(field: Field, planes: Planes, blocks: Blocks) -> Refined:
         bias=np.empty((rows, discs)),
     )
     near = _neighbours()
+    lens = no_lens(*shape)
     first = _room_for(planes)
-    blocks(partial(_fit, field, planes, peaks, near, work, first))
+    blocks(partial(_fit, field, planes, peaks, lens, near, work, first))
     blocks(partial(_follow_slopes, field, first.planes, peaks))
+    lens = find_lens(peaks.time, peaks.bend)
+    if lens.there:  # again, because the first surfaces were of another shape
+        blocks(partial(_find_peaks, field, planes, peaks))
+        blocks(partial(_fit, field, planes, peaks, lens, near, work, first))
+        blocks(partial(_follow_slopes, field, first.planes, peaks))
     second = _room_for(planes)
-    blocks(partial(_fit, field, first.planes, peaks, near, work, second))
+    blocks(partial(_fit, field, first.planes, peaks, lens, near, work, second))
     return second
 
 
@@ -217,6 +227,7 @@ def _fit(
     field: Field,
     planes: Planes,
     peaks: _Peaks,
+    lens: Lens,
     near: _Neighbours,
     work: _Work,
     refined: Refined,
@@ -227,7 +238,7 @@ def _fit(
     for r in range(begin, end):
         own = _Work(work.sums[r], work.left[r], work.plane[r], work.curved[r], work.bias[r])
         for c in range(planes.time.shape[1]):
-            first, number = _fit_discs(field, planes, peaks, near, r, c, own)
+            first, number = _fit_discs(field, planes, peaks, lens, near, r, c, own)
             best = _choose(near.bounds, first, number, own)
             moved = 1.0 if abs(best.off) <= MOVE_TICKS else 0.0
             refined.planes.time[r, c] = planes.time[r, c] + moved * best.off
@@ -242,6 +253,7 @@ def _fit_discs(
     field: Field,
     planes: Planes,
     peaks: _Peaks,
+    lens: Lens,
     near: _Neighbours,
     r: int,
     c: int,
@@ -256,7 +268,7 @@ def _fit_discs(
     done = 0
     for disc in range(len(near.bounds)):
         for k in range(done, near.bounds[disc]):
-            _add_pixel(field, planes, peaks, near, k, r, c, own.sums)
+            _add_pixel(field, planes, peaks, lens, near, k, r, c, own.sums)
         done = near.bounds[disc]
         if own.sums[LEVEL, LEVEL] == 0:
             first = disc + 1
@@ -276,6 +288,7 @@ def _add_pixel(
     field: Field,
     planes: Planes,
     peaks: _Peaks,
+    lens: Lens,
     near: _Neighbours,
     k: int,
     r: int,
@@ -288,10 +301,8 @@ def _add_pixel(
     cc = c + near.step[k, 1]
     if not (0 <= rr < rows and 0 <= cc < cols) or peaks.bend[rr, cc] <= 0:
         return
-    down = float(near.step[k, 0])
-    right = float(near.step[k, 1])
-    there = plane_at(field, planes, r, c, down, right)
-    here = plane_at(field, planes, rr, cc, -down, -right)
+    there = _seen_at(field, planes, lens, r, c, near.step[k, 0], near.step[k, 1])
+    here = _seen_at(field, planes, lens, rr, cc, -near.step[k, 0], -near.step[k, 1])
     # A curved surface is as far from the one plane as from the other, and on the same side.
     step = (planes.time[rr, cc] - there) - (planes.time[r, c] - here)
     if abs(step) > 2 * BESIDE_TICKS:
@@ -305,6 +316,17 @@ def _add_pixel(
         for j in range(i, TERMS):
             sums[i, j] += weighted * terms[j]
         sums[i, TERMS] += weighted * (peaks.time[rr, cc] - there)
+
+
+@part
+def _seen_at(
+    field: Field, planes: Planes, lens: Lens, r: int, c: int, down: int, right: int
+) -> float:
+    """Return the time of the plane of pixel (r, c) so many pixels down and right."""
+    time = planes.time[r, c]
+    if not lens.there or time < 1:
+        return plane_at(field, planes, r, c, float(down), float(right))
+    return seen_at(lens, time, planes.down[r, c], planes.right[r, c], r, c, down, right)
 
 
 @part
