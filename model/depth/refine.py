@@ -15,6 +15,9 @@ discs of growing size, a plane and a curved surface:
   bias of the plane; it grows with the area of the disc, so large discs tell it for small ones, too.
 - A smaller disc says how far the curved surface is off.
 
+If the peaks around a pixel scatter by more than their likelihoods tell, the variance grows as much: some
+of them are of other surfaces, or the shape is another one.
+
 Behind a lens, planes in space are curved from pixel to pixel (`lens.py`). Such a lens is looked for in
 the peaks of the frame, and both shapes follow it.
 
@@ -48,6 +51,7 @@ GROWTH = 1.1  # of the standard error, because the disc is chosen by the same pe
 ERROR_TICKS = 0.06  # what the likelihood leaves out, at any number of photons
 MOVE_TICKS = 3.0  # by which a time changes, at most
 DISCS = (0, 1, 2, 5, 10, 17, 26, 37, 50, 68)  # squared radii, pixels
+SCATTER_PRIOR = 10.0  # weight of the scatter that the likelihoods tell, in peaks
 TERMS = 6  # of a curved surface: three curvatures,
 FLAT = 3  # and from here on those of a plane:
 DOWN = 3  # its slopes,
@@ -84,6 +88,8 @@ _FIT = np.dtype(
         ("down", np.float64),  # ticks per row
         ("right", np.float64),  # ticks per column
         ("variance", np.float64),  # of `off`, squared ticks
+        ("scatter", np.float64),  # squared distances of the peaks from it, in their variances
+        ("free", np.float64),  # what `scatter` is on average
     ],
     align=True,
 )
@@ -92,8 +98,9 @@ _FIT = np.dtype(
 class _Work(NamedTuple):
     """Workspace for a pixel; each row of the array has its own."""
 
-    sums: np.ndarray  # float64[TERMS, TERMS + 1], products of the terms, and of them and the peaks
+    sums: np.ndarray  # float64[TERMS + 1, TERMS + 1], products of the terms and of the peaks
     left: np.ndarray  # the same, while the terms are eliminated
+    peaks: np.ndarray  # float64[1], number of the peaks
     plane: np.ndarray  # _FIT[discs]
     curved: np.ndarray  # _FIT[discs]
     bias: np.ndarray  # float64[discs], squared bias of `curved`
@@ -116,8 +123,9 @@ def refine(field: Field, planes: Planes, blocks: Blocks) -> Refined:
     rows = shape[0]
     discs = len(DISCS)
     work = _Work(
-        sums=np.empty((rows, TERMS, TERMS + 1)),
-        left=np.empty((rows, TERMS, TERMS + 1)),
+        sums=np.empty((rows, TERMS + 1, TERMS + 1)),
+        left=np.empty((rows, TERMS + 1, TERMS + 1)),
+        peaks=np.empty((rows, 1)),
         plane=np.empty((rows, discs), _FIT),
         curved=np.empty((rows, discs), _FIT),
         bias=np.empty((rows, discs)),
@@ -236,7 +244,9 @@ def _fit(
 ) -> None:
     """Compute the refined planes of some rows."""
     for r in range(begin, end):
-        own = _Work(work.sums[r], work.left[r], work.plane[r], work.curved[r], work.bias[r])
+        own = _Work(
+            work.sums[r], work.left[r], work.peaks[r], work.plane[r], work.curved[r], work.bias[r]
+        )
         for c in range(planes.time.shape[1]):
             first, number = _fit_discs(field, planes, peaks, lens, near, r, c, own)
             best = _choose(near.bounds, first, number, own)
@@ -264,17 +274,18 @@ def _fit_discs(
     Return the first disc with a peak, and the one after the last that agrees.
     """
     own.sums[:] = 0
+    own.peaks[0] = 0
     first = 0
     done = 0
     for disc in range(len(near.bounds)):
         for k in range(done, near.bounds[disc]):
-            _add_pixel(field, planes, peaks, lens, near, k, r, c, own.sums)
+            _add_pixel(field, planes, peaks, lens, near, k, r, c, own)
         done = near.bounds[disc]
         if own.sums[LEVEL, LEVEL] == 0:
             first = disc + 1
             continue
-        _solve(own.sums, FLAT, own.left, own.plane[disc])
-        _solve(own.sums, 0, own.left, own.curved[disc])
+        _solve(own, FLAT, own.plane[disc])
+        _solve(own, 0, own.curved[disc])
         for smaller in range(first, disc):
             off = own.curved[disc].off - own.curved[smaller].off
             noise = max(0.0, own.curved[smaller].variance - own.curved[disc].variance)
@@ -293,7 +304,7 @@ def _add_pixel(
     k: int,
     r: int,
     c: int,
-    sums: np.ndarray,
+    own: _Work,
 ) -> None:
     """Add neighbour k of pixel (r, c) to the sums, if it is on the same surface."""
     rows, cols = planes.time.shape
@@ -311,11 +322,15 @@ def _add_pixel(
         return
     weight = peaks.bend[rr, cc]
     terms = near.terms[k]
+    sums = own.sums
+    off = peaks.time[rr, cc] - there
     for i in range(TERMS):
         weighted = weight * terms[i]
         for j in range(i, TERMS):
             sums[i, j] += weighted * terms[j]
-        sums[i, TERMS] += weighted * (peaks.time[rr, cc] - there)
+        sums[i, TERMS] += weighted * off
+    sums[TERMS, TERMS] += weight * off * off
+    own.peaks[0] += 1
 
 
 @part
@@ -337,21 +352,22 @@ def _rules_out(planes: Planes, peaks: _Peaks, r: int, c: int) -> bool:
 
 
 @part
-def _solve(sums: np.ndarray, first: int, left: np.ndarray, fit: Any) -> None:
+def _solve(own: _Work, first: int, fit: Any) -> None:
     """Compute the fit with the terms from the `first` on.
 
     The terms are eliminated one after the other. The last one is the level; what is left of its
-    square is the inverse of its variance.
+    square is the inverse of its variance. What is left of the peaks is their scatter.
     """
-    for i in range(first, TERMS):
+    left = own.left
+    free = own.peaks[0] - 1
+    for i in range(first, TERMS + 1):
         for j in range(i, TERMS + 1):
-            left[i, j] = sums[i, j]
-        if i < FLAT:
-            left[i, i] += 1 / BEND_TICKS**2
-        elif i < LEVEL:
-            left[i, i] += 1 / SLOPE_TICKS**2
+            left[i, j] = own.sums[i, j]
     for i in range(first, LEVEL):
-        for k in range(i + 1, TERMS):
+        prior = 1 / (BEND_TICKS if i < FLAT else SLOPE_TICKS) ** 2
+        left[i, i] += prior
+        free -= 1 - prior / left[i, i]
+        for k in range(i + 1, TERMS + 1):
             factor = left[i, k] / left[i, i]
             for j in range(k, TERMS + 1):
                 left[k, j] -= factor * left[i, j]
@@ -362,6 +378,8 @@ def _solve(sums: np.ndarray, first: int, left: np.ndarray, fit: Any) -> None:
     fit.down = of_down / left[DOWN, DOWN]
     fit.right = right
     fit.variance = 1 / left[LEVEL, LEVEL]
+    fit.scatter = left[TERMS, TERMS] - left[LEVEL, TERMS] * off
+    fit.free = free
 
 
 @part
@@ -391,7 +409,8 @@ def _choose(bounds: np.ndarray, first: int, number: int, own: _Work) -> _Chosen:
         plane_bias = max(plane_bias, off * off - noise)
         pixels = float(bounds[disc])
         share = plane_bias / (plane_bias + noise) if plane_bias > 0 else 0.0
-        square = plane.variance + share * (noise + own.bias[disc])
+        scatter = max(1.0, (curved.scatter + SCATTER_PRIOR) / (curved.free + SCATTER_PRIOR))
+        square = scatter * (plane.variance + share * noise) + share * own.bias[disc]
         if square < least:
             least = square
             most_bias = 0.0  # of a disc and all smaller ones: by chance, that of one may be small
@@ -401,6 +420,6 @@ def _choose(bounds: np.ndarray, first: int, number: int, own: _Work) -> _Chosen:
                 off=plane.off + share * off,
                 down=plane.down + share * (curved.down - plane.down),
                 right=plane.right + share * (curved.right - plane.right),
-                square=plane.variance + share * (noise + most_bias),
+                square=scatter * (plane.variance + share * noise) + share * most_bias,
             )
     return best

@@ -14,7 +14,13 @@ from coincid.model.depth.quality import TOLERANCE_M
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.threads import Threads
-from docs.studies.confidence import NINETY, perspective_setup, random_setup, truth_m
+from docs.studies.confidence import (
+    NINETY,
+    perspective_setup,
+    random_setup,
+    scene_in_perspective,
+    truth_m,
+)
 
 SENSOR = {"rows": 16, "cols": 16}
 OFF = {"coincidence": False}
@@ -94,3 +100,25 @@ def test_a_file_says_why(tmp_path):
     with np.load(tmp_path / "depth.npz") as kept:
         assert np.array_equal(kept["reason"], depth.reason) and np.isnan(kept["depth_m"]).all()
         assert kept["sentences"][kept["reason"][0, 0]] == SENTENCES[Reason.NO_LIGHT]
+
+
+@pytest.mark.parametrize("larger", [1 / 3, 1.0])
+def test_standard_errors_hold_in_rooms(larger):
+    """Of the right pixels, in rooms in perspective: near and bright ones, and larger ones."""
+    errors = []
+    for seed in (100, 101, 102):
+        setup = Setup.of(
+            scene_in_perspective(seed, larger),
+            sensor={"rows": 32, "cols": 32},
+            frame={"pulses": 300, "link_gbps": 0},
+            subgroup={"threshold": 2},
+            klux=50.0,
+            seed=seed,
+        )
+        run = Run(setup)
+        depth = run.depth("planes")
+        off_m = np.abs(depth.depth_m[:, :, 0] - run.scene.truth_m)
+        errors.append((off_m / depth.error_m[:, :, 0])[off_m < TOLERANCE_M])
+    errors = np.concatenate(errors)
+    assert 0.63 < np.mean(errors < 1) < 0.76
+    assert 0.88 < np.mean(errors < 2)
