@@ -39,10 +39,10 @@ MIXED_MIN = 0.003  # and to shares
 OFF_MAX_M = 1.0  # from the neighbours: what is more is no slant
 SLOPE_MAX_M = 0.5  # from subgroup to subgroup: what is more is no slant
 LAW = {  # method: weights of `features` and a constant, set by `python -m docs.studies.confidence`
-    "maximum": (0.142, 0.301, -2.4, -0.229, 0.00601, 0.0606, -0.587, 0.214, -0.537, -3.83),
-    "matched": (0.271, 0.112, -0.294, -0.302, 0.0318, -0.0309, -0.415, 0.0348, -0.688, -5.27),
-    "background": (0.228, 0.215, 0.453, -0.307, 0.0528, -0.109, -0.321, -0.0449, -0.65, -5.1),
-    "planes": (0.353, 1.62, -0.161, -0.329, 0.156, 0.088, 0.382, -0.994, -0.146, -5.71),
+    "maximum": (0.152, 0.264, -2.51, -0.205, 0.0148, 0.026, -0.449, 0.205, -0.452, -3.15),
+    "matched": (0.29, 0.0747, -0.165, -0.275, 0.0289, 0.00271, -0.278, 0.0155, -0.613, -4.83),
+    "background": (0.237, 0.173, 0.484, -0.286, 0.0528, -0.066, -0.223, -0.0439, -0.573, -4.62),
+    "planes": (0.267, 0.952, -1.03, -0.357, 0.167, -0.252, 0.236, -0.797, -0.144, -4.09),
     # of `planes` in the format counts, set by `python -m docs.studies.count_confidence`
     "counts": (0.305, 1.39, -1.65, -0.513, 0.147, -0.528, 0.0821, -0.484, -0.0848, -2.99),
 }
