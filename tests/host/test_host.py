@@ -66,6 +66,28 @@ def test_the_end_of_a_frame_leaves_what_went_wrong_before():
         assert not memory.written
 
 
+class Refusing(Memory):
+    """A transport that refuses all writes but those to the status."""
+
+    def write(self, at, value):
+        if at != address("status"):
+            raise RefusedError("refused")
+        super().write(at, value)
+
+
+@pytest.mark.parametrize("done", [False, True])
+@pytest.mark.parametrize("reason", ERRORS)
+def test_a_refusal_clears_its_reasons_and_nothing_else(reason, done):
+    """The end of a frame that nobody has waited for yet stays."""
+    memory = Refusing()
+    status = address("status")
+    memory.words[status] = 1 << STATUS.bit(reason) | done << STATUS.bit("done")
+    with pytest.raises(RefusedError) as refused:
+        Driver(memory, SENSOR)["threshold", 1] = 2
+    assert refused.value.reasons == (reason,)
+    assert memory.written == [(status, 1 << STATUS.bit(reason))]
+
+
 def test_a_setting_that_is_not_known_is_written_whatever_its_value():
     """Also 0; what is known is written only where it changes."""
     memory = Memory()

@@ -402,6 +402,12 @@ def test_dark_counts_and_hot_pixels():
     for hot_fraction, hot in ((0.0, 0), (0.249, 2), (0.251, 3), (1.0, 10)):
         few = dark_count_map(10, median_cps=1.0, hot_fraction=hot_fraction, hot_cps=2.0, seed=1)
         assert (few == 2.0).sum() == hot  # the nearest number
+    again, other = (
+        dark_count_map(100, median_cps=100.0, hot_fraction=0.03, hot_cps=1e6, seed=seed)
+        for seed in (3, 4)
+    )
+    assert np.array_equal(again, dark_cps)
+    assert not np.array_equal(other, dark_cps)
     edges = edges_of(light(10, 10), Spad(dead_time_s=0, dark_cps=dark_cps), pulses=20_000)
     n = np.bincount(edges.pixel, minlength=100)
     assert set(np.argsort(n)[-3:]) == set(np.flatnonzero(dark_cps == 1e6))

@@ -358,6 +358,11 @@ def test_arrays_in_archives(tmp_path):
     for source in ("a.npz", "a.npz:none"):
         with pytest.raises(InputError, match="two dimensions depth, mask; must name one"):
             load_scene(str(tmp_path / source), *SHAPE)
+    moving_m = np.stack([depth_m, depth_m + 1])
+    np.savez(tmp_path / "f.npz", depth=depth_m, moving=moving_m, k=np.ones(3))
+    still, moving = (load_scene(f"{tmp_path}/f.npz{name}", *SHAPE) for name in ("", ":moving"))
+    assert np.array_equal(still.truth_m, depth_m) and still.pictures == 1
+    assert moving.pictures == 2
     colour = png(tmp_path / "c.png", np.zeros(SHAPE, np.uint8))
     assert np.all(load_scene(f"{tmp_path / 'a.npz'}:depth,{colour}", *SHAPE).reflectivity == 0.05)
     (tmp_path / "e.mat").write_bytes(b"no archive")

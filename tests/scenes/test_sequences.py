@@ -88,6 +88,15 @@ def test_frame_k_sees_picture_k(tmp_path, source):
         assert np.all(scene.at(frame).truth_m == wall_m)
 
 
+def test_each_picture_has_the_mask_of_its_own():
+    """Of a masked array of several pictures."""
+    hidden = np.zeros((3, *SHAPE), bool)
+    hidden[1, 0, 1] = hidden[2, 1, 0] = True
+    scene = load_scene(np.ma.masked_array(pictures(), mask=hidden), *SHAPE)
+    for frame in range(3):
+        assert np.array_equal(scene.at(frame).valid, ~hidden[frame])
+
+
 def test_the_sensor_measures_what_moves():
     """The photons of each frame come from its picture, and so does the truth."""
     run = simulate(CONFIG, pictures(), klux=0, seed=3)

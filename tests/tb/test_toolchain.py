@@ -16,7 +16,7 @@ from coincid.tb import toolchain
 from coincid.tb.engines import SIMULATORS
 from coincid.tb.rtl_errors import SimulationError
 from coincid.tools import wheels
-from coincid.tools.build import ToolchainError, build_once, compile_in
+from coincid.tools.build import ToolchainError, build_once, compile_in, compile_once
 from coincid.tools.system import MissingPackagesError, system_packages
 
 from ..benches import BENCHES
@@ -271,6 +271,21 @@ def test_compiler_on_a_full_disk_is_one_line(tmp_path):
         InputError, match=r"\A.*No space left on device, in .*COINCID_BUILD and TMPDIR.*\Z"
     ):
         compile_in(tmp_path, tmp_path / "log", command)
+
+
+def test_the_log_is_that_of_the_last_build(tmp_path):
+    """A disk that was full once is not the reason of a later error."""
+
+    def build_that_says(words):
+        command = [sys.executable, "-c", f"import sys; sys.exit({words!r})"]
+        with pytest.raises(ToolchainError) as failed:
+            compile_once(tmp_path / "thing", lambda scratch, run: run(command))
+        return str(failed.value)
+
+    assert "COINCID_BUILD and TMPDIR" in build_that_says("No space left on device")
+    later = build_that_says("syntax error")
+    assert "syntax error" in later
+    assert "No space left" not in later
 
 
 def test_missing_verilator_is_named(empty_build_root, monkeypatch):
