@@ -37,7 +37,9 @@ PACKAGES = (
     "lab",
     "study",
     "board",
-    "docs/studies",
+    "docs",
+    "examples",
+    "scripts",
 )
 
 
@@ -73,8 +75,9 @@ def copy_of_sources(folder: Path) -> dict[str, str]:
         shutil.copytree(
             ROOT / name, folder / name, symlinks=True, ignore=ignored, dirs_exist_ok=True
         )
-    for name in ("pyproject.toml", "docs/__init__.py"):
-        shutil.copy(ROOT / name, folder / name)
+    for path in ROOT.iterdir():  # tests read the Makefile and pages of the root
+        if path.is_file() and not path.name.startswith("."):
+            shutil.copy(path, folder / path.name)
     search = os.pathsep.join([str(folder / "src"), str(folder)])
     return os.environ | {"PYTHONPATH": search, "COINCID_BUILD": str(folder / "build")}
 

@@ -124,3 +124,16 @@ def test_table_of_a_gaussian_is_the_gaussian(run, width):
     assert table.sigma == pytest.approx(usual.sigma, rel=1e-3)
     assert abs(table.reach - usual.reach) <= 1
     np.testing.assert_allclose(table.share_before(time), usual.share_before(time), atol=5e-4)
+
+
+def test_reach_holds_a_pulse_and_its_mirror_image(run):
+    """Also if the long side comes first; outside there is next to no light on either side."""
+    late = pulse_ticks(run.config, pulse=tailed_pulse())
+    early = late._replace(
+        times=tuple(-time for time in late.times[::-1]),
+        shares=tuple(1 - share for share in late.shares[::-1]),
+    )
+    assert early.reach == late.reach
+    for pulse in (late, early):
+        assert pulse.share_before(np.array(-float(pulse.reach))) < 1e-4
+        assert pulse.share_before(np.array(float(pulse.reach))) > 1 - 1e-4

@@ -173,6 +173,32 @@ def test_the_clock_is_the_configurations(tmp_path, spec, clocks_mhz):
     assert [point.settings["configuration"]["frame"]["clock_mhz"] for point in points] == clocks_mhz
 
 
+OTHER_VALUES = {
+    "scene": "flat:6,0.4",
+    "klux": 5.0,
+    "background": "even",
+    "seed": 2,
+    "engine": "sliced",
+    "method": "matched",
+    "spad_gate": True,
+}
+
+
+def test_every_setting_reaches_the_setup_of_its_point(tmp_path):
+    """Whether it is swept or given for all points; the key of a setup has all that it plays."""
+    assert OTHER_VALUES.keys() == SETTINGS.keys()
+    gate = "[subgroup]\ngating = true\ngate_len = 20\n"
+    document = BASE.replace('scene = "flat:5,0.4"\n', "") + gate
+    for name, other in OTHER_VALUES.items():
+        usual = "flat:5,0.4" if name == "scene" else SETTINGS[name]
+        axis = f"[[axis]]\n{name} = [{json.dumps(usual)}, {json.dumps(other)}]\n"
+        scene = "" if name == "scene" else 'scene = "flat:5,0.4"\n'
+        first, second = grid(tmp_path, f"{scene}{document}{axis}").points
+        (given,) = grid(tmp_path, f"{name} = {json.dumps(other)}\n{scene}{document}").points
+        assert first.key != second.key, name
+        assert second.key == given.key, name
+
+
 def test_only_new_points_run_and_stale_ones_are_not_in_the_result(tmp_path, quick):
     sweep(tmp_path)
     before = points(tmp_path)
@@ -250,6 +276,7 @@ def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path, quick, mo
     monkeypatch.setitem(MEASURES, "edges", Measure(int, "edges", lambda frame: 1 / 0))
     assert sweep(tmp_path, GRID.replace("flat:5", "flat:4")).exit_code == 1
     assert not (tmp_path / "s.parquet").exists()
+    assert not (tmp_path / "s.png").exists()
 
 
 def test_killed_in_the_middle_and_started_again(tmp_path, quick):
