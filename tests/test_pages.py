@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from attrs import evolve
 
 from coincid.model.shared.errors import InputError
 from coincid.tools import pages as writing
@@ -209,6 +210,13 @@ def test_each_file_that_the_table_names_counts(copied):
             program = PAGES.programs[name]
             assert pages.stamp(program) != PAGES.stamp(program), (file, name)
         path.write_bytes(before)
+
+
+def test_what_is_run_and_the_command_that_is_told_count():
+    for program in PAGES.programs.values():
+        stamp = PAGES.stamp(program)
+        assert PAGES.stamp(evolve(program, run=f"{program.module}:another")) != stamp, program.name
+        assert PAGES.stamp(evolve(program, command="make another")) != stamp, program.name
 
 
 def test_stamps_ignore_the_folder_and_other_modules(copied):

@@ -6,7 +6,7 @@ import pytest
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.depth.belief import SENTENCES, Reason, find_signs
+from coincid.model.depth.belief import NOISE_M, SENTENCES, Reason, find_signs
 from coincid.model.depth.histograms import frame_events
 from coincid.model.depth.methods import METHODS
 from coincid.model.depth.pulse_ticks import PulseTicks
@@ -24,6 +24,7 @@ from docs.studies.confidence import (
 
 SENSOR = {"rows": 16, "cols": 16}
 OFF = {"coincidence": False}
+SLOPE = 4  # of the features that the law weighs
 CYCLE_M = 2e-9 * SPEED_OF_LIGHT_M_S / 2
 BEYOND = Scene(
     name="a wall, and one beyond the range", distance_m=np.where(np.arange(16) < 4, 80.0, np.full((16, 16), 6.0)),
@@ -63,6 +64,21 @@ def test_the_gates_edges_are_those_of_its_first_and_its_last_place():
         with Threads(1) as threads:
             signs = find_signs(events, dark.config, 2.0, 100, ticks, ticks, False, threads)
         assert np.all(signs.at_edge == is_edge), cycle
+
+
+@pytest.mark.parametrize("subgroup", [(4, 8), (8, 4)])
+@pytest.mark.parametrize("axis", (0, 1))
+def test_the_slope_is_that_from_subgroup_to_subgroup(subgroup, axis):
+    """Rows of subgroups are as far apart as a subgroup is high, columns as it is wide."""
+    sensor = {"rows": 32, "cols": 32, "subgroup": list(subgroup)}
+    dark = Run(Setup.of("flat:5,0", klux=0, sensor=sensor, frame={"pulses": 2}))
+    events = frame_events(dark.result, dark.config, PulseTicks(2.0))
+    step_m = 0.02
+    ticks = 5 / dark.config.tick_m + np.indices((32, 32))[axis] * step_m / dark.config.tick_m
+    with Threads(1) as threads:
+        signs = find_signs(events, dark.config, 2.0, 2, ticks, np.ones((32, 32)), False, threads)
+    slope_m = np.exp(signs.features[:, :, SLOPE]) - NOISE_M
+    assert slope_m == pytest.approx(subgroup[axis] * step_m, rel=1e-6)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -231,6 +231,17 @@ def test_frames_together_say_more_than_one():
         run.depth(frame=6)
 
 
+def test_pulses_of_all_frames_are_those_of_each():
+    run = counted("flat:5,0.3", side=8, frame={"pulses": 100, "frames": 3})
+    together = gate_counts(run.result, run.config)
+    alone = [gate_counts(run.result, run.config, frame) for frame in range(3)]
+    assert together.pulses == sum(one.pulses for one in alone) == 3 * (100 - 2 * 20)
+    assert np.array_equal(together.own_pulses, sum(one.own_pulses for one in alone))
+    assert np.array_equal(
+        together.trials.hits, np.concatenate([one.trials.hits for one in alone], axis=2)
+    )
+
+
 def test_second_return_in_the_second_gate():
     run = counted("returns:4@0.2,9@0.6", 5.0)
     depth = run.depth(returns=2)

@@ -103,6 +103,56 @@ def test_histograms_of_the_frames_add_up_to_that_of_all(three_frames, source):
     assert np.array_equal(total, sum(histograms(frame) for frame in range(FRAMES)))
 
 
+def test_no_event_has_fewer_hits_than_the_lowest_threshold_of_its_frames(three_frames):
+    """Also where a later frame had it, as under the controller."""
+    run = three_frames
+    subgroups = run.config.sensor.subgroups
+    threshold = 1 + np.add.outer([2, 0, 4], np.arange(subgroups)) % 7
+    result = run.result | {"threshold_used": threshold}
+    pulse = PulseTicks(2.0)
+    assert np.any(threshold.argmin(axis=0) == 0) and np.any(threshold.argmin(axis=0) > 0)
+    together = frame_events(result, run.config, pulse)
+    assert np.array_equal(together.threshold, threshold.min(axis=0))
+    for frame in range(FRAMES):
+        alone = frame_events(result, run.config, pulse, frame)
+        assert np.array_equal(alone.threshold, threshold[frame])
+
+
+def test_records_lie_at_the_first_hit_of_all_pixels_of_their_minigroup():
+    """Of any number of pixels: the lead is that of the photons behind all of them."""
+    config = configured(
+        SENSORS["fine"], {"pulses": 20, "minigroup_records": True, "mg_threshold": 1}
+    )
+    sensor = config.sensor
+    result = golden_result(config, random_edges(config, 4000, 1))
+    pulse = PulseTicks(3.0)
+    pixels = sensor.minigroup_pixels
+    photons = photons_of(np.arange(pixels + 1), pixels)
+    lead_ticks = pulse.lead(np.maximum(photons, 1))
+    expected = np.zeros((sensor.subgroups, sensor.pixels, config.period_ticks), np.int32)
+    table = pixel_table(sensor)
+    of_pixel = {
+        (s, inside): (minigroup, bit)
+        for s, inside, minigroup, bit in zip(
+            table.subgroup, table.inside, table.minigroup[table.inside], table.bit[table.inside],
+            strict=True,
+        )
+    }  # fmt: skip
+    records = zip(result["mg_subgroup"], result["mg_stamp"], result["mg_map"], strict=True)
+    most = 0
+    for s, stamp, maps in records:
+        for inside in range(sensor.pixels):
+            minigroup, bit = of_pixel[s, inside]
+            seen = int(maps[minigroup]).bit_count()
+            if int(maps[minigroup]) >> int(bit) & 1:
+                at = sensor.quarter_ticks * (stamp[minigroup] + 0.5) + lead_ticks[seen]
+                expected[s, inside, min(int(at), config.period_ticks - 1)] += 1
+                most = max(most, bit)
+    assert most == pixels - 1
+    found = np.stack(list(subgroup_histograms(result, config, pulse, source="minigroup")))
+    assert np.array_equal(found, expected)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_returns_of_a_pixel_are_apart_from_each_other(method):
     """Each from all others, not only from the first."""
@@ -202,6 +252,30 @@ def test_the_light_at_known_distances_is_that_of_the_frame(number):
     assert np.allclose(found, alone, rtol=0.02, equal_nan=True)
     known = run.light.signal_per_pulse.mean()
     assert np.nanmedian(found) == pytest.approx(known, rel=0.5)
+
+
+class Same(Wall):
+    """An estimator of a user's own that gives the distances of a built-in one."""
+
+    name = "same"
+
+    def __init__(self, depth_m):
+        self.depth_m = depth_m
+
+    def estimate(self, reading):
+        return Depth.of(self.depth_m)
+
+
+@pytest.mark.parametrize("system_fwhm_s", (250e-12, 1.5e-9))
+def test_the_light_at_the_same_distances_is_the_same_whose_estimator_it_is(
+    three_frames, system_fwhm_s
+):
+    given = {"config": three_frames.config, "frame": 1, "system_fwhm_s": system_fwhm_s}
+    built_in = estimate_depth(three_frames.result, method="maximum", **given)
+    own = estimate_depth(three_frames.result, method=Same(built_in.depth_m), **given)
+    known = built_in.signal_per_pulse
+    assert np.nanmedian(known) > 0
+    assert np.allclose(own.signal_per_pulse, known, rtol=1e-6, equal_nan=True)
 
 
 def test_dropped_events_leave_the_share_of_live_periods():

@@ -346,6 +346,15 @@ def test_the_events_of_the_asynchronous_view_are_clocks_of_inputs_only(releases)
     assert matched == {port.name for port in ports if re.fullmatch(r"spad_\d+", port.name)}
 
 
+# of the period: what the outside takes; an input stays a little after the edge, an output need not
+SHARES = {
+    ("input", "min"): 0.05,
+    ("input", "max"): 0.4,
+    ("output", "min"): 0.0,
+    ("output", "max"): 0.4,
+}
+
+
 @pytest.mark.parametrize("preset, top", [(preset, top) for preset, top, _ in TOPS])
 def test_constraints_have_minimum_and_maximum(releases, preset, top):
     text = (releases / preset / f"{top}.sdc").read_text(encoding="utf-8")
@@ -355,6 +364,9 @@ def test_constraints_have_minimum_and_maximum(releases, preset, top):
             for bound in ("min", "max")
         }
         assert ports["min"] == ports["max"] and len(ports["min"]) >= 8
+        for bound in ports:
+            shares = re.findall(rf"^set_{kind}_delay -{bound} \[expr (\S+) \* \$period\]", text, re.M)
+            assert set(map(float, shares)) == {SHARES[kind, bound]}
     assert not re.search(r"^set_(input|output)_delay \[", text, re.M)
 
 

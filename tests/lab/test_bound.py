@@ -10,6 +10,8 @@ from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.depth.arrivals import SYSTEM_FWHM_S
+from coincid.model.depth.pulse_ticks import pulse_ticks
+from coincid.model.light.light import Light
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.pulse import Pulse
 
@@ -133,3 +135,21 @@ def test_bounds_of_a_measured_pulse():
     tail = np.where(time_s > 0, np.exp(-np.maximum(time_s, 0) / 250e-12), 0)
     tailed = coincid.bound(pulse=Pulse(time_s=time_s, density=early + 0.8 * tail), **wall)
     assert 1.02 < tailed.bound_mm / usual.bound_mm < 2
+
+
+def test_bounds_of_a_map_are_those_of_its_light():
+    """Each pixel's of its own signal, with the measured pulse if there is one."""
+    config = parse_config({"sensor": {"rows": 8, "cols": 8}, "subgroup": {"threshold": 2}})
+    wide = Pulse.gaussian(2 * SYSTEM_FWHM_S)
+    for pulse in (None, wide):
+        light = Light(
+            rows=1, cols=3, distance_m=5.0, signal_per_pulse=[[0.2], [0.0], [0.8]], pulse=pulse,
+            background_cps=1e6,
+        )  # fmt: skip
+        found = bounds.pixel_bounds_mm(config, light)
+        shape = pulse_ticks(config, pulse=pulse)
+        for pixel in (0, 2):
+            signal = light.total_signal[pixel]
+            expected = bounds.word_bounds_mm(config, signal, 1e6, shape).pixel_mm
+            assert found[pixel] == pytest.approx(expected, rel=1e-9)
+        assert np.isnan(found[1])

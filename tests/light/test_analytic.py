@@ -256,6 +256,20 @@ def test_pixels_of_a_subgroup_keep_their_own_targets():
     assert found[0].sum() == 0
 
 
+@pytest.mark.parametrize("form", analytic.FORMS)
+@pytest.mark.parametrize("scheme", analytic.SCHEMES)
+def test_a_target_beyond_the_period_is_seen_as_many_periods_nearer(form, scheme):
+    timing = Timing(period_cycles=40)
+    setting = {"threshold": 2, "window_ticks": 16, "pulses": 100, "scheme": scheme}
+    near, *farther = (
+        histogram(5.0 + k * timing.range_m, 0.3, 1e6, form=form, timing=timing, **setting)
+        for k in range(3)
+    )
+    assert np.argmax(near[0]) > 0
+    for found in farther:
+        assert found == pytest.approx(near, rel=1e-6)
+
+
 def test_success_probability_counts_largest_bins():
     rng, timing = np.random.default_rng(1), Timing(period_cycles=10)
     ticks, flight_s = np.arange(timing.period_ticks), 8e-9

@@ -299,6 +299,15 @@ def test_a_wall_of_z_is_flat_in_space(tmp_path):
     assert not any("--z" in note for note in load_scene(path, 8, 12, unit="hypersim").notes)
 
 
+def test_a_wall_of_z_is_seen_as_far_as_its_rays_are_within_the_range(tmp_path):
+    path = npy(tmp_path / "d.npy", np.full((8, 12), 4.0))
+    range_m = 4.4
+    read = load_scene(path, 8, 12, z=True, range_m=range_m)
+    along_m = 4.0 * read.view.ray_per_z(8, 12)
+    assert 0 < np.mean(along_m >= range_m) < 0.5
+    assert np.array_equal(read.valid, along_m < range_m)
+
+
 def test_a_cropped_picture_has_a_smaller_view():
     part = View.of_part(90, (480, 640), (480, 480))
     assert part.h_deg == pytest.approx(part.v_deg) and np.tan(

@@ -128,6 +128,23 @@ def test_what_would_help_a_near_scene_stays_in_front_of_the_sensor(monkeypatch):
     assert "half the distance, 0.05 m in the middle" in told and "0.08 to 0.08 m" in told
 
 
+def test_less_light_is_less_in_every_pixel(monkeypatch):
+    """Where the sun does not lie everywhere, a tenth of it does not, either."""
+    tried = []
+
+    def least_wrong(setup, *given):
+        tried.append(setup)
+        return 0.9
+
+    monkeypatch.setattr("coincid.study.usefulness._least_wrong", least_wrong)
+    klux = np.linspace(0, 90, 64).reshape(8, 8)
+    setup = Setup.of("flat:9,0.05", sensor={"rows": 8, "cols": 8}, frame={"pulses": 5}, klux=klux)
+    told = useless_sentence(0.9, setup, window=32)
+    assert "a tenth of the ambient light, 4.5 klux" in told
+    (less,) = (one for one in tried if not np.array_equal(one.klux, klux))
+    assert less.klux == pytest.approx(klux / 10)
+
+
 def test_the_curve_of_a_window_has_each_threshold_once(monkeypatch, tmp_path):
     drawn = []
     monkeypatch.setattr(
