@@ -213,10 +213,10 @@ def test_each_file_that_the_table_names_counts(copied):
 
 
 def test_what_is_run_and_the_command_that_is_told_count():
-    for program in PAGES.programs.values():
-        stamp = PAGES.stamp(program)
-        assert PAGES.stamp(evolve(program, run=f"{program.module}:another")) != stamp, program.name
-        assert PAGES.stamp(evolve(program, command="make another")) != stamp, program.name
+    program = PAGES.programs["ports"]
+    stamp = PAGES.stamp(program)
+    assert PAGES.stamp(evolve(program, run=f"{program.module}:another")) != stamp
+    assert PAGES.stamp(evolve(program, command="make another")) != stamp
 
 
 def test_stamps_ignore_the_folder_and_other_modules(copied):

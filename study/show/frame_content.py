@@ -90,7 +90,7 @@ class FrameView:
         self.threshold = _of_subgroups(frame.threshold, config)
         self.drops = _of_subgroups(frame.counter("dropped"), config)
         self.reflectivity = np.where(scene.valid, reflectivity, np.nan)
-        self.signal = light.signal_per_pulse.sum(axis=1).reshape(shape)
+        self.signal = light.total_signal.reshape(shape)
         self.estimated = _of_first(found.signal_per_pulse, shape)
         self.estimated_error = _of_first(found.signal_error, shape)
         self.bound_mm = np.full(shape, np.nan)  # it is that of events
@@ -204,7 +204,7 @@ def seen_objects(scene: Scene, light: Light, depth_m: np.ndarray) -> list[Object
     with more.
     """
     truth_m, valid = scene.truth_m, scene.valid
-    signal = light.signal_per_pulse.sum(axis=1).reshape(valid.shape)
+    signal = light.total_signal.reshape(valid.shape)
     labels = np.where(valid, scene.labels, -1)
     names = {label: f"object {label}" for label in np.unique(labels[valid])}
     if len(names) < 2 and valid.any() and np.ptp(signal[valid]) > 0:

@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -21,7 +22,7 @@ from coincid.flow.limits import beats_beside_cycles, largest_frame
 from coincid.flow.plain_names import plain_verilog
 from coincid.flow.register_files import IP_XACT
 from coincid.flow.release import CELLS_LIST, MANIFEST, write_release
-from coincid.flow.smoke import FPGA_SMOKE, SMOKE
+from coincid.flow.smoke import FPGA_SMOKE, SMOKE, smoke_configs, smoke_test
 from coincid.flow.yosys import LIBERTY, cells_folder
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.front_end_views import view_at
@@ -31,6 +32,7 @@ from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.packet import built_formats
 from coincid.model.contract.parameters import TOP
+from coincid.model.contract.registers import reset_values
 from coincid.model.contract.stream import COLUMN, decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
@@ -40,7 +42,7 @@ from coincid.tb.rtl import rtl
 from coincid.tools.wheels import run_program, run_yosys
 
 from ..exports import EXPORTS, PASSED, complaint, readme_commands, write_export
-from ..random_cases import LEAN, SENSORS, configured, random_edges
+from ..random_cases import LEAN, SENSORS, built_sensor, configured, random_edges
 from ..releases import CLOCK_MHZ, SMALL, config, small_releases
 
 TOPS = [
@@ -365,7 +367,9 @@ def test_constraints_have_minimum_and_maximum(releases, preset, top):
         }
         assert ports["min"] == ports["max"] and len(ports["min"]) >= 8
         for bound in ports:
-            shares = re.findall(rf"^set_{kind}_delay -{bound} \[expr (\S+) \* \$period\]", text, re.M)
+            shares = re.findall(
+                rf"^set_{kind}_delay -{bound} \[expr (\S+) \* \$period\]", text, re.M
+            )
             assert set(map(float, shares)) == {SHARES[kind, bound]}
     assert not re.search(r"^set_(input|output)_delay \[", text, re.M)
 
@@ -456,6 +460,21 @@ def test_smoke_test_finds_a_difference(releases, tmp_path, file, old, new):
     (folder / file).write_text(text.replace(old, new, 1), encoding="utf-8")
     done = simulated(folder)
     assert "FAIL" in done.stdout and "PASS" not in done.stdout and done.returncode != 0
+
+
+def test_each_frame_of_a_smoke_test_has_its_own_settings():
+    """The settings that it writes leave none of the frame before."""
+    sensor = built_sensor(SENSORS["counting"])
+    text = smoke_test(sensor)
+    written = re.findall(r" setting\[\d+\] = \{20'h(\w+), 32'd(\d+)\};", text)
+    begins = [int(at) for at in re.findall(r" setting_from\[\d+\] = (\d+);", text)]
+    configs = smoke_configs(sensor)
+    assert len(begins) == len(configs) + 1 == 3
+    registers = reset_values(sensor)
+    for of_frame, (begin, end) in zip(configs, pairwise(begins), strict=True):
+        registers |= {int(at, 16): int(value) for at, value in written[begin:end]}
+        wanted = dict(of_frame.register_writes())
+        assert {at: registers[at] for at in wanted} == wanted
 
 
 def test_smoke_test_finds_a_difference_in_counts(tmp_path):

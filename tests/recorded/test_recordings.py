@@ -94,6 +94,8 @@ def test_t3_by_hand(tmp_path):
     found, lost = edges_of(path, first_sync=1024, channels={5: 60})
     assert found == [(6, 60, 17)]
     assert sum(lost.values()) == 5
+    found, lost = edges_of(path, first_sync=1)
+    assert "after sync 40, the last of 2 x 20 pulses" in lost
     found, lost = edges_of(path, channels={3: 0, 4: 63}, delay_ps=125)
     assert found == [(2, 0, 199), (39, 63, 13)]
     assert (

@@ -10,7 +10,7 @@ import pytest
 from attrs import evolve
 
 from coincid.flow.async_constraints import async_constraints
-from coincid.flow.silicon_report import domains, latches, netlist
+from coincid.flow.silicon_report import Domain, domains, latches, netlist
 from coincid.hdl.front_end_views import Asynchronous
 from coincid.hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit
 from coincid.model.contract.config import parse_config
@@ -201,3 +201,21 @@ def test_domains_are_those_meant(tmp_path):
             for cell in module["cells"]
             for net in (cell, *module["netnames"])
         ), name
+
+
+@pytest.mark.parametrize("inverters", range(4))
+@pytest.mark.parametrize("rises", (True, False))
+def test_a_clock_behind_inverters_is_that_before_them(inverters, rises):
+    """Each turns its edge."""
+    cells = {
+        f"not_{k}": {"type": "$_NOT_", "connections": {"A": [2 + k], "Y": [3 + k]}}
+        for k in range(inverters)
+    }
+    cells["flop"] = {
+        "type": "$dff",
+        "parameters": {"CLK_POLARITY": f"{int(rises):032b}"},
+        "connections": {"CLK": [2 + inverters], "D": [100, 101], "Q": [102, 103]},
+    }
+    module = {"netnames": {"clk": {"bits": [2]}}, "cells": cells}
+    falls = rises == bool(inverters % 2)
+    assert domains(module) == [Domain("clk", falls, "", 2)]

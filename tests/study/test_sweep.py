@@ -128,6 +128,20 @@ def grid(folder, spec):
     return read_spec(folder / "s.toml")
 
 
+def test_lists_of_a_spec_follow_those_of_its_file(tmp_path):
+    """Of several tables for a subgroup, the last one holds."""
+    for name, thresholds in (("below", {0: 2, 1: 3}), ("over", {1: 5})):
+        tables = "".join(
+            f"[[override]]\nsubgroups = [{s}]\nthreshold = {threshold}\n"
+            for s, threshold in thresholds.items()
+        )
+        (tmp_path / f"{name}.toml").write_text(tables, encoding="utf-8")
+    over = (tmp_path / "over.toml").read_text(encoding="utf-8")
+    spec = f"config = '{tmp_path}/below.toml'\n[sensor]\nrows = 8\ncols = 24\n{over}"
+    (point,) = grid(tmp_path, spec).points
+    assert point.setup.config.threshold.tolist()[:2] == [2, 5]
+
+
 def test_keys_of_an_axis_vary_together_and_words_lie_over_a_preset(tmp_path):
     found = grid(
         tmp_path,

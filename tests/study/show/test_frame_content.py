@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps of a frame in a scene with several targets per pixel, in an array that is no square."""
 
+import re
+
 import numpy as np
 import pytest
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.pixels import pixel_table
+from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene
+from coincid.study.show import report
 from coincid.study.show.frame_content import FrameView
 
 ROWS, COLS, TARGETS = 8, 24, 3
@@ -69,3 +73,35 @@ def test_numbers_of_subgroups_lie_on_their_pixels(view):
         assert np.all(of_pixel <= of_subgroup)
         span = slice(*view.events.bounds[subgroup[row, col] :][:2])
         assert of_subgroup.sum() == len(view.events.stamp[span])
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """Return the view of a scene of histograms, half of which are twice as bright."""
+    counts = np.zeros((8, 8, 100))
+    counts[:, :4, 40] = 20
+    counts[:, 4:, 40] = 40
+    scene = load_scene(counts, 8, 8, bin_ps=500.0, recorded_pulses=100)
+    setup = Setup.of(scene, sensor={"rows": 8, "cols": 8}, frame={"pulses": 20, "frames": 2})
+    run = Run(setup)
+    return [FrameView(f"frame {number}", run.frame(number)) for number in range(2)]
+
+
+def test_light_in_bins_is_shown(recorded):
+    """Of recorded histograms and of ray-traced scenes, whose light has no targets."""
+    view = recorded[0]
+    assert view.signal == pytest.approx(np.repeat([[0.2] * 4 + [0.4] * 4], 8, axis=0))
+    assert [(one.name, one.signal) for one in view.objects] == [
+        ("darker half", pytest.approx(0.2)),
+        ("brighter half", pytest.approx(0.4)),
+    ]
+
+
+@pytest.mark.parametrize("frames", (1, 2))
+def test_a_report_keeps_no_more_edges_than_fit_for_all_its_frames(recorded, frames, monkeypatch):
+    views = recorded[:frames]
+    edges = sum(len(view.timeline.tick) for view in views)
+    monkeypatch.setattr(report, "EDGES_MAX", edges // 2)
+    page = report.report_html("a run", views)
+    (pulses,) = {int(number) for number in re.findall(r'"pulses",(\d+)', page)}
+    assert pulses == 10
