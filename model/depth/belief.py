@@ -44,7 +44,7 @@ LAW = {  # method: weights of `features` and a constant, set by `python -m docs.
     "background": (0.237, 0.173, 0.484, -0.286, 0.0528, -0.066, -0.223, -0.0439, -0.573, -4.62),
     "planes": (0.267, 0.952, -1.03, -0.357, 0.167, -0.252, 0.236, -0.797, -0.144, -4.09),
     # of `planes` in the format counts, set by `python -m docs.studies.count_confidence`
-    "counts": (0.305, 1.39, -1.65, -0.513, 0.147, -0.528, 0.0821, -0.484, -0.0848, -2.99),
+    "counts": (0.287, 1.39, -1.66, -0.511, 0.133, -0.496, 0.0912, -0.507, -0.0793, -3.09),
 }
 
 
