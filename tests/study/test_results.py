@@ -114,21 +114,21 @@ INTERFERENCE = dict(
     PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "afcb61d616f0dfb5"),
+    "library": (library, "699799de7bcb4746"),
     "sim": (sim, "5e131e47ec49e90c"),
-    "sweep": (sweep, "c69fcc105daf7337"),
-    "explorer": (explorer, "628ff109b88ad21b"),
+    "sweep": (sweep, "3b2e68c1378425c0"),
+    "explorer": (explorer, "87a15c90e436e402"),
     "surfaces": (surface, "aa50220de1a3e5ed"),
-    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "eb8d25e03ee703dc"),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "642b6a697dbca78d"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "030671603c153037",
+        "8b7125b76d27acab",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
-        "431a75f1ce242c36",
+        "2b079d403ec4196c",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "e1ef61cfb920f41f"),
+    "interference": (section(interference.interference, **INTERFERENCE), "a0ae4720ce468905"),
 }
 
 
