@@ -166,6 +166,17 @@ def test_returns_of_a_pixel_are_apart_from_each_other(method):
             assert not np.any(between < apart_m), (one, other)
 
 
+def test_returns_are_apart_by_the_longest_window_wherever_it_is():
+    """Within a window, words do not tell returns apart; the first subgroup has a short one."""
+    run = run_of("two-returns:5,5.6", klux=30.0, pulses=200)
+    window_ticks = np.full(run.config.sensor.subgroups, 64)
+    window_ticks[0] = 4
+    run = run.but(config=run.config.with_settings(window=window_ticks))
+    depth_m = run.depth(returns=2).depth_m
+    between_m = np.abs(depth_m[:, :, 1] - depth_m[:, :, 0])
+    assert not np.any(between_m < 60 * run.config.tick_m)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_more_returns_leave_the_earlier_ones(three_frames, method):
     result, config = three_frames.result, three_frames.config
