@@ -107,7 +107,7 @@ def test_no_event_has_fewer_hits_than_the_lowest_threshold_of_its_frames(three_f
     """Also where a later frame had it, as under the controller."""
     run = three_frames
     subgroups = run.config.sensor.subgroups
-    threshold = 1 + np.add.outer([2, 0, 4], np.arange(subgroups)) % 7
+    threshold = 1 + np.add.outer([4, 0, 2], np.arange(subgroups)) % 7
     result = run.result | {"threshold_used": threshold}
     pulse = PulseTicks(2.0)
     assert np.any(threshold.argmin(axis=0) == 0) and np.any(threshold.argmin(axis=0) > 0)
@@ -171,10 +171,11 @@ def test_returns_are_apart_by_the_longest_window_wherever_it_is():
     run = run_of("two-returns:5,5.6", klux=30.0, pulses=200)
     window_ticks = np.full(run.config.sensor.subgroups, 64)
     window_ticks[0] = 4
+    refined_ticks = 8  # by which both may move after they were chosen
     run = run.but(config=run.config.with_settings(window=window_ticks))
     depth_m = run.depth(returns=2).depth_m
     between_m = np.abs(depth_m[:, :, 1] - depth_m[:, :, 0])
-    assert not np.any(between_m < 60 * run.config.tick_m)
+    assert not np.any(between_m < (64 - refined_ticks) * run.config.tick_m)
 
 
 @pytest.mark.parametrize("method", METHODS)
