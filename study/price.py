@@ -12,9 +12,9 @@ from ..model.contract.config import Config
 from ..model.contract.parameters import Sensor
 
 UM2_PER_PIXEL = {  # parameter: (values, um2 per pixel with the other parameters' defaults)
-    "pixels": ((16, 32, 64, 256), (1114.5, 813.4, 657.7, 538.6)),
-    "minigroup_pixels": ((1, 4, 16), (1175.5, 657.7, 532.0)),
-    "phases": ((8, 16, 32, 64), (567.1, 614.6, 657.7, 759.5)),
+    "pixels": ((16, 32, 64, 256), (1115.2, 813.1, 658.3, 538.6)),
+    "minigroup_pixels": ((1, 4, 16), (1176.5, 658.3, 531.0)),
+    "phases": ((8, 16, 32, 64), (567.6, 615.1, 658.3, 761.5)),
     "offsets": ((0, 1), (513.2, 657.7)),
     "records": ((0, 1), (599.2, 657.7)),
     "controller": ((0, 1), (644.9, 657.7)),

@@ -114,7 +114,7 @@ INTERFERENCE = dict(
     PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "699799de7bcb4746"),
+    "library": (library, "8b5dccbaaec991a4"),
     "sim": (sim, "5e131e47ec49e90c"),
     "sweep": (sweep, "3b2e68c1378425c0"),
     "explorer": (explorer, "87a15c90e436e402"),
