@@ -302,7 +302,9 @@ def _flips(frames: list[_Frame], levels: bool, view: View) -> str:
     """Return tables of the changes at the SPAD ports, frame by frame and in order: their time in
     the frame, the number of the port, and the line.
     """
-    times, ports, lines = [], [], []
+    times: list[list[str]] = []
+    ports: list[str] = []
+    lines: list[str] = []
     for frame in frames:
         time, subgroup, line = _flips_of(frame, levels, view)
         port = np.searchsorted(_played(frame.config.sensor), subgroup)
