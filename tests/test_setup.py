@@ -72,11 +72,18 @@ def test_a_need_brings_all_that_it_asks_for(need):
 
 
 def test_uv_looks_where_pip_looks(tmp_path):
+    mirror = "https://mirror.example"
+    variables = {
+        "NO_INDEX": "1",
+        "INDEX_URL": mirror,
+        "EXTRA_INDEX_URL": f"{tmp_path.as_uri()}/not-there https://more.example",
+    }
+    of_environment = (
+        f":env:.{name.lower().replace('_', '-')}={value!r}\n" for name, value in variables.items()
+    )
     settings = (
         f"global.find-links='{tmp_path}\\n{tmp_path}/not-there'\n"
-        ":env:.no-index='1'\n"
-        ":env:.index-url='https://mirror.example/simple'\n"
-        ":env:.extra-index-url='file:///not-there https://more.example'\n"
+        f"{''.join(of_environment)}"
         "global.timeout='9'\n"
     )
     wanted = [
@@ -84,7 +91,7 @@ def test_uv_looks_where_pip_looks(tmp_path):
         str(tmp_path),
         "--no-index",
         "--default-index",
-        "https://mirror.example/simple",
+        mirror,
     ]
     assert uv_options(settings) == [*wanted, "--index", "https://more.example"]
 

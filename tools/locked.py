@@ -22,10 +22,10 @@ from urllib.parse import unquote, urlparse
 
 LOG = Path(sys.prefix) / "install.log"
 PIP_OPTIONS = ("--no-input", "--disable-pip-version-check", "--retries", "1", "--timeout", "15")
-PLACES = {
-    "find-links": "--find-links",
-    "index-url": "--default-index",
-    "extra-index-url": "--index",
+PLACES = {  # pip's settings, by the names of its variables without PIP_: uv's options
+    "FIND_LINKS": "--find-links",
+    "INDEX_URL": "--default-index",
+    "EXTRA_INDEX_URL": "--index",
 }
 NAMED_MAX = 3  # packages that a message names
 
@@ -57,10 +57,11 @@ def uv_options(settings: str) -> list[str]:
     options = []
     for name, text in re.findall(r"^[^.\n]+\.([\w-]+)=(.*)$", settings, re.MULTILINE):
         value = str(ast.literal_eval(text))
-        if name in PLACES:
+        variable = name.upper().replace("-", "_")
+        if variable in PLACES:
             for place in filter(_may_exist, value.split()):
-                options += [PLACES[name], place]
-        elif name == "no-index" and value.lower() in ("1", "true", "yes", "on"):
+                options += [PLACES[variable], place]
+        elif variable == "NO_INDEX" and value.lower() in ("1", "true", "yes", "on"):
             options.append("--no-index")
     return options
 
