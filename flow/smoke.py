@@ -29,10 +29,9 @@ from ..model.golden.frame import Golden, Trace
 from ..tb.stimulus import line_toggles
 
 SMOKE, FPGA_SMOKE = "coincid_smoke", "coincid_fpga_smoke"
-# powers of two
-PULSES = 4
+PULSES = 4  # a power of two, as is
 COUNTED_PULSES = 8  # of a frame of counts
-SEARCH_PULSES = 3
+SEARCH_PULSES = 3  # of these, in each search
 # spread over the frame by a multiplicative sequence; each pulse also has a burst of neighbours
 EDGES = 160
 SPREAD = 2_654_435_761  # Knuth's multiplier

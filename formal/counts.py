@@ -181,8 +181,8 @@ def gates_are_legal(gates: Value) -> Value:
 
 
 def _cycles_obey(b: Bench, unit: MinigroupCounts, hits: Hits, search: Search) -> Signal:
-    """Assume that cycles that count come in order, from the first one of a period on; return
-    whether this one does.
+    """Assume that hits come in consecutive cycles, which begin with the first one of a period.
+    Return whether this cycle is one of them.
     """
     in_order = Signal()
     goes_on = b.past(in_order) & (unit.cycle != 0) & (unit.cycle == b.last(unit.cycle) + 1)
