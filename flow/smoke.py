@@ -147,22 +147,30 @@ def smoke_test(sensor: Sensor, levels: bool = False, view: View = POLYPHASE) -> 
 
 @frozen
 class _Frame:
-    """A frame of the test, its light, and what the golden model says of it."""
+    """A frame of the test, its light, and what the golden model says of it. settings: to write
+    before it. counters: to read after it.
+    """
 
     config: Config
     edges: Edges
     trace: Trace
+    settings: list[Access]
+    counters: list[Access]
 
 
 def _frames(sensor: Sensor) -> list[_Frame]:
     """Return the frames that the sensor plays after a reset, in turn."""
     golden = Golden(sensor)
     ready = np.arange(STALL_CYCLES) % STALL_EVERY != 0
+    values = registers.reset_values(sensor)
     frames = []
     for config in smoke_configs(sensor):
         edges = smoke_edges(config)
         trace = golden.frame(config, edges, ready.astype(np.uint8))
-        frames.append(_Frame(config, edges, trace))
+        frames.append(
+            _Frame(config, edges, trace, _settings(config, values), _counters(config, trace))
+        )
+        values |= dict(config.register_writes())
     return frames
 
 
@@ -193,12 +201,12 @@ def _by_words(levels: bool, view: View) -> bool:
 def _sizes(sensor: Sensor, frames: list[_Frame], levels: bool, view: View) -> str:
     """Return the numbers that the benches use."""
     work = len(_constants(sensor))
-    for k, frame in enumerate(frames):
+    for frame in frames:
         work += (
             frame.config.frame_cycles
             + sum(map(len, frame.trace.beats))
-            + len(_settings(frames, k))
-            + len(_counters(frame))
+            + len(frame.settings)
+            + len(frame.counters)
         )
     by_words = _by_words(levels, view)
     sizes = {
@@ -227,14 +235,8 @@ def _constants(sensor: Sensor) -> list[Access]:
     ]
 
 
-def _settings(frames: list[_Frame], number: int) -> list[Access]:
-    """Return the settings to write before a frame: those that differ from the frame before it, or
-    from the values after a reset.
-    """
-    config = frames[number].config
-    before = registers.reset_values(config.sensor)
-    for frame in frames[:number]:
-        before |= dict(frame.config.register_writes())
+def _settings(config: Config, before: dict[int, int]) -> list[Access]:
+    """Return the settings to write before a frame: those that differ from the values before it."""
     return [
         (address, value, "")
         for address, value in config.register_writes()
@@ -242,12 +244,12 @@ def _settings(frames: list[_Frame], number: int) -> list[Access]:
     ]
 
 
-def _counters(frame: _Frame) -> list[Access]:
+def _counters(config: Config, trace: Trace) -> list[Access]:
     """Return the counters to read after a frame."""
     return [
         (registers.address(name, s), value, f"{name} of subgroup {s}")
-        for s in _played(frame.config.sensor)
-        for name, value in zip(COUNTER_NAMES, frame.trace.counters[s].tolist(), strict=True)
+        for s in _played(config.sensor)
+        for name, value in zip(COUNTER_NAMES, trace.counters[s].tolist(), strict=True)
     ]
 
 
@@ -268,10 +270,8 @@ def _registers(sensor: Sensor, frames: list[_Frame]) -> str:
         [
             *lines,
             _table("constant", ACCESS, map(_word, _constants(sensor)), "CONSTANTS"),
-            _by_frame(
-                "setting", ACCESS, [_words(_settings(frames, k)) for k in range(len(frames))]
-            ),
-            _by_frame("counter", ACCESS, [_words(_counters(frame)) for frame in frames]),
+            _by_frame("setting", ACCESS, [_words(frame.settings) for frame in frames]),
+            _by_frame("counter", ACCESS, [_words(frame.counters) for frame in frames]),
         ]
     )
 
