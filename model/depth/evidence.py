@@ -67,7 +67,9 @@ class Law(NamedTuple):
     pulses: int
     # Chances, float32[kinds, ...]; kind 1 is while dropping.
     heard: np.ndarray  # [times * lights], a photon of a surface at a time makes an event
-    sharp: np.ndarray  # [cycles], a photon before a cycle would make the stamp of its event earlier
+    # [2, cycles], a photon of the cycle before, or before that one, would make the stamp of an event
+    # earlier
+    sharp: np.ndarray
     margin: int  # of `fired_table`
     fired: np.ndarray  # of `fired_table`
 
@@ -269,16 +271,20 @@ def _lose(law: Law, events: SubgroupEvents, e: int, lost: np.ndarray, k0: int, k
     stored = np.float32(not dropping)
     alive = law.alive
     heard = law.heard[0, here]
-    sharp = law.sharp[dropping, events.stamp[e] // law.phases]
+    cycle = events.stamp[e] // law.phases
+    late = law.sharp[dropping, 0, cycle]
+    early = law.sharp[dropping, 1, cycle]
     since = law.fired[_by_tick(law, events.since[e], k0, k1)]
     quiet = law.fired[_by_tick(law, events.quiet[e], k0, k1)]
     known = law.fired[_by_tick(law, events.known[e], k0, k1)]
+    between = max(events.quiet[e], min(events.known[e], (cycle - 1) * law.phases))
+    middle = law.fired[_by_tick(law, between, k0, k1)]
     told_until = events.stamp[e] + (law.window if law.mapped else 1)
     told = law.fired[_by_tick(law, told_until, k0, k1)]
     lost = lost[here]
     for j in range(len(lost)):
         in_window = alive * (told[j] - known[j])
-        earlier = sharp * (known[j] - quiet[j])
+        earlier = late * (known[j] - middle[j]) + early * (middle[j] - quiet[j])
         alone = stored * heard[j] * (quiet[j] - since[j])
         lost[j] += in_window + earlier + alone
 
@@ -472,10 +478,14 @@ def _row(
     stored = np.float32(not dropping)
     alive = law.alive
     heard = law.heard[0, here]
-    sharp = law.sharp[dropping, events.stamp[e] // law.phases]
+    cycle = events.stamp[e] // law.phases
+    late = law.sharp[dropping, 0, cycle]
+    early = law.sharp[dropping, 1, cycle]
     since = law.fired[_by_tick(law, events.since[e], k0, k1)]
     quiet = law.fired[_by_tick(law, events.quiet[e], k0, k1)]
     known = law.fired[_by_tick(law, events.known[e], k0, k1)]
+    between = max(events.quiet[e], min(events.known[e], (cycle - 1) * law.phases))
+    middle = law.fired[_by_tick(law, between, k0, k1)]
     begin = law.fired[_by_tick(law, hit.begin, k0, k1)]
     own = law.fired[_by_tick(law, hit.own, k0, k1)]
     until = law.fired[_by_tick(law, hit.until, k0, k1)]
@@ -487,7 +497,7 @@ def _row(
     weight = alive * background
     for j in range(len(logs)):
         in_window = alive * (begin[j] - known[j])
-        earlier = sharp * (known[j] - quiet[j])
+        earlier = late * (known[j] - middle[j]) + early * (middle[j] - quiet[j])
         alone = stored * heard[j] * (quiet[j] - since[j])
         lost = in_window + earlier + alone
         unnoticed = max(np.float32(RARE), np.float32(1) - before[j] - lost)

@@ -241,18 +241,21 @@ def _law(frame: _Frame, s: int) -> Law:
 
 
 def _blind_before(blind: np.ndarray, every: int, window: int, config: Config) -> np.ndarray:
-    """float32[kinds, cycles]: mean of `blind` over the ticks before each cycle from which a window
-    lasts until this cycle.
+    """float32[kinds, 2, cycles]: mean of `blind` over the ticks of the cycle before each cycle, and
+    over those before it from which the tree is not armed until this cycle.
 
     blind: float32[kinds, points], of `Unheard`, a point for every `every` ticks.
     """
     phases = config.sensor.phases
     before = max(1, window - 1 + config.sensor.rearm * phases)
     begins = np.arange(config.period) * phases
+    middle = np.maximum(0, begins - min(before, phases))
+    since = np.minimum(middle, np.maximum(0, begins - before))
     by_tick = np.repeat(blind.astype(np.float64), every, axis=1)[:, : config.period_ticks]
     total = np.cumsum(np.pad(by_tick, ((0, 0), (1, 0))), axis=1)
-    since = np.maximum(0, begins - before)
-    mean = (total[:, begins] - total[:, since]) / np.maximum(1, begins - since)
+    ends = np.stack([begins, middle])
+    starts = np.stack([middle, since])
+    mean = (total[:, ends] - total[:, starts]) / np.maximum(1, ends - starts)
     return mean.astype(np.float32)
 
 

@@ -148,7 +148,14 @@ def unheard_in_light(
         scale, trust = light_scale(signal, noise, tree, of_ticks.seen, seen, pulses)
         if trust > 0:
             lit = signal * scale
-            _leave_no_trace_in(of_ticks, lit, noise, tree, never.every, kinds, missed, blind)
+            kept, unarmed = _leave_no_trace_in(
+                of_ticks, lit, noise, tree, never.every, missed[0], blind[0]
+            )
+            if dropping:
+                near, none = _company(lit + noise, reach, tree.phases)
+                _leave_no_trace_dropping(
+                    of_ticks, kept, unarmed, near, none, never.every, missed[1], blind[1]
+                )
         if trust < TRUST_MAX:
             share = np.float32(trust)
             missed[:kinds] = _mixed(rough.missed[:kinds, s], missed[:kinds], share)
@@ -158,6 +165,19 @@ def unheard_in_light(
 
     list(spread(of_subgroup, range(len(windows))))
     return never
+
+
+def _company(photons: np.ndarray, reach: int, phases: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the chance that another pixel fires within `reach` of a tick, and the chance that none
+    does in the tick's cycle, float32[ticks].
+
+    photons: of the other pixels, float64[ticks].
+    """
+    before = np.cumsum(np.pad(photons, (reach + 1, reach)))
+    around = before[2 * reach + 1 :] - before[: len(photons)]
+    in_cycle = np.repeat(photons.reshape(-1, phases).sum(axis=1), phases)
+    near = -portable.expm1(-around)
+    return near.astype(np.float32), portable.exp(-in_cycle).astype(np.float32)
 
 
 def _none_yet(config: Config, pulse: PulseTicks) -> Unheard:
@@ -188,6 +208,7 @@ def _ticks_of(
     none = np.zeros(ticks, np.float32)
     nearby = none
     busy = none
+    ready = none
     room = none
     stored_share = np.ones(ticks)
     if dropping:
@@ -201,7 +222,7 @@ def _ticks_of(
     if dropping:
         nearby = _share_between(np.maximum(0, stamp - reach), armed, dropped, pulses)
         nearby = np.minimum(1, nearby)
-        busy = _share_between(stamp, armed, dropped, pulses)
+        busy, ready = _busy(stamp, armed, dropped, pulses, sensor.phases)
     seen = np.ones(ticks, np.float32)
     if config.gating[s]:
         seen = np.repeat(_gate_share(config, s), sensor.phases).astype(np.float32)
@@ -210,6 +231,7 @@ def _ticks_of(
         covered=_share_between(stamp, stamp + window, dropped, pulses),
         nearby=nearby,
         busy=busy,
+        ready=ready,
         room=room,
         deaf=_deaf(events, config, pulses, s),
         seen=seen,
@@ -273,6 +295,20 @@ def _while_dropping(
         found = _room_found(begin[later - 1], end[later], rate)
         stored_share = np.clip(clear + (1 - clear) * found, 1 / pulses, 1)
     return np.repeat(stored_share, phases), np.repeat(found, phases)
+
+
+def _busy(
+    stamp: np.ndarray, armed: np.ndarray, dropped: np.ndarray, pulses: int, phases: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of the pulses in which a window has come and the tree is armed again at the
+    next cycle, and the share in which it is armed at the beginning of this cycle, float32[ticks].
+    """
+    cycle = np.arange(len(dropped)) // phases * phases
+    not_armed = _share_between(stamp, armed, dropped, pulses)
+    until_next = _share_between(np.maximum(stamp, armed - phases), armed, dropped, pulses)
+    beyond_next = np.pad(not_armed - until_next, (phases, 0))
+    ready = 1 - beyond_next[cycle + phases - 1]  # of the last tick of the cycle before
+    return until_next, np.maximum(1 - BLIND_MAX, ready).astype(np.float32)
 
 
 @njit
@@ -340,7 +376,8 @@ class _Ticks(NamedTuple):
     committed: np.ndarray  # float64[ticks], windows that opened at a tick, in all pulses
     covered: np.ndarray  # windows over a tick
     nearby: np.ndarray  # the same for windows with their surroundings; 0 if nothing is dropped
-    busy: np.ndarray  # windows from their stamp until the tree is armed; 0 if nothing is dropped
+    busy: np.ndarray  # windows after which the tree is armed at the next cycle,
+    ready: np.ndarray  # and share in which it is at the tick's own cycle; 0 if nothing is dropped
     room: np.ndarray  # share with room in the FIFO; 0 if nothing is dropped
     deaf: np.ndarray  # chance that the tree is blind after a rejected window
     seen: np.ndarray  # share of the pulses whose gate is open
@@ -435,7 +472,8 @@ def _leave_no_trace(
             silent = max(one - awake * noticed, np.float32(RARE))
             lost[t] = one - of_ticks.seen[t] * (one - min(one, (one - awake * met[t]) / silent))
             off = min(np.float32(BLIND_MAX), deaf[t] + of_ticks.busy[t]) if kind else deaf[t]
-            unarmed[t] = off / (off + (one - off) * dark[t])
+            armed = min(one - off, of_ticks.ready[t]) if kind else one - off
+            unarmed[t] = off / (off + armed * dark[t])
         _mean_over_ticks(lost, every, missed[kind])
         _mean_over_ticks(unarmed, every, blind[kind])
 
@@ -447,13 +485,14 @@ def _leave_no_trace_in(
     noise: float,
     tree: Tree,
     every: int,
-    kinds: int,
     missed: np.ndarray,
     blind: np.ndarray,
-) -> None:
-    """Compute missed and blind, float32[2, points], of `Unheard` for one subgroup with known light.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute missed and blind, float32[points], of `Unheard` for one subgroup with known light,
+    where no window is dropped.
 
-    signal, noise: of `unheard_in`. kinds: 2 if windows are dropped, else 1.
+    signal, noise: of `unheard_in`. Return by tick, float32[ticks], the chance that the gate is open
+    and the photon makes an event, and the chance that the tree is not armed.
     """
     ticks = len(signal)
     one = np.float32(1)
@@ -464,19 +503,44 @@ def _leave_no_trace_in(
     for t in range(ticks):
         kept[t] = of_ticks.seen[t] * (one - lost[t])
         lost[t] = one - kept[t]
-    _mean_over_ticks(lost, every, missed[0])
-    _mean_over_ticks(unarmed, every, blind[0])
-    if kinds == 1:
-        return
+    _mean_over_ticks(lost, every, missed)
+    _mean_over_ticks(unarmed, every, blind)
+    return kept, unarmed
+
+
+@njit(error_model="numpy")
+def _leave_no_trace_dropping(
+    of_ticks: _Ticks,
+    kept: np.ndarray,
+    unarmed: np.ndarray,
+    near: np.ndarray,
+    none: np.ndarray,
+    every: int,
+    missed: np.ndarray,
+    blind: np.ndarray,
+) -> None:
+    """Compute missed and blind, float32[points], of `Unheard` for one subgroup with known light,
+    between two events of which the later one carries `overrun`.
+
+    kept, unarmed: of `_leave_no_trace_in`. near, none: of `_company`.
+    """
+    ticks = len(kept)
+    one = np.float32(1)
+    lost = np.empty(ticks, np.float32)
+    off = np.empty(ticks, np.float32)
     for t in range(ticks):
+        room = of_ticks.room[t]
         share = min(one, of_ticks.covered[t])
         met = one - (one - kept[t]) * (one - share)
-        noticed = min(one, max(share, of_ticks.nearby[t]))
-        silent = max(one - of_ticks.room[t] * noticed, np.float32(RARE))
-        lost[t] = min(one, (one - of_ticks.room[t] * met) / silent)
-        unarmed[t] = max(unarmed[t], min(np.float32(BLIND_MAX), of_ticks.busy[t]))
-    _mean_over_ticks(lost, every, missed[1])
-    _mean_over_ticks(unarmed, every, blind[1])
+        # If others fire nearby, their windows were dropped, with this photon or without it.
+        noticed = min(one, max(share, of_ticks.nearby[t], near[t]))
+        lost[t] = min(one, (one - room * met) / max(one - room * noticed, np.float32(RARE)))
+        # A tree that was armed would have opened a window at the first photon of this cycle.
+        busy = of_ticks.busy[t]
+        waiting = of_ticks.ready[t] * none[t]
+        off[t] = max(unarmed[t], busy / max(np.float32(RARE), busy + waiting))
+    _mean_over_ticks(lost, every, missed)
+    _mean_over_ticks(off, every, blind)
 
 
 @part
