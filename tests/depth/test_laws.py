@@ -207,6 +207,43 @@ def test_peaks_do_not_depend_on_the_place_of_a_subgroup(three_frames, method):
         assert depth[pixel] == after or (np.isnan(depth[pixel]) and np.isnan(after))
 
 
+# One value for each subgroup of `SENSOR`.
+MIXED = {
+    "threshold": [1, 2, 3, 1],
+    "window": [16, 8, 16, 5],
+    "gating": [False, True, False, True],
+    "gate_start": [0, 30, 0, 12],
+    "gate_len": [250, 60, 250, 100],
+    "coincidence": [True, True, True, False],
+}
+
+
+def test_a_subgroup_with_settings_of_its_own_is_as_if_all_had_them():
+    """Peaks and their light follow from the subgroup's own events; planes look at neighbours, too."""
+    run = run_of("five-objects", pulses=400, link_gbps=0)
+    settings = {name: np.array(values) for name, values in MIXED.items()}
+    mixed = run.but(config=run.config.with_settings(**settings))
+    of_pixel = pixel_table(run.config.sensor).subgroup.reshape(16, 16)
+    for s in range(run.config.sensor.subgroups):
+        own = {name: values[s].item() for name, values in settings.items()}
+        alike = run.but(config=run.config.with_settings(**own))
+        for method in METHODS:
+            one = mixed.depth(method)
+            other = alike.depth(method)
+            here = of_pixel == s
+            apart_m = np.abs(one.depth_m[:, :, 0] - other.depth_m[:, :, 0])[here]
+            if method == PLANES:
+                assert np.nanmedian(apart_m) < 5e-3, s
+                continue
+            assert_equal_where(here, one, other)
+
+
+def assert_equal_where(here, one, other):
+    for name in ("depth_m", "signal_per_pulse", "signal_error"):
+        found = getattr(one, name)[here]
+        assert np.array_equal(found, getattr(other, name)[here], equal_nan=True), name
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_darkness_has_no_surface(method):
     run = run_of("flat:5,0", klux=0.0)

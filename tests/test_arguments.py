@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every argument of the library's functions has an effect: another value gives another result.
+
+An argument that a function takes and forgets gives no error. `test_option_words.py` does the same
+for the command line.
+"""
+
+from functools import cache
+from inspect import signature
+
+import numpy as np
+import pytest
+
+import coincid
+from coincid.model.light.link_budget import Optics
+from coincid.model.light.photons import edge_chunks
+from coincid.model.light.spad import SpadGate
+from coincid.model.shared.pulse import Pulse
+
+SHAPE = (8, 8)
+SETTINGS = {"rows": 8, "cols": 8, "pulses": 40}
+LATE = Pulse(time_s=[-1e-10, 0, 1e-10, 3e-9], density=[0, 1, 1, 0])
+# What is held by tests of its own: words and results are the same, whoever plays, counts or watches.
+NO_EFFECT = {
+    # channels and colours are those of files, which tests/scenes/test_brought_files.py makes
+    "simulate": {"engine", "view", "channel"},
+    "load_scene": {"channel", "colour"},
+    "estimate_depth": {"workers"},
+    "generate_edges": {"workers", "chunk_pulses"},
+}
+# The one whose arguments a function passes on.
+FUNCTIONS = {"generate_edges": edge_chunks}
+
+
+def picture():
+    """Return distances of which one is what some cameras write for `no depth`, and one is far."""
+    distance_m = np.tile(np.linspace(4, 6, 8), (8, 1))
+    distance_m[2, 3] = 7.0
+    distance_m[5, 1] = 60.0
+    return distance_m
+
+
+def recorded():
+    """Return histograms, int64[rows, cols, bins], each with a peak."""
+    counts = np.ones((*SHAPE, 200), np.int64)
+    counts[:, :, 60] = 400
+    return counts
+
+
+@cache
+def run():
+    """Return a run of two frames with minigroup records."""
+    return coincid.simulate(
+        scene="five-objects", frames=2, minigroup_records=True, klux=20.0, **SETTINGS
+    )
+
+
+def scene_arguments(source):
+    """Return, for each argument that says what a scene is, a call without it and one with it."""
+    array = {source: picture()}
+    counts = {source: recorded(), "bin_ps": 500.0, "recorded_pulses": 500}
+    return {
+        source: (array, {source: picture() + 1}),
+        "scale": (array, {"scale": 2.0}),
+        "unit": (array, {"unit": "1/2"}),
+        "missing": (array, {"missing": 7.0}),
+        "sky_m": (array, {"sky_m": 50.0}),
+        "z": (array, {"z": True}),
+        "fov_deg": (array | {"z": True}, {"fov_deg": 80.0}),
+        "reflectivity": (array, {"reflectivity": 0.1}),
+        "bin_ps": (counts, {"bin_ps": 250.0}),
+        "recorded_pulses": (counts, {"recorded_pulses": 5000}),
+    }
+
+
+def simulate_arguments():
+    array = {"scene": picture()}
+    return scene_arguments("scene") | {
+        "config": (
+            array,
+            {"config": coincid.parse_config({"sensor": {"rows": 8, "cols": 8, "phases": 16}})},
+        ),
+        "klux": (array, {"klux": 90.0}),
+        "background": (array | {"reflectivity": 0.1}, {"background": "even"}),
+        "pulse": (array, {"pulse": LATE}),
+        "seed": (array, {"seed": 2}),
+        "spad": (array, {"spad": coincid.Spad(dead_time_s=1e-6)}),
+        "spad_gate": (
+            array | {"gating": True, "gate_start": 10, "gate_len": 20},
+            {"spad_gate": True},
+        ),
+        "method": (array, {"method": "maximum"}),
+        "settings": (array, {"threshold": 3}),
+    }
+
+
+def depth_arguments():
+    at = {"arrays": run().result, "config": run().config}
+    later = run().result | {"stamp": run().result["stamp"] + 5}
+    return {
+        "arrays": (at, {"arrays": later}),
+        "config": (at, {"config": run().config.with_frame(clock_mhz=400.0)}),
+        "frame": (at, {"frame": 1}),
+        "system_fwhm_s": (at, {"system_fwhm_s": 2e-9}),
+        "pulse": (at, {"pulse": LATE}),
+    }
+
+
+def light_arguments():
+    light = coincid.scene_light(coincid.load_scene(picture(), *SHAPE), 20.0)
+    at = {
+        "light": light,
+        "spad": coincid.Spad(),
+        "timing": coincid.Timing(),
+        "pulses": 20,
+        "seed": 1,
+    }
+    gate = SpadGate(start_cycles=10, len_cycles=20)
+    return {
+        "light": (at, {"light": coincid.scene_light(coincid.load_scene(picture(), *SHAPE), 90.0)}),
+        "spad": (at, {"spad": coincid.Spad(dead_time_s=1e-6)}),
+        "timing": (at, {"timing": coincid.Timing(phases=16)}),
+        "pulses": (at, {"pulses": 21}),
+        "seed": (at, {"seed": 2}),
+        "pulse_start": (at, {"pulse_start": 5}),
+        "gate": (at, {"gate": gate}),
+    }
+
+
+def load_arguments():
+    scene = {"source": "five-objects"}
+    return scene_arguments("source") | {
+        "rows": (scene, {"rows": 16}),
+        "cols": (scene, {"cols": 16}),
+        "range_m": ({"source": picture()}, {"range_m": 20.0}),
+    }
+
+
+def estimate_arguments():
+    at = {"arrays": run().result, "config": run().config}
+    return depth_arguments() | {
+        "method": (at, {"method": "matched"}),
+        "source": (at | {"method": "maximum"}, {"source": "minigroup"}),
+        "returns": (at, {"returns": 2}),
+    }
+
+
+def histogram_arguments():
+    at = {"arrays": run().result, "config": run().config}
+    return depth_arguments() | {
+        "pixel": (at, {"pixel": 9}),
+        "source": (at, {"source": "minigroup"}),
+    }
+
+
+def bound_arguments():
+    wall = {"klux": 20.0, "trials": 100}
+    return {
+        "config": (wall, {"config": run().config.with_settings(threshold=3)}),
+        "distance_m": (wall, {"distance_m": 4.0}),
+        "reflectivity": (wall, {"reflectivity": 0.1}),
+        "klux": (wall, {"klux": 90.0}),
+        "system_fwhm_s": (wall, {"system_fwhm_s": 1e-9}),
+        "pulse": (wall, {"pulse": LATE}),
+        "trials": (wall | {"distance_m": 30.0, "pulses": 10}, {"trials": 200}),
+        "settings": (wall, {"threshold": 3}),
+    }
+
+
+def cloud_arguments():
+    at = {"depth": run().depth()}
+    return {
+        "depth": (at, {"depth": run().depth("maximum")}),
+        "optics": (at, {"optics": Optics(fov_h_deg=90.0)}),
+        "normals": (at, {"normals": True}),
+    }
+
+
+def scene_light_arguments():
+    at = {"scene": coincid.load_scene(picture(), *SHAPE), "klux": 20.0}
+    return {
+        "scene": (at, {"scene": coincid.load_scene(picture() + 1, *SHAPE)}),
+        "klux": (at, {"klux": 9.0}),
+        "others": (at, {"system_fwhm_s": 1e-9}),
+    }
+
+
+# For each function, its arguments with two calls each: only the second has the argument, or it has
+# another value.
+ARGUMENTS = {
+    "simulate": simulate_arguments,
+    "load_scene": load_arguments,
+    "estimate_depth": estimate_arguments,
+    "pixel_histogram": histogram_arguments,
+    "generate_edges": light_arguments,
+    "bound": bound_arguments,
+    "point_cloud": cloud_arguments,
+    "scene_light": scene_light_arguments,
+}
+# What each call has besides.
+ALWAYS = {
+    "simulate": SETTINGS,
+    "load_scene": {"rows": 8, "cols": 8},
+    "pixel_histogram": {"pixel": 3},
+}
+
+
+def outcome(result):
+    """Return the parts of a result that an argument may change, as bytes."""
+    if isinstance(result, coincid.study.run.Run):
+        parts = [*result.result.values(), result.depth().depth_m, result.light.signal_per_pulse]
+    elif hasattr(result, "depth_m"):
+        parts = [result.depth_m, result.signal_per_pulse, result.confidence]
+    elif hasattr(result, "distance_m"):
+        light = coincid.scene_light(result, 20.0) if hasattr(result, "sunlit") else result
+        parts = [result.distance_m, light.total_signal, light.background_cps]
+        parts += [np.array([light.system_fwhm_s])]
+    elif hasattr(result, "tick"):
+        parts = [result.pulse, result.pixel, result.tick]
+    elif isinstance(result, np.ndarray):
+        parts = [result]
+    else:
+        parts = [np.array([getattr(result, name) for name in type(result).__annotations__])]
+    return [(np.shape(part), np.ascontiguousarray(part).tobytes()) for part in parts]
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_each_argument_has_two_calls(name):
+    of_function = set(signature(FUNCTIONS.get(name, getattr(coincid, name))).parameters)
+    assert of_function - NO_EFFECT.get(name, set()) == set(ARGUMENTS[name]())
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_another_value_of_an_argument_gives_another_result(name):
+    function = getattr(coincid, name)
+    for argument, (usual, other) in ARGUMENTS[name]().items():
+        usual = ALWAYS.get(name, {}) | usual
+        one = outcome(function(**usual))
+        assert one == outcome(function(**usual)), f"{argument}: not the same twice"
+        assert one != outcome(function(**usual | other)), f"{argument}: has no effect"
