@@ -227,6 +227,8 @@ def test_a_subgroup_with_settings_of_its_own_is_as_if_all_had_them():
     for s in range(run.config.sensor.subgroups):
         own = {name: values[s].item() for name, values in settings.items()}
         alike = run.but(config=run.config.with_settings(**own))
+        for found, wanted in zip(clusters_of(mixed, s), clusters_of(alike, s), strict=True):
+            assert np.array_equal(found, wanted)
         for method in METHODS:
             one = mixed.depth(method)
             other = alike.depth(method)
@@ -236,6 +238,13 @@ def test_a_subgroup_with_settings_of_its_own_is_as_if_all_had_them():
                 assert np.nanmedian(apart_m) < 5e-3, s
                 continue
             assert_equal_where(here, one, other)
+
+
+def clusters_of(run, s):
+    """Return what the events of a subgroup say about when its tree was armed."""
+    pulse = pulse_ticks(run.config)
+    events = frame_events(run.result, run.config, pulse)
+    return cluster_events(events, run.config, run.config.pulses, pulse.reach, False)[s]
 
 
 def assert_equal_where(here, one, other):
