@@ -122,7 +122,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "642b6a697dbca78d"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "8b7125b76d27acab",
+        "fa90db88bcc8293b",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
