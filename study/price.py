@@ -15,10 +15,10 @@ UM2_PER_PIXEL = {  # parameter: (values, um2 per pixel with the other parameters
     "pixels": ((16, 32, 64, 256), (1115.2, 813.1, 658.3, 538.6)),
     "minigroup_pixels": ((1, 4, 16), (1176.5, 658.3, 531.0)),
     "phases": ((8, 16, 32, 64), (567.6, 615.1, 658.3, 761.5)),
-    "offsets": ((0, 1), (513.2, 657.7)),
-    "records": ((0, 1), (599.2, 657.7)),
-    "controller": ((0, 1), (644.9, 657.7)),
-    "fifo_depth": ((8, 16), (556.3, 657.7)),
+    "offsets": ((0, 1), (514.6, 658.3)),
+    "records": ((0, 1), (599.6, 658.3)),
+    "controller": ((0, 1), (646.6, 658.3)),
+    "fifo_depth": ((8, 16), (557.1, 658.3)),
 }
 UW_PER_PIXEL = ((0.0, 5.0, 50.0, 100.0), (17.0, 23.0, 37.0, 50.0))  # klux, and uW at 500 MHz
 MEASURED_MHZ = 500.0
