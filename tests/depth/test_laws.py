@@ -207,6 +207,7 @@ def test_peaks_do_not_depend_on_the_place_of_a_subgroup(three_frames, method):
         assert depth[pixel] == after or (np.isnan(depth[pixel]) and np.isnan(after))
 
 
+PULSES_MIXED = 400
 # One value for each subgroup of `SENSOR`.
 MIXED = {
     "threshold": [1, 2, 3, 1],
@@ -220,19 +221,21 @@ MIXED = {
 
 def test_a_subgroup_with_settings_of_its_own_is_as_if_all_had_them():
     """Peaks and their light follow from the subgroup's own events; planes look at neighbours, too."""
-    run = run_of("five-objects", pulses=400, link_gbps=0)
+    run = run_of("five-objects", pulses=PULSES_MIXED, link_gbps=0)
     settings = {name: np.array(values) for name, values in MIXED.items()}
     mixed = run.but(config=run.config.with_settings(**settings))
+    clusters = clusters_of(mixed, PULSES_MIXED)
+    depths = {method: mixed.depth(method) for method in METHODS}
     of_pixel = pixel_table(run.config.sensor).subgroup.reshape(16, 16)
     for s in range(run.config.sensor.subgroups):
         own = {name: values[s].item() for name, values in settings.items()}
         alike = run.but(config=run.config.with_settings(**own))
-        for found, wanted in zip(clusters_of(mixed, s), clusters_of(alike, s), strict=True):
-            assert np.array_equal(found, wanted)
-        for method in METHODS:
-            one = mixed.depth(method)
+        wanted = clusters_of(alike, PULSES_MIXED)[s]
+        for found, column in zip(clusters[s], wanted, strict=True):
+            assert np.array_equal(found, column)
+        here = of_pixel == s
+        for method, one in depths.items():
             other = alike.depth(method)
-            here = of_pixel == s
             apart_m = np.abs(one.depth_m[:, :, 0] - other.depth_m[:, :, 0])[here]
             if method == PLANES:
                 assert np.nanmedian(apart_m) < 5e-3, s
@@ -240,11 +243,11 @@ def test_a_subgroup_with_settings_of_its_own_is_as_if_all_had_them():
             assert_equal_where(here, one, other)
 
 
-def clusters_of(run, s):
-    """Return what the events of a subgroup say about when its tree was armed."""
+def clusters_of(run, pulses, frame=None):
+    """Return, for each subgroup, what its events say about when its tree was armed."""
     pulse = pulse_ticks(run.config)
-    events = frame_events(run.result, run.config, pulse)
-    return cluster_events(events, run.config, run.config.pulses, pulse.reach, False)[s]
+    events = frame_events(run.result, run.config, pulse, frame)
+    return cluster_events(events, run.config, pulses, pulse.reach, False)
 
 
 def assert_equal_where(here, one, other):
@@ -273,15 +276,8 @@ def test_events_of_all_frames_with_moving_gates_have_the_gates_of_their_own_fram
     gates = {"gating": True, "gate_start": 20, "gate_len": 60}
     steps = {"gate_every": 24, "gate_step": 25, "gate_steps": 2}
     run = run_of("flat:5", frames=FRAMES, **steps).but(subgroup=gates)
-    config = run.config
-    pulse = pulse_ticks(config)
-
-    def clusters(frame, pulses):
-        events = frame_events(run.result, config, pulse, frame)
-        return cluster_events(events, config, pulses, pulse.reach, False)
-
-    together = clusters(None, FRAMES * config.pulses)
-    frames = [clusters(frame, config.pulses) for frame in range(FRAMES)]
+    together = clusters_of(run, FRAMES * PULSES)
+    frames = [clusters_of(run, PULSES, frame) for frame in range(FRAMES)]
     for s, of_subgroup in enumerate(together):
         for name in ("known", "quiet", "since"):
             alone = np.concatenate([getattr(of_frame[s], name) for of_frame in frames])
