@@ -12,15 +12,16 @@ from coincid.lab.setup import Setup
 from coincid.model.contract.counts import GATE_CYCLES, NO_GATE
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.result import ResultBuilder
-from coincid.model.depth.belief import Reason
+from coincid.model.depth.belief import Reason, signs_of
 from coincid.model.depth.count_light import first_background
-from coincid.model.depth.counts import find_surfaces, gate_counts
+from coincid.model.depth.counts import count_signs, find_surfaces, gate_counts, seen_behind
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import by_subgroup, pixel_histogram, pixel_image
 from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.depth.quality import TOLERANCE_M
 from coincid.model.golden.frame import Golden
+from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.constants import SUCCESS_TOLERANCE_S
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.threads import Threads
@@ -194,7 +195,8 @@ def test_masked_pixels_have_no_effect():
     nonsense["gate_hits"][:, :, 0] = 3
     depth = estimate_depth(nonsense, run.config)
     known = pixel_image(run.config.mask, run.config.sensor)
-    assert np.array_equal(depth.depth_m[known], expected.depth_m[known])
+    for name in ("depth_m", "error_m", "signal_per_pulse"):
+        assert np.array_equal(getattr(depth, name)[known], getattr(expected, name)[known]), name
     assert np.isnan(depth.signal_per_pulse[~known]).all()
     assert not np.isnan(depth.signal_per_pulse[known]).any()
 
@@ -240,6 +242,63 @@ def test_pulses_of_all_frames_are_those_of_each():
     assert np.array_equal(
         together.trials.hits, np.concatenate([one.trials.hits for one in alone], axis=2)
     )
+
+
+PARTS = ("depth_m", "confidence", "reason", "error_m", "signal_per_pulse", "signal_error")
+
+
+def assert_equal_depths(one, other, returns=1):
+    """Check that two depths have the same first returns."""
+    for name in PARTS:
+        mine, its = (getattr(depth, name) for depth in (one, other))
+        if mine is None or mine.ndim == 2:
+            assert np.array_equal(mine, its), name
+        else:
+            assert np.array_equal(mine[:, :, :returns], its[:, :, :returns], equal_nan=True), name
+
+
+@pytest.mark.parametrize("number", (0, 2))
+def test_a_frame_among_others_is_the_frame_alone(number):
+    """Also its light where an estimator of a user's own gives the distances."""
+    walls = load_scene(np.multiply.outer((3.0, 9.0, 5.0), np.ones((SIDE, SIDE))), SIDE, SIDE)
+    run = counted(walls, frame={"frames": 3, "pulses": 200})
+    alone = {
+        name: array[number : number + 1] if len(array) == 3 else array
+        for name, array in run.result.items()
+    }
+    config = run.config.with_frame(frames=1)
+    for method in ("planes", FirstGate()):
+        among = estimate_depth(run.result, run.config, method=method, frame=number)
+        assert_equal_depths(among, estimate_depth(alone, config, method=method))
+    assert np.nanmedian(among.signal_per_pulse) > 0
+
+
+def test_more_returns_leave_the_first_one():
+    run = counted("returns:4@0.2,9@0.6", 5.0)
+    assert_equal_depths(run.depth(returns=3), run.depth())
+
+
+def test_a_pixel_that_is_full_early_is_as_bright_as_its_hits_per_pulse(monkeypatch):
+    """A counter that ends after a quarter of the pulses has a quarter of the hits."""
+    run = counted("flat:4,0.4")
+    counts = gate_counts(run.result, run.config)
+    late, early = (
+        counts._replace(own_pulses=np.full_like(counts.own_pulses, pulses)) for pulses in (200, 50)
+    )
+    lit = []
+
+    def noted(hits, by_chance, of_pixels, *others):
+        lit.append(of_pixels)
+        return signs_of(hits, by_chance, of_pixels, *others)
+
+    monkeypatch.setattr("coincid.model.depth.counts.signs_of", noted)
+    ticks = np.full((SIDE, SIDE), 4 / run.config.tick_m)
+    seen = seen_behind(counts, run.config, pulse_ticks(run.config), ticks[:, :, None])
+    for one in (late, early):
+        count_signs(one, seen, run.config, 2.0, ticks, np.ones((SIDE, SIDE)), ticks)
+    assert lit[0].near.min() > 0
+    assert np.allclose(lit[1].near, 4 * lit[0].near)
+    assert np.allclose(lit[1].fired, 4 * lit[0].fired)
 
 
 def test_second_return_in_the_second_gate():

@@ -81,6 +81,29 @@ def test_light_of_two_surfaces_in_a_pixel():
         assert light.mean() == pytest.approx(truth[0, 0, target], rel=0.05)
 
 
+def test_a_return_within_the_dead_time_of_an_earlier_one_has_its_own_light():
+    """A pixel that fires at the near surface is dead at the far one, 6 ns later; not the reverse."""
+    distance_m = np.broadcast_to([4.0, 4.9], (SIZE, SIZE, 2))
+    scene = Scene(name="pane", distance_m=distance_m, reflectivity=np.full(distance_m.shape, 0.4))
+    setup = Setup.of(scene, klux=10, sensor=SENSOR, frame={"pulses": 500})
+    run = Run(setup, workers=2)
+    found = run.depth(Panes(), returns=2).signal_per_pulse.mean(axis=(0, 1))
+    truth = run.light.signal_per_pulse.mean(axis=0)
+    assert truth.min() > 0.3
+    assert found == pytest.approx(truth, rel=0.05)
+
+
+class Panes:
+    """An estimator of a user's own that knows both distances, but no light."""
+
+    name = "panes"
+    version = "1"
+    reads = ()
+
+    def estimate(self, reading):
+        return Depth.of(np.broadcast_to([4.0, 4.9], (SIZE, SIZE, 2)))
+
+
 class Known:
     """An estimator of a user's own that knows the distance, but no light."""
 

@@ -181,9 +181,11 @@ def test_returns_are_apart_by_the_longest_window_wherever_it_is():
 @pytest.mark.parametrize("method", METHODS)
 def test_more_returns_leave_the_earlier_ones(three_frames, method):
     result, config = three_frames.result, three_frames.config
-    two = estimate_depth(result, config, method=method, returns=2).depth_m
-    four = estimate_depth(result, config, method=method, returns=4).depth_m
-    assert np.array_equal(two, four[:, :, :2], equal_nan=True)
+    two = estimate_depth(result, config, method=method, returns=2)
+    four = estimate_depth(result, config, method=method, returns=4)
+    assert np.array_equal(two.depth_m, four.depth_m[:, :, :2], equal_nan=True)
+    assert np.array_equal(two.confidence, four.confidence[:, :, :2])
+    assert np.array_equal(two.reason, four.reason)
 
 
 @pytest.mark.parametrize("method", PEAKS)

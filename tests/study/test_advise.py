@@ -146,12 +146,22 @@ def test_less_light_is_less_in_every_pixel(monkeypatch):
 
 
 def test_the_curve_of_a_window_has_each_threshold_once(monkeypatch, tmp_path):
+    """And links and formats are tried with the window, the threshold and the controller that were
+    chosen, whatever those of the configuration are.
+    """
     drawn = []
     monkeypatch.setattr(
         "coincid.study.advise.save_figure", lambda figure, path: drawn.append(figure)
     )
-    setup = Setup.of("flat:5,0.5", sensor={"rows": 8, "cols": 8}, frame={"pulses": 20}, klux=1.0)
+    sensor = {"rows": 8, "cols": 8}
+    odd = {"threshold": 5, "window": 7}
+    setup = Setup.of("flat:5,0.5", sensor=sensor, frame={"pulses": 20}, subgroup=odd, klux=1.0)
     advice = advise(setup, klux=1.0)
+    for one in advice.links:
+        for name in ("auto", "threshold", "window"):
+            chosen = getattr(advice.chosen.config, name)
+            assert np.array_equal(getattr(one.config, name), chosen), name
+    assert advice.chosen.config.window[0] != 7
     write_advice(tmp_path, advice, "a wall")
     lines = drawn[0].axes[0].lines
     curves = [one for one in lines if str(one.get_label()).startswith("window")]
