@@ -1,18 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every option of the commands that simulate changes what is done: none is read and forgotten.
+"""Every option of every command changes what is done: none is read and forgotten.
 
 The work itself is left out. Each command is called with one option after the other, and what its
-work is given must differ from what it is given without the option.
+work is given, or what it prints, must differ from that without the option.
 """
 
 import re
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import typer
 
+from coincid.board import driver, netlist, serial_transport, simulated
+from coincid.board import release as board_release
+from coincid.board import run as board_run
 from coincid.cli import app
+from coincid.flow import fpga_module, lint, pnr, release, synth
+from coincid.flow.layout import document
+from coincid.flow.layout import tools as layout_tools
+from coincid.formal import prove
 from coincid.lab import setup as lab_setup
 from coincid.lab.setup import Setup
 from coincid.model.contract import edges as contract_edges
@@ -21,7 +29,8 @@ from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
 from coincid.model.recorded import exchange, recordings
 from coincid.model.scenes.catalogue import load_scene
-from coincid.study import advise, simulate
+from coincid.study import advise, bench, simulate, sweep, sweep_spec
+from coincid.study.explore import server
 from coincid.tb import replay
 
 from .command import command
@@ -66,6 +75,20 @@ WORDS = {  # name of the parameter: words that differ from its default
     "stall": "--stall 12",
     "offset_seed": "--offset-seed 4",
     "edges": "--edges other.npz",
+    "prefix": "--prefix near_",
+    "distance_m": "--distance-m 5",
+    "spectrum": "--spectrum planck",
+    "form": "--form corrected",
+    "json": "--json",
+    "scheduler": "--scheduler tcp://a:8786",
+    "workers": "--workers 3",
+    "port": "--port 5007",
+    "no_browser": "--no-browser",
+    "repeats": "--repeats 2",
+    "buffer_beats": "--buffer-beats 4096",
+    "page": "--page page.md",
+    "baud": "--baud 9600",
+    "netlist": "--netlist",
 }
 COMMANDS = {  # name: words without which it does not begin
     "sim": "",
@@ -73,11 +96,42 @@ COMMANDS = {  # name: words without which it does not begin
     "photons": "--out a.npz",
     "edges": "a.csv --out a.npz",
     "replay": "--edges a.npz --out a.npz",
+    "show": "silicon",
+    "explore": "",
+    "sweep": "a.toml",
+    "verilog": "--out a",
+    "synth": "",
+    "layout": "",
+    "pnr": "",
+    "emulator": "serial",
+    "lint": "",
+    "formal": "tree",
+    "budget": "",
+    "emulate": "--simulate",
+    "bench": "",
 }
-ARGUMENTS = {("advise", "scene"): "letter-f", ("edges", "recording"): "b.csv"}  # no options
-ENGINE_OF = {"replay": "--engine sliced"}  # where the usual one is the golden model
+PLAIN = {"sweep", "synth", "layout", "pnr", "formal", "budget", "bench", "explore"}  # without --set
+ARGUMENTS = {  # no options
+    ("advise", "scene"): "letter-f",
+    ("edges", "recording"): "b.csv",
+    ("show", "config"): "fpga",
+    ("sweep", "spec"): "b.toml",
+    ("emulator", "kind"): "axi",
+    ("formal", "names"): "sequencer",
+    ("emulate", "port"): "--port a",
+    ("emulate", "simulate"): "--port a",
+}
+ELSEWHERE = {("emulator", "page")}  # behind a placement
+OTHERS = {  # words of a command that differ from those of `WORDS`
+    ("replay", "engine"): "--engine sliced",  # the usual one is the golden model
+    ("sweep", "out"): "--out b.parquet",
+    ("explore", "changes"): "--set klux=9",
+    ("emulate", "config"): "--config emulator-axi",
+    ("emulator", "config"): "--config emulator-axi",
+}
+ALL = typer.main.get_command(app).commands
 PARAMETERS = {
-    name: [one.name for one in typer.main.get_command(app).commands[name].params]
+    name: [one.name for one in ALL[name].params]
     for name in COMMANDS
 }
 
@@ -138,32 +192,62 @@ def work(monkeypatch, tmp_path):
     monkeypatch.setattr(contract_edges, "load_edges", noted_then(NO_EDGES))
     monkeypatch.setattr(replay, "replay", noted_then("a result"))
     monkeypatch.setattr(contract_result, "write_result", begin)
+    monkeypatch.setattr(server, "serve", begin)
+    monkeypatch.setattr(sweep_spec, "read_spec", noted_then(SimpleNamespace(keys=())))
+    monkeypatch.setattr(sweep, "sweep", begin)
+    monkeypatch.setattr(release, "write_release", begin)
+    monkeypatch.setattr(synth, "write_synthesis_page", begin)
+    monkeypatch.setattr(layout_tools, "layout_cells", noted_then(None))
+    monkeypatch.setattr(document, "write_layout_page", begin)
+    monkeypatch.setattr(fpga_module, "fpga_module", noted_then("a board"))
+    monkeypatch.setattr(pnr, "place", noted_then(()))
+    monkeypatch.setattr(pnr, "write_placement_page", begin)
+    monkeypatch.setattr(board_release, "emulator_release", noted_then({}))
+    monkeypatch.setattr(board_release, "write_emulator", begin)
+    monkeypatch.setattr(lint, "lint", begin)
+    monkeypatch.setattr(prove, "prove", begin)
+    monkeypatch.setattr(bench, "benchmark", begin)
+    monkeypatch.setattr(simulated, "simulated", noted_then("RTL"))
+    monkeypatch.setattr(netlist, "emulator_netlist", noted_then(("netlist", "library")))
+    monkeypatch.setattr(simulated, "SimulatedPort", noted_then(nullcontext("a simulation")))
+    monkeypatch.setattr(serial_transport, "SerialPort", noted_then(nullcontext("a line")))
+    monkeypatch.setattr(serial_transport, "SerialTransport", noted_then("a transport"))
+    monkeypatch.setattr(driver, "EmulatorDriver", noted_then("a driver"))
+    monkeypatch.setattr(board_run, "emulate", begin)
     return given
 
 
 def begun(work, words):
-    """Return what the work is given for these words."""
+    """Return what the work is given for these words, or what is printed instead of any work."""
     work.clear()
     result = command(words)
-    assert isinstance(result.exception, DoneError), result.output
-    return list(work)
+    assert result.exit_code == 0 or isinstance(result.exception, DoneError), result.output
+    return [*work, result.output]
+
+
+def test_every_command_with_options_is_here():
+    assert {name for name, one in ALL.items() if one.params} == set(COMMANDS)
 
 
 @pytest.mark.parametrize(
-    ("name", "parameter"), [(name, one) for name in COMMANDS for one in PARAMETERS[name]]
+    ("name", "parameter"),
+    [
+        (name, one)
+        for name in COMMANDS
+        for one in PARAMETERS[name]
+        if (name, one) not in ELSEWHERE
+    ],
 )
 def test_every_option_changes_what_is_done(work, tmp_path, name, parameter):
     pulse = tmp_path / "pulse.csv"
     pulse.write_text("time_ps,density\n0,0\n100,1\n300,0\n", encoding="utf-8")
-    usual = f"{name} {COMMANDS[name]} {SMALL}"
+    usual = f"{name} {COMMANDS[name]}{'' if name in PLAIN else f' {SMALL}'}"
     if parameter == "offset_seed":
         usual += " --view async"
     if (name, parameter) in ARGUMENTS:
         changed = usual.replace(COMMANDS[name].split()[0], ARGUMENTS[name, parameter])
-    elif parameter == "engine":
-        changed = f"{usual} {ENGINE_OF.get(name, WORDS[parameter])}"
     else:
-        changed = f"{usual} {WORDS[parameter]}"
+        changed = f"{usual} {OTHERS.get((name, parameter), WORDS[parameter])}"
     out = tmp_path / ("b.npz" if "a.npz" in usual else "folder")
     changed = changed.format(pulse=pulse, out=out)
     assert begun(work, changed) != begun(work, usual)

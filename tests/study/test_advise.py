@@ -263,6 +263,13 @@ def test_what_is_wasted(document, words):
     assert not any(words in sentence for sentence in warnings(parse_config(lean)))
 
 
+def test_counters_have_the_gaps_for_their_way():
+    few = {"frame": {"pulses": 2, "gap": 0}}
+    with_gap = {"frame": {"pulses": 2, "gap": 20_000}}
+    assert any("Counters fill" in one for one in warnings(parse_config(few)))
+    assert not any("Counters fill" in one for one in warnings(parse_config(with_gap)))
+
+
 PERIOD, CLOCK_MHZ = 250, 500.0
 
 

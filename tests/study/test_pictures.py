@@ -40,6 +40,9 @@ def test_wrong_pixels_are_framed_and_pixels_without_a_truth_are_crossed():
     for axis in (truth, depth):
         crosses = [line.get_xydata().mean(axis=0).tolist() for line in axis.lines]
         assert crosses == [[20, 1], [20, 1]]
+    figure, shares = draw_row([Panel("depth", depth_m)], truth_m, tolerance_m=3.0)
+    assert shares == [0.0]
+    assert not any(one.get_paths() for one in figure.axes[1].collections)
 
 
 def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path):
