@@ -122,6 +122,11 @@ def test_the_presets_are_what_a_board_needs():
     assert load_config("emulator-axi").sensor.subgroups > of.sensor.subgroups
 
 
+@pytest.mark.parametrize(("clock_mhz", "clocks"), [(80, 27), (100, 33), (125, 42)])
+def test_the_line_has_the_nearest_rate_that_the_clock_makes(clock_mhz, clocks):
+    assert Emulator.of(config(clock_mhz=clock_mhz)).clocks_per_bit == clocks
+
+
 @pytest.mark.xdist_group("boards")
 def test_every_port_of_the_board_has_its_pin():
     files = released("ulx3s")

@@ -149,6 +149,22 @@ def test_a_run_shows_itself_in_a_notebook(run):
             run.timeline(*place)
 
 
+def test_the_plot_of_a_run_is_that_of_the_frame_and_the_estimator_asked_for(monkeypatch):
+    run = coincid.simulate(None, "flat:5", frames=2, rows=8, cols=8, pulses=30)
+    shown = []
+
+    def noted(name, views):
+        shown.extend(views)
+        return ""
+
+    monkeypatch.setattr("coincid.study.show.report.report_html", noted)
+    run.plot()
+    run.plot(frame=1, method="maximum")
+    for view, frame, method in zip(shown, (0, 1), ("planes", "maximum"), strict=True):
+        depth_m = run.depth(frame=frame, method=method).depth_m[:, :, 0]
+        assert np.array_equal(view.depth_m, depth_m, equal_nan=True)
+
+
 @pytest.mark.parametrize("with_pandas", [True, False])
 def test_events_as_a_table(run, monkeypatch, with_pandas):
     if not with_pandas:

@@ -105,14 +105,17 @@ def test_periods_hold_every_edge_once_in_time_order_and_inside_windows_as_the_fa
 
 @pytest.mark.parametrize(("first", "length"), [(5, 9), (5, 40), (39, 2), (0, 255), (39, 1)])
 def test_a_gate_lies_within_the_period(first, length):
-    """Also one that moves out of it step by step: each cycle of the period is in it or not."""
+    """Also one that moves out of it step by step: each cycle of the period is in it or not. Another
+    subgroup has a gate of its own.
+    """
     moving = {"gate_step": 8, "gate_every": 1, "gate_steps": 7, "pulses": 6, "period": 40}
     gate = {"gating": True, "gate_start": first, "gate_len": length}
     config = parse_config({"sensor": SENSOR, "frame": moving, "subgroup": gate})
+    config = config.with_settings(gate_start=[7, first], gate_len=[3, length])
     for pulse in range(config.pulses):
         start = first + 8 * pulse
         within = set(range(start, start + length)) & set(range(config.period))
-        shown = gate_of(config, 0, pulse)
+        shown = gate_of(config, 1, pulse)
         assert set(range(*shown)) == within
         assert 0 <= shown[0] <= shown[1] <= config.period
 
