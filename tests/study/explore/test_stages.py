@@ -10,13 +10,17 @@ import tomllib
 
 import numpy as np
 import pytest
+from bokeh.document import Document
 
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.result import differences
 from coincid.model.golden.frame import golden_result
 from coincid.study.explore.control_values import check_settings
+from coincid.study.explore.messages import Question
 from coincid.study.explore.out import SAVES, events_csv
 from coincid.study.explore.stages import Explorer, Runner, check_on_rtl
+from coincid.study.explore.tab import Page
+from coincid.study.explore.uploads import Kept, Uploads
 
 SMALL = {"rows": 16, "cols": 16, "pulses": 20}
 
@@ -91,6 +95,21 @@ def test_only_the_newest_answer_is_delivered():
     newest = runner.start(bad)
     assert got.get(timeout=60)[:2] == (newest, "failed") and got.empty()
     runner.close()
+
+
+def test_the_check_of_settings_that_have_changed_is_never_told():
+    """Its verdict would stand beside other settings."""
+    doc = Document()
+    page = Page(doc, {}, Uploads(), Kept())
+    page._checker._deliver = lambda *what: None
+    checked = page._checker.start(lambda progress: None)
+    page._asked(Question(number=2, values={"threshold": "no number"}))
+    page._checked(checked, "done", "every word agrees")
+    assert not page.link.rtl_check
+    current = page._checker.start(lambda progress: None)
+    page._checked(current, "done", "every word agrees")
+    assert page.link.rtl_check["text"] == "every word agrees"
+    page.close()
 
 
 def test_what_is_saved():
