@@ -131,6 +131,7 @@ def test_sum_by_hand():
     assert of["a.b"].total == pytest.approx(PER_FJ * 5 * 1.0)
     wired = power(design, toggles, 0, 10, 100.0, wire_ff=4.0)
     assert wired["a"].switching == pytest.approx(2 * of["a"].switching)
+    assert wired["a"].clock - of["a"].clock == pytest.approx(PER_FJ * 20 * 2.0 * 4.0)
     with pytest.raises(ToolchainError, match="does not show a.z"):
         power(design, {"clk": toggles["clk"], "q": toggles["a.q"]}, 0, 10, 100.0)
 
