@@ -83,8 +83,8 @@ def minigroup_counts(b: Bench):
     unit = b.place(MinigroupCounts(SMALL_COUNTS))
     elaborated(unit.rows)
     hits = _hits(b, unit)
-    search = _search_obeys(b, unit, hits)
-    in_order = _cycles_obey(b, unit, hits, search)
+    search = _search_obeys(b, unit)
+    in_order = _cycles_obey(b, unit, search)
 
     place = b.same("place", b.constant(counts.GATE_BITS))
     wide = _wide_bin(b, unit, hits, place)
@@ -94,7 +94,7 @@ def minigroup_counts(b: Bench):
     bins = {bus.Step.WIDE: wide, bus.Step.NARROW: narrow, bus.Step.GATED: count}
     known = {step: _bin_is_right(b, unit, step, watched, hits) for step, watched in bins.items()}
 
-    _all_stop_together(b, unit, hits, bins, known, place, search)
+    _all_stop_together(b, unit, hits, bins, known, search)
     _pixel_stops(b, unit, hits, count, known[bus.Step.GATED], pixel, search)
     _search_is_shown(b, unit, bins, known, place, search, in_order)
 
@@ -115,7 +115,7 @@ def _hits(b: Bench, unit: MinigroupCounts) -> Hits:
     return Hits(b.last(unit.cycle), counted, late, quarters)
 
 
-def _search_obeys(b: Bench, unit: MinigroupCounts, hits: Hits) -> Search:
+def _search_obeys(b: Bench, unit: MinigroupCounts) -> Search:
     """Assume what is proven for the search and for the subgroup's counts.
 
     A step begins, and the memory is cleared, when no hit is on its way, except that the last row is
@@ -180,7 +180,7 @@ def gates_are_legal(gates: Value) -> Value:
     return legal[0] & legal[1] & (apart | none[0] | none[1])
 
 
-def _cycles_obey(b: Bench, unit: MinigroupCounts, hits: Hits, search: Search) -> Signal:
+def _cycles_obey(b: Bench, unit: MinigroupCounts, search: Search) -> Signal:
     """Assume that hits come in consecutive cycles, which begin with the first one of a period.
     Return whether this cycle is one of them.
     """
@@ -308,7 +308,6 @@ def _all_stop_together(
     hits: Hits,
     bins: dict[Any, WatchedBin],
     known: dict[Any, Signal],
-    place: Value,
     search: Search,
 ) -> None:
     """State that in steps 1 and 2 the minigroup stops after the cycle in which a bin is full."""

@@ -306,7 +306,7 @@ def coder(b: Bench):
     packets = _packets(b, dut)
     event = _watched_event(b, dut, packets)
 
-    group = _group(b, dut, event)
+    group = _group(b, dut)
     rest = _rest(b, dut, event, group)
 
     _groups_open_and_close(b, dut, event, group)
@@ -319,7 +319,7 @@ def coder(b: Bench):
 
     _stream_is_in_registers(b, dut, packets)
     _event_is_in_registers(b, dut, packets, event)
-    _group_is_in_registers(b, dut, event, group)
+    _group_is_in_registers(b, dut, group)
     _rest_is_in_registers(b, dut, event, group, rest)
 
     b.cover(over & event.mapped)
@@ -448,7 +448,7 @@ def _field(words: Any, name: str) -> Value:
     return Cat(words[part.beat][part.lsb : part.lsb + part.width] for part in parts)
 
 
-def _group(b: Bench, dut: PlacedCoder, event: WatchedEvent) -> Group:
+def _group(b: Bench, dut: PlacedCoder) -> Group:
     """Specify groups: the first part opens one, and its end closes it; each has the next number."""
     m = b.m
     unit = dut.unit
@@ -672,7 +672,7 @@ def _event_is_in_registers(
     )
 
 
-def _group_is_in_registers(b: Bench, dut: PlacedCoder, event: WatchedEvent, group: Group) -> None:
+def _group_is_in_registers(b: Bench, dut: PlacedCoder, group: Group) -> None:
     """Help the induction: the coder knows pulse and ages, also of the event in its first buffer."""
     unit = dut.unit
     first_of_open = group.first & group.is_open

@@ -429,7 +429,7 @@ class Schedule:
                 self._update(call)
         self._done.add(group)
         if group.put:
-            self._put(group, *group.put)
+            self._put(*group.put)
         elif group.instances:
             self._call(group)
         elif group.guarded:
@@ -446,7 +446,7 @@ class Schedule:
             self._copy(flop.output, into)
         into.append(Write(flop, names))
 
-    def _put(self, group: _Group, memory: Memory, store: Store) -> None:
+    def _put(self, memory: Memory, store: Store) -> None:
         for read in memory.reads:
             if read in self._owner:
                 self._update(self._owner[read])

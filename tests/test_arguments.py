@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every argument of the library's functions has an effect: another value gives another result.
+"""Every argument of the library's functions has an effect: another value gives another result. And
+no function of any room leaves an argument unread.
 
 An argument that a function takes and forgets gives no error. `test_option_words.py` does the same
 for the command line.
 """
 
+import ast
 from functools import cache
 from inspect import signature
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -267,3 +270,60 @@ def test_another_value_of_an_argument_gives_another_result(name):
         one = outcome(name, usual)
         assert one == outcome(name, usual), f"{argument}: not the same twice"
         assert one != outcome(name, usual | other), f"{argument}: has no effect"
+
+
+ROOT = Path(__file__).parents[1]
+ROOMS = "board flow formal hdl host lab model slices study tb tools src/coincid".split()
+# Arguments that others prescribe, by the name of the function.
+PRESCRIBED = {
+    "elaborate": {"platform"},  # Amaranth
+    "at": {"clock_mhz"},  # another view needs it
+    "receive": {"stream"},  # transports without streams of their own
+    "circuit": {"hits", "count", "threshold", "shape"},  # rules of coincidence
+    "read_alone": {"number"},  # a sequence has more pictures than one
+    "signs": {"threads"},  # of what is found in events
+    "light": {"workers"},
+    "_beats": {"stream"},  # the emulator has one stream
+    "__array_finalize__": {"other"},  # NumPy
+    "sample": {"ctx", "sample1"},  # Mitsuba
+    "eval_pdf": {"ctx"},
+    "_terminate": {"number", "frame"},  # of a signal
+    "transform_first_chunk": {"finishing"},  # Tornado
+    "events_csv": {"frame"},  # what the explorer saves
+    "_library": {"root"},  # a part of the key under which it is kept
+    "board_verilog": {"emulator"},  # a board
+    # Their own, and of no use there.
+    "believe": {"config"},
+    "_resampled": {"source"},
+}
+
+
+def is_empty(function):
+    """Return whether a function only says what others do: its body has nothing but texts, `...`, and
+    errors.
+    """
+    return all(
+        isinstance(one, ast.Raise | ast.Pass)
+        or (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))
+        for one in function.body
+    )
+
+
+def unread_arguments(function):
+    """Return the names of a function's arguments that nothing in it reads."""
+    given = function.args
+    names = {one.arg for one in (*given.posonlyargs, *given.args, *given.kwonlyargs)}
+    names |= {one.arg for one in (given.vararg, given.kwarg) if one is not None}
+    read = {one.id for part in function.body for one in ast.walk(part) if isinstance(one, ast.Name)}
+    return {name for name in names - read - {"self", "cls"} if not name.startswith("_")}
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_function_leaves_an_argument_unread(room):
+    unread = []
+    for path in sorted((ROOT / room).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and not is_empty(node):
+                for name in unread_arguments(node) - PRESCRIBED.get(node.name, set()):
+                    unread.append(f"{path.relative_to(ROOT)}: {node.name}({name})")
+    assert not unread

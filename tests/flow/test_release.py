@@ -428,6 +428,25 @@ def test_constraints_of_the_fpga_top_bound_the_skew_of_the_lines(releases):
     assert re.search(r"set_bus_skew -from \$lines -to .*\[expr 0\.5 \* \$tick\]", text)
 
 
+def test_constraints_of_the_fpga_top_have_a_clock_for_each_tick_of_half_a_cycle(releases):
+    """Clock j rises j ticks after clk; the lines are sampled on both of its edges."""
+    text = (releases / "fpga" / f"{FPGA_TOP}.sdc").read_text(encoding="utf-8")
+    period_ns = float(re.search(r"set period ([\d.]+)", text)[1])
+    made = re.findall(r"-name phase_(\d+) .*-waveform \{([\d.]+) ([\d.]+)\}", text)
+    phases = config("fpga").sensor.phases
+    assert [int(number) for number, _, _ in made] == list(range(1, phases // 2))
+    for number, rise_ns, fall_ns in made:
+        assert float(rise_ns) == pytest.approx(int(number) * period_ns / phases, rel=1e-4)
+        assert float(fall_ns) - float(rise_ns) == pytest.approx(period_ns / 2, rel=1e-4)
+
+
+def test_the_smoke_test_takes_no_undefined_bit_for_a_right_one():
+    """A check whose comparison is undefined would pass."""
+    for line in (ROOT / "flow" / "smoke_bench.vh").read_text(encoding="utf-8").splitlines():
+        if re.search(r"\bcheck\((?!input|whole)", line):
+            assert "===" in line, line
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     "sensor",
