@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every argument of the library's functions has an effect: another value gives another result. And
-no function of any room leaves an argument unread.
+"""Every argument of the library's functions has an effect: another value gives another result. No
+function of any room leaves an argument unread, and none takes the setting of the first subgroup for
+that of all.
 
 An argument that a function takes and forgets gives no error. `test_option_words.py` does the same
 for the command line.
@@ -16,6 +17,7 @@ import pytest
 from attrs import astuple
 
 import coincid
+from coincid.model.contract.settings import SUBGROUP
 from coincid.model.light.link_budget import Optics
 from coincid.model.light.photons import edge_chunks
 from coincid.model.light.spad import SpadGate
@@ -327,3 +329,22 @@ def test_no_function_leaves_an_argument_unread(room):
                 for name in unread_arguments(node) - PRESCRIBED.get(node.name, set()):
                     unread.append(f"{path.relative_to(ROOT)}: {node.name}({name})")
     assert not unread
+
+
+# Where all subgroups have the same settings.
+ALIKE = {"lab/bound.py", "study/advise.py"}
+
+
+def test_no_function_takes_the_setting_of_the_first_subgroup_for_that_of_all():
+    found = set()
+    for room in ROOMS:
+        for path in sorted((ROOT / room).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if (
+                    isinstance(node, ast.Subscript)
+                    and isinstance(node.value, ast.Attribute)
+                    and node.value.attr in SUBGROUP
+                    and isinstance(node.slice, ast.Constant)
+                ):
+                    found.add(str(path.relative_to(ROOT)))
+    assert found == ALIKE
