@@ -294,9 +294,6 @@ PRESCRIBED = {
     "events_csv": {"frame"},  # what the explorer saves
     "_library": {"root"},  # a part of the key under which it is kept
     "board_verilog": {"emulator"},  # a board
-    # Their own, and of no use there.
-    "believe": {"config"},
-    "_resampled": {"source"},
 }
 
 

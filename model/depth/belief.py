@@ -90,7 +90,7 @@ class Signs(NamedTuple):
     seen: np.ndarray
 
 
-def believe(signs: Signs, config: Config, method: str) -> tuple[np.ndarray, np.ndarray]:
+def believe(signs: Signs, method: str) -> tuple[np.ndarray, np.ndarray]:
     """Return (confidence, reason), [rows, cols].
 
     confidence: float64, the probability that a depth is right. reason: uint8, its `Reason`.

@@ -136,7 +136,7 @@ def estimate_depth(
         )
         signs = found.signs(config, threads)
     tick_m, confidence = config.tick_m, found.sure.copy()
-    confidence[:, :, 0], reason = believe(signs, config, found.law)
+    confidence[:, :, 0], reason = believe(signs, found.law)
     error_m, slope_m = (
         None if part is None else part * tick_m for part in (found.error, found.slope)
     )

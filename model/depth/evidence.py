@@ -267,17 +267,13 @@ def _lose(law: Law, events: SubgroupEvents, e: int, lost: np.ndarray, k0: int, k
     have fired after the stamp's tick.
     """
     here = slice(k0 * law.lights, k1 * law.lights)
-    dropping = np.int64(events.overrun[e])
-    stored = np.float32(not dropping)
+    stored = np.float32(not events.overrun[e])
     alive = law.alive
     heard = law.heard[0, here]
-    cycle = events.stamp[e] // law.phases
-    late = law.sharp[dropping, 0, cycle]
-    early = law.sharp[dropping, 1, cycle]
+    late, early, between = _sharp_before(law, events, e)
     since = law.fired[_by_tick(law, events.since[e], k0, k1)]
     quiet = law.fired[_by_tick(law, events.quiet[e], k0, k1)]
     known = law.fired[_by_tick(law, events.known[e], k0, k1)]
-    between = max(events.quiet[e], min(events.known[e], (cycle - 1) * law.phases))
     middle = law.fired[_by_tick(law, between, k0, k1)]
     told_until = events.stamp[e] + (law.window if law.mapped else 1)
     told = law.fired[_by_tick(law, told_until, k0, k1)]
@@ -287,6 +283,17 @@ def _lose(law: Law, events: SubgroupEvents, e: int, lost: np.ndarray, k0: int, k
         earlier = late * (known[j] - middle[j]) + early * (middle[j] - quiet[j])
         alone = stored * heard[j] * (quiet[j] - since[j])
         lost[j] += in_window + earlier + alone
+
+
+@part
+def _sharp_before(law: Law, events: SubgroupEvents, e: int) -> tuple[np.float32, np.float32, int]:
+    """Return the chances that a photon of the cycle before the stamp of event e, or of an earlier
+    one, would make the stamp earlier; and the tick from which on the former holds.
+    """
+    cycle = events.stamp[e] // law.phases
+    dropping = np.int64(events.overrun[e])
+    between = max(events.quiet[e], min(events.known[e], (cycle - 1) * law.phases))
+    return law.sharp[dropping, 0, cycle], law.sharp[dropping, 1, cycle], between
 
 
 @part
@@ -474,17 +481,13 @@ def _row(
     likelihood of no hit, which all pixels get. What precedes the hit is as in `_lose`.
     """
     here = slice(k0 * law.lights, k1 * law.lights)
-    dropping = np.int64(events.overrun[e])
-    stored = np.float32(not dropping)
+    stored = np.float32(not events.overrun[e])
     alive = law.alive
     heard = law.heard[0, here]
-    cycle = events.stamp[e] // law.phases
-    late = law.sharp[dropping, 0, cycle]
-    early = law.sharp[dropping, 1, cycle]
+    late, early, between = _sharp_before(law, events, e)
     since = law.fired[_by_tick(law, events.since[e], k0, k1)]
     quiet = law.fired[_by_tick(law, events.quiet[e], k0, k1)]
     known = law.fired[_by_tick(law, events.known[e], k0, k1)]
-    between = max(events.quiet[e], min(events.known[e], (cycle - 1) * law.phases))
     middle = law.fired[_by_tick(law, between, k0, k1)]
     begin = law.fired[_by_tick(law, hit.begin, k0, k1)]
     own = law.fired[_by_tick(law, hit.own, k0, k1)]

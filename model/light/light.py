@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 from attrs import field, frozen
-from attrs.validators import instance_of, optional
 from numpy.typing import ArrayLike
 
 from ..shared.errors import InputError, check_integer
-from ..shared.pulse import Pulse
+from ..shared.pulse import Pulse, pulse_of
 from ..shared.quantities import Numbers, check_choice, given, real, real_array
 
 # detected, per pixel; our preset: a level at which thresholds are selective
@@ -40,9 +39,9 @@ def background_cps(klux: Numbers, reflectivity: ArrayLike = REFERENCE_REFLECTIVI
     independent of its distance. The level is our preset. Raises `InputError`.
     """
     checked_klux = real_array("klux", klux, np.shape(klux), 0)
-    rate_cps = (
-        BACKGROUND_CPS_PER_KLUX * checked_klux * (np.asarray(reflectivity) / REFERENCE_REFLECTIVITY)
-    )
+    relative = np.asarray(reflectivity) / REFERENCE_REFLECTIVITY
+    with np.errstate(over="ignore"):  # `Light` refuses an infinite rate
+        rate_cps = BACKGROUND_CPS_PER_KLUX * checked_klux * relative
     return rate_cps if rate_cps.ndim else float(rate_cps)
 
 
@@ -154,7 +153,7 @@ class Light:
     range_ambiguity: bool = True
     arrivals: Arrivals | None = None
     interferer: Interferer | None = None
-    pulse: Pulse | None = field(default=None, validator=optional(instance_of(Pulse)))
+    pulse: Pulse | None = field(default=None, converter=pulse_of)
 
     def __attrs_post_init__(self) -> None:
         check_integer("rows", self.rows, 1, 4096)

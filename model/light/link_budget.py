@@ -184,7 +184,7 @@ def link_budget(
         "E": (signal_per_pulse, background_rate_cps * sbr_window_s),
         "F": (signal_per_pulse, background_live_cps * sbr_window_s),
     }[sbr_reading]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         sbr_db = 10 * np.log10(np.divide(signal, background))
     return LinkBudget(
         distance_m=_plain(distance_m),

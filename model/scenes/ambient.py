@@ -40,7 +40,7 @@ def ambient_klux(source: Ambient, rows: int, cols: int) -> Numbers:
     if source.count("|") == 1 and not os.path.exists(source):
         low, high = (_klux(source, part) for part in source.split("|"))
         return np.broadcast_to(np.where(np.arange(cols) < cols // 2, low, high), (rows, cols))
-    return _resampled(source, _read_klux(source), rows, cols)
+    return _resampled(_read_klux(source), rows, cols)
 
 
 def told_klux(source: Ambient) -> float | str:
@@ -88,7 +88,7 @@ def _read_klux(source: str) -> np.ndarray:
         return np.asarray(picture, np.float64) * (white_klux / WHITE[picture.mode])
 
 
-def _resampled(source: str, samples: np.ndarray, rows: int, cols: int) -> np.ndarray:
+def _resampled(samples: np.ndarray, rows: int, cols: int) -> np.ndarray:
     """float64[rows, cols]: the mean of the samples that each pixel covers."""
     full_height, full_width = samples.shape
     top, left, height, width = centre_crop(full_height, full_width, rows, cols)

@@ -30,7 +30,8 @@ def metres(path: FilePath, samples: np.ndarray, unit: str) -> np.ndarray:
             KINECT_NUMERATOR / (KINECT_END - np.minimum(raw, KINECT_END - 1)),
             np.nan,
         )
-    values = samples.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signaling NaN is no depth, either
+        values = samples.astype(np.float64)
     if stored.startswith(DISPARITY):
         return _from_disparities(path, values, unit)
     return values / (PER_METRE[stored] if stored in PER_METRE else int(stored.removeprefix("1/")))

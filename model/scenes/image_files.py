@@ -79,7 +79,7 @@ def read_tags(path: FilePath) -> Tags:
                 no_data=float(told) if told else None,
                 is_lossy=picture.format in LOSSY,
             )
-    except (OSError, ValueError, SyntaxError):
+    except Exception:  # Pillow raises any of a damaged file
         return Tags()  # the reader of the samples knows more formats, and tells what is wrong
 
 

@@ -4,6 +4,7 @@
 import csv
 import os
 import tempfile
+import textwrap
 import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from .spool import Block, Spool
 
 FilePath: TypeAlias = str | os.PathLike[str]
 NPY_START = b"\x93NUMPY"  # first bytes of a file with a single array
+SAID_MAX = 200  # letters of what a library says of a damaged file, which may contain parts of it
 
 
 @contextmanager
@@ -51,7 +53,7 @@ def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
 @contextmanager
 def reading(path: FilePath, what: str) -> Iterator[None]:
     """Make an `InputError` of whatever a missing or damaged file causes in the libraries that
-    read it.
+    read it. What they say becomes one line of at most `SAID_MAX` letters.
     """
     try:
         yield
@@ -60,7 +62,8 @@ def reading(path: FilePath, what: str) -> Iterator[None]:
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except Exception as error:
-        raise InputError(f"{path}: is not a readable {what} ({error})") from None
+        said = textwrap.shorten(str(error), SAID_MAX, placeholder=" ...")
+        raise InputError(f"{path}: is not a readable {what} ({said})") from None
 
 
 def write_csv(path: FilePath, rows: Iterable[Iterable[object]]) -> None:

@@ -29,11 +29,6 @@ SHOWN = (*SWEPT, "bits", "link_load", "wrong_share_15cm", "frames_per_s", "mean_
 CANDIDATES = 4  # number of returns shown per pixel, the chosen one first
 
 
-def metres_per_tick(config: Config) -> float:
-    """Return the distance in metres that a tick stands for: light goes there and back."""
-    return config.tick_m
-
-
 @frozen(kw_only=True)
 class ObjectView:
     """Results of an object. distance_m, reflectivity: medians. signal: median of the photons per
@@ -113,7 +108,7 @@ class FrameView:
     @property
     def range_m(self) -> float:
         """Range of a laser period in metres."""
-        return self.config.period_ticks * metres_per_tick(self.config)
+        return self.config.period_ticks * self.config.tick_m
 
     def subgroup_of(self, row: int, col: int) -> int:
         """Return the subgroup of a pixel. Raises `InputError`."""
@@ -137,7 +132,7 @@ class FrameView:
     def event_bins(self) -> np.ndarray:
         """int64[events]: the histogram bin of each event's arrival."""
         return np.minimum(
-            self.events.arrival * metres_per_tick(self.config) / HISTOGRAM_BIN_M,
+            self.events.arrival * self.config.tick_m / HISTOGRAM_BIN_M,
             self.histogram_bins - 1,
         ).astype(np.int64)
 
@@ -176,7 +171,7 @@ def _sun_share(events: Events, scene: Scene, config: Config, pulse: PulseTicks) 
     without events.
     """
     subgroup_of = pixel_table(config.sensor).subgroup
-    arrival = scene.distance_m.reshape(config.sensor.array_pixels, -1) / metres_per_tick(config)
+    arrival = scene.distance_m.reshape(config.sensor.array_pixels, -1) / config.tick_m
     reach = pulse.reach if pulse.times else LIGHT_SIGMAS * pulse.sigma
     alone = 0
     for s in range(config.sensor.subgroups):

@@ -118,7 +118,7 @@ def test_what_is_refused(make, says):
 
 def test_the_presets_are_what_a_board_needs():
     of = load_config("emulator")
-    assert Emulator.of(of).clocks_per_bit == 33 and pll(of.clock_mhz).feedback == 4
+    assert Emulator.of(of).clocks_per_bit == 29 and pll(of.clock_mhz).feedback == 7
     assert load_config("emulator-axi").sensor.subgroups > of.sensor.subgroups
 
 

@@ -18,6 +18,9 @@ from coincid.model.shared.errors import InputError
 from .test_brought_files import HOLE, SHAPE, content, exr, npy, png
 
 WALL_MM = np.full(SHAPE, 4000, np.uint16)
+SEED = 20261127  # of damages
+DAMAGES = 60  # of each file
+HEAD_BYTES = 400  # in which they are
 
 
 def tiff(path, samples, **tags):
@@ -241,6 +244,35 @@ def test_damaged_files_of_every_kind(tmp_path):
             content(tmp_path / path.rpartition("/")[2], whole[: int(share * len(whole))])
             with pytest.raises(InputError, match=re.escape(path)):
                 load_scene(path, *SHAPE)
+
+
+def test_a_file_with_some_wrong_bytes_is_a_scene_or_an_error_of_one_line(tmp_path):
+    """Except for MATLAB files, whose reader in SciPy does not survive all of them."""
+    rng = np.random.default_rng(SEED)
+    for path in written(tmp_path):
+        if path.endswith(".mat"):
+            continue
+        with open(path, "rb") as file:
+            whole = file.read()
+        for _ in range(DAMAGES):
+            damaged = np.frombuffer(whole, np.uint8).copy()
+            at = rng.integers(0, min(len(whole), HEAD_BYTES), rng.integers(1, 4))
+            damaged[at] = rng.choice([0, 1, 127, 128, 255], len(at))
+            content(tmp_path / path.rpartition("/")[2], damaged.tobytes())
+            try:
+                with np.errstate(all="raise"):
+                    load_scene(path, *SHAPE)
+            except InputError as error:
+                assert "\n" not in str(error) and len(str(error)) < 600, path
+
+
+def test_a_signaling_nan_is_no_depth(tmp_path):
+    """As some programs write it; a conversion to double tells it as invalid."""
+    samples = np.full(SHAPE, 4, np.float32)
+    samples.view(np.uint32)[1, 2] = 0x7FA00000
+    with np.errstate(all="raise"):
+        truth_m = load_scene(npy(tmp_path / "d.npy", samples), *SHAPE).truth_m
+    assert np.isnan(truth_m[1, 2]) and np.sum(truth_m == 4) == truth_m.size - 1
 
 
 def test_a_file_is_a_file_whatever_its_name(tmp_path, monkeypatch):
