@@ -190,8 +190,11 @@ class Driver:
         """
         pending = changes(writes, self.programmed)
         for address, values in runs(pending):
+            written = {address + 4 * i: value for i, value in enumerate(values)}
+            for one in written:  # not known if the write fails on its way
+                self.programmed.pop(one, None)
             self._write(address, *values)
-            self.programmed |= {address + 4 * i: value for i, value in enumerate(values)}
+            self.programmed |= written
         return len(pending)
 
     def start(self) -> None:

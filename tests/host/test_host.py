@@ -8,7 +8,15 @@ import pytest
 
 from coincid.host.driver import Driver, FrameAssembler, Status, find, read_sensor
 from coincid.host.mapped_memory import MemoryTransport
-from coincid.host.transport import ERRORS, STATUS, HostError, RefusedError, runs
+from coincid.host.transport import (
+    ERRORS,
+    STATUS,
+    HostError,
+    RefusedError,
+    read_block,
+    runs,
+    write_block,
+)
 from coincid.model.contract import registers
 from coincid.model.contract.config import parse_config, sensor_table
 from coincid.model.contract.counters import COUNTER_NAMES
@@ -133,6 +141,51 @@ def test_names_and_ranges_are_checked_before_the_bus(key, value, says):
     with pytest.raises(InputError, match=says):
         Driver(memory, SENSOR)[key] = value
     assert not memory.written
+
+
+class Failing(Memory):
+    """A transport whose line fails after so many writes, once."""
+
+    def __init__(self, after):
+        super().__init__()
+        self.after = after
+
+    def write(self, at, value):
+        self.after -= 1
+        if self.after == -1:
+            raise HostError("the line is lost")
+        super().write(at, value)
+
+
+def test_what_a_write_left_when_it_failed_is_not_taken_for_known():
+    """Neither the words that it wrote, nor those that it did not: both configurations can be
+    programmed afterwards.
+    """
+    before = config(frame={"period": 99}, subgroup={"threshold": 3})
+    after = config(frame={"period": 80, "pulses": 7}, subgroup={"threshold": 2, "window": 9})
+    changed = Driver(Memory(), SENSOR)
+    changed.program(before)
+    number = changed.program(after)
+    assert number > 4
+    for failing in range(number):
+        for again in (before, after):
+            memory = Failing(10**6)
+            driver = Driver(memory, SENSOR)
+            driver.program(before)
+            memory.after = failing
+            with pytest.raises(HostError):
+                driver.program(after)
+            driver.program(again)
+            for at, value in again.register_writes():
+                assert memory.words[at] == value, (failing, at)
+
+
+def test_blocks_are_words_one_after_the_other_where_a_transport_has_no_faster_way():
+    memory = Memory()
+    first = address("threshold", 0)
+    write_block(memory, first, [5, 6, 7])
+    assert memory.written == [(first, 5), (first + 4, 6), (first + 8, 7)]
+    assert read_block(memory, first, 3) == [5, 6, 7]
 
 
 def test_only_what_changes_is_written():
