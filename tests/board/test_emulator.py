@@ -5,6 +5,7 @@ line.
 The RTL runs behind its pins as a library.
 """
 
+import itertools
 import re
 from functools import partial
 from pathlib import Path
@@ -23,7 +24,7 @@ from coincid.board.parameters import (
     own_address,
 )
 from coincid.board.run import Session
-from coincid.board.serial_link import ESCAPE, FLAG, Answer, Operation
+from coincid.board.serial_link import ESCAPE, FLAG, FLIP, Answer, Operation
 from coincid.board.serial_transport import Deframer, SerialTransport, frame
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.board.source_model import SourceSettings, source_edges
@@ -353,9 +354,9 @@ def test_no_emulator():
 
 def test_frames_of_bytes():
     rng = np.random.default_rng(1)
-    bodies = [rng.integers(0, 256, n).astype(np.uint8).tobytes() for n in range(2, 60)] + [
-        bytes([FLAG, ESCAPE] * 9)
-    ]
+    bodies = [rng.integers(0, 256, n).astype(np.uint8).tobytes() for n in range(2, 60)]
+    special = (FLAG, ESCAPE, FLAG ^ FLIP, ESCAPE ^ FLIP)  # also what looks like an escaped byte
+    bodies += [bytes(pair * 9) for pair in itertools.product(special, repeat=2)]
     line, deframer, found = b"".join(map(frame, bodies)), Deframer(), []
     for at in range(0, len(line), 7):
         found += deframer.add(line[at : at + 7])

@@ -7,7 +7,9 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -160,6 +162,25 @@ def test_failed_build_is_no_build(tmp_path, error):
     )
     assert (made / "content").read_text(encoding="utf-8") == "whole"
     assert not list(tmp_path.glob("*.part*"))
+
+
+def test_what_several_need_at_once_is_built_once(tmp_path):
+    """The others wait for the first, and take what it has built."""
+    together = threading.Barrier(3)
+    built = []
+
+    def make(scratch):
+        built.append(scratch)
+        time.sleep(0.2)
+        (scratch / "content").write_text("whole", encoding="utf-8")
+
+    def ask(number):
+        together.wait(60)
+        return (build_once(tmp_path / "thing", make) / "content").read_text(encoding="utf-8")
+
+    with ThreadPoolExecutor(3) as pool:
+        assert list(pool.map(ask, range(3))) == ["whole"] * 3
+    assert len(built) == 1
 
 
 def test_what_yosys_makes_is_made_once_and_again_after_any_change(tmp_path, monkeypatch):
