@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Seeds of arrays that are no squares: rows and columns are alike."""
+
+import numpy as np
+import pytest
+
+from coincid.model.depth.seeds import find_seeds, seed_scores
+
+TIMES, WALL = 64, 30
+
+
+def seeds_of(level, light):
+    """Return the choices of the pixels, and their scores."""
+
+    def blocks(work):
+        work(0, len(level))
+
+    seeds = find_seeds(level, light, blocks)
+    return seeds.bin, seed_scores(level, light, seeds, blocks)
+
+
+def weak_wall(rows, cols):
+    """Return levels of noise with a wall that is weaker than the noise, and lights."""
+    rng = np.random.default_rng(rows)
+    level = rng.normal(0, 1, (rows, cols, TIMES)).astype(np.float32)
+    level[:, :, WALL] += 1.5
+    return level, rng.integers(3, 6, level.shape).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(6, 24), (24, 6)])
+def test_neighbours_help_everywhere(rows, cols):
+    level, light = weak_wall(rows, cols)
+    alone = level.argmax(axis=2) == WALL
+    together = np.abs(seeds_of(level, light)[0] - WALL) <= 1
+    assert alone.mean() < 0.5
+    for half in (np.s_[:, : cols // 2], np.s_[:, cols // 2 :], np.s_[: rows // 2], np.s_[rows // 2 :]):
+        assert together[half].mean() > 0.9
+
+
+def test_an_array_on_its_side_has_the_same_seeds():
+    level, light = weak_wall(6, 24)
+    choices, scores = seeds_of(level, light)
+    on_its_side = seeds_of(*(np.ascontiguousarray(one.swapaxes(0, 1)) for one in (level, light)))
+    assert np.mean(choices == on_its_side[0].T) > 0.9
+    assert np.mean(np.isclose(scores, on_its_side[1].T, atol=0.1)) > 0.9
