@@ -4,12 +4,14 @@
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.stats import poisson
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.depth.arrivals import photons_of
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import SOURCES, subgroup_histograms
+from coincid.model.depth.peaks import _poisson_cdf
 from coincid.model.depth.pulse_ticks import PulseTicks
 from coincid.model.depth.quality import (
     TOLERANCE_M,
@@ -147,6 +149,14 @@ def test_two_returns_of_one_pixel():
             np.isnan(estimate_depth(flat, config, method=method, returns=2).depth_m[:, :, 1]).mean()
             > 0.95
         )
+
+
+@pytest.mark.parametrize("mean", (1e-3, 0.4, 7.0))
+def test_accidents_are_as_frequent_as_poissons_law_says(mean):
+    """The chance of at most so many hits, from which the confidence of further returns follows."""
+    cdf = getattr(_poisson_cdf, "py_func", _poisson_cdf)  # as it is where nothing is compiled
+    for count in range(12):
+        assert cdf(float(count), mean) == pytest.approx(poisson.cdf(count, mean), rel=1e-12)
 
 
 def test_frames_are_told_apart():
