@@ -109,7 +109,7 @@ CALLS = {
     "unit": lambda value: coincid.simulate(None, np.full((8, 12), 5.0), unit=value, **SMALL),
     "missing": lambda value: coincid.simulate(None, "flat:5", missing=value, **SMALL),
     "spad": lambda value: coincid.simulate(None, "flat:5", spad=value, **SMALL),
-    "pulse": lambda value: coincid.Light(
+    "pulse of a light": lambda value: coincid.Light(
         rows=2, cols=3, distance_m=5.0, signal_per_pulse=1.0, pulse=value
     ),
     "seed": lambda value: coincid.simulate(None, "flat:5", seed=value, **SMALL),

@@ -130,10 +130,7 @@ OTHERS = {  # words of a command that differ from those of `WORDS`
     ("emulator", "config"): "--config emulator-axi",
 }
 ALL = typer.main.get_command(app).commands
-PARAMETERS = {
-    name: [one.name for one in ALL[name].params]
-    for name in COMMANDS
-}
+PARAMETERS = {name: [one.name for one in ALL[name].params] for name in COMMANDS}
 
 
 class DoneError(Exception):
@@ -231,12 +228,7 @@ def test_every_command_with_options_is_here():
 
 @pytest.mark.parametrize(
     ("name", "parameter"),
-    [
-        (name, one)
-        for name in COMMANDS
-        for one in PARAMETERS[name]
-        if (name, one) not in ELSEWHERE
-    ],
+    [(name, one) for name in COMMANDS for one in PARAMETERS[name] if (name, one) not in ELSEWHERE],
 )
 def test_every_option_changes_what_is_done(work, tmp_path, name, parameter):
     pulse = tmp_path / "pulse.csv"

@@ -33,7 +33,12 @@ def test_neighbours_help_everywhere(rows, cols):
     alone = level.argmax(axis=2) == WALL
     together = np.abs(seeds_of(level, light)[0] - WALL) <= 1
     assert alone.mean() < 0.5
-    for half in (np.s_[:, : cols // 2], np.s_[:, cols // 2 :], np.s_[: rows // 2], np.s_[rows // 2 :]):
+    for half in (
+        np.s_[:, : cols // 2],
+        np.s_[:, cols // 2 :],
+        np.s_[: rows // 2],
+        np.s_[rows // 2 :],
+    ):
         assert together[half].mean() > 0.9
 
 
