@@ -2,7 +2,7 @@
 """Driver of the sensor: registers by name, configurations, and whole frames, over any transport."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -166,9 +166,11 @@ class Driver:
     def __setitem__(self, key: Key, value: int) -> None:
         """Write a register. Raises `InputError` before anything is sent, or `RefusedError`."""
         word = self._word(key)
-        self._write(word.address, word.checked(value))
+        number = word.checked(value)
         if word.register.access is Access.SETTING:
-            self.programmed[word.address] = int(value)
+            self._write_settings(word.address, [number])
+        else:
+            self._write(word.address, number)
 
     def _word(self, key: Key) -> Word:
         """Return the word of the register map that `key` names. Raises `InputError`."""
@@ -190,12 +192,16 @@ class Driver:
         """
         pending = changes(writes, self.programmed)
         for address, values in runs(pending):
-            written = {address + 4 * i: value for i, value in enumerate(values)}
-            for one in written:  # not known if the write fails on its way
-                self.programmed.pop(one, None)
-            self._write(address, *values)
-            self.programmed |= written
+            self._write_settings(address, values)
         return len(pending)
+
+    def _write_settings(self, address: int, values: Sequence[int]) -> None:
+        """Write consecutive settings. They are not known if the write fails on its way."""
+        written = {address + 4 * i: value for i, value in enumerate(values)}
+        for one in written:
+            self.programmed.pop(one, None)
+        self._write(address, *values)
+        self.programmed |= written
 
     def start(self) -> None:
         """Begin a frame. Raises `RefusedError` with the reasons if the sensor's checks refuse

@@ -180,6 +180,19 @@ def test_what_a_write_left_when_it_failed_is_not_taken_for_known():
                 assert memory.words[at] == value, (failing, at)
 
 
+def test_a_setting_whose_write_failed_is_written_again():
+    """The sensor may have got it, and only the answer was lost."""
+    memory = Failing(10**6)
+    driver = Driver(memory, SENSOR, fresh=True)
+    driver["period"] = 99
+    memory.after = 0
+    with pytest.raises(HostError):
+        driver["period"] = 50
+    memory.words[address("period")] = 50
+    driver.write_settings([(address("period"), 99)])
+    assert memory.words[address("period")] == 99
+
+
 def test_blocks_are_words_one_after_the_other_where_a_transport_has_no_faster_way():
     memory = Memory()
     first = address("threshold", 0)
