@@ -20,6 +20,7 @@ from coincid.model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from coincid.model.golden.frame import golden_result
 
 from ..random_cases import SENSORS, configured, random_edges
+from .equal import assert_equal_depths
 
 METHODS = (PLANES, *PEAKS)
 SENSOR = {"rows": 16, "cols": 16, "phases": 16}
@@ -56,11 +57,6 @@ def of_one(run, number):
                 alone[name] = result[name][rows]
         alone[pulse] = alone[pulse] - number * PULSES
     return alone, run.config.with_frame(frames=1)
-
-
-def assert_equal_depths(one, other):
-    assert np.array_equal(one.depth_m, other.depth_m, equal_nan=True)
-    assert np.array_equal(one.confidence, other.confidence)
 
 
 def test_all_frames_together_are_one_long_frame(three_frames):
@@ -183,9 +179,7 @@ def test_more_returns_leave_the_earlier_ones(three_frames, method):
     result, config = three_frames.result, three_frames.config
     two = estimate_depth(result, config, method=method, returns=2)
     four = estimate_depth(result, config, method=method, returns=4)
-    assert np.array_equal(two.depth_m, four.depth_m[:, :, :2], equal_nan=True)
-    assert np.array_equal(two.confidence, four.confidence[:, :, :2])
-    assert np.array_equal(two.reason, four.reason)
+    assert_equal_depths(two, four, ("depth_m", "confidence", "reason"), returns=2)
 
 
 @pytest.mark.parametrize("method", PEAKS)
