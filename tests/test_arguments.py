@@ -317,14 +317,21 @@ def unread_arguments(function):
     return {name for name in names - read - {"self", "cls"} if not name.startswith("_")}
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_no_function_leaves_an_argument_unread(room):
-    unread = []
+def code_of(room):
+    """Yield the nodes of the syntax of a room's files, each with the name of its file."""
     for path in sorted((ROOT / room).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.FunctionDef) and not is_empty(node):
-                for name in unread_arguments(node) - PRESCRIBED.get(node.name, set()):
-                    unread.append(f"{path.relative_to(ROOT)}: {node.name}({name})")
+            yield str(path.relative_to(ROOT)), node
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_function_leaves_an_argument_unread(room):
+    unread = [
+        f"{file}: {node.name}({name})"
+        for file, node in code_of(room)
+        if isinstance(node, ast.FunctionDef) and not is_empty(node)
+        for name in unread_arguments(node) - PRESCRIBED.get(node.name, set())
+    ]
     assert not unread
 
 
@@ -333,15 +340,13 @@ ALIKE = {"lab/bound.py", "study/advise.py"}
 
 
 def test_no_function_takes_the_setting_of_the_first_subgroup_for_that_of_all():
-    found = set()
-    for room in ROOMS:
-        for path in sorted((ROOT / room).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if (
-                    isinstance(node, ast.Subscript)
-                    and isinstance(node.value, ast.Attribute)
-                    and node.value.attr in SUBGROUP
-                    and isinstance(node.slice, ast.Constant)
-                ):
-                    found.add(str(path.relative_to(ROOT)))
+    found = {
+        file
+        for room in ROOMS
+        for file, node in code_of(room)
+        if isinstance(node, ast.Subscript)
+        and isinstance(node.value, ast.Attribute)
+        and node.value.attr in SUBGROUP
+        and isinstance(node.slice, ast.Constant)
+    }
     assert found == ALIKE

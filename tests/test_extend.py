@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from amaranth.hdl import Module, Signal
 from amaranth.sim import Simulator
-from attrs import frozen
 
 import coincid
 from coincid.hdl.front_end_views import Polyphase
@@ -36,6 +35,7 @@ from coincid.study.sweep_spec import read_spec
 from coincid.tb.replay import replay
 
 from .commands import BLOCK
+from .told import Told
 
 PAGE = Path(__file__).parents[1] / "docs" / "extend.md"
 SHAPE = (8, 8)
@@ -168,24 +168,10 @@ def test_a_kept_point_is_not_taken_for_another_version(tmp_path):
     assert asked == ["1", "1", "2", "2"] and method_names()[-1] == "far"
 
 
-@frozen
-class At:
-    """An estimator that sees everything at one distance."""
-
-    distance_m: float
-    name: str = "at"
-    version: str = "1"
-    reads: tuple[str, ...] = ("opened",)
-
-    def estimate(self, reading):
-        sensor = reading.config.sensor
-        return Depth.of(np.full((sensor.rows, sensor.cols), self.distance_m))
-
-
 def test_estimators_of_one_name_with_other_parameters_have_frames_of_their_own():
     run = Run(Setup.of("flat:5,0.4", **SMALL))
     for distance_m in (3.0, 5.0):
-        frame = run.frame(0, At(distance_m))
+        frame = run.frame(0, Told(distance_m))
         assert np.all(frame.depth_m == distance_m)
         assert frame["wrong_share"] == (distance_m != 5.0)
 

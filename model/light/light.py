@@ -140,8 +140,8 @@ class Light:
     range_ambiguity: light from beyond the laser period falls into a later period, as if the
     laser had been running before; False: it is lost. arrivals: additional signal of any shape in
     time; its laser pulse has the width of the pixel's first target. interferer: another LiDAR.
-    pulse: measured shape of the signal at the TDC's input, instead of a Gaussian of
-    `system_fwhm_s`; the SPAD's jitter is in it, so no further jitter is drawn.
+    pulse: measured shape of the signal at the TDC's input (what `pulse_of` takes), instead of a
+    Gaussian of `system_fwhm_s`; the SPAD's jitter is in it, so no further jitter is drawn.
     """
 
     rows: int

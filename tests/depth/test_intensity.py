@@ -6,8 +6,9 @@ import pytest
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.depth.depth import Depth
 from coincid.model.scenes.scene import Scene
+
+from ..told import Told
 
 SIZE = 16
 SENSOR = {"rows": SIZE, "cols": SIZE, "streams": 4}
@@ -87,33 +88,11 @@ def test_a_return_within_the_dead_time_of_an_earlier_one_has_its_own_light():
     scene = Scene(name="pane", distance_m=distance_m, reflectivity=np.full(distance_m.shape, 0.4))
     setup = Setup.of(scene, klux=10, sensor=SENSOR, frame={"pulses": 500})
     run = Run(setup, workers=2)
-    found = run.depth(Panes(), returns=2).signal_per_pulse.mean(axis=(0, 1))
+    found = run.depth(Told((4.0, 4.9)), returns=2).signal_per_pulse.mean(axis=(0, 1))
     truth = run.light.signal_per_pulse.mean(axis=0)
     assert truth.min() > 0.3
     assert found == pytest.approx(truth, rel=0.05)
 
 
-class Panes:
-    """An estimator of a user's own that knows both distances, but no light."""
-
-    name = "panes"
-    version = "1"
-    reads = ()
-
-    def estimate(self, reading):
-        return Depth.of(np.broadcast_to([4.0, 4.9], (SIZE, SIZE, 2)))
-
-
-class Known:
-    """An estimator of a user's own that knows the distance, but no light."""
-
-    name = "known"
-    version = "1"
-    reads = ()
-
-    def estimate(self, reading):
-        return Depth.of(np.full((SIZE, SIZE), 4.0))
-
-
 def test_light_at_the_distances_of_an_estimator_of_a_users_own():
-    check_unbiased(wall_run(4.0, 0.1, threshold=2), method=Known())
+    check_unbiased(wall_run(4.0, 0.1, threshold=2), method=Told(4.0))

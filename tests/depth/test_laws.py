@@ -20,6 +20,7 @@ from coincid.model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from coincid.model.golden.frame import golden_result
 
 from ..random_cases import SENSORS, configured, random_edges
+from ..told import Told
 from .equal import assert_equal_depths
 
 METHODS = (PLANES, *PEAKS)
@@ -280,40 +281,16 @@ def test_events_of_all_frames_with_moving_gates_have_the_gates_of_their_own_fram
             np.testing.assert_array_equal(getattr(of_subgroup, name), alone)
 
 
-class Wall:
-    """An estimator that knows the distance."""
-
-    name = "wall"
-    version = "1"
-    reads = ("opened",)
-
-    def estimate(self, reading):
-        sensor = reading.config.sensor
-        return Depth.of(np.full((sensor.rows, sensor.cols), 5.0))
-
-
 @pytest.mark.parametrize("number", (None, 1))
 def test_the_light_at_known_distances_is_that_of_the_frame(number):
     """Of all frames together, or of one among others."""
     run = run_of("flat:5", frames=FRAMES)
-    found = run.depth(Wall(), frame=number).signal_per_pulse
+    found = run.depth(Told(5.0), frame=number).signal_per_pulse
     result, config = merged(run) if number is None else of_one(run, number)
-    alone = estimate_depth(result, config, method=Wall()).signal_per_pulse
+    alone = estimate_depth(result, config, method=Told(5.0)).signal_per_pulse
     assert np.allclose(found, alone, rtol=0.02, equal_nan=True)
     known = run.light.signal_per_pulse.mean()
     assert np.nanmedian(found) == pytest.approx(known, rel=0.5)
-
-
-class Same(Wall):
-    """An estimator of a user's own that gives the distances of a built-in one."""
-
-    name = "same"
-
-    def __init__(self, depth_m):
-        self.depth_m = depth_m
-
-    def estimate(self, reading):
-        return Depth.of(self.depth_m)
 
 
 @pytest.mark.parametrize("system_fwhm_s", (250e-12, 1.5e-9))
@@ -322,7 +299,7 @@ def test_the_light_at_the_same_distances_is_the_same_whose_estimator_it_is(
 ):
     given = {"config": three_frames.config, "frame": 1, "system_fwhm_s": system_fwhm_s}
     built_in = estimate_depth(three_frames.result, method="maximum", **given)
-    own = estimate_depth(three_frames.result, method=Same(built_in.depth_m), **given)
+    own = estimate_depth(three_frames.result, method=Told(built_in.depth_m), **given)
     known = built_in.signal_per_pulse
     assert np.nanmedian(known) > 0
     assert np.allclose(own.signal_per_pulse, known, rtol=1e-6, equal_nan=True)

@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from attrs import frozen
 from numba.core.dispatcher import Dispatcher
 
 from coincid.lab.campaign import FinishedFiles, Processes, campaign, grouped, read_measures
@@ -20,7 +19,6 @@ from coincid.lab.outcomes import Run, StageCache
 from coincid.lab.setup import Setup, fingerprint, seeded
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.packet import FORMATS, RECORD, layout
-from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.quality import wrong_share
 from coincid.model.golden.frame import golden_result
@@ -29,6 +27,8 @@ from coincid.model.scenes.scene import Scene
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.interrupts import worker_processes
 from coincid.model.shared.pulse import Pulse
+
+from ..told import Told
 
 SMALL = {
     "sensor": {"rows": 8, "cols": 24, "streams": 2},
@@ -288,20 +288,10 @@ def test_setups_that_share_the_words_of_the_rtl_come_out_as_alone():
 
 def test_pixels_without_a_truth_are_in_no_share():
     """Half of the pixels are holes, and all depths are wrong."""
-
-    @frozen
-    class Elsewhere:
-        name: str = "elsewhere"
-        version: str = "1"
-        reads: tuple[str, ...] = ("opened",)
-
-        def estimate(self, reading):
-            return Depth.of(np.full((8, 8), 9.0))
-
     distance_m = np.full((8, 8), 5.0)
     distance_m[:, ::2] = np.nan
     scene = Scene(name="holes", distance_m=distance_m, reflectivity=np.full((8, 8), 0.4))
     setup = Setup.of(scene, sensor={"rows": 8, "cols": 8}, frame={"pulses": 5})
-    run = Run(setup.but(estimators=(Elsewhere(),)))
+    run = Run(setup.but(estimators=(Told(9.0),)))
     for measure in ("off_surface_share", "wrong_share", "wrong_share_15cm"):
         assert run[measure] == 1.0, measure
