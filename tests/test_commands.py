@@ -6,10 +6,9 @@ says by what.
 import ast
 import re
 import tomllib
-from importlib.metadata import packages_distributions, requires
+from importlib.metadata import packages_distributions
 
 import pytest
-from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from .commands import (
@@ -28,13 +27,13 @@ from .commands import (
     table,
     uncovered,
 )
+from .imports import imported, others_behind, packages_of, source_of
 
 LISTS = ("explorer", "cluster", "extras")
 ENTRIES = ("test", "called", "ci", "pages", "by_hand")
 DO = "add it to tests/commands.toml, best as a step of a session, which tests/test_documented.py plays"
 CI = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 PROGRAMS_OF_PAGES = ROOT / "docs" / "pages.toml"
-OURS = ("coincid", "docs")  # packages
 
 
 @pytest.fixture(scope="module")
@@ -185,42 +184,6 @@ def test_a_command_is_played_by_what_it_means(named, line, fits):
     assert bool(pattern_of(named).fullmatch(line)) is fits
 
 
-def source_of(module):
-    """Return the file of a module of this project, or None."""
-    package, *parts = module.split(".")
-    folders = (ROOT / "docs",) if package == "docs" else (ROOT, ROOT / "src" / "coincid")
-    for folder in folders:
-        path = folder.joinpath(*parts)
-        for file in (path.with_suffix(".py"), path / "__init__.py"):
-            if parts and file.exists():
-                return file
-    return None
-
-
-def package_of(path):
-    """Return the package of a file, as the parts of its name."""
-    parts = path.relative_to(ROOT).parts[:-1]
-    if parts[0] == "src":
-        return parts[1:]
-    return parts if parts[0] == "docs" else ("coincid", *parts)
-
-
-def imported(nodes, path):
-    """Yield the modules that some statements of a file import."""
-    package = package_of(path)
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        if not isinstance(node, ast.ImportFrom):
-            continue
-        base = node.module or ""
-        if node.level:
-            base = ".".join([*package[: len(package) - node.level + 1], *filter(None, [base])])
-        yield base
-        if base.startswith(OURS):
-            yield from (f"{base}.{alias.name}" for alias in node.names)
-
-
 def imported_under_extras():
     """Return extra -> modules that are imported in a block `with extra(...)`."""
     found = {}
@@ -238,44 +201,6 @@ def extra_of(block):
         if isinstance(call, ast.Call) and ast.unparse(call.func) == "extra":
             return call.args[0].value
     return None
-
-
-def others_behind(modules):
-    """Return the packages of others that some modules import when they are imported, directly or
-    through modules of ours.
-    """
-    others, todo, done = set(), list(modules), set()
-    while todo:
-        name = todo.pop()
-        if name in done:
-            continue
-        done.add(name)
-        if not name.startswith(OURS):
-            others.add(name.partition(".")[0])
-        elif path := source_of(name):
-            todo += imported(ast.parse(path.read_text(encoding="utf-8")).body, path)
-    return others
-
-
-def packages_of(extra):
-    """Return the packages that the project and one of its extras bring."""
-    wanted = {canonicalize_name(name) for name in ("coincid", "setuptools")}
-    todo = [Requirement(f"coincid[{extra}]")]
-    done = set()
-    while todo:
-        one = todo.pop()
-        key = (canonicalize_name(one.name), *sorted(one.extras))
-        if key in done:
-            continue
-        done.add(key)
-        wanted.add(key[0])
-        for line in requires(one.name) or ():
-            more = Requirement(line)
-            if more.marker is None or any(
-                more.marker.evaluate({"extra": name}) for name in ("", *one.extras)
-            ):
-                todo.append(more)
-    return wanted
 
 
 @pytest.mark.parametrize(("extra", "modules"), imported_under_extras().items())

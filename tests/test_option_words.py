@@ -18,7 +18,6 @@ from coincid.board import release as board_release
 from coincid.board import run as board_run
 from coincid.cli import app
 from coincid.flow import fpga_module, lint, pnr, release, synth
-from coincid.flow.layout import document
 from coincid.flow.layout import tools as layout_tools
 from coincid.formal import prove
 from coincid.lab import setup as lab_setup
@@ -34,7 +33,9 @@ from coincid.study.explore import server
 from coincid.tb import replay
 
 from .command import command
+from .needs import imported
 
+document = imported("layout", "coincid.flow.layout.document")
 SMALL = "--set rows=8 --set cols=8 --set pulses=4 --set period=60"
 NONE = np.zeros(0, np.int64)
 NO_EDGES = Edges(NONE, NONE, NONE)
@@ -121,6 +122,7 @@ ARGUMENTS = {  # no options
     ("emulate", "port"): "--port a",
     ("emulate", "simulate"): "--port a",
 }
+NEEDS = {"layout": "layout"}  # name: what it needs beside `make test`
 ELSEWHERE = {("emulator", "page")}  # behind a placement
 OTHERS = {  # words of a command that differ from those of `WORDS`
     ("replay", "engine"): "--engine sliced",  # the usual one is the golden model
@@ -195,7 +197,8 @@ def work(monkeypatch, tmp_path):
     monkeypatch.setattr(release, "write_release", begin)
     monkeypatch.setattr(synth, "write_synthesis_page", begin)
     monkeypatch.setattr(layout_tools, "layout_cells", noted_then(None))
-    monkeypatch.setattr(document, "write_layout_page", begin)
+    if document:
+        monkeypatch.setattr(document, "write_layout_page", begin)
     monkeypatch.setattr(fpga_module, "fpga_module", noted_then("a board"))
     monkeypatch.setattr(pnr, "place", noted_then(()))
     monkeypatch.setattr(pnr, "write_placement_page", begin)
@@ -228,7 +231,12 @@ def test_every_command_with_options_is_here():
 
 @pytest.mark.parametrize(
     ("name", "parameter"),
-    [(name, one) for name in COMMANDS for one in PARAMETERS[name] if (name, one) not in ELSEWHERE],
+    [
+        pytest.param(name, one, marks=[pytest.mark.needs(NEEDS[name])] if name in NEEDS else [])
+        for name in COMMANDS
+        for one in PARAMETERS[name]
+        if (name, one) not in ELSEWHERE
+    ],
 )
 def test_every_option_changes_what_is_done(work, tmp_path, name, parameter):
     pulse = tmp_path / "pulse.csv"
