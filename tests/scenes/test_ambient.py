@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from coincid.model.scenes.ambient import ambient_klux
-from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.catalogue import load_scene, usual_klux
 from coincid.model.scenes.scene import scene_light
 from coincid.model.shared.errors import InputError
 
@@ -17,6 +17,11 @@ def test_numbers_and_halves():
     assert ambient_klux("50", 4, 4) == ambient_klux(50, 4, 4) == 50
     half = ambient_klux("2|100", 3, 6)
     assert np.all(half[:, :3] == 2) and np.all(half[:, 3:] == 100)
+
+
+@pytest.mark.parametrize("name", ["sun-and-shade", "tunnel"])
+def test_a_scene_in_full_sun_is_so_with_its_parameter(name):
+    assert usual_klux(name) == usual_klux(f"{name}:0.04") > usual_klux("flat") == usual_klux("flat:5")
 
 
 def test_array_in_klux_takes_the_mean_of_what_a_pixel_covers(tmp_path):

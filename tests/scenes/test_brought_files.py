@@ -210,6 +210,12 @@ def test_disparities_of_kitti(tmp_path):
         load_scene(path, *SHAPE, unit="disparity:184704,0.54,0,5000")
 
 
+def test_the_offset_of_a_disparity_is_in_pixels_however_many_numbers_a_pixel_has(tmp_path):
+    numbers = np.full(SHAPE, round((800 * 0.2 / 4 - 3) * 16), np.uint16)
+    path = png(tmp_path / "d.png", numbers)
+    assert np.all(load_scene(path, *SHAPE, unit="disparity/16:800,0.2,3").truth_m == 4)
+
+
 def test_nyus_raw_files_are_recognized(tmp_path):
     """The toolbox swaps the bytes of the raw PGM files, and turns the Kinect's 11 bits into
     metres.

@@ -76,6 +76,21 @@ def test_the_photons_are_those_of_the_histograms():
     assert np.nanmedian(np.abs(run.depth().depth_m[:, :, 0] - WALL_M)) < 0.02
 
 
+def test_photons_of_a_bin_come_while_it_lasts():
+    """As likely at its beginning as at its end. So few that no SPAD is dead."""
+    late = np.zeros((*SHAPE, 8))
+    late[:, :, 5] = 0.05 * PULSES
+    bin_ps = 4000.0
+    edges = Setup(
+        config=CONFIG,
+        scene=load_scene(late, *SHAPE, bin_ps=bin_ps, recorded_pulses=PULSES),
+        klux=0.0,
+    ).photons.edges()
+    bins = (edges.tick + 0.5) * CONFIG.tick_s * 1e12 / bin_ps
+    assert bins.mean() == pytest.approx(5.5, abs=0.1)
+    assert bins.std() == pytest.approx(12**-0.5, abs=0.05)
+
+
 def test_unknown_pulses_are_scaled_to_the_light_of_the_sensor():
     for factor in (1, 7):
         scene = load_scene(factor * counts(), *SHAPE, bin_ps=BIN_PS)
