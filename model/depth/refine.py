@@ -11,9 +11,13 @@ peak is, and these are summed without a lean (one step of Newton's method for al
 The more neighbours, the smaller this error, until the surface has another shape. So two shapes are fitted to
 discs of growing size, a plane and a curved surface:
 
-- The curved surface says how far the plane is off. What exceeds the noise of this difference is
-  bias of the plane; it grows with the area of the disc, so large discs tell it for small ones, too.
-- A smaller disc says how far the curved surface is off.
+- The curved surface says how far the plane is off. What the square of this difference exceeds its
+  noise by is bias of the plane; it grows with the area of the disc, so large discs tell it for small
+  ones, too.
+- A smaller disc says in the same way how far the curved surface is off.
+
+Such an excess of one pixel is one sample of a random number. So the pixels around it share theirs:
+negative ones count, too, and on a plane their mean is near 0.
 
 If the peaks around a pixel scatter by more than their likelihoods tell, the variance grows as much: some
 of them are of other surfaces, or the shape is another one.
@@ -29,6 +33,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from ..shared.compiled import njit, part
 from .lens import Lens, find_lens, no_lens, seen_at
@@ -46,8 +51,11 @@ CURVED_TICKS = 1.0  # by which the plane of a pixel may miss its peak, because i
 AGREE_SIGMAS = 2.5  # of the difference of two discs' curved surfaces, at most,
 AGREE_TICKS = 0.1  # and so much more
 SMALLER = 2  # discs from one to the smaller one that says how far its curved surface is off
-SMALLER_GROWTH = 1.8  # from the squared difference of these two to the squared bias
-GROWTH = 1.15  # of the standard error, because the disc is chosen by the same peaks
+SMALLER_GROWTH = 4.0  # from the excess of this difference to the squared bias
+SIDE = 7  # pixels, of the square in which they share what exceeds the noise
+SHARE_LEAST = 0.5 / SIDE**2  # of its pixels: less than one
+SHARED = 6.0  # weight of their mean; that of the pixel's own is 1
+GROWTH = 1.1  # of the standard error, because the disc is chosen by the same peaks
 ERROR_TICKS = 0.06  # what the likelihood leaves out, at any number of photons
 MOVE_TICKS = 3.0  # by which a time changes, at most
 DISCS = (0, 1, 2, 5, 10, 17, 26, 37, 50, 68)  # squared radii, pixels
@@ -101,9 +109,24 @@ class _Work(NamedTuple):
     sums: np.ndarray  # float64[TERMS + 1, TERMS + 1], products of the terms and of the peaks
     left: np.ndarray  # the same, while the terms are eliminated
     peaks: np.ndarray  # float64[1], number of the peaks
-    plane: np.ndarray  # _FIT[discs]
-    curved: np.ndarray  # _FIT[discs]
-    bias: np.ndarray  # float64[discs], squared bias of `curved`
+
+
+class _Fits(NamedTuple):
+    """The surfaces through the discs around each pixel, [rows, cols, discs]."""
+
+    plane: np.ndarray  # _FIT
+    curved: np.ndarray  # _FIT
+    first: np.ndarray  # int64[rows, cols], first disc with a peak
+    end: np.ndarray  # int64[rows, cols], the one after the last that agrees with the smaller ones
+
+
+class _Excess(NamedTuple):
+    """By how much squared differences exceed their noise, float64[rows, cols, discs], squared
+    ticks; NaN: there are no two surfaces.
+    """
+
+    plane: np.ndarray  # from the plane to the curved surface of the disc
+    curved: np.ndarray  # from the curved surface to that of a smaller disc
 
 
 class _Chosen(NamedTuple):
@@ -120,42 +143,79 @@ def refine(field: Field, planes: Planes, blocks: Blocks) -> Refined:
     shape = planes.time.shape
     peaks = _Peaks(np.empty(shape), np.empty(shape))
     blocks(partial(_find_peaks, field, planes, peaks))
-    rows = shape[0]
-    discs = len(DISCS)
-    work = _Work(
-        sums=np.empty((rows, TERMS + 1, TERMS + 1)),
-        left=np.empty((rows, TERMS + 1, TERMS + 1)),
-        peaks=np.empty((rows, 1)),
-        plane=np.empty((rows, discs), _FIT),
-        curved=np.empty((rows, discs), _FIT),
-        bias=np.empty((rows, discs)),
-    )
     near = _neighbours()
+    surfaces = partial(_surfaces, field, peaks, near, _room_for(*shape), blocks)
     lens = no_lens(*shape)
-    first = _room_for(planes)
-    blocks(partial(_fit, field, planes, peaks, lens, near, work, first))
+    first = surfaces(planes, lens)
     blocks(partial(_follow_slopes, field, first.planes, peaks))
     lens = find_lens(peaks.time, peaks.bend)
     if lens.there:  # again, because the first surfaces were of another shape
         blocks(partial(_find_peaks, field, planes, peaks))
-        blocks(partial(_fit, field, planes, peaks, lens, near, work, first))
+        first = surfaces(planes, lens)
         blocks(partial(_follow_slopes, field, first.planes, peaks))
-    second = _room_for(planes)
-    blocks(partial(_fit, field, first.planes, peaks, lens, near, work, second))
-    return second
+    return surfaces(first.planes, lens)
 
 
-def _room_for(planes: Planes) -> Refined:
-    """Return room for the refined `planes`."""
-    shape = planes.time.shape
-    refined = Planes(
-        time=np.empty(shape),
-        down=np.empty(shape),
-        right=np.empty(shape),
-        score=planes.score,
-        new=planes.new,
+class _Room(NamedTuple):
+    """Memory that all fits use."""
+
+    work: _Work
+    fits: _Fits
+    excess: _Excess
+
+
+def _room_for(rows: int, cols: int) -> _Room:
+    """Return the room for the fits of so many pixels."""
+    discs = len(DISCS)
+    return _Room(
+        work=_Work(
+            sums=np.empty((rows, TERMS + 1, TERMS + 1)),
+            left=np.empty((rows, TERMS + 1, TERMS + 1)),
+            peaks=np.empty((rows, 1)),
+        ),
+        fits=_Fits(
+            plane=np.empty((rows, cols, discs), _FIT),
+            curved=np.empty((rows, cols, discs), _FIT),
+            first=np.empty((rows, cols), np.int64),
+            end=np.empty((rows, cols), np.int64),
+        ),
+        excess=_Excess(np.empty((rows, cols, discs)), np.empty((rows, cols, discs))),
     )
-    return Refined(refined, np.empty(shape))
+
+
+def _surfaces(
+    field: Field,
+    peaks: _Peaks,
+    near: _Neighbours,
+    room: _Room,
+    blocks: Blocks,
+    planes: Planes,
+    lens: Lens,
+) -> Refined:
+    """Return the surfaces through the peaks."""
+    blocks(partial(_fit, field, planes, peaks, lens, near, room.work, room.fits))
+    blocks(partial(_find_excess, room.fits, room.excess))
+    shared = _Excess(*map(_mean_around, room.excess))
+    shape = planes.time.shape
+    refined = Refined(
+        planes=planes._replace(time=np.empty(shape), down=np.empty(shape), right=np.empty(shape)),
+        error=np.empty(shape),
+    )
+    blocks(partial(_refine, planes, near, room.fits, room.excess, shared, refined))
+    return refined
+
+
+def _mean_around(values: np.ndarray) -> np.ndarray:
+    """Return the mean of the numbers in the square around each pixel.
+
+    values: float64[rows, cols, discs]. NaN does not count, and comes back where there is nothing
+    else.
+    """
+    there = ~np.isnan(values)
+    square = (SIDE, SIDE, 1)
+    total = uniform_filter(np.where(there, values, 0.0), square, mode="constant")
+    share = uniform_filter(there.astype(np.float64), square, mode="constant")
+    return np.divide(total, share, out=np.full(values.shape, np.nan), where=share > SHARE_LEAST)
 
 
 def _neighbours() -> _Neighbours:
@@ -238,18 +298,58 @@ def _fit(
     lens: Lens,
     near: _Neighbours,
     work: _Work,
+    fits: _Fits,
+    begin: int,
+    end: int,
+) -> None:
+    """Fit both surfaces to the discs around the pixels of some rows."""
+    for r in range(begin, end):
+        own = _Work(work.sums[r], work.left[r], work.peaks[r])
+        for c in range(planes.time.shape[1]):
+            _fit_discs(field, planes, peaks, lens, near, r, c, own, fits)
+
+
+@njit(allocates=False)
+def _find_excess(fits: _Fits, excess: _Excess, begin: int, end: int) -> None:
+    """Compute the excess of the discs around the pixels of some rows."""
+    excess.plane[begin:end] = np.nan
+    excess.curved[begin:end] = np.nan
+    for r in range(begin, end):
+        for c in range(fits.first.shape[1]):
+            first = fits.first[r, c]
+            for disc in range(first, fits.end[r, c]):
+                curved = fits.curved[r, c, disc]
+                plane = fits.plane[r, c, disc]
+                excess.plane[r, c, disc] = _exceeds(curved, plane)
+                if disc - SMALLER >= first:
+                    smaller = fits.curved[r, c, disc - SMALLER]
+                    excess.curved[r, c, disc] = _exceeds(smaller, curved)
+
+
+@part
+def _exceeds(noisy: Any, other: Any) -> float:
+    """Return by how much the squared difference of two fits exceeds its noise; the peaks of
+    `noisy`, which has the larger variance, are those of the other or some of them.
+    """
+    off = noisy.off - other.off
+    return float(off * off - max(0.0, noisy.variance - other.variance))
+
+
+@njit(allocates=False)
+def _refine(
+    planes: Planes,
+    near: _Neighbours,
+    fits: _Fits,
+    excess: _Excess,
+    shared: _Excess,
     refined: Refined,
     begin: int,
     end: int,
 ) -> None:
-    """Compute the refined planes of some rows."""
+    """Compute the refined planes of some rows. shared: mean excess of the pixels around each."""
     for r in range(begin, end):
-        own = _Work(
-            work.sums[r], work.left[r], work.peaks[r], work.plane[r], work.curved[r], work.bias[r]
-        )
         for c in range(planes.time.shape[1]):
-            first, number = _fit_discs(field, planes, peaks, lens, near, r, c, own)
-            best = _choose(near.bounds, first, number, own)
+            best = _choose(near.bounds, fits, excess, shared, r, c)
             moved = 1.0 if abs(best.off) <= MOVE_TICKS else 0.0
             refined.planes.time[r, c] = planes.time[r, c] + moved * best.off
             refined.planes.down[r, c] = planes.down[r, c] + moved * best.down
@@ -268,30 +368,32 @@ def _fit_discs(
     r: int,
     c: int,
     own: _Work,
-) -> tuple[int, int]:
-    """Fit both surfaces to the discs around pixel (r, c), until two of them do not agree.
-
-    Return the first disc with a peak, and the one after the last that agrees.
-    """
+    fits: _Fits,
+) -> None:
+    """Fit both surfaces to the discs around pixel (r, c), until two of them do not agree."""
     own.sums[:] = 0
     own.peaks[0] = 0
+    curved = fits.curved[r, c]
     first = 0
     done = 0
     for disc in range(len(near.bounds)):
         for k in range(done, near.bounds[disc]):
             _add_pixel(field, planes, peaks, lens, near, k, r, c, own)
         done = near.bounds[disc]
+        fits.first[r, c] = first
+        fits.end[r, c] = disc
         if own.sums[LEVEL, LEVEL] == 0:
             first = disc + 1
             continue
-        _solve(own, FLAT, own.plane[disc])
-        _solve(own, 0, own.curved[disc])
+        _solve(own, FLAT, fits.plane[r, c, disc])
+        _solve(own, 0, curved[disc])
         for smaller in range(first, disc):
-            off = own.curved[disc].off - own.curved[smaller].off
-            noise = max(0.0, own.curved[smaller].variance - own.curved[disc].variance)
+            off = curved[disc].off - curved[smaller].off
+            noise = max(0.0, curved[smaller].variance - curved[disc].variance)
             if abs(off) > AGREE_SIGMAS * np.sqrt(noise) + AGREE_TICKS:
-                return first, disc
-    return first, len(near.bounds)
+                return
+    fits.first[r, c] = first
+    fits.end[r, c] = len(near.bounds)
 
 
 @part
@@ -383,43 +485,55 @@ def _solve(own: _Work, first: int, fit: Any) -> None:
 
 
 @part
-def _choose(bounds: np.ndarray, first: int, number: int, own: _Work) -> _Chosen:
-    """Return the estimate with the smallest error, among the discs from the `first` to `number`.
+def _choose(
+    bounds: np.ndarray, fits: _Fits, excess: _Excess, shared: _Excess, r: int, c: int
+) -> _Chosen:
+    """Return the estimate of pixel (r, c) with the smallest error, among its discs.
 
     An estimate is between the plane and the curved surface, the nearer to the latter the larger
     the bias of the former.
     """
-    for disc in range(first, number):
-        own.bias[disc] = 0.0
-        if disc - SMALLER >= first:
-            smaller = own.curved[disc - SMALLER]
-            off = own.curved[disc].off - smaller.off
-            noise = smaller.variance - own.curved[disc].variance
-            own.bias[disc] = SMALLER_GROWTH * max(0.0, off * off - noise)
+    first = fits.first[r, c]
+    end = fits.end[r, c]
     best = _Chosen(0.0, 0.0, 0.0, np.inf)
     least = np.inf
     plane_bias = 0.0  # squared, of the plane of the disc
     pixels = 1.0  # of the disc before
-    for disc in range(number - 1, first - 1, -1):
-        plane = own.plane[disc]
-        curved = own.curved[disc]
+    for disc in range(end - 1, first - 1, -1):
+        plane = fits.plane[r, c, disc]
+        curved = fits.curved[r, c, disc]
         noise = max(0.0, curved.variance - plane.variance)
         off = curved.off - plane.off
         plane_bias *= (bounds[disc] / pixels) ** 2
-        plane_bias = max(plane_bias, off * off - noise)
+        plane_bias = max(plane_bias, _with_others(excess.plane, shared.plane, r, c, disc))
         pixels = float(bounds[disc])
         share = plane_bias / (plane_bias + noise) if plane_bias > 0 else 0.0
         scatter = max(1.0, (curved.scatter + SCATTER_PRIOR) / (curved.free + SCATTER_PRIOR))
-        square = scatter * (plane.variance + share * noise) + share * own.bias[disc]
+        variance = scatter * (plane.variance + share * noise)
+        square = variance + share * _curved_bias(excess, shared, r, c, first, disc)
         if square < least:
             least = square
             most_bias = 0.0  # of a disc and all smaller ones: by chance, that of one may be small
             for smaller in range(first, disc + 1):
-                most_bias = max(most_bias, own.bias[smaller])
+                most_bias = max(most_bias, _curved_bias(excess, shared, r, c, first, smaller))
             best = _Chosen(
                 off=plane.off + share * off,
                 down=plane.down + share * (curved.down - plane.down),
                 right=plane.right + share * (curved.right - plane.right),
-                square=scatter * (plane.variance + share * noise) + share * most_bias,
+                square=variance + share * most_bias,
             )
     return best
+
+
+@part
+def _curved_bias(excess: _Excess, shared: _Excess, r: int, c: int, first: int, disc: int) -> float:
+    """Return the squared bias of the curved surface of a disc; 0 if no smaller disc tells it."""
+    if disc - SMALLER < first:
+        return 0.0
+    return SMALLER_GROWTH * max(0.0, _with_others(excess.curved, shared.curved, r, c, disc))
+
+
+@part
+def _with_others(own: np.ndarray, shared: np.ndarray, r: int, c: int, disc: int) -> float:
+    """Return the excess of a pixel and of those around it."""
+    return float((own[r, c, disc] + SHARED * shared[r, c, disc]) / (1 + SHARED))
