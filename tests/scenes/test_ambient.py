@@ -21,7 +21,9 @@ def test_numbers_and_halves():
 
 @pytest.mark.parametrize("name", ["sun-and-shade", "tunnel"])
 def test_a_scene_in_full_sun_is_so_with_its_parameter(name):
-    assert usual_klux(name) == usual_klux(f"{name}:0.04") > usual_klux("flat") == usual_klux("flat:5")
+    assert (
+        usual_klux(name) == usual_klux(f"{name}:0.04") > usual_klux("flat") == usual_klux("flat:5")
+    )
 
 
 def test_array_in_klux_takes_the_mean_of_what_a_pixel_covers(tmp_path):
