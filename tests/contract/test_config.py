@@ -449,3 +449,11 @@ def test_a_mask_ends_with_the_last_pixel(subgroup):
     for mask in (whole + 1, whole + 2, whole << 1):
         with pytest.raises(InputError, match=rf"hex digits below 2\^{rows * cols} "):
             parse_config({"sensor": sensor, "subgroup": {"mask": f"{mask:x}"}})
+
+
+def test_an_error_in_an_override_names_it():
+    """Not the setting of all subgroups, which is right."""
+    good = {"subgroups": [0], "threshold": 3}
+    bad = {"subgroups": [1], "threshold": 0}
+    with pytest.raises(InputError, match=r"^override\[1\]\.threshold = 0"):
+        parse_config({"override": [good, bad]})
