@@ -114,21 +114,21 @@ INTERFERENCE = dict(
     PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "8b5dccbaaec991a4"),
+    "library": (library, "40dde57fb7048450"),
     "sim": (sim, "5e131e47ec49e90c"),
-    "sweep": (sweep, "3b2e68c1378425c0"),
-    "explorer": (explorer, "87a15c90e436e402"),
+    "sweep": (sweep, "644d64eaf4ec3c2d"),
+    "explorer": (explorer, "394edfae110d700a"),
     "surfaces": (surface, "aa50220de1a3e5ed"),
     "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "642b6a697dbca78d"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "fa90db88bcc8293b",
+        "26f1161f4221702e",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
-        "2b079d403ec4196c",
+        "70521debf2199a4c",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "a0ae4720ce468905"),
+    "interference": (section(interference.interference, **INTERFERENCE), "c4ca990b34fa0a3c"),
 }
 
 
