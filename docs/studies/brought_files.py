@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures what the reading of depth pictures does to a wall, and what its library costs.
+"""Measures what the reading of depth pictures does to a wall, and how large its library is.
 
 `python -m docs.studies.brought_files` writes a table of docs/advise.md.
 """
 
-import subprocess
-import sys
 from importlib.metadata import files
 from pathlib import Path
 
@@ -30,10 +28,6 @@ SEED = 1
 PULSES = 2000
 BLOCK = 8  # pixels, of the means of which a wall is flat or bent
 LIBRARY = "OpenImageIO"
-IMPORTS = 5
-IMPORT = (
-    f"import numpy, time; t = time.perf_counter(); import {LIBRARY}; print(time.perf_counter() - t)"
-)
 
 
 def make() -> None:
@@ -54,7 +48,6 @@ def make() -> None:
         ),
         *_flatness(),
         (f"installation of {LIBRARY}", f"{_megabytes():.0f} MB"),
-        (f"import of {LIBRARY}", f"{1000 * _import_s():.0f} ms"),
     ]
     put(PAGE, REGION, text_table(("what", "result"), rows, left=(0, 1)))
 
@@ -95,21 +88,6 @@ def _z_m(depth: Depth, scene: Scene) -> np.ndarray:
 def _megabytes() -> float:
     installed = [Path(str(part.locate())) for part in files(LIBRARY) or []]
     return sum(path.stat().st_size for path in installed if path.exists()) / 1e6
-
-
-def _import_s() -> float:
-    """Return the median time of an import, after that of NumPy."""
-    seconds = []
-    for _ in range(IMPORTS):
-        done = subprocess.run(
-            [sys.executable, "-c", IMPORT],
-            capture_output=True,
-            text=True,
-            encoding="utf-8",
-            check=True,
-        )
-        seconds.append(float(done.stdout))
-    return float(np.median(seconds))
 
 
 if __name__ == "__main__":
