@@ -266,6 +266,19 @@ def test_the_recorder_sees_reads_of_all_processes(tmp_path):
     assert "pyproject.toml" in read.split() and "latency" in read
 
 
+def test_the_recorder_takes_no_folder_for_a_file(tmp_path):
+    """`shutil.rmtree` opens each folder by its name in the folder above."""
+    (tmp_path / "outer" / "inner").mkdir(parents=True)
+    code = "import shutil, sys; shutil.rmtree(sys.argv[1])"
+    environment = {
+        "PYTHONPATH": str(ROOT / "docs" / "recorder"),
+        "COINCID_READ": str(tmp_path / "read"),
+    }
+    command = [sys.executable, "-c", code, str(tmp_path / "outer")]
+    subprocess.run(command, cwd=ROOT, env=os.environ | environment, check=True)
+    assert "inner" not in (tmp_path / "read").read_text(encoding="utf-8").split()
+
+
 @pytest.mark.parametrize("name", CHEAP)
 def test_cheap_programs_write_what_the_pages_show(name, tmp_path):
     program = PAGES.programs[name]

@@ -27,8 +27,8 @@ def watch() -> None:
             return
         path = os.path.realpath(name)
         inner = os.path.relpath(path, ROOT)
-        if inner.startswith(("..", *SKIPPED)) or _for_a_digest():
-            return
+        if inner.startswith(("..", *SKIPPED)) or not os.path.isfile(path) or _for_a_digest():
+            return  # no folder, and no name in a folder elsewhere, as `shutil.rmtree` opens it
         seen.add(name)
         os.write(handle, f"{inner}\n".encode())
 
