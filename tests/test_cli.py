@@ -19,10 +19,12 @@ import pytest
 from typer.main import get_command
 
 from coincid.cli import Commands, app
+from coincid.flow.lint import findings
 from coincid.flow.register_files import HEADER, JSON, MARKDOWN
 from coincid.flow.release import CELLS_LIST
-from coincid.flow.waivers import OF_CELLS, OF_SENSOR
+from coincid.flow.waivers import CONTROL_FILE, OF_CELLS, OF_SENSOR
 from coincid.hdl.export import FILE_LIST
+from coincid.hdl.front_end_views import POLYPHASE
 from coincid.host.transport import HostError
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.edges import NAMES, Edges
@@ -508,6 +510,26 @@ def test_lint_is_clean(name):
     result = lint(SENSORS[name])
     assert result.exit_code == 0, result.output
     assert result.stdout.splitlines()[0] == "verilator: clean"
+
+
+def test_lint_tells_what_it_finds_in_each_top():
+    """Also in the first one, if the last one is clean."""
+    files = {
+        "odd.v": "module odd(output b); assign b = c; endmodule\n",
+        "clean.v": "module clean(output b); assign b = 1'b0; endmodule\n",
+        CONTROL_FILE: "`verilator_config\n",
+    }
+    found = findings(files, [("odd", ["odd.v"]), ("clean", ["clean.v"])], POLYPHASE)
+    assert set(found) == {"verilator", "icarus"}
+    assert all("odd.v" in said for said in found.values())
+
+
+@pytest.mark.parametrize("tool", ["verilator", "icarus"])
+def test_a_finding_of_any_tool_is_in_the_exit_code(monkeypatch, tool):
+    found = {"verilator": "", "icarus": ""} | {tool: "odd.v:1: odd"}
+    monkeypatch.setattr("coincid.flow.lint.lint", lambda *_: found)
+    result = lint(SENSORS["one"])
+    assert result.exit_code == 1 and "odd.v:1: odd" in result.output
 
 
 @pytest.mark.parametrize("view, own", [("polyphase", OF_SENSOR), ("async", OF_CELLS)])
