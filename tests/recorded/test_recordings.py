@@ -520,6 +520,17 @@ def test_a_divided_sync_in_the_header_of_t2(tmp_path):
     assert read_recording(path, sync_divider=1).sync.tolist() == [0, 0, 0, 1]
 
 
+def test_a_trigger_on_an_input_is_not_divided(tmp_path):
+    """The divider of the header is that of the sync input."""
+    events = sorted(
+        [(time, t2(0, 7, time)) for time in DIVIDED_PS.tolist()]
+        + [(time, t2(0, 3, time)) for time in PHOTONS_PS.tolist()]
+    )
+    path = ptu(tmp_path / "a.ptu", [record for _, record in events], HWSync_Divider=4)
+    found = read_recording(path, 7)
+    assert found.sync.tolist() == [0, 0, 0, 1] and "divider" not in found.kind
+
+
 def test_a_divided_sync_in_the_header_of_t3(tmp_path):
     """The device numbers the laser's pulses; times may go beyond the period of the laser."""
     records = [t3(0, 3, 3, 4), t3(0, 3, 28, 4), t3(0, 3, 78, 4), t3(0, 3, 3, 8)]

@@ -210,6 +210,16 @@ def test_disparities_of_kitti(tmp_path):
         load_scene(path, *SHAPE, unit="disparity:184704,0.54,0,5000")
 
 
+def test_the_sky_is_at_a_distance_before_the_scale(tmp_path):
+    distance_m = np.full(SHAPE, 4.0)
+    distance_m[0, 0] = 40.0
+    path = npy(tmp_path / "d.npy", distance_m)
+    halved = load_scene(path, *SHAPE, unit="m", sky_m=30, scale=0.5)
+    assert np.isnan(halved.truth_m[0, 0]) and np.nanmax(halved.truth_m) == 2
+    larger = load_scene(npy(tmp_path / "e.npy", distance_m[1:]), 3, 4, unit="m", sky_m=30, scale=10)
+    assert np.all(larger.truth_m == 40)
+
+
 def test_the_offset_of_a_disparity_is_in_pixels_however_many_numbers_a_pixel_has(tmp_path):
     numbers = np.full(SHAPE, round((800 * 0.2 / 4 - 3) * 16), np.uint16)
     path = png(tmp_path / "d.png", numbers)
