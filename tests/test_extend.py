@@ -204,6 +204,26 @@ def test_a_spad_that_is_always_ready_gets_the_photons_of_the_built_in_one():
     assert np.abs(own.tick - ready.tick)[own.pixel == ready.pixel].max() <= 1
 
 
+class Late(Ready):
+    """A SPAD whose avalanches come a microsecond after the photon."""
+
+    name = "late"
+
+    def edges_of(self, photons, *, pixels, seed):
+        return SpadTimes(photons.pixel, photons.time_s + 1e-6)
+
+
+def test_avalanches_between_two_periods_are_no_edges():
+    light = Light(rows=4, cols=4, distance_m=2.0, signal_per_pulse=0.5, background_cps=2e6)
+    delay_cycles = round(1e-6 * Timing().clock_hz)
+    for gap, share in ((2 * delay_cycles, 0), (delay_cycles - 40, 1)):
+        timing = Timing(period_cycles=40, frame_pulses=50, gap_cycles=gap)
+        ready = generate_edges(light, Ready(), timing, pulses=50, seed=5)
+        late = generate_edges(light, Late(), timing, pulses=50, seed=5)
+        assert len(ready) > 100
+        assert len(late) == pytest.approx(share * len(ready), rel=0.1)
+
+
 def touches(maps):
     return (maps[:, :, 1:] & maps[:, :, :-1]).any(axis=(1, 2)) | (maps[:, 1:] & maps[:, :-1]).any(
         axis=(1, 2)
