@@ -7,6 +7,7 @@ import pytest
 from coincid.lab.measures import MEASURES
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
+from coincid.model.scenes.catalogue import load_scene
 
 FRAMES = 3
 SENSOR = {"rows": 8, "cols": 24, "streams": 2, "fifo_depth": 2}
@@ -28,6 +29,16 @@ def test_every_measure_of_a_frame_is_that_of_the_frame_alone(run, number):
     assert among["beats"] > 20
     for name in MEASURES:
         assert among[name] == alone[name], name
+
+
+@pytest.mark.parametrize("number", [0, 1, -1])
+def test_a_frame_alone_has_the_picture_of_its_own(number):
+    """In a scene that moves: the truth of a later frame is not that of the first."""
+    pictures = np.full((FRAMES, 8, 8), 3.0) + np.arange(FRAMES)[:, None, None]
+    scene = load_scene(pictures, 8, 8)
+    frame = {"frames": FRAMES, "pulses": 4, "period": 60}
+    run = Run(Setup.of(scene, sensor={"rows": 8, "cols": 8}, frame=frame))
+    assert np.all(run.alone(number).scene.truth_m == pictures[number])
 
 
 def test_frames_have_all_edges_and_events_once(run):
