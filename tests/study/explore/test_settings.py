@@ -182,6 +182,15 @@ def test_an_uploaded_depth_picture_is_the_scene(tmp_path):
     assert np.all(check_settings({"scene": "upload"}, uploads).scene().truth_m == 4.0)
 
 
+def test_each_picture_of_an_uploaded_sequence_is_scaled(tmp_path):
+    pictures_m = np.full((3, 32, 32), 3.0) + np.arange(3)[:, None, None]
+    uploads = uploaded(tmp_path, "depth", "moves.npy", pictures_m)
+    scene = check_settings({"scene": "upload", "frames": 3, "scale": 2.0}, uploads).scene()
+    assert scene.pictures == 3
+    for frame in range(3):
+        assert np.all(scene.at(frame).truth_m == 2 * pictures_m[frame])
+
+
 def test_an_uploaded_picture_is_the_sun(tmp_path):
     grey = Image.fromarray(np.repeat(np.uint8([255, 0]), 32)[:, None].repeat(64, axis=1))
     settings = check_settings(
