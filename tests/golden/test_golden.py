@@ -80,9 +80,12 @@ def test_a_frame_in_pieces_is_the_frame(sensor, data):
     assert_same_trace(trace_of(of_streams, ending, fate), whole)
 
 
+@pytest.mark.parametrize("records", [False, True])
 @pytest.mark.parametrize("format_name", ["id", "full", "compact"])
-def test_a_frame_in_pieces_behind_a_slow_link_is_the_frame(format_name):
+def test_a_frame_in_pieces_behind_a_slow_link_is_the_frame(format_name, records):
+    """Events and records of several subgroups wait at the borders of the pieces."""
     frame = {"pulses": 30, "period": 40, "link_gbps": 3.0, "format": format_name}
+    frame["minigroup_records"] = records
     config = configured(SENSORS["default"], frame, {"threshold": 1, "window": 4})
     edges = trouble(config, 1, 6.0)
     whole = Golden(config.sensor).frame(config, edges)
