@@ -3,6 +3,7 @@
 look at them.
 """
 
+from importlib.metadata import version
 from pathlib import Path
 
 from coincid.flow.release import write_release
@@ -38,6 +39,7 @@ def small_releases() -> Path:
             release(folder / name, name)
 
     key = digest(
-        repr((SMALL, CLOCK_MHZ)), sources_digest("hdl", "flow", "model.contract", "model.shared")
+        repr((SMALL, CLOCK_MHZ, version("coincid"))),
+        sources_digest("hdl", "flow", "model.contract", "model.shared"),
     )
     return build_once(build_root() / "releases" / key, make)
