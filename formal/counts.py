@@ -181,7 +181,7 @@ def gates_are_legal(gates: Value) -> Value:
 
 
 def _cycles_obey(b: Bench, unit: MinigroupCounts, search: Search) -> Signal:
-    """Assume that hits come in consecutive cycles, which begin with the first one of a period.
+    """Assume that hits come in consecutive cycles, from the first cycle of a period on.
     Return whether this cycle is one of them.
     """
     in_order = Signal()

@@ -5,7 +5,7 @@ bring; read from the files, so that it is the same whatever is installed.
 
 import ast
 from functools import cache
-from importlib.metadata import requires
+from importlib.metadata import packages_distributions, requires
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -73,6 +73,14 @@ def others_behind(modules):
         elif path := source_of(name):
             todo += imported_by(path)
     return others
+
+
+_distributions = cache(packages_distributions)
+
+
+def distributions_of(module):
+    """Return the names of the installed distributions that a module comes with."""
+    return {canonicalize_name(name) for name in _distributions().get(module, ())}
 
 
 def packages_of(extra):

@@ -6,10 +6,8 @@ says by what.
 import ast
 import re
 import tomllib
-from importlib.metadata import packages_distributions
 
 import pytest
-from packaging.utils import canonicalize_name
 
 from .commands import (
     BLOCK,
@@ -27,7 +25,7 @@ from .commands import (
     table,
     uncovered,
 )
-from .imports import imported, others_behind, packages_of, source_of
+from .imports import distributions_of, imported, others_behind, packages_of, source_of
 
 LISTS = ("explorer", "cluster", "extras")
 ENTRIES = ("test", "called", "ci", "pages", "by_hand")
@@ -208,10 +206,9 @@ def test_an_extra_brings_what_its_block_imports(extra, modules):
     """Otherwise a missing package would be told with the name of an extra that does not install
     it.
     """
-    distributions = packages_distributions()
     brought = packages_of(extra)
     for module in others_behind(modules):
-        names = {canonicalize_name(name) for name in distributions.get(module, ())}
+        names = distributions_of(module)
         assert not names or names & brought, (
             f"{module} comes with {names}, not with coincid[{extra}]"
         )

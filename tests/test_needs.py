@@ -5,14 +5,13 @@ command that installs it.
 
 import ast
 import sys
-from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
 from packaging.utils import canonicalize_name
 
 from . import needs
-from .imports import others_behind, packages_of
+from .imports import distributions_of, others_behind, packages_of
 
 pytest_plugins = ["pytester"]  # runs of pytest inside a test
 
@@ -54,15 +53,14 @@ def _is_of_pytest(node: ast.expr) -> bool:
 
 def test_a_file_of_tests_is_imported_with_nothing_beside_make_test():
     """A file that cannot be imported is an error of the whole run, not a test that is skipped."""
-    distributions = packages_distributions()
     brought = packages_of("test")
     found = []
     for path in [TESTS / "conftest.py", *TESTS.rglob("test_*.py")]:
         module = ".".join(("coincid", *path.relative_to(TESTS.parent).with_suffix("").parts))
         for other in sorted(others_behind([module]) - sys.stdlib_module_names):
             # a module that is one compiled file has the name of its distribution
-            names = distributions.get(other, [other])
-            if not brought.intersection(map(canonicalize_name, names)):
+            names = distributions_of(other) or {canonicalize_name(other)}
+            if not names & brought:
                 found.append(f"{path.relative_to(TESTS)}: {other}")
     assert not found, f"use imported() of tests/needs.py, or import inside the test: {found}"
 

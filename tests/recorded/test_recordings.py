@@ -508,13 +508,18 @@ def test_a_divided_sync_among_absolute_times(tmp_path):
     assert whole.time_ps.tolist() == [3000, 28_000, 78_000, 3000]
 
 
-def test_a_divided_sync_in_the_header_of_t2(tmp_path):
-    """A divider in T2 removes syncs (MultiHarp 150, manual, WARNING_DIVIDER_GREATER_ONE)."""
+def divided_ptu(path, *, special, channel):
+    """Write the same as T2, with the divider in the header; special, channel: of the triggers."""
     events = sorted(
-        [(time, t2(1, 0, time)) for time in DIVIDED_PS.tolist()]
+        [(time, t2(special, channel, time)) for time in DIVIDED_PS.tolist()]
         + [(time, t2(0, 3, time)) for time in PHOTONS_PS.tolist()]
     )
-    path = ptu(tmp_path / "a.ptu", [record for _, record in events], HWSync_Divider=4)
+    return ptu(path, [record for _, record in events], HWSync_Divider=4)
+
+
+def test_a_divided_sync_in_the_header_of_t2(tmp_path):
+    """A divider in T2 removes syncs (MultiHarp 150, manual, WARNING_DIVIDER_GREATER_ONE)."""
+    path = divided_ptu(tmp_path / "a.ptu", special=1, channel=0)
     found = read_recording(path)
     assert found.sync.tolist() == [0, 1, 3, 4] and "sync divider 4" in found.kind
     assert read_recording(path, sync_divider=1).sync.tolist() == [0, 0, 0, 1]
@@ -522,11 +527,7 @@ def test_a_divided_sync_in_the_header_of_t2(tmp_path):
 
 def test_a_trigger_on_an_input_is_not_divided(tmp_path):
     """The divider of the header is that of the sync input."""
-    events = sorted(
-        [(time, t2(0, 7, time)) for time in DIVIDED_PS.tolist()]
-        + [(time, t2(0, 3, time)) for time in PHOTONS_PS.tolist()]
-    )
-    path = ptu(tmp_path / "a.ptu", [record for _, record in events], HWSync_Divider=4)
+    path = divided_ptu(tmp_path / "a.ptu", special=0, channel=7)
     found = read_recording(path, 7)
     assert found.sync.tolist() == [0, 0, 0, 1] and "divider" not in found.kind
 
