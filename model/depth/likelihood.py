@@ -33,6 +33,7 @@ from .evidence import (
 )
 from .histograms import Events, by_subgroup
 from .lights import add_light_chances, learned_prior, lights_near, mean_over_lights, prior_of_met
+from .others import OwnWindows, moves_with_others
 from .pulse_ticks import PulseTicks
 from .unheard import BLIND_MAX, Guess, Spread, Unheard
 
@@ -85,6 +86,14 @@ class _Frame(NamedTuple):
     def with_offsets(self) -> bool:
         """Whether offsets are used: for that, approximate times of the surfaces must be known."""
         return self.guess is not None and self.events.offset.shape[1] > 0
+
+    def with_others(self, s: int) -> bool:
+        """Whether the counts of the events of subgroup s tell of pixels that they do not name.
+
+        Without coincidence, an event is one photon.
+        """
+        unnamed = not self.events.mapped and self.events.window[s] > 1
+        return self.guess is not None and bool(unnamed)
 
 
 def log_likelihood(
@@ -157,6 +166,8 @@ def log_likelihood(
         mean_over_lights(
             common, pixels, own_prior, where[lights[s]], lightest, place[s], level, light
         )
+        if frame.with_others(s):
+            level[place[s]] += _moves(frame, s)
 
     if grid.prior is not None:
         prior = grid.prior
@@ -212,8 +223,7 @@ def _law(frame: _Frame, s: int) -> Law:
     span = int(frame.spans[s])
     widest = 1 << int(frame.spans.max() - 1).bit_length()  # one table for all subgroups
     margin, fired = fired_table(frame.pulse, frame.reach, step, widest, tuple(lights.tolist()))
-    noise = max(events.photon_rate[s] / config.sensor.pixels, QUIET_RATE)
-    alive = np.float32(1 - min(BLIND_MAX, noise * DEAD_S / config.tick_s))
+    noise, alive = _background(frame, s)
     kinds = 1 + int(frame.clusters[s].overrun.any())
 
     none = np.empty((0, 0), np.float32)
@@ -227,7 +237,7 @@ def _law(frame: _Frame, s: int) -> Law:
         origin=origin,
         lights=len(lights),
         noise=noise,
-        alive=alive,
+        alive=np.float32(alive),
         pulses=frame.pulses,
         heard=none,
         sharp=none,
@@ -236,7 +246,38 @@ def _law(frame: _Frame, s: int) -> Law:
     )
     return law._replace(
         heard=chances_to_be_heard(law, never.missed[:kinds, s], never.every, span),
-        sharp=alive * (1 - _blind_before(never.blind[:kinds, s], never.every, window, config)),
+        sharp=law.alive * (1 - _blind_before(never.blind[:kinds, s], never.every, window, config)),
+    )
+
+
+def _background(frame: _Frame, s: int) -> tuple[float, float]:
+    """Return the background photons per tick and pixel of subgroup s, and the share of the pulses in
+    which none of them has fired a pixel yet.
+    """
+    noise = max(frame.events.photon_rate[s] / frame.config.sensor.pixels, QUIET_RATE)
+    return noise, 1 - min(BLIND_MAX, noise * DEAD_S / frame.config.tick_s)
+
+
+def _moves(frame: _Frame, s: int) -> np.ndarray:
+    """float32[pixels, bins]: what the counts of the events of subgroup s say about the times."""
+    guess = frame.guess
+    assert guess is not None
+    noise, alive = _background(frame, s)
+    events = frame.events
+    return moves_with_others(
+        OwnWindows(
+            stamp=frame.clusters[s].stamp,
+            winner=frame.clusters[s].winner,
+            others=events.count[events.bounds[s] : events.bounds[s + 1]] - 1,
+        ),
+        int(events.window[s]),
+        frame.pulse,
+        noise,
+        alive,
+        frame.config.mask[s],
+        guess.time[s],
+        guess.light[s],
+        (frame.first[s][:, None] + np.arange(frame.bins) + 0.5) * frame.grid.step,
     )
 
 

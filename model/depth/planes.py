@@ -62,7 +62,8 @@ def find_surfaces(
     levels = _around(frame, near, prior, 1, first)
     prior = levels.prior
     fit = fitter.fit(levels, first)
-    if events.offset.shape[1]:  # what an offset says depends on the other pixels' surfaces
+    # What an offset says, or a count without a map, depends on the other pixels' surfaces.
+    if events.offset.shape[1] or not events.mapped:
         sharper = fitter.refined(fit).time
         near = near._replace(
             told=events, guess=_sharper_guess(frame, near.guess, levels, first, sharper)

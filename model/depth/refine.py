@@ -53,7 +53,6 @@ AGREE_TICKS = 0.1  # and so much more
 SMALLER = 2  # discs from one to the smaller one that says how far its curved surface is off
 SMALLER_GROWTH = 4.0  # from the excess of this difference to the squared bias
 SIDE = 7  # pixels, of the square in which they share what exceeds the noise
-SHARE_LEAST = 0.5 / SIDE**2  # of its pixels: less than one
 SHARED = 6.0  # weight of their mean; that of the pixel's own is 1
 GROWTH = 1.1  # of the standard error, because the disc is chosen by the same peaks
 ERROR_TICKS = 0.06  # what the likelihood leaves out, at any number of photons
@@ -195,27 +194,27 @@ def _surfaces(
     """Return the surfaces through the peaks."""
     blocks(partial(_fit, field, planes, peaks, lens, near, room.work, room.fits))
     blocks(partial(_find_excess, room.fits, room.excess))
-    shared = _Excess(*map(_mean_around, room.excess))
+    excess = _Excess(*map(_with_others, room.excess))
     shape = planes.time.shape
     refined = Refined(
         planes=planes._replace(time=np.empty(shape), down=np.empty(shape), right=np.empty(shape)),
         error=np.empty(shape),
     )
-    blocks(partial(_refine, planes, near, room.fits, room.excess, shared, refined))
+    blocks(partial(_refine, planes, near, room.fits, excess, refined))
     return refined
 
 
-def _mean_around(values: np.ndarray) -> np.ndarray:
-    """Return the mean of the numbers in the square around each pixel.
+def _with_others(own: np.ndarray) -> np.ndarray:
+    """Return the excess of each pixel, and with weight `SHARED` the mean of the square around it.
 
-    values: float64[rows, cols, discs]. NaN does not count, and comes back where there is nothing
-    else.
+    own: float64[rows, cols, discs]. NaN does not count, and stays NaN.
     """
-    there = ~np.isnan(values)
+    there = ~np.isnan(own)
     square = (SIDE, SIDE, 1)
-    total = uniform_filter(np.where(there, values, 0.0), square, mode="constant")
+    total = uniform_filter(np.where(there, own, 0.0), square, mode="constant")
     share = uniform_filter(there.astype(np.float64), square, mode="constant")
-    return np.divide(total, share, out=np.full(values.shape, np.nan), where=share > SHARE_LEAST)
+    mean = np.divide(total, share, out=np.full(own.shape, np.nan), where=there)
+    return (own + SHARED * mean) / (1 + SHARED)
 
 
 def _neighbours() -> _Neighbours:
@@ -341,15 +340,14 @@ def _refine(
     near: _Neighbours,
     fits: _Fits,
     excess: _Excess,
-    shared: _Excess,
     refined: Refined,
     begin: int,
     end: int,
 ) -> None:
-    """Compute the refined planes of some rows. shared: mean excess of the pixels around each."""
+    """Compute the refined planes of some rows."""
     for r in range(begin, end):
         for c in range(planes.time.shape[1]):
-            best = _choose(near.bounds, fits, excess, shared, r, c)
+            best = _choose(near.bounds, fits, excess, r, c)
             moved = 1.0 if abs(best.off) <= MOVE_TICKS else 0.0
             refined.planes.time[r, c] = planes.time[r, c] + moved * best.off
             refined.planes.down[r, c] = planes.down[r, c] + moved * best.down
@@ -485,9 +483,7 @@ def _solve(own: _Work, first: int, fit: Any) -> None:
 
 
 @part
-def _choose(
-    bounds: np.ndarray, fits: _Fits, excess: _Excess, shared: _Excess, r: int, c: int
-) -> _Chosen:
+def _choose(bounds: np.ndarray, fits: _Fits, excess: _Excess, r: int, c: int) -> _Chosen:
     """Return the estimate of pixel (r, c) with the smallest error, among its discs.
 
     An estimate is between the plane and the curved surface, the nearer to the latter the larger
@@ -505,17 +501,17 @@ def _choose(
         noise = max(0.0, curved.variance - plane.variance)
         off = curved.off - plane.off
         plane_bias *= (bounds[disc] / pixels) ** 2
-        plane_bias = max(plane_bias, _with_others(excess.plane, shared.plane, r, c, disc))
+        plane_bias = max(plane_bias, excess.plane[r, c, disc])
         pixels = float(bounds[disc])
         share = plane_bias / (plane_bias + noise) if plane_bias > 0 else 0.0
         scatter = max(1.0, (curved.scatter + SCATTER_PRIOR) / (curved.free + SCATTER_PRIOR))
         variance = scatter * (plane.variance + share * noise)
-        square = variance + share * _curved_bias(excess, shared, r, c, first, disc)
+        square = variance + share * _curved_bias(excess.curved[r, c], first, disc)
         if square < least:
             least = square
             most_bias = 0.0  # of a disc and all smaller ones: by chance, that of one may be small
             for smaller in range(first, disc + 1):
-                most_bias = max(most_bias, _curved_bias(excess, shared, r, c, first, smaller))
+                most_bias = max(most_bias, _curved_bias(excess.curved[r, c], first, smaller))
             best = _Chosen(
                 off=plane.off + share * off,
                 down=plane.down + share * (curved.down - plane.down),
@@ -526,14 +522,11 @@ def _choose(
 
 
 @part
-def _curved_bias(excess: _Excess, shared: _Excess, r: int, c: int, first: int, disc: int) -> float:
-    """Return the squared bias of the curved surface of a disc; 0 if no smaller disc tells it."""
+def _curved_bias(excess: np.ndarray, first: int, disc: int) -> float:
+    """Return the squared bias of the curved surface of a disc; 0 if no smaller disc tells it.
+
+    excess: of the curved surfaces of the pixel, float64[discs].
+    """
     if disc - SMALLER < first:
         return 0.0
-    return SMALLER_GROWTH * max(0.0, _with_others(excess.curved, shared.curved, r, c, disc))
-
-
-@part
-def _with_others(own: np.ndarray, shared: np.ndarray, r: int, c: int, disc: int) -> float:
-    """Return the excess of a pixel and of those around it."""
-    return float((own[r, c, disc] + SHARED * shared[r, c, disc]) / (1 + SHARED))
+    return float(SMALLER_GROWTH * max(0.0, excess[disc]))

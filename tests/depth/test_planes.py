@@ -103,6 +103,42 @@ def test_walls_with_few_hits_do_not_lean(scene, klux, threshold, pulses):
     assert abs(np.mean(leans_m)) < 0.0012
 
 
+@pytest.mark.parametrize(
+    ("distance_m", "reflectivity", "threshold"), [(8.07, 0.1, 3), (16.2, 0.4, 2)]
+)
+def test_walls_without_maps_do_not_lean(distance_m, reflectivity, threshold):
+    """Windows count if enough pixels fire, so their winners are early: 17 and 8 mm if the other
+    pixels' number told nothing.
+    """
+    setup = Setup.of(
+        f"flat:{distance_m},{reflectivity}",
+        klux=50.0,
+        sensor={"rows": 16, "cols": 16},
+        frame={"pulses": 1000, "format": "short", "link_gbps": 0},
+        subgroup={"threshold": threshold},
+    )
+    off_m = Run(setup).depth().depth_m[:, :, 0] - distance_m
+    assert abs(off_m.mean()) < 0.005
+
+
+def test_light_between_the_steps_of_the_grid_has_the_same_time():
+    """With half as many steps, 9 % of the pixels take a light for another one, and the time that
+    belongs to it.
+    """
+    setup = Setup.of(
+        "flat:4.303,0.4",
+        klux=50.0,
+        sensor={"rows": 32, "cols": 32},
+        frame={"pulses": 100, "format": "compact", "link_gbps": 0},
+        subgroup={"threshold": 1},
+    )
+    wrong = []
+    for seed in (21, 22):
+        frame = Run(setup.but(seed=seed), workers=2).frame()
+        wrong.append(wrong_share(frame.depth_m, frame.truth_m, TOLERANCE_M))
+    assert np.mean(wrong) < 0.01
+
+
 @pytest.mark.parametrize("link_gbps", [0.0, 1.0])
 def test_the_light_is_learned_from_the_frame(link_gbps):
     """Also where the link drops most windows, and single pixels say little about their light."""
