@@ -278,6 +278,35 @@ def test_circuit_of_the_page_is_its_rule(page):
     assert 20 < sum(told) < 180
 
 
+class LastRow(Rule):
+    """Enough pixels, one of them in the last row."""
+
+    name = "last-row"
+    version = "1"
+
+    def meets(self, maps, threshold):
+        return (maps.sum(axis=(1, 2)) >= threshold) & maps[:, -1].any(axis=1)
+
+
+@pytest.mark.parametrize("subgroup", [[4, 8], [8, 4]])
+def test_a_rule_sees_the_rows_and_columns_of_the_subgroup(subgroup):
+    setup = Setup.of(
+        "flat:5,0.4",
+        sensor={"rows": 8, "cols": 8, "subgroup": subgroup},
+        frame={"pulses": 200, "link_gbps": 0},
+        klux=50.0,
+    )
+    edges = Run(setup).edges
+    result = golden_result(setup.config, edges)
+    bits = np.unpackbits(result["hits"].view(np.uint8), axis=1, bitorder="little")[:, :32]
+    in_last_row = bits.reshape(-1, *subgroup)[:, -1].any(axis=1)
+    kept = golden_result(setup.config.with_rule(LastRow()), edges)
+    assert 10 < np.count_nonzero(in_last_row) < len(in_last_row) - 10
+    names = ("subgroup", "pulse", "stamp", "winner")
+    found = sorted(zip(*(kept[name] for name in names), strict=True))
+    assert found == sorted(zip(*(result[name][in_last_row] for name in names), strict=True))
+
+
 def test_the_papers_rule_as_ones_own_gives_the_papers_words_bounds_and_light():
     for subgroup in ({"threshold": 3}, {"auto": True, "threshold": 2}, {"coincidence": False}):
         setup = Setup.of("flat:5,0.4", **SMALL, klux=50.0, subgroup=subgroup)

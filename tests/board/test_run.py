@@ -51,6 +51,20 @@ def test_the_picture_is_drawn_while_frames_come(driver, tmp_path, monkeypatch):
     assert titles == [f"{n} frames of the emulator" for n in (1, 2, 3)]
 
 
+def test_a_pixel_with_two_surfaces_echoes_as_bright_as_the_first():
+    config = load_config("emulator")
+    sensor = config.sensor
+    distance_m = np.stack([np.full((sensor.rows, sensor.cols), d) for d in (4.0, 6.0)], axis=2)
+    reflectivity = np.full(distance_m.shape, 0.2)
+    both = Scene(name="both", distance_m=distance_m, reflectivity=reflectivity)
+    first = Scene(
+        name="first", distance_m=distance_m[:, :, :1], reflectivity=reflectivity[:, :, :1]
+    )
+    level, expected = (source_settings(config, one, 0.0).level for one in (both, first))
+    assert np.array_equal(level, expected)
+    assert level.min() > 0
+
+
 def test_a_scene_as_settings():
     config = load_config("emulator")
     scene = scene_of(config, "flat:6,0.4")

@@ -254,6 +254,7 @@ def test_default_bounds_keep_noise_rare(window, rearm):
         ({}, {"gap": 10_000}, 12_500 + 99 * 16 * 16, [2365]),
         ({}, {"gap": 10_000, "link_gbps": 8.0}, 3125 + 99 * 16 * 16, [1779]),
         ({"streams": 4}, {"gap": 10_000}, 12_500 + 99 * 16 * 4, [4709] * 4),
+        ({"rows": 8, "streams": 3}, {"gap": 10_000}, 12_500 + 99 * 16, [7042, 14_084, 14_084]),
     ],
 )
 def test_capacity_of_a_stream(sensor, frame, capacity, shares):

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from coincid.model.contract.edges import NAMES, checked_edges
+from coincid.model.contract.edges import NAMES, Edges, checked_edges
 from coincid.model.shared.errors import InputError
 
 BOUNDS = {"pulse": 6, "pixel": 5, "tick": 4}
@@ -37,3 +37,12 @@ def test_any_type_of_integers_is_taken(kind):
     edges = checked(tick=np.array([3, 0, 1], kind))
     assert edges.tick.dtype == np.int64
     assert edges.tick.tolist() == [3, 0, 1]
+
+
+def test_edges_that_are_chosen_keep_their_positions_in_the_ticks():
+    zero = np.zeros(3, np.int64)
+    edges = Edges(np.array([0, 1, 1]), zero, zero, np.array([1.0, 2.0, 3.0]))
+    assert edges.take(edges.pulse == 1).offset_ps.tolist() == [2.0, 3.0]
+    assert edges.take(slice(0, 1)).offset_ps.tolist() == [1.0]
+    own, _ = edges.frame(1, 1)
+    assert own.offset_ps.tolist() == [2.0, 3.0]

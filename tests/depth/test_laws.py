@@ -86,6 +86,60 @@ def test_a_frame_among_others_is_the_frame_alone(three_frames, method, number):
     assert_equal_depths(among, estimate_depth(result, config, method=method))
 
 
+@pytest.mark.parametrize("number", range(FRAMES))
+def test_records_of_a_frame_are_lost_as_often_as_in_the_frame_alone(three_frames, number):
+    """Each frame drops more than the one before."""
+    run = three_frames
+    stored = run.result["mg_stored"]
+    result = run.result | {"mg_dropped": stored * np.arange(1, 1 + FRAMES)[:, None]}
+    options = {"method": "background", "source": "minigroup"}
+    among = estimate_depth(result, run.config, frame=number, **options)
+    alone, config = of_one(run, number)
+    alone["mg_dropped"] = result["mg_dropped"][number : number + 1]
+    assert_equal_depths(among, estimate_depth(alone, config, **options))
+
+
+def test_light_of_frames_with_a_gate_that_moves_is_that_of_one():
+    """The gate begins anew in each frame: in the second half of the pulses, it shows the wall."""
+    setup = Setup.of(
+        "flat:12,0.4",
+        klux=5.0,
+        sensor=SENSOR,
+        frame={
+            "frames": 2,
+            "pulses": 200,
+            "gate_every": 100,
+            "gate_steps": 4,
+            "gate_step": 20,
+            "link_gbps": 0,
+        },
+        subgroup={"gating": True, "gate_start": 10, "gate_len": 20},
+    )
+    run = Run(setup)
+    time_cycles = 12 / run.config.tick_m / run.config.sensor.phases
+    assert 30 < time_cycles < 50
+    light = [
+        np.nanmean(run.depth("matched", frame=frame).signal_per_pulse) for frame in (None, 0, 1)
+    ]
+    assert light[0] == pytest.approx(np.mean(light[1:]), rel=0.1)
+
+
+@pytest.mark.parametrize("rearm", [0, 6])
+def test_background_is_told_from_windows_after_which_the_tree_is_blind(rearm):
+    """Its rate is that of the photons, however long the tree takes to be armed again."""
+    setup = Setup.of(
+        "flat:5,0.0",
+        klux=50.0,
+        sensor=SENSOR | {"rearm": rearm},
+        frame={"pulses": 1000, "link_gbps": 0},
+        subgroup={"threshold": 1},
+    )
+    run = Run(setup)
+    events = frame_events(run.result, run.config, pulse_ticks(run.config))
+    detected = len(run.edges) / run.config.pulses / run.config.period_ticks
+    assert events.photon_rate.sum() == pytest.approx(detected, rel=0.03)
+
+
 @pytest.mark.parametrize("source", SOURCES)
 def test_histograms_of_the_frames_add_up_to_that_of_all(three_frames, source):
     result, config = three_frames.result, three_frames.config

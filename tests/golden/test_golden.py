@@ -244,13 +244,14 @@ def _check_rows(config, result, rows, events, frame):
         at += 1
 
 
-@pytest.mark.parametrize("auto", [False, True])
+@pytest.mark.parametrize("auto", ["of none", "of all", "of one"])
 def test_frames_side_by_side_are_frames_in_turn(auto):
     config = parse_config(
         {
             "sensor": SENSORS["tiny"],
             "frame": {"period": 40, "pulses": 20},
-            "subgroup": {"auto": auto},
+            "subgroup": {"auto": auto == "of all"},
+            "override": [{"subgroups": [0], "auto": auto != "of none"}],
         }
     )
     edges = [trouble(config, seed, 10.0) for seed in range(5)]

@@ -101,6 +101,25 @@ def test_a_frame_has_the_bound_of_its_median_light():
     assert Run(setup)["bound_mm"] == pytest.approx(same.bound_mm)
 
 
+def test_without_coincidence_no_threshold_costs_anything():
+    dim = {"distance_m": 16.0, "reflectivity": 0.1, "klux": 50, "trials": 0}
+    found = [
+        coincid.bound(
+            parse_config({"subgroup": {"coincidence": False, "threshold": threshold}}), **dim
+        )
+        for threshold in (1, 3)
+    ]
+    assert found[0].bound_mm == found[1].bound_mm
+
+
+def test_the_usual_background_is_that_of_pixels_with_light():
+    light = Light(
+        rows=1, cols=3, distance_m=5.0, signal_per_pulse=[[0.2], [0.0], [0.0]],
+        background_cps=[1e6, 5e6, 5e6],
+    )  # fmt: skip
+    assert bounds.median_light(light).noise_cps == 1e6
+
+
 def test_gross_errors_of_an_ideal_estimator():
     dim = {"distance_m": 16.0, "reflectivity": 0.1, "klux": 50}
     assert coincid.bound(pulses=1000, trials=100, **dim).gross_share < 0.2

@@ -96,6 +96,16 @@ def test_distance_of_0_db(reading, spectrum, distance_m):
     assert sbr_db(4.0, "corrected") == pytest.approx(sbr_db(4.0) + more_of_dead_time_db, abs=0.05)
 
 
+@pytest.mark.parametrize("reading", ["E", "F"])
+def test_background_of_a_ratio_is_that_of_its_window(reading):
+    """Ten times as long a window: 10 dB less."""
+    ratios_db = [
+        link_budget(4.0, 0.4, 50, sbr_reading=reading, sbr_window_s=window_s).sbr_db
+        for window_s in (0.2e-9, 2e-9)
+    ]
+    assert ratios_db[0] - ratios_db[1] == pytest.approx(10)
+
+
 @given(st.floats(0.5, 50), st.floats(0.01, 1), st.floats(0.1, 120))
 def test_laws(distance_m, reflectivity, klux):
     """The signal follows the inverse square law and is linear in reflectivity and power, the

@@ -325,6 +325,40 @@ def test_light_in_bins_beyond_the_period_comes_later_or_is_lost(lost):
     assert np.all(np.abs(edges.tick / timing.period_ticks - 0.25) < 0.01)
 
 
+def test_light_in_bins_beyond_the_period_meets_the_gap():
+    """A gap of half a period: light from 1.25 periods after its pulse comes in the gap, and from
+    1.75 a quarter of a period after the next pulse.
+    """
+    timing = Timing(gap_cycles=125)
+    arrivals = Arrivals(
+        first=[0, 1, 2],
+        start_s=np.array([1.25, 1.75]) * timing.period_s,
+        photons=[0.5, 0.5],
+        width_s=timing.tick_s,
+    )
+    bins = Light(rows=1, cols=2, distance_m=np.nan, signal_per_pulse=0.0, arrivals=arrivals)
+    edges = edges_of(bins, timing=timing, pulses=200)
+    assert set(edges.pixel) == {1}
+    assert len(edges) > 50
+    assert np.all(np.abs(edges.tick / timing.period_ticks - 0.25) < 0.01)
+
+
+def test_light_in_bins_is_as_wide_as_that_of_the_first_target():
+    """The second target, which sends nothing, is ten times as wide."""
+    arrivals = Arrivals(first=[0, 1], start_s=np.array([100e-9]), photons=[0.5])
+    bins = Light(
+        rows=1,
+        cols=1,
+        distance_m=[[10.0, 20.0]],
+        signal_per_pulse=[[0.0, 0.0]],
+        system_fwhm_s=[[500e-12, 5e-9]],
+        arrivals=arrivals,
+    )
+    edges = edges_of(bins, pulses=2000)
+    expected_s = 500e-12 * SIGMA_PER_FWHM
+    assert np.std(time_s(edges)) == pytest.approx(expected_s, rel=0.1)
+
+
 def test_targets_of_a_pixel_share_its_edges():
     distance_m, signal, pulses = np.array([[10.0, 30.0, np.nan]]), np.array([[0.3, 0.1, 5.0]]), 1000
     edges = edges_of(light(distance_m=distance_m, signal=signal), pulses=pulses)

@@ -17,7 +17,7 @@ from coincid.model.contract.edges import NAMES, Edges, load_edges
 from coincid.model.contract.result import differences
 from coincid.model.light.timing import Timing
 from coincid.model.recorded.exchange import SUFFIXES, parse_channels, read_recording, write_edges
-from coincid.model.recorded.recordings import Recording, period_note, recorded_edges
+from coincid.model.recorded.recordings import Recording, period_note, recorded_edges, since_sync
 from coincid.model.shared.errors import InputError
 from coincid.tb.replay import replay
 
@@ -468,6 +468,45 @@ def test_a_scan_that_begins_within_a_frame(tmp_path):
     bins = (read.time_ps // 125).astype(int)
     assert placed.sum() == 2 * rows * cols and "2 image(s)" in read.kind
     assert np.array_equal((bins // 16 * cols + bins % 16)[placed], read.channel[placed])
+
+
+def test_a_line_of_a_scan_whose_positions_are_not_equally_long(tmp_path):
+    """Ten syncs for three positions: the first position has one more than the others, which is left
+    out, and each of the others begins with its own first sync.
+    """
+    cols, syncs, bin_s = 3, 10, 125e-12
+    records = [t3(1, 1, 0, 20)]
+    records += [t3(0, 0, sync, 20 + sync) for sync in range(syncs)]
+    records.append(t3(1, 2, 0, 20 + syncs))
+    tags = {
+        "Measurement_SubMode": 3,
+        "ImgHdr_Dimensions": 3,
+        "ImgHdr_PixX": cols,
+        "ImgHdr_PixY": 1,
+        "ImgHdr_LineStart": 1,
+        "ImgHdr_LineStop": 2,
+        "ImgHdr_Frame": 3,
+        "ImgHdr_Ident": 1,
+        "ImgHdr_BiDirect": 0,
+    }
+    path = ptu(
+        tmp_path / "a.ptu", records, mode=3, kind=0x00010307, clock_s=500e-9, bin_s=bin_s, **tags
+    )
+    read = read_recording(path)
+    placed = read.sync >= 0
+    sync_in_line = (read.time_ps / (bin_s * 1e12)).astype(int)
+    found = zip(sync_in_line[placed], read.channel[placed], read.sync[placed], strict=True)
+    expected = [(sync, 0, sync) for sync in (0, 1, 2)]
+    expected += [(sync, 1, sync - 4) for sync in (4, 5, 6)]
+    expected += [(sync, 2, sync - 7) for sync in (7, 8, 9)]
+    assert sorted(found) == expected
+
+
+def test_triggers_that_are_missing_do_not_change_the_period():
+    period_ps = 500_000
+    triggers = np.delete(np.arange(100), [20, 21, 22, 50]) * period_ps
+    recording = since_sync(triggers + 1000, np.zeros(len(triggers)), triggers, 1.0, "times")
+    assert recording.period_ps == period_ps
 
 
 def test_tables_of_other_programs(tmp_path):

@@ -35,6 +35,7 @@ def test_array_in_klux_takes_the_mean_of_what_a_pixel_covers(tmp_path):
     assert np.array_equal(ambient_klux(str(path), 8, 12), klux.repeat(2, 0).repeat(2, 1))
     # the middle, with the sensor's aspect ratio
     assert np.array_equal(ambient_klux(str(path), 4, 4), klux[:, 1:5])
+    assert np.array_equal(ambient_klux(str(path), 2, 6), klux[1:3])
 
 
 @pytest.mark.parametrize("depth, white", [(np.uint8, 255), (np.uint16, 65535)])

@@ -15,6 +15,7 @@ from scipy.io import savemat
 import coincid
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.conventions import CONVENTIONS, conventions_table
+from coincid.model.scenes.image_files import read_pgm
 from coincid.model.scenes.view import View
 from coincid.model.shared.errors import InputError
 from coincid.study.explore.controls import UNITS
@@ -169,6 +170,16 @@ TIFF_OF_DOUBLES = bytes.fromhex("49492a00080000000900") + b"".join(
         (339, 3, 3),
     )
 ) + bytes(4) + np.full(16, 4.0).tobytes()  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("white", "stored"), [(1, "u1"), (255, "u1"), (256, ">u2"), (65535, ">u2")]
+)
+def test_numbers_of_a_pgm_file_are_as_wide_as_its_largest_needs(tmp_path, white, stored):
+    numbers = np.array([[0, 1, white], [white, 1, 0]])
+    content(tmp_path / "d.pgm", b"P5 3 2 %d\n" % white + numbers.astype(stored).tobytes())
+    assert np.array_equal(read_pgm(tmp_path / "d.pgm"), numbers)
+
 
 FILES = {  # file with a wall at 4 m
     "PGM in millimetres, with a maximum of 10000": lambda at: content(

@@ -432,6 +432,19 @@ def test_files_beside_a_scene(tracer, tmp_path, monkeypatch):
 
 
 @pytest.mark.needs("raytrace")
+def test_a_rendering_of_another_view_is_another_one(tracer, tmp_path, monkeypatch):
+    """Not the one that was kept."""
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
+    path = str(scene_file(tmp_path / "s.xml", wall(4)))
+    corners_m = []
+    for angle_deg in (20.0, 60.0, 20.0):
+        optics = Optics(fov_h_deg=angle_deg, fov_v_deg=angle_deg)
+        scene = ray_scene.ray_scene(path, 4, 4, range_m=50.0, optics=optics)
+        corners_m.append(scene.truth_m[0, 0])
+    assert corners_m[0] == corners_m[2] < corners_m[1] - 0.1
+
+
+@pytest.mark.needs("raytrace")
 def test_threads_do_not_change_a_bit(tracer):
     import drjit as dr
 
