@@ -42,6 +42,7 @@ from ..feature_pairs import BUILT, USED, paired_cases, played, sensor_of
 from ..random_cases import configured, random_edges
 
 SENSOR = Sensor(rows=8, cols=16)
+COMMANDS = {"coincid_start": "start", "coincid_abort": "abort", "coincid_reset": "reset"}
 WARNINGS = ["-Wall", "-Wextra", "-Wconversion", "-Wsign-conversion", "-pedantic", "-Werror"]
 FLAGS = ["-std=c99", *WARNINGS, "-O1"]
 U32 = ctypes.c_uint32
@@ -187,11 +188,22 @@ def test_a_wait_polls_as_often_as_it_is_told(library, polls, done_at):
     assert written == [(address("status"), done)] * (answer == 0)
 
 
-def test_the_example_prints_maps_of_several_words(tmp_path):
-    """And counts, as the captured files have them, on a sensor with more than 64 pixels in a
-    subgroup.
-    """
-    sensor = random_cases.built_sensor(random_cases.GOLDEN_SENSORS["wide"])
+@pytest.mark.parametrize(("call", "command"), COMMANDS.items())
+def test_a_command_is_the_write_of_its_bit(library, call, command):
+    written = []
+    bus = bus_of(SimpleNamespace(read=None, write=lambda at, value: written.append((at, value))))
+    assert getattr(library, call)(ctypes.byref(bus)) == 0
+    assert written == [(address("control"), 1 << BY_NAME["control"].bit(command))]
+
+
+@pytest.mark.parametrize("name", ["wide", "tiny"])
+def test_the_example_prints_every_event_as_captured(tmp_path, name):
+    """And counts. Subgroups have more than 64 pixels, or are shared among streams unevenly."""
+    sensor = random_cases.built_sensor(
+        random_cases.GOLDEN_SENSORS[name] | ({"rows": 16} if name == "tiny" else {})
+    )
+    assert (sensor.pixels > 64) == (name == "wide")
+    assert (sensor.subgroups % sensor.streams > 0) == (name == "tiny")
     files = c_driver() | {HEADER: register_files(sensor)[HEADER]}
     for file, text in files.items():
         (tmp_path / file).write_text(text, encoding="utf-8")

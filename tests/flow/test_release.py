@@ -156,7 +156,9 @@ def test_captured_streams_decode_to_their_rows(releases, preset):
         events = text.with_suffix(".csv").read_text(encoding="utf-8").splitlines()[1:]
         assert len(events) == len(result["subgroup"]) > 0
         for stream in range(of.streams):
-            beats = np.array([int(beat, 16) for k, beat, _ in rows if int(k) == stream], np.uint64)
+            own_rows = [(int(beat, 16), last) for k, beat, last in rows if int(k) == stream]
+            beats = np.array([beat for beat, _ in own_rows], np.uint64)
+            assert [last for _, last in own_rows] == ["0"] * (len(beats) - 1) + ["1"]
             frame = decode_frame(beats, of, len(of.stream_subgroups(stream))).check()
             mine = np.isin(result["subgroup"], of.stream_subgroups(stream))
             assert np.array_equal(frame.events[:, COLUMN["stamp"]], result["stamp"][mine])
@@ -647,6 +649,9 @@ def test_ip_xact_has_the_ports_and_bus_interfaces_of_the_top(releases, preset):
     connected = [name.text for one in interfaces for name in one.iterfind(PHYSICAL, names)]
     buses = [name for name in found if re.match(r"s_axi_|m_axis", name)]
     assert sorted(connected) == sorted([*buses, "clk", "rst"])
+    maps = root.findall("ipxact:memoryMaps/ipxact:memoryMap/ipxact:name", names)
+    (referred,) = root.iterfind(".//ipxact:memoryMapRef", names)
+    assert set(referred.attrib.values()) <= {name.text for name in maps}
     for one in interfaces:
         name = one.findtext("ipxact:name", "", names)
         sends = f"{name}_tvalid" in found and found[f"{name}_tvalid"][0] == "output"

@@ -401,3 +401,28 @@ def test_mapped_file(tmp_path):
         assert refused.value.reasons == ("bad_value",)
     with pytest.raises(InputError, match="cannot be mapped"):
         MemoryTransport(tmp_path / "none")
+
+
+class StickyWords(dict):
+    """A mapped sensor that refuses a period of 0, and whose status a write of 1 clears."""
+
+    def __setitem__(self, word, value):
+        status = address("status") // 4
+        if word == status:
+            value = self[status] & ~value
+        elif word == address("period") // 4 and value == 0:
+            super().__setitem__(status, 1 << BY_NAME["status"].bit("bad_value"))
+        super().__setitem__(word, value)
+
+
+def test_a_mapped_sensor_tells_its_refusal_after_the_write(tmp_path):
+    """Not after the next one, and until the bit is cleared, which is a write, too."""
+    path = tmp_path / "uio"
+    path.write_bytes(bytes(1 << ADDRESS_BITS))
+    with MemoryTransport(path) as transport:
+        transport._words = StickyWords({address("status") // 4: 0})
+        transport.write(address("period"), 99)
+        with pytest.raises(RefusedError):
+            transport.write(address("period"), 0)
+        transport.write(address("status"), 1 << BY_NAME["status"].bit("bad_value"))
+        transport.write(address("period"), 98)

@@ -10,6 +10,7 @@ from pandas import read_csv
 
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import load_config, parse_config
+from coincid.model.scenes.catalogue import load_scene
 from coincid.study.advise import Advice, Tried, advise, cheapest, write_advice
 from coincid.study.explain import meaning, warnings
 from coincid.study.price import (
@@ -119,6 +120,16 @@ def test_where_no_setting_helps_the_advice_begins_with_what_would(tmp_path):
         assert words in first
     assert re.search("threshold.*error, mm", others[0])
     assert any(line.startswith("The least bad: take ") for line in others)
+
+
+def test_what_would_help_is_said_of_the_last_picture_of_a_scene_that_moves(monkeypatch):
+    """As everything else in the advice."""
+    monkeypatch.setattr("coincid.study.advise.is_useful", lambda wrong: False)
+    monkeypatch.setattr("coincid.study.usefulness._least_wrong", lambda setup, *given: 0.9)
+    pictures_m = np.array([[[8.0]], [[9.0]]]) * np.ones((2, 8, 8))
+    scene = load_scene(pictures_m, 8, 8, reflectivity=0.05)
+    setup = Setup.of(scene, sensor={"rows": 8, "cols": 8}, frame={"pulses": 5}, klux=100.0)
+    assert "half the distance, 4.5 m" in advise(setup, klux=100.0).useless
 
 
 def test_what_would_help_a_near_scene_stays_in_front_of_the_sensor(monkeypatch):

@@ -149,6 +149,18 @@ def test_a_run_shows_itself_in_a_notebook(run):
             run.timeline(*place)
 
 
+@pytest.mark.parametrize(("frame", "drawn"), [(None, 0), (0, 0), (1, 1)])
+def test_a_histogram_is_drawn_with_the_depth_of_its_frame(monkeypatch, frame, drawn):
+    """That of all frames with the depth of the first."""
+    shown = []
+    monkeypatch.setattr(
+        "coincid.study.show.notebook.plot_histogram", lambda *given: shown.append(given)
+    )
+    run = coincid.simulate(None, "flat:5", frames=2, rows=8, cols=8, pulses=30)
+    run.histogram(9, frame=frame).draw()
+    assert shown == [(run, 9, drawn)]
+
+
 def test_the_plot_of_a_run_is_that_of_the_frame_and_the_estimator_asked_for(monkeypatch):
     run = coincid.simulate(None, "flat:5", frames=2, rows=8, cols=8, pulses=30)
     shown = []
