@@ -49,10 +49,10 @@ SENSORS = {
         offset_phases=32,
         streams=2,
     ),
-    "wide": dict(
+    "wide": dict(  # whose maps are no whole number of words
         rows=16,
-        cols=16,
-        subgroup=[16, 16],
+        cols=10,
+        subgroup=[16, 10],
         minigroup=[2, 2],
         phases=16,
         rearm=3,

@@ -43,6 +43,18 @@ LONG = "fine", "odd", "wide"  # sensors that take long to compile, or to simulat
 FULL = {"format": "full", "minigroup_records": True, "mg_threshold": 1}
 
 
+def test_a_circuit_at_another_clock_is_the_same_circuit():
+    circuit = Circuit(
+        clock_mhz=500.0,
+        banks=2,
+        mismatch_fs=(10, 20),
+        pixel_skew_fs=(5,),
+        delay_line=True,
+        gain_ppm=300,
+    )
+    assert Asynchronous(circuit=circuit).at(400.0).circuit == evolve(circuit, clock_mhz=400.0)
+
+
 def config(window=12, pulses=8, **subgroup):
     return configured(
         SENSORS["one"],

@@ -37,13 +37,16 @@ def counting(name: str, **frame) -> random_cases.Config:
 
 def light(config, seed: int, per_pixel: float) -> random_cases.Edges:
     """Hits of surfaces, and background; as many per pixel and frame, some of them again and again
-    in the same quarter.
+    in the same quarter. A fourth of the surfaces is in the last cycles that count.
     """
     rng = np.random.default_rng(seed)
     sensor = config.sensor
     n = int(per_pixel * sensor.array_pixels)
     pixel = rng.integers(0, sensor.array_pixels, n)
     surface = rng.integers(0, config.period_ticks, sensor.array_pixels)
+    last = min(config.period, counts.CYCLES_MAX) * sensor.phases - 1
+    late = last - rng.integers(0, counts.GATE_CYCLES * sensor.phases, sensor.array_pixels)
+    surface = np.where(rng.random(sensor.array_pixels) < 0.25, late, surface)
     width = rng.choice([0, 1, sensor.phases], sensor.array_pixels)
     tick = surface[pixel] + np.round(rng.normal(size=n) * width[pixel]).astype(np.int64)
     anywhere = rng.random(n) < rng.random()
@@ -69,11 +72,12 @@ def test_frames_of_counts(name):
     events in between.
     """
     chains = []
+    periods = 1 << random_cases.built_sensor(SENSORS[name]).coarse_bits
     for seed in range(12):
         rng = np.random.default_rng([seed, len(name)])
         config = counting(
             name,
-            period=int(rng.integers(12, 257)),
+            period=int(rng.integers(12, min(2 * counts.CYCLES_MAX, periods) + 1)),
             pulses=int(rng.integers(3, 120)),
             gap=int(rng.choice([0, 3, 20_000])),
             dither_bits=int(rng.choice([0, 4])),
