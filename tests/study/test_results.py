@@ -114,19 +114,19 @@ INTERFERENCE = dict(
     PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "40dde57fb7048450"),
-    "sim": (sim, "5e131e47ec49e90c"),
-    "sweep": (sweep, "644d64eaf4ec3c2d"),
-    "explorer": (explorer, "394edfae110d700a"),
+    "library": (library, "a106635d61a8b0f9"),
+    "sim": (sim, "101eda146236700f"),
+    "sweep": (sweep, "5226cf36ffe216ef"),
+    "explorer": (explorer, "9114adb957a6d4ec"),
     "surfaces": (surface, "aa50220de1a3e5ed"),
-    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "642b6a697dbca78d"),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "3172a6343bc6e882"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "26f1161f4221702e",
+        "c1c6d55bfe2823d7",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
-        "70521debf2199a4c",
+        "a15dc710cfe4356b",
     ),
     "interference": (section(interference.interference, **INTERFERENCE), "c4ca990b34fa0a3c"),
 }
