@@ -230,9 +230,11 @@ def touches(maps):
     )
 
 
-def maps_of(result):
-    bits = np.unpackbits(result["hits"].view(np.uint8), axis=1, bitorder="little")
-    return bits.astype(bool).reshape(-1, *SHAPE)
+def maps_of(result, shape=SHAPE):
+    bits = np.unpackbits(
+        result["hits"].view(np.uint8), axis=1, bitorder="little", count=shape[0] * shape[1]
+    )
+    return bits.astype(bool).reshape(-1, *shape)
 
 
 def test_rule_of_the_page_keeps_windows_with_neighbours_only(page):
@@ -298,8 +300,7 @@ def test_a_rule_sees_the_rows_and_columns_of_the_subgroup(subgroup):
     )
     edges = Run(setup).edges
     result = golden_result(setup.config, edges)
-    bits = np.unpackbits(result["hits"].view(np.uint8), axis=1, bitorder="little")[:, :32]
-    in_last_row = bits.reshape(-1, *subgroup)[:, -1].any(axis=1)
+    in_last_row = maps_of(result, subgroup)[:, -1].any(axis=1)
     kept = golden_result(setup.config.with_rule(LastRow()), edges)
     assert 10 < np.count_nonzero(in_last_row) < len(in_last_row) - 10
     names = ("subgroup", "pulse", "stamp", "winner")

@@ -196,14 +196,17 @@ def test_a_command_is_the_write_of_its_bit(library, call, command):
     assert written == [(address("control"), 1 << BY_NAME["control"].bit(command))]
 
 
-@pytest.mark.parametrize("name", ["wide", "tiny"])
-def test_the_example_prints_every_event_as_captured(tmp_path, name):
-    """And counts. Subgroups have more than 64 pixels, or are shared among streams unevenly."""
-    sensor = random_cases.built_sensor(
-        random_cases.GOLDEN_SENSORS[name] | ({"rows": 16} if name == "tiny" else {})
-    )
-    assert (sensor.pixels > 64) == (name == "wide")
-    assert (sensor.subgroups % sensor.streams > 0) == (name == "tiny")
+WIDE = random_cases.GOLDEN_SENSORS["wide"]  # more than 64 pixels in a subgroup, and counts
+UNEVEN = random_cases.SENSORS["tiny"] | {"rows": 16}  # four subgroups on three streams
+
+
+@pytest.mark.parametrize(
+    ("table", "pixels", "uneven"), [(WIDE, 160, False), (UNEVEN, 16, True)], ids=["wide", "uneven"]
+)
+def test_the_example_prints_every_event_as_captured(tmp_path, table, pixels, uneven):
+    sensor = random_cases.built_sensor(table)
+    assert sensor.pixels == pixels
+    assert (sensor.subgroups % sensor.streams > 0) == uneven
     files = c_driver() | {HEADER: register_files(sensor)[HEADER]}
     for file, text in files.items():
         (tmp_path / file).write_text(text, encoding="utf-8")

@@ -432,23 +432,11 @@ def test_times_keep_their_picoseconds(tmp_path):
         edges_of(tmp_path / "c.npz", sync_channel=0)
 
 
-def test_a_scan_that_begins_within_a_frame(tmp_path):
-    """`ptufile.decode_image` leaves out what is before the first frame marker, because its rows
-    are unknown.
+def scan(tmp_path, records, rows, cols):
+    """Read a PTU file of a scan whose bins have 125 ps; return the recording, and its bins.
+
+    Markers are bits: frame 4, line start 1, line stop 2.
     """
-    rows, cols, dwell = 4, 4, 5
-    records, at = [], 10
-    for frame in range(3):
-        if frame:
-            records.append(t3(1, 4, 0, at))  # markers are bits: frame 4, line start 1, line stop 2
-            at += 3
-        for row in range(rows if frame else 2):
-            row += 0 if frame else 2
-            records.append(t3(1, 1, 0, at))
-            records += [t3(0, 0, row * 16 + col, at + col * dwell + 2) for col in range(cols)]
-            at += cols * dwell
-            records.append(t3(1, 2, 0, at))
-            at += 4
     tags = {
         "Measurement_SubMode": 3,
         "ImgHdr_Dimensions": 3,
@@ -464,8 +452,28 @@ def test_a_scan_that_begins_within_a_frame(tmp_path):
         tmp_path / "a.ptu", records, mode=3, kind=0x00010307, clock_s=500e-9, bin_s=125e-12, **tags
     )
     read = read_recording(path)
+    return read, (read.time_ps // 125).astype(int)
+
+
+def test_a_scan_that_begins_within_a_frame(tmp_path):
+    """`ptufile.decode_image` leaves out what is before the first frame marker, because its rows
+    are unknown.
+    """
+    rows, cols, dwell = 4, 4, 5
+    records, at = [], 10
+    for frame in range(3):
+        if frame:
+            records.append(t3(1, 4, 0, at))
+            at += 3
+        for row in range(rows if frame else 2):
+            row += 0 if frame else 2
+            records.append(t3(1, 1, 0, at))
+            records += [t3(0, 0, row * 16 + col, at + col * dwell + 2) for col in range(cols)]
+            at += cols * dwell
+            records.append(t3(1, 2, 0, at))
+            at += 4
+    read, bins = scan(tmp_path, records, rows, cols)
     placed = read.sync >= 0
-    bins = (read.time_ps // 125).astype(int)
     assert placed.sum() == 2 * rows * cols and "2 image(s)" in read.kind
     assert np.array_equal((bins // 16 * cols + bins % 16)[placed], read.channel[placed])
 
@@ -474,27 +482,12 @@ def test_a_line_of_a_scan_whose_positions_are_not_equally_long(tmp_path):
     """Ten syncs for three positions: the first position has one more than the others, which is left
     out, and each of the others begins with its own first sync.
     """
-    cols, syncs, bin_s = 3, 10, 125e-12
+    cols, syncs = 3, 10
     records = [t3(1, 1, 0, 20)]
     records += [t3(0, 0, sync, 20 + sync) for sync in range(syncs)]
     records.append(t3(1, 2, 0, 20 + syncs))
-    tags = {
-        "Measurement_SubMode": 3,
-        "ImgHdr_Dimensions": 3,
-        "ImgHdr_PixX": cols,
-        "ImgHdr_PixY": 1,
-        "ImgHdr_LineStart": 1,
-        "ImgHdr_LineStop": 2,
-        "ImgHdr_Frame": 3,
-        "ImgHdr_Ident": 1,
-        "ImgHdr_BiDirect": 0,
-    }
-    path = ptu(
-        tmp_path / "a.ptu", records, mode=3, kind=0x00010307, clock_s=500e-9, bin_s=bin_s, **tags
-    )
-    read = read_recording(path)
+    read, sync_in_line = scan(tmp_path, records, 1, cols)
     placed = read.sync >= 0
-    sync_in_line = (read.time_ps / (bin_s * 1e12)).astype(int)
     found = zip(sync_in_line[placed], read.channel[placed], read.sync[placed], strict=True)
     expected = [(sync, 0, sync) for sync in (0, 1, 2)]
     expected += [(sync, 1, sync - 4) for sync in (4, 5, 6)]

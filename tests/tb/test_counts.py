@@ -72,19 +72,19 @@ def test_frames_of_counts(name):
     events in between.
     """
     chains = []
-    periods = 1 << random_cases.built_sensor(SENSORS[name]).coarse_bits
+    longest = min(2 * counts.CYCLES_MAX, random_cases.built_sensor(SENSORS[name]).period_max)
     for seed in range(12):
         rng = np.random.default_rng([seed, len(name)])
         config = counting(
             name,
-            period=int(rng.integers(12, min(2 * counts.CYCLES_MAX, periods) + 1)),
+            period=int(rng.integers(12, longest + 1)),
             pulses=int(rng.integers(3, 120)),
             gap=int(rng.choice([0, 3, 20_000])),
             dither_bits=int(rng.choice([0, 4])),
             link_gbps=float(rng.choice([0, 2, 9.7])),
         )
-        longest = (config.pulses - 1) // 2
-        searched = config.with_frame(search_pulses=int(rng.integers(1, longest + 1)))
+        most = (config.pulses - 1) // 2
+        searched = config.with_frame(search_pulses=int(rng.integers(1, most + 1)))
         masked = searched.with_settings(
             mask=rng.random((config.sensor.subgroups, config.sensor.pixels)) < 0.8,
             gating=True,
