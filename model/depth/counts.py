@@ -246,7 +246,8 @@ def seen_behind(counts: GateCounts, config: Config, pulse: PulseTicks, ticks: np
 def _time_of(coarse: Coarse, config: Config) -> np.ndarray:
     """float64[subgroups, pixels]: times of the surfaces in ticks, as the coarse grid shows them."""
     found = coarse.found
-    time = found.time(coarse.step) + coarse.step * peak_offset(coarse.level, found.bin)
+    offset = peak_offset(coarse.level, found.bin, smooth=True)
+    time = found.time(coarse.step) + coarse.step * offset
     return by_subgroup(time, config.sensor)
 
 

@@ -76,6 +76,8 @@ class _Frame(NamedTuple):
     clusters: list[SubgroupEvents]  # by subgroup
     origins: np.ndarray  # int64[subgroups], first time that some pixel wants
     spans: np.ndarray  # int64[subgroups], times from it to the last one that some pixel wants
+    noise: np.ndarray  # float64[subgroups], background photons per tick and pixel
+    alive: np.ndarray  # float64[subgroups], share of the pulses in which none has fired a pixel yet
 
     @property
     def reach(self) -> int:
@@ -128,6 +130,7 @@ def log_likelihood(
     if guess is not None:
         known = config.mask & ~np.isnan(guess.time)
         lights = [lights_near(guess.light[s][known[s]], grid.lights) for s in subgroups]
+    noise, alive = _background(events, config)
     times = -(-(config.period_ticks - grid.step // 2) // grid.step)
     origins = np.clip(first.min(axis=1), 0, times - 1)
     frame = _Frame(
@@ -147,6 +150,8 @@ def log_likelihood(
         clusters=[],
         origins=origins,
         spans=np.clip(first.max(axis=1) + bins, origins + 1, times) - origins,
+        noise=noise,
+        alive=alive,
     )
     clusters = cluster_events(events, config, pulses, frame.reach, frame.with_offsets)
     frame = frame._replace(clusters=clusters)
@@ -223,7 +228,7 @@ def _law(frame: _Frame, s: int) -> Law:
     span = int(frame.spans[s])
     widest = 1 << int(frame.spans.max() - 1).bit_length()  # one table for all subgroups
     margin, fired = fired_table(frame.pulse, frame.reach, step, widest, tuple(lights.tolist()))
-    noise, alive = _background(frame, s)
+    alive = np.float32(frame.alive[s])
     kinds = 1 + int(frame.clusters[s].overrun.any())
 
     none = np.empty((0, 0), np.float32)
@@ -236,8 +241,8 @@ def _law(frame: _Frame, s: int) -> Law:
         step=step,
         origin=origin,
         lights=len(lights),
-        noise=noise,
-        alive=np.float32(alive),
+        noise=float(frame.noise[s]),
+        alive=alive,
         pulses=frame.pulses,
         heard=none,
         sharp=none,
@@ -250,19 +255,18 @@ def _law(frame: _Frame, s: int) -> Law:
     )
 
 
-def _background(frame: _Frame, s: int) -> tuple[float, float]:
-    """Return the background photons per tick and pixel of subgroup s, and the share of the pulses in
-    which none of them has fired a pixel yet.
+def _background(events: Events, config: Config) -> tuple[np.ndarray, np.ndarray]:
+    """Return the background photons per tick and pixel of each subgroup, and the share of the pulses
+    in which none of them has fired a pixel yet, float64[subgroups].
     """
-    noise = max(frame.events.photon_rate[s] / frame.config.sensor.pixels, QUIET_RATE)
-    return noise, 1 - min(BLIND_MAX, noise * DEAD_S / frame.config.tick_s)
+    noise = np.maximum(events.photon_rate / config.sensor.pixels, QUIET_RATE)
+    return noise, 1 - np.minimum(BLIND_MAX, noise * DEAD_S / config.tick_s)
 
 
 def _moves(frame: _Frame, s: int) -> np.ndarray:
     """float32[pixels, bins]: what the counts of the events of subgroup s say about the times."""
     guess = frame.guess
     assert guess is not None
-    noise, alive = _background(frame, s)
     events = frame.events
     return moves_with_others(
         OwnWindows(
@@ -272,8 +276,8 @@ def _moves(frame: _Frame, s: int) -> np.ndarray:
         ),
         int(events.window[s]),
         frame.pulse,
-        noise,
-        alive,
+        float(frame.noise[s]),
+        float(frame.alive[s]),
         frame.config.mask[s],
         guess.time[s],
         guess.light[s],

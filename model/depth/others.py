@@ -71,8 +71,10 @@ def moves_with_others(
     by_light = (fired[:, window:] - fired[:, :-window]) / (1 - fired[:, :-window])
     background = min(1.0, noise * window)
     hits = _hits(mask, begin, by_light, background)
+    later = times - middle[:, None]
     moves = np.zeros(times.shape)
-    _add_windows(windows, hits, known, times - middle[:, None], moves)
+    at_guess = np.maximum(0, np.count_nonzero(later <= 0, axis=1) - 1)
+    _add_windows(_grouped(windows, known), hits, at_guess, later, moves)
     together = (1 - ALONE) * portable.exp(np.minimum(MOST, moves))
     return portable.log(ALONE + together).astype(np.float32)
 
@@ -95,43 +97,54 @@ def _hits(mask: np.ndarray, begin: np.ndarray, by_light: np.ndarray, background:
     return _Hits(origin, mean, variance, background, begin - origin, chance)
 
 
+class _Alike(NamedTuple):
+    """Windows of a subgroup, those with the same stamp, winner and number of others as one."""
+
+    stamp: np.ndarray  # int64[k], ticks
+    winner: np.ndarray  # int64[k]
+    others: np.ndarray  # int64[k]
+    number: np.ndarray  # int64[k], of windows
+
+
+def _grouped(windows: OwnWindows, known: np.ndarray) -> _Alike:
+    """Return the windows that a pixel with a guess has won.
+
+    known: bool[pixels], has the pixel a guess?
+    """
+    mine = known[windows.winner]
+    columns = np.stack([column[mine] for column in windows], axis=1)
+    alike, number = np.unique(columns, axis=0, return_counts=True)
+    stamp, winner, others = np.ascontiguousarray(alike.T)
+    return _Alike(stamp, winner, others, number)
+
+
 @njit
 def _add_windows(
-    windows: OwnWindows, hits: _Hits, known: np.ndarray, later: np.ndarray, moves: np.ndarray
+    windows: _Alike, hits: _Hits, at_guess: np.ndarray, later: np.ndarray, moves: np.ndarray
 ) -> None:
-    """Add what the windows say to `moves`.
-
-    known: bool[pixels]. later: float64[pixels, bins], ticks from the guess to each time.
-    """
-    for e in range(len(windows.stamp)):
-        i = windows.winner[e]
-        if known[i]:
-            stamp = windows.stamp[e] - hits.origin
-            _add_window(hits, i, stamp, windows.others[e], later[i], moves[i])
-
-
-@part
-def _add_window(
-    hits: _Hits, i: int, stamp: int, others: int, later: np.ndarray, moves: np.ndarray
-) -> None:
-    """Add what a window that pixel i won says about its times.
+    """Add what the windows say about the times of their winners to `moves`.
 
     Later surfaces are like an earlier stamp. The ratio is the integral of the slope that the log
     likelihood of a number with this mean and variance has over its mean, from the guess on.
+
+    at_guess: int64[pixels], bin of the guess. later: float64[pixels, bins], ticks from the guess to
+    each time.
     """
-    guess = 0
-    while guess + 1 < len(later) and later[guess + 1] <= 0:
-        guess += 1
-    for direction in (1, -1):
-        ratio = 0.0
-        before, _ = _others(hits, i, stamp - later[guess])
-        k = guess + direction
-        while 0 <= k < len(later):
-            mean, variance = _others(hits, i, stamp - later[k])
-            ratio += (others - (before + mean) / 2) / variance * (mean - before)
-            moves[k] += ratio
-            before = mean
-            k += direction
+    for e in range(len(windows.stamp)):
+        i = windows.winner[e]
+        stamp = windows.stamp[e] - hits.origin
+        at_first, _ = _others(hits, i, stamp - later[i, at_guess[i]])
+        for direction in (1, -1):
+            ratio = 0.0
+            before = at_first
+            k = at_guess[i] + direction
+            while 0 <= k < later.shape[1]:
+                mean, variance = _others(hits, i, stamp - later[i, k])
+                off = windows.others[e] - (before + mean) / 2
+                ratio += off / variance * (mean - before)
+                moves[i, k] += windows.number[e] * ratio
+                before = mean
+                k += direction
 
 
 @part

@@ -128,7 +128,8 @@ def _look_coarsely(frame: _Frame) -> tuple[Coarse, Guess, Unheard]:
     found = coarse.found
     chosen = np.maximum(found.bin, 0)[:, :, None]
     light = np.take_along_axis(lights, chosen, 2)[:, :, 0]
-    time = found.time(fitter.step) + fitter.step * peak_offset(level, found.bin)
+    offset = peak_offset(level, found.bin, smooth=events.mapped)
+    time = found.time(fitter.step) + fitter.step * offset
     guess = Guess(
         time=by_subgroup(time, sensor),
         light=possible[by_subgroup(light, sensor)].astype(np.float64),

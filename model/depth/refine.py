@@ -36,6 +36,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from ..shared.compiled import njit, part
+from .curves import slope_at, through_five
 from .lens import Lens, find_lens, no_lens, seen_at
 from .patchmatch import HALF, Field, Planes, own_level, plane_at
 from .seeds import Blocks
@@ -64,6 +65,9 @@ FLAT = 3  # and from here on those of a plane:
 DOWN = 3  # its slopes,
 RIGHT = 4
 LEVEL = 5  # and its time
+
+_through_five = part(through_five)
+_slope_at = part(slope_at)
 
 
 class Refined(NamedTuple):
@@ -279,11 +283,15 @@ def _follow_slopes(field: Field, planes: Planes, peaks: _Peaks, begin: int, end:
             step, middle, here = own_level(field, planes, r, c, 0)
             before = own_level(field, planes, r, c, -1)[2]
             after = own_level(field, planes, r, c, 1)[2]
-            bend = 2 * here - before - after
+            bend = float(2 * here - before - after)
             if bend > 0:
                 peaks.bend[r, c] = bend / step**2
-            at = (planes.time[r, c] - middle) / step
-            slope = (float(after - before) / 2 - float(bend) * at) / step
+            two_before = own_level(field, planes, r, c, -2)[2]
+            two_after = own_level(field, planes, r, c, 2)[2]
+            curve = _through_five(
+                float(two_before), float(before), float(here), float(after), float(two_after)
+            )
+            slope = _slope_at(curve, (planes.time[r, c] - middle) / step) / step
             move = slope / peaks.bend[r, c]
             move = min(FROM_SLOPE_TICKS, max(-FROM_SLOPE_TICKS, move))
             peaks.time[r, c] = planes.time[r, c] + move

@@ -25,6 +25,7 @@ import numpy as np
 
 from ..shared.threads import Threads
 from . import portable
+from .curves import bend_at, slope_at, through_five, through_three
 from .likelihood import Levels
 from .patchmatch import Field, Planes, fit_planes, level_on, posterior, widened
 from .portable import geometric_steps
@@ -51,6 +52,7 @@ SPREAD_GAIN = (
     0.1  # mean log likelihood of a pixel by which slopes that spread the pulse must be likelier
 )
 BLOCK_ROWS = 4
+PEAK_CLIMBS = 4  # steps of Newton's method to a peak between the bins
 BEND_MIN = 0.1  # of a log likelihood at a peak, per squared bin: less has no peak
 RETURN_SCORE = (
     12.0  # score of a further return with its neighbours: reached by accident once in a hundred,
@@ -279,15 +281,19 @@ def down_to(lights: np.ndarray, faintest: float) -> np.ndarray:
     return np.concatenate([fainter, lights]).astype(np.float32)
 
 
-def peak_offset(level: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """float64[rows, cols]: from the middle of the chosen bin to the peak of the parabola through it
-    and the bins beside it, in bins; at most half a bin.
+def peak_offset(level: np.ndarray, chosen: np.ndarray, *, smooth: bool) -> np.ndarray:
+    """float64[rows, cols]: from the middle of the chosen bin to the peak of the polynomial through
+    the bins around it, in bins; at most half a bin.
 
-    level: float32[rows, cols, bins]. chosen: int64[rows, cols].
+    level: float32[rows, cols, bins]. chosen: int64[rows, cols]. smooth: whether the levels have so
+    little noise that five bins tell the peak better than three do.
     """
-    inner = np.clip(chosen, 1, level.shape[2] - 2)[:, :, None]
-    before = np.take_along_axis(level, inner - 1, 2)[:, :, 0].astype(np.float64)
-    here = np.take_along_axis(level, inner, 2)[:, :, 0].astype(np.float64)
-    after = np.take_along_axis(level, inner + 1, 2)[:, :, 0].astype(np.float64)
-    bend = np.maximum(2 * here - before - after, BEND_MIN)
-    return np.clip((after - before) / 2 / bend, -0.5, 0.5)
+    reach = 2 if smooth else 1
+    bins = np.clip(chosen[:, :, None] + np.arange(-reach, reach + 1), 0, level.shape[2] - 1)
+    levels = np.moveaxis(np.take_along_axis(level, bins, 2).astype(np.float64), 2, 0)
+    curve = through_five(*levels) if smooth else through_three(*levels)
+    offset = np.zeros(chosen.shape)
+    for _ in range(PEAK_CLIMBS):
+        bend = np.maximum(BEND_MIN, -bend_at(curve, offset))
+        offset = np.clip(offset + slope_at(curve, offset) / bend, -0.5, 0.5)
+    return offset

@@ -6,7 +6,9 @@ the window missed the threshold; or the tree was blind after such a window. Thei
 from the share of pulses with an event at that time. Drops come in bursts: the first windows of a
 pulse fill the FIFO, and the following ones are lost until there is room again. So if the later of
 two events carries `overrun`, the silence between them is informative only from the time at which
-there was room; this time follows from the rate of windows.
+there was room; this time follows from the rate of windows. Room is more likely to come in a long gap
+between two windows than in a short one. So the tree has waited longer for the first window that is
+stored again than for others.
 
 Where surfaces and lights of the pixels are roughly known, the frequencies follow from these instead
 (`tree.py`).
@@ -209,6 +211,7 @@ def _ticks_of(
     nearby = none
     busy = none
     ready = none
+    gap = none
     room = none
     stored_share = np.ones(ticks)
     if dropping:
@@ -223,6 +226,7 @@ def _ticks_of(
         nearby = _share_between(np.maximum(0, stamp - reach), armed, dropped, pulses)
         nearby = np.minimum(1, nearby)
         busy, ready = _busy(stamp, armed, dropped, pulses, sensor.phases)
+        gap = _gap(stamp, armed, dropped[stamp] / pulses, ready[:: sensor.phases], sensor.phases)
     seen = np.ones(ticks, np.float32)
     if config.gating[s]:
         seen = np.repeat(_gate_share(config, s), sensor.phases).astype(np.float32)
@@ -232,6 +236,7 @@ def _ticks_of(
         nearby=nearby,
         busy=busy,
         ready=ready,
+        gap=gap,
         room=room,
         deaf=_deaf(events, config, pulses, s),
         seen=seen,
@@ -311,6 +316,27 @@ def _busy(
     return until_next, np.maximum(1 - BLIND_MAX, ready).astype(np.float32)
 
 
+def _gap(
+    stamp: np.ndarray, armed: np.ndarray, weight: np.ndarray, ready: np.ndarray, phases: int
+) -> np.ndarray:
+    """Return the mean number of cycles between two windows of which the second opens in the cycle
+    after the tick's own, and the first was over when the own cycle began, float32[ticks].
+
+    weight: float64[n], windows per pulse for each event. ready: float32[cycles], share of the pulses
+    in which the tree is armed at a cycle.
+    """
+    cells = len(ready)
+    opened = np.bincount(stamp // phases, weight, minlength=cells)
+    over = np.bincount(armed // phases, weight, minlength=cells)[:cells]
+    none = 1 - np.minimum(1, opened / ready)
+    waited = np.ones(cells)  # cycles from the end of a window to that of one that opens in a cycle
+    total = float(over.mean())  # their sum over the pulses in which the tree is armed
+    for cycle in range(cells):
+        total = over[cycle] + none[cycle - 1] * (total + ready[cycle - 1])
+        waited[cycle] = max(1.0, total / ready[cycle])
+    return np.repeat(waited + 1, phases).astype(np.float32)
+
+
 @njit
 def _room_found(begin: np.ndarray, end: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """float64[cycles]: share of the intervals from `begin` to `end` in which there was room before
@@ -378,6 +404,7 @@ class _Ticks(NamedTuple):
     nearby: np.ndarray  # the same for windows with their surroundings; 0 if nothing is dropped
     busy: np.ndarray  # windows after which the tree is armed at the next cycle,
     ready: np.ndarray  # and share in which it is at the tick's own cycle; 0 if nothing is dropped
+    gap: np.ndarray  # of `_gap`; 0 if nothing is dropped
     room: np.ndarray  # share with room in the FIFO; 0 if nothing is dropped
     deaf: np.ndarray  # chance that the tree is blind after a rejected window
     seen: np.ndarray  # share of the pulses whose gate is open
@@ -472,7 +499,7 @@ def _leave_no_trace(
             silent = max(one - awake * noticed, np.float32(RARE))
             lost[t] = one - of_ticks.seen[t] * (one - min(one, (one - awake * met[t]) / silent))
             off = min(np.float32(BLIND_MAX), deaf[t] + of_ticks.busy[t]) if kind else deaf[t]
-            armed = min(one - off, of_ticks.ready[t]) if kind else one - off
+            armed = min(one - off, of_ticks.ready[t]) * of_ticks.gap[t] if kind else one - off
             unarmed[t] = off / (off + armed * dark[t])
         _mean_over_ticks(lost, every, missed[kind])
         _mean_over_ticks(unarmed, every, blind[kind])
@@ -537,7 +564,8 @@ def _leave_no_trace_dropping(
         lost[t] = min(one, (one - room * met) / max(one - room * noticed, np.float32(RARE)))
         # A tree that was armed would have opened a window at the first photon of this cycle.
         busy = of_ticks.busy[t]
-        waiting = of_ticks.ready[t] * none[t]
+        # It waits longer than after a window that was over in this cycle, so room is more likely.
+        waiting = of_ticks.ready[t] * none[t] * of_ticks.gap[t]
         off[t] = max(unarmed[t], busy / max(np.float32(RARE), busy + waiting))
     _mean_over_ticks(lost, every, missed)
     _mean_over_ticks(off, every, blind)
