@@ -308,6 +308,31 @@ def test_a_rule_sees_the_rows_and_columns_of_the_subgroup(subgroup):
     assert found == sorted(zip(*(result[name][in_last_row] for name in names), strict=True))
 
 
+class OneMore(Rule):
+    """One pixel more than the threshold."""
+
+    name = "one-more"
+    version = "1"
+
+    def meets(self, maps, threshold):
+        return maps.sum(axis=(1, 2)) > threshold
+
+    def least(self, threshold):
+        return threshold + 1
+
+
+@pytest.mark.parametrize("threshold", (2, 3, 4))
+def test_the_counter_of_the_threshold_below_is_what_that_threshold_commits(threshold):
+    """Also at threshold 1, which every window meets, whatever its own rule."""
+    setup = Setup.of("flat:5,0.4", **SMALL, klux=50.0)
+    config = setup.config.with_rule(OneMore())
+    edges = Run(setup).edges
+    result = golden_result(config.with_settings(threshold=threshold), edges)
+    below = golden_result(config.with_settings(threshold=threshold - 1), edges)
+    assert np.array_equal(result["lower"], below["committed"])
+    assert result["committed"].sum() < result["lower"].sum()
+
+
 def test_the_papers_rule_as_ones_own_gives_the_papers_words_bounds_and_light():
     for subgroup in ({"threshold": 3}, {"auto": True, "threshold": 2}, {"coincidence": False}):
         setup = Setup.of("flat:5,0.4", **SMALL, klux=50.0, subgroup=subgroup)

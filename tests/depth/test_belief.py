@@ -6,7 +6,7 @@ import pytest
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.depth.belief import NOISE_M, SENTENCES, Reason, find_signs
+from coincid.model.depth.belief import LAW, NOISE_M, SENTENCES, Reason, Signs, believe, find_signs
 from coincid.model.depth.histograms import frame_events
 from coincid.model.depth.methods import METHODS
 from coincid.model.depth.pulse_ticks import PulseTicks
@@ -51,6 +51,34 @@ def test_most_pixels_have_the_reason(reason):
     assert np.mean(found == reason) > 0.5, {
         SENTENCES[Reason(k)]: int(np.sum(found == k)) for k in np.unique(found)
     }
+
+
+def test_of_several_reasons_the_one_that_explains_more_is_told():
+    """Pixel k has the first k signs: each outweighs those before it."""
+    reasons = [
+        Reason.FEW_PHOTONS,
+        Reason.BACKGROUND,
+        Reason.NO_LIGHT,
+        Reason.EVENTS_LOST,
+        Reason.TWO_SURFACES,
+        Reason.FOLDED,
+        Reason.GATE_EDGE,
+    ]
+    pixel = np.arange(len(reasons))[None]
+    signs = Signs(
+        known=np.zeros(pixel.shape, bool),
+        features=np.zeros((*pixel.shape, len(LAW["planes"]) - 1)),
+        evidence=np.where(pixel >= 1, 0.0, 100.0),
+        total=np.where(pixel >= 2, 0, 9),
+        lost=np.where(pixel >= 3, 0.9, 0.0),
+        near=np.full(pixel.shape, 9),
+        other=np.where(pixel >= 4, 9, 0),
+        elsewhere=np.where(pixel >= 4, 100.0, 0.0),
+        folded=pixel >= 5,
+        at_edge=pixel >= 6,
+        seen=np.ones(pixel.shape),
+    )
+    assert believe(signs, "planes")[1][0].tolist() == reasons
 
 
 def test_the_gates_edges_are_those_of_its_first_and_its_last_place():

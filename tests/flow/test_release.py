@@ -21,7 +21,7 @@ from attrs import evolve
 from coincid.flow.limits import beats_beside_cycles, largest_frame
 from coincid.flow.plain_names import plain_verilog
 from coincid.flow.register_files import IP_XACT
-from coincid.flow.release import CELLS_LIST, MANIFEST, write_release
+from coincid.flow.release import CELLS_LIST, MANIFEST, phase_clock, write_release
 from coincid.flow.smoke import FPGA_SMOKE, SMOKE, smoke_configs, smoke_test
 from coincid.flow.yosys import LIBERTY, cells_folder
 from coincid.hdl.export import FILE_LIST
@@ -440,6 +440,16 @@ def test_constraints_of_the_fpga_top_have_a_clock_for_each_tick_of_half_a_cycle(
     for number, rise_ns, fall_ns in made:
         assert float(rise_ns) == pytest.approx(int(number) * period_ns / phases, rel=1e-4)
         assert float(fall_ns) - float(rise_ns) == pytest.approx(period_ns / 2, rel=1e-4)
+
+
+@pytest.mark.parametrize("phases", (4, 8, 32))
+def test_constraints_name_each_bit_of_the_phase_clocks_as_verilog_does(phases):
+    """A port of one bit has no index."""
+    sensor = parse_config({"sensor": {"phases": phases, "rows": 8, "cols": 8}}).sensor
+    ports = {port.name: port.width for port in SensorTop(sensor, levels=True).ports()}
+    width = ports["phase_clocks"]
+    bits = ["phase_clocks"] if width == 1 else [f"phase_clocks[{bit}]" for bit in range(width)]
+    assert [phase_clock(sensor, j) for j in range(1, phases // 2)] == bits
 
 
 def test_the_smoke_test_takes_no_undefined_bit_for_a_right_one():

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Fate
 from coincid.model.contract.latency import COMMIT
 from coincid.model.contract.parameters import OFFSET_NONE, STAMP_FIELD_BITS
@@ -99,6 +100,39 @@ def test_a_frame_in_pieces_behind_a_slow_link_is_the_frame(format_name, records)
     ending = opened.close()
     sent.append(opened.sent())
     assert_same_trace(trace_of(list(zip(*sent, strict=True)), ending, fate), whole)
+
+
+@pytest.mark.parametrize(
+    "stalled", range(1000, 1010)
+)  # in each of its places among the link's beats
+def test_a_receiver_that_is_ready_again_takes_what_the_link_has(stalled):
+    """Behind the last cycle that is told, it is always ready; so it may as well be told."""
+    frame = {"period": 60, "pulses": 40, "link_gbps": 3.3}
+    config = configured(SENSORS["one"], frame, {"threshold": 1})
+    edges = trouble(config, 1, 4.0)
+    traces = [
+        Golden(config.sensor).frame(config, edges, np.arange(told) >= stalled)
+        for told in (stalled, 4 * stalled)
+    ]
+    assert len(traces[0].commit_cycle) > 20
+    assert_same_trace(*traces)
+
+
+def test_every_counter_stops_at_its_end():
+    """Narrow counters of a long frame are those of 32 bits, and none of these fits into them."""
+    frame = {"period": 60, "pulses": 1600, "minigroup_records": True, "mg_threshold": 1}
+    wide = configured(SENSORS["one"], frame, {"threshold": 2, "window": 4})
+    narrow = configured(SENSORS["one"] | {"counter_bits": 9}, frame, {"threshold": 2, "window": 4})
+    edges = trouble(wide, 1, 30.0)
+    cycle = np.arange(wide.pulses * wide.period)
+    ready = (cycle < len(cycle) // 2) | (cycle % 40 == 0)  # at first nothing is lost, then most
+    expected = golden_result(wide, edges, ready)
+    result = golden_result(narrow, edges, ready)
+    for name in COUNTER_NAMES:
+        if name != "threshold_used":
+            assert expected[name].min() > narrow.sensor.counter_max, name
+        capped = np.minimum(expected[name], narrow.sensor.counter_max)
+        np.testing.assert_array_equal(result[name], capped, err_msg=name)
 
 
 def assert_same_trace(trace, expected, but=()):

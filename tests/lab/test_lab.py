@@ -210,10 +210,12 @@ def test_measures_are_those_of_the_last_frame():
 
 @pytest.mark.parametrize("name", [name for name, packet in FORMATS.items() if not packet.grouped])
 def test_beats_are_those_of_the_golden_model(name):
-    changes = {"format": name, "minigroup_records": True}
+    """Of a link that drops events and records, too."""
+    changes = {"format": name, "minigroup_records": True, "link_gbps": 0.5}
     with_counts = small().config.with_sensor(counts=1)
     frame = Run(small().but(config=with_counts, frame=changes)).frame()
     assert frame.counter("mg_stored").any() == (name != "counts")
+    assert frame.counter("dropped").any() == (name != "counts")
     assert frame.beats.tolist() == list(map(len, frame.trace.beats))
 
 

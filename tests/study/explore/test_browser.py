@@ -330,6 +330,22 @@ def test_uploads(tabs, address, tmp_path):
     )
 
 
+def test_back_forgets_a_file_that_was_refused(tabs, address, tmp_path):
+    tab = tabs(address)
+    depth, bad = tmp_path / "depth.png", tmp_path / "bad.png"
+    Image.fromarray(np.full((64, 64), 3000, np.uint16)).save(depth)
+    Image.new("L", (64, 64), 9).save(bad)
+    tab.set_input_files("#u-depth", depth)
+    shown(tab)
+    put(tab, "threshold", 4)
+    shown(tab)
+    tab.set_input_files("#u-depth", bad)
+    assert "8 bit" in refused(tab)
+    tab.go_back()
+    shown(tab)
+    assert "truth 3.00 m" in figure_title(tab, "histogram")
+
+
 def test_a_link_with_mistakes_says_so_and_the_rest_counts(tabs, address):
     tab = tabs(f"{address}?threshold=hello&window=8&moon=1&scene=mars&gating=perhaps")
     ignored = tab.locator("#ignored").text_content()
