@@ -98,6 +98,23 @@ def test_light_of_the_pixels_is_estimated_with_its_error(distance_m, klux):
     assert 0.7 < np.std(scaled) < 1.3
 
 
+def test_pulses_of_the_searches_are_no_trials_of_the_gates():
+    """A gate that opens at one place while the subgroup searches, and at another while it counts."""
+    frame = {"pulses": 40, "search_pulses": 10, "gate_every": 20, "gate_step": 30, "gate_steps": 2}
+    dark = counted(
+        "flat:5,0",
+        0.0,
+        side=8,
+        frame=frame,
+        subgroup={"gating": True, "gate_start": 0, "gate_len": 30},
+    )
+    result = dark.result | {"count_pulses": np.full_like(dark.result["count_pulses"], 20)}
+    for cycle, pulses in ((5, 0), (40, 20)):
+        result["gate_cycle"] = np.full_like(dark.result["gate_cycle"], cycle)
+        trials = gate_counts(result, dark.config, 0).trials
+        assert np.all(trials.hits + trials.misses == pulses), cycle
+
+
 @pytest.mark.parametrize("klux", [10.0, 50.0, 100.0])
 def test_background_is_learned_from_the_counts(klux):
     run = counted("five-objects", klux, side=32, frame={"pulses": 1000})
