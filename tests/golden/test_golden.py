@@ -102,11 +102,11 @@ def test_a_frame_in_pieces_behind_a_slow_link_is_the_frame(format_name, records)
     assert_same_trace(trace_of(list(zip(*sent, strict=True)), ending, fate), whole)
 
 
-@pytest.mark.parametrize(
-    "stalled", range(1000, 1010)
-)  # in each of its places among the link's beats
+@pytest.mark.parametrize("stalled", range(1000, 1010))
 def test_a_receiver_that_is_ready_again_takes_what_the_link_has(stalled):
-    """Behind the last cycle that is told, it is always ready; so it may as well be told."""
+    """Behind the last cycle that is told, it is always ready; so it may as well be told. The link
+    takes a beat in one of some ten cycles, so the stall ends at each distance from it.
+    """
     frame = {"period": 60, "pulses": 40, "link_gbps": 3.3}
     config = configured(SENSORS["one"], frame, {"threshold": 1})
     edges = trouble(config, 1, 4.0)
@@ -122,7 +122,7 @@ def test_every_counter_stops_at_its_end():
     """Narrow counters of a long frame are those of 32 bits, and none of these fits into them."""
     frame = {"period": 60, "pulses": 1600, "minigroup_records": True, "mg_threshold": 1}
     wide = configured(SENSORS["one"], frame, {"threshold": 2, "window": 4})
-    narrow = configured(SENSORS["one"] | {"counter_bits": 9}, frame, {"threshold": 2, "window": 4})
+    narrow = wide.with_sensor(counter_bits=9)
     edges = trouble(wide, 1, 30.0)
     cycle = np.arange(wide.pulses * wide.period)
     ready = (cycle < len(cycle) // 2) | (cycle % 40 == 0)  # at first nothing is lost, then most
