@@ -83,6 +83,18 @@ def wait_for_title(tab, name, test):
     tab.wait_for_function(f"Bokeh.documents[0].get_model_by_name('{name}').title.text.{test}")
 
 
+def asks(tab, act, *given):
+    """Do what makes the page ask by itself, in its own time, and wait until it has asked."""
+    before = tab.evaluate("asked")
+    act(*given)
+    tab.wait_for_function("(before) => asked > before", arg=before)
+
+
+def bring(tab, kind, path):
+    """Choose a file as a user does; the page reads it before it asks."""
+    asks(tab, tab.set_input_files, f"#u-{kind}", path)
+
+
 def refused(tab):
     """Wait for the sentence about an illegal setting, and return it."""
     tab.wait_for_selector("#refused:not([hidden])")
@@ -265,17 +277,16 @@ def test_back_undoes_a_change_and_the_theme_stays(tabs, address):
     for name, value in (("threshold", 4), ("window", 20), ("coincidence", False)):
         put(tab, name, value)
         shown(tab)
-    tab.go_back()
-    tab.wait_for_function("document.querySelector('[name=coincidence]').checked")
+    asks(tab, tab.go_back)
     shown(tab)
     assert tab.input_value("[name=window]") == "20"
-    tab.go_back()
+    asks(tab, tab.go_back)
     shown(tab)
     assert tab.input_value("[name=window]") == "16" and tab.input_value("[name=threshold]") == "4"
     assert number(tab, "mean threshold") == ["4.00 pixels"]
-    tab.go_forward()
-    tab.wait_for_function("document.querySelector('[name=window]').value === '20'")
+    asks(tab, tab.go_forward)
     shown(tab)
+    assert tab.input_value("[name=window]") == "20"
     theme = "document.documentElement.dataset.theme"
     before = tab.evaluate(theme)
     tab.click("#theme")
@@ -290,9 +301,9 @@ def test_uploads(tabs, address, tmp_path):
     depth, bad = tmp_path / "depth.png", tmp_path / "<b>.png"
     Image.fromarray(np.full((64, 64), 3000, np.uint16)).save(depth)
     Image.new("L", (64, 64), 9).save(bad)
-    tab.set_input_files("#u-depth", bad)
+    bring(tab, "depth", bad)
     assert re.search("<b>.png.*8 bit", refused(tab))
-    tab.set_input_files("#u-depth", depth)
+    bring(tab, "depth", depth)
     shown(tab)
     assert "truth 3.00 m" in figure_title(tab, "histogram")
     assert "depth.png: reflectivity 0.4 everywhere" in tab.locator("#notes").text_content()
@@ -301,7 +312,7 @@ def test_uploads(tabs, address, tmp_path):
     )
     assert tab.evaluate(right) == [0, 0]  # nothing is cut
     np.savez(tmp_path / "two.npz", near=np.full((8, 8), 2.0), far=np.full((8, 8), 6.0))
-    tab.set_input_files("#u-depth", tmp_path / "two.npz")
+    bring(tab, "depth", tmp_path / "two.npz")
     assert "two.npz: has the arrays of two dimensions near, far" in refused(tab)
     suggested = "[...document.querySelectorAll('#parts option')].map((one) => one.value)"
     assert tab.evaluate(suggested) == ["near", "far"]
@@ -309,7 +320,7 @@ def test_uploads(tabs, address, tmp_path):
     shown(tab)
     assert "truth 6.00 m" in figure_title(tab, "histogram")
     put(tab, "channel", "")
-    tab.set_input_files("#u-depth", depth)
+    bring(tab, "depth", depth)
     shown(tab)
     opacity = "getComputedStyle(document.querySelector('[data-upload=sun]')).opacity"
     assert tab.evaluate(opacity) == "1"  # a file can be chosen
@@ -335,13 +346,13 @@ def test_back_forgets_a_file_that_was_refused(tabs, address, tmp_path):
     depth, bad = tmp_path / "depth.png", tmp_path / "bad.png"
     Image.fromarray(np.full((64, 64), 3000, np.uint16)).save(depth)
     bad.write_bytes(b"no picture")
-    tab.set_input_files("#u-depth", depth)
+    bring(tab, "depth", depth)
     shown(tab)
     put(tab, "threshold", 4)
     shown(tab)
-    tab.set_input_files("#u-depth", bad)
+    bring(tab, "depth", bad)
     assert "bad.png" in refused(tab)
-    tab.go_back()
+    asks(tab, tab.go_back)
     shown(tab)
     assert "truth 3.00 m" in figure_title(tab, "histogram")
 
