@@ -20,7 +20,10 @@ Such an excess of one pixel is one sample of a random number. So the pixels arou
 negative ones count, too, and on a plane their mean is near 0.
 
 If the peaks around a pixel scatter by more than their likelihoods tell, the variance grows as much: some
-of them are of other surfaces, or the shape is another one.
+of them are of other surfaces, or the shape is another one. What is significant of this is also taken
+for a distance of each pixel's own, as that of leaves or of a depth picture with noise (the nugget of
+kriging; Cressie, Statistics for Spatial Data, 1993). Such a pixel is moved from its surface towards
+its own peak, and its error contains what it may be off the surface.
 
 Behind a lens, planes in space are curved from pixel to pixel (`lens.py`). Such a lens is looked for in
 the peaks of the frame, and both shapes follow it.
@@ -36,7 +39,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from ..shared.compiled import njit, part
-from .curves import slope_at, through_five
+from .curves import slope_at, through_five, through_three
 from .lens import Lens, find_lens, no_lens, seen_at
 from .patchmatch import HALF, Field, Planes, own_level, plane_at
 from .seeds import Blocks
@@ -59,6 +62,10 @@ GROWTH = 1.1  # of the standard error, because the disc is chosen by the same pe
 ERROR_TICKS = 0.06  # what the likelihood leaves out, at any number of photons
 MOVE_TICKS = 3.0  # by which a time changes, at most
 DISCS = (0, 1, 2, 5, 10, 17, 26, 37, 50, 68)  # squared radii, pixels
+ROUGH_DISC = 4  # the first disc whose scatter tells how rough the surface is, if it agrees
+ROUGH_SIGMAS = 3.0  # of a scatter by chance, from which on it counts as roughness,
+SURE_SIGMAS = 1.0  # and so much more, from which on it does in full
+OWN_DOUBT = 2.0  # by which a pixel's own peak may be noisier than it says
 SCATTER_PRIOR = 10.0  # weight of the scatter that the likelihoods tell, in peaks
 TERMS = 6  # of a curved surface: three curvatures,
 FLAT = 3  # and from here on those of a plane:
@@ -66,6 +73,7 @@ DOWN = 3  # its slopes,
 RIGHT = 4
 LEVEL = 5  # and its time
 
+_through_three = part(through_three)
 _through_five = part(through_five)
 _slope_at = part(slope_at)
 
@@ -101,6 +109,7 @@ _FIT = np.dtype(
         ("variance", np.float64),  # of `off`, squared ticks
         ("scatter", np.float64),  # squared distances of the peaks from it, in their variances
         ("free", np.float64),  # what `scatter` is on average
+        ("weight", np.float64),  # mean inverse variance of the peaks, per squared tick
     ],
     align=True,
 )
@@ -133,12 +142,13 @@ class _Excess(NamedTuple):
 
 
 class _Chosen(NamedTuple):
-    """What is added to the plane of a pixel."""
+    """What is added to the plane of a pixel, so that it is the surface through its disc."""
 
     off: float  # ticks
     down: float  # ticks per row
     right: float  # ticks per column
     square: float  # squared error of `off`; infinite: there is no peak
+    disc: int
 
 
 def refine(field: Field, planes: Planes, blocks: Blocks) -> Refined:
@@ -204,7 +214,7 @@ def _surfaces(
         planes=planes._replace(time=np.empty(shape), down=np.empty(shape), right=np.empty(shape)),
         error=np.empty(shape),
     )
-    blocks(partial(_refine, planes, near, room.fits, excess, refined))
+    blocks(partial(_refine, planes, near, room.fits, excess, peaks, refined))
     return refined
 
 
@@ -261,13 +271,13 @@ def _find_peaks(field: Field, planes: Planes, peaks: _Peaks, begin: int, end: in
                     after = here
                     here = before
                     before = own_level(field, planes, r, c, at - 1)[2]
-            bend = 2 * here - before - after
+            curve = _through_three(float(before), float(here), float(after))
             peaks.time[r, c] = middle + at * step
             peaks.bend[r, c] = 0.0
-            if bend > 0:
-                off = float((after - before) / 2 / bend)
+            if curve.second < 0:
+                off = -curve.first / curve.second
                 peaks.time[r, c] += step * min(PEAK_STEPS, max(-PEAK_STEPS, off))
-                peaks.bend[r, c] = bend / step**2
+                peaks.bend[r, c] = -curve.second / step**2
 
 
 @njit(allocates=False)
@@ -283,7 +293,7 @@ def _follow_slopes(field: Field, planes: Planes, peaks: _Peaks, begin: int, end:
             step, middle, here = own_level(field, planes, r, c, 0)
             before = own_level(field, planes, r, c, -1)[2]
             after = own_level(field, planes, r, c, 1)[2]
-            bend = float(2 * here - before - after)
+            bend = -_through_three(float(before), float(here), float(after)).second
             if bend > 0:
                 peaks.bend[r, c] = bend / step**2
             two_before = own_level(field, planes, r, c, -2)[2]
@@ -348,6 +358,7 @@ def _refine(
     near: _Neighbours,
     fits: _Fits,
     excess: _Excess,
+    peaks: _Peaks,
     refined: Refined,
     begin: int,
     end: int,
@@ -356,12 +367,19 @@ def _refine(
     for r in range(begin, end):
         for c in range(planes.time.shape[1]):
             best = _choose(near.bounds, fits, excess, r, c)
-            moved = 1.0 if abs(best.off) <= MOVE_TICKS else 0.0
-            refined.planes.time[r, c] = planes.time[r, c] + moved * best.off
+            rough = _roughness(fits, best.disc, r, c)
+            share = _own_share(rough, peaks.bend[r, c])
+            own = peaks.time[r, c] - planes.time[r, c]
+            off = best.off + share * (own - best.off)
+            square = (1 - share) ** 2 * (best.square + rough)
+            if share > 0:
+                square += share**2 / peaks.bend[r, c]
+            moved = 1.0 if abs(off) <= MOVE_TICKS else 0.0
+            refined.planes.time[r, c] = planes.time[r, c] + moved * off
             refined.planes.down[r, c] = planes.down[r, c] + moved * best.down
             refined.planes.right[r, c] = planes.right[r, c] + moved * best.right
-            error = np.sqrt(GROWTH**2 * best.square + ERROR_TICKS**2)
-            refined.error[r, c] = error if best.square < np.inf else np.nan
+            error = np.sqrt(GROWTH**2 * square + ERROR_TICKS**2)
+            refined.error[r, c] = error if square < np.inf else np.nan
 
 
 @part
@@ -488,6 +506,7 @@ def _solve(own: _Work, first: int, fit: Any) -> None:
     fit.variance = 1 / left[LEVEL, LEVEL]
     fit.scatter = left[TERMS, TERMS] - left[LEVEL, TERMS] * off
     fit.free = free
+    fit.weight = own.sums[LEVEL, LEVEL] / own.peaks[0]
 
 
 @part
@@ -499,7 +518,7 @@ def _choose(bounds: np.ndarray, fits: _Fits, excess: _Excess, r: int, c: int) ->
     """
     first = fits.first[r, c]
     end = fits.end[r, c]
-    best = _Chosen(0.0, 0.0, 0.0, np.inf)
+    best = _Chosen(0.0, 0.0, 0.0, np.inf, -1)
     least = np.inf
     plane_bias = 0.0  # squared, of the plane of the disc
     pixels = 1.0  # of the disc before
@@ -525,8 +544,34 @@ def _choose(bounds: np.ndarray, fits: _Fits, excess: _Excess, r: int, c: int) ->
                 down=plane.down + share * (curved.down - plane.down),
                 right=plane.right + share * (curved.right - plane.right),
                 square=variance + share * most_bias,
+                disc=disc,
             )
     return best
+
+
+@part
+def _roughness(fits: _Fits, chosen: int, r: int, c: int) -> float:
+    """Return the variance by which single pixels around a pixel are off its surface, squared ticks;
+    0 if their peaks scatter by no more than they do by chance.
+
+    chosen: disc of the surface; -1: there is none.
+    """
+    if chosen < 0:
+        return 0.0
+    fit = fits.curved[r, c, min(fits.end[r, c] - 1, max(chosen, ROUGH_DISC))]
+    if fit.free <= 1:
+        return 0.0
+    sigmas = (fit.scatter - fit.free) / np.sqrt(2 * fit.free)
+    sure = min(1.0, max(0.0, (sigmas - ROUGH_SIGMAS) / SURE_SIGMAS))
+    if sure == 0:
+        return 0.0
+    return float(sure * (fit.scatter / fit.free - 1) / fit.weight)
+
+
+@part
+def _own_share(rough: float, bend: float) -> float:
+    """Return how far a pixel moves from its surface to its own peak, from 0 to 1."""
+    return float(rough * bend / (rough * bend + OWN_DOUBT))
 
 
 @part

@@ -26,7 +26,7 @@ from ..contract.coincidence import Rise, event_share, rises
 from ..contract.config import Config
 from ..shared.compiled import njit, part
 from . import portable
-from .clusters import armed_ticks, gate_moved
+from .clusters import armed_ticks, open_share
 from .evidence import RARE
 from .histograms import Events
 from .pulse_ticks import PulseTicks
@@ -227,9 +227,7 @@ def _ticks_of(
         nearby = np.minimum(1, nearby)
         busy, ready = _busy(stamp, armed, dropped, pulses, sensor.phases)
         gap = _gap(stamp, armed, dropped[stamp] / pulses, ready[:: sensor.phases], sensor.phases)
-    seen = np.ones(ticks, np.float32)
-    if config.gating[s]:
-        seen = np.repeat(_gate_share(config, s), sensor.phases).astype(np.float32)
+    seen = np.repeat(open_share(config, s, range(config.pulses)), sensor.phases)
     of_ticks = _Ticks(
         committed=np.bincount(stamp, minlength=ticks) * dropped,
         covered=_share_between(stamp, stamp + window, dropped, pulses),
@@ -239,7 +237,7 @@ def _ticks_of(
         gap=gap,
         room=room,
         deaf=_deaf(events, config, pulses, s),
-        seen=seen,
+        seen=seen.astype(np.float32),
     )
     return of_ticks, dropping
 
@@ -252,15 +250,6 @@ def _deaf(events: Events, config: Config, pulses: int, s: int) -> np.ndarray:
     rejected = (events.opened[s] - events.committed[s]) / pulses / config.period_ticks  # per tick
     deaf = np.minimum(BLIND_MAX, rejected * blind_ticks).astype(np.float32)
     return np.tile(deaf, config.period)
-
-
-def _gate_share(config: Config, s: int) -> np.ndarray:
-    """float64[cycles]: share of the pulses whose gate is open in each cycle of the period."""
-    starts = config.gate_start[s] + gate_moved(config, np.arange(config.pulses))
-    start, pulses = np.unique(starts, return_counts=True)
-    cycle = np.arange(config.period)[:, None]
-    is_open = (cycle >= start) & (cycle < start + config.gate_len[s])
-    return is_open @ pulses / pulses.sum()
 
 
 def _while_dropping(

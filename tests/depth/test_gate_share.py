@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coincid.model.depth.unheard import _gate_share
+from coincid.model.depth.clusters import open_share
 
 from ..random_cases import configured
 
@@ -29,4 +29,4 @@ def test_the_share_of_a_cycle_is_that_of_its_pulses(start, length, step, every, 
     for pulse in range(pulses):
         first = start + step * ((pulse // every) % steps if every else 0)
         is_open[pulse, first : first + length] = 1
-    assert _gate_share(config, 0) == pytest.approx(is_open.mean(axis=0))
+    assert open_share(config, 0, range(pulses)) == pytest.approx(is_open.mean(axis=0))

@@ -117,7 +117,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "3e02f26871bfeee4"),
     "sim": (sim, "101eda146236700f"),
     "sweep": (sweep, "25829edd6663a888"),
-    "explorer": (explorer, "01392cdcc8ff92af"),
+    "explorer": (explorer, "c4f0d24f84fdfc9f"),
     "surfaces": (surface, "aa50220de1a3e5ed"),
     "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "79acd2ab7587cfa2"),
     "modes": (
