@@ -308,28 +308,41 @@ class Device:
         return self.last_written
 
 
+def asked(port, deframer, number, operation, value=0):
+    """Send a request of one word, or of none, and return the bodies that come back."""
+    address = own_address("dead_cycles").to_bytes(3, "little")
+    has_word = operation != Operation.HELLO
+    head = bytes([number, operation, int(has_word)]) + (address if has_word else bytes(3))
+    data = value.to_bytes(4, "little") if operation == Operation.WRITE else b""
+    port.write(frame(head + data))
+    found = []
+    end = port.now() + PATIENCE_S
+    while not found and port.now() < end:
+        found = deframer.add(port.read())
+    return found
+
+
+def test_a_device_that_was_only_read_is_not_fresh_any_more(port):
+    deframer = Deframer()
+    requests = enumerate((Operation.HELLO, Operation.READ, Operation.HELLO))
+    answers = [asked(port, deframer, number, operation)[0][-1] for number, operation in requests]
+    assert answers == [Answer.FRESH, Answer.OKAY, Answer.OKAY]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_any_requests_are_answered_as_the_protocol_says(port, seed):
     """Numbers that repeat, follow or jump; greetings among them; values that are refused."""
     rng = np.random.default_rng(seed)
     device, deframer = Device(), Deframer()
-    address = own_address("dead_cycles").to_bytes(3, "little")
     number = 0
     for step in range(80):
         operation = Operation(int(rng.choice([0, 1, 2, 2], p=[0.2, 0.3, 0.25, 0.25])))
         number = (number + int(rng.choice([0, 1, 1, 7]))) % 256
         value = int(rng.integers(0, 3 * DEAD_MAX))
-        has_word = operation != Operation.HELLO
-        head = bytes([number, operation, int(has_word)]) + (address if has_word else bytes(3))
-        data = value.to_bytes(4, "little") if operation == Operation.WRITE else b""
         if device.value == 0 and operation == Operation.READ:
             continue  # its value after a reset is not of the protocol
-        port.write(frame(head + data))
         status, content = device.answer(number, operation, value)
-        found = []
-        end = port.now() + PATIENCE_S
-        while not found and port.now() < end:
-            found = deframer.add(port.read())
+        found = asked(port, deframer, number, operation, value)
         assert found == [bytes([number]) + content + bytes([status])], (step, operation)
         number = device.last
 

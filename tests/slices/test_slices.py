@@ -239,6 +239,22 @@ def test_registers_can_be_read_and_written():
             slices.poke("no such register", 0)
 
 
+def test_registers_with_a_reset_value_and_no_first_one_are_reset_in_all_lanes():
+    value = 0xA5A5_5A5A_F00F_0FF0
+    text = f"""module resets(input clk, input rst, input [63:0] d, output reg [63:0] q);
+      always @(posedge clk) if (rst) q <= 64'h{value:x}; else q <= d ^ (q << 1);
+    endmodule
+    """
+    with Slices(Design("resets", {"resets.v": text}, "resets")) as slices:
+        some = [lane % 2 for lane in range(64)]
+        for resets in (some, [1] * 64):
+            slices.set("rst", resets)
+            slices.set("d", 7)
+            slices.step()
+            after = slices.peek("q")
+            assert {after[lane] for lane in range(64) if resets[lane]} == {value}
+
+
 def test_waveform_of_a_lane_is_what_amaranth_shows(tmp_path):
     """All signals by name, registers and logic, cycle by cycle."""
     name, lane = "fifo", 5
