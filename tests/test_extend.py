@@ -363,6 +363,20 @@ def test_a_threshold_means_to_light_what_the_rule_says(page):
         histogram(2.0, 0.05, 1e6, form=FORMS[0], sensor=own, **light)
 
 
+class EveryPixel(Rule):
+    """Only windows in which all pixels fire."""
+
+    name = "every-pixel"
+    version = "1"
+
+    def meets(self, maps, threshold):
+        return maps.all(axis=(1, 2))
+
+
+def test_a_rule_that_only_full_windows_meet_rises_at_all_pixels():
+    assert rises(EveryPixel(), SHAPE, 2) == ((SHAPE[0] * SHAPE[1], 1.0),)
+
+
 def test_a_rule_without_a_circuit_is_refused_by_the_rtl():
     config = Setup.of("flat:5,0.4", **SMALL).config.with_rule(Counts())
     with pytest.raises(

@@ -3,6 +3,7 @@
 commands.
 """
 
+import re
 from functools import partial
 
 import pytest
@@ -37,6 +38,32 @@ def test_verdicts(monkeypatch, highest, reached, complaint):
     (verdict,) = prove([name])
     assert (verdict.statements, verdict.situations) == (1, 1)
     assert complaint in verdict.reason if complaint else not verdict.reason
+
+
+def _stated(state):
+    """Return a module with a counter and what is stated of it."""
+    bench = Bench()
+    count = Signal(4)
+    bench.m.d.sync += count.eq(count + 1)
+    bench.cover(count == 3)
+    state(bench, count)
+    return bench.m
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        lambda bench, count: bench.always(count == 0),
+        lambda bench, count: bench.always(bench.past(count, 2) == count, where=count > 2),
+        lambda bench, count: bench.stable(count, where=count == 5),
+        lambda bench, count: bench.cover(bench.past(count) == count + 1),
+    ],
+    ids=["always", "past", "stable", "cover"],
+)
+def test_what_a_bench_states_of_a_counter_fails_if_it_is_wrong(monkeypatch, state):
+    monkeypatch.setitem(PROOFS, "wrong", Proof("wrong", "", partial(_stated, state), 2, 14))
+    (verdict,) = prove(["wrong"])
+    assert re.search("Assert failed|Unreached cover", verdict.reason)
 
 
 def test_a_proof_that_does_not_end_does_not_hold(monkeypatch):

@@ -112,6 +112,14 @@ def test_a_long_run_has_one_decoded_frame_in_memory(long):
     assert first() is None
 
 
+def test_long_runs_that_share_a_cache_have_frames_of_their_own(long):
+    run = Run(setup_of(pulses=200))
+    other = run.but(subgroup={"threshold": 3})
+    expected = Run(other.setup).frame(1).result["stamp"]
+    assert len(run.frame(1).result["stamp"]) > len(expected)
+    np.testing.assert_array_equal(other.frame(1).result["stamp"], expected)
+
+
 def test_chunks_are_cut_where_frames_end():
     pulse = np.array([0, 0, 1, 4, 5, 11])
     edges = Edges(pulse, np.arange(6), np.arange(6))

@@ -191,15 +191,16 @@ def test_each_picture_of_an_uploaded_sequence_is_scaled(tmp_path):
         assert np.all(scene.at(frame).truth_m == 2 * pictures_m[frame])
 
 
-def test_an_uploaded_picture_is_the_sun(tmp_path):
+@pytest.mark.parametrize("rows", [16, 32])
+def test_an_uploaded_picture_is_the_sun(tmp_path, rows):
     grey = Image.fromarray(np.repeat(np.uint8([255, 0]), 32)[:, None].repeat(64, axis=1))
     settings = check_settings(
-        {"scene": "flat", "sun": "picture"}, uploaded(tmp_path, "sun", "sun.png", grey)
+        {"scene": "flat", "sun": "picture", "rows": rows},
+        uploaded(tmp_path, "sun", "sun.png", grey),
     )
-    background = settings.light(settings.scene()).background_cps.reshape(32, 32)
-    assert np.all(background[:16] == background.max()) and np.all(
-        background[16:] == background.min()
-    )
+    background = settings.light(settings.scene()).background_cps.reshape(rows, 32)
+    assert np.all(background[: rows // 2] == background.max())
+    assert np.all(background[rows // 2 :] == background.min())
 
 
 BAD = [
