@@ -24,7 +24,7 @@ from coincid.board.parameters import (
     own_address,
 )
 from coincid.board.run import Session
-from coincid.board.serial_link import ESCAPE, FLAG, FLIP, Answer, Operation
+from coincid.board.serial_link import ESCAPE, FLAG, FLIP, WRITE_WORDS_MAX, Answer, Operation
 from coincid.board.serial_transport import Deframer, SerialTransport, frame
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.board.source_model import SourceSettings, source_edges
@@ -308,12 +308,15 @@ class Device:
         return self.last_written
 
 
-def asked(port, deframer, number, operation, value=0):
-    """Send a request of one word, or of none, and return the bodies that come back."""
-    address = own_address("dead_cycles").to_bytes(3, "little")
-    has_word = operation != Operation.HELLO
-    head = bytes([number, operation, int(has_word)]) + (address if has_word else bytes(3))
-    data = value.to_bytes(4, "little") if operation == Operation.WRITE else b""
+def asked(port, deframer, number, operation, *values):
+    """Send a request to read one word, to write `values`, or of no word, and return the bodies that
+    come back.
+    """
+    written = values if operation == Operation.WRITE else ()
+    words = 1 if operation == Operation.READ else len(written)
+    address = own_address("dead_cycles").to_bytes(3, "little") if words else bytes(3)
+    head = bytes([number, operation, words]) + address
+    data = b"".join(value.to_bytes(4, "little") for value in written)
     port.write(frame(head + data))
     found = []
     end = port.now() + PATIENCE_S
@@ -327,6 +330,13 @@ def test_a_device_that_was_only_read_is_not_fresh_any_more(port):
     requests = enumerate((Operation.HELLO, Operation.READ, Operation.HELLO))
     answers = [asked(port, deframer, number, operation)[0][-1] for number, operation in requests]
     assert answers == [Answer.FRESH, Answer.OKAY, Answer.OKAY]
+
+
+def test_the_longest_request_is_answered(port):
+    deframer = Deframer()
+    asked(port, deframer, 0, Operation.HELLO)
+    (answer,) = asked(port, deframer, 1, Operation.WRITE, *[1] * WRITE_WORDS_MAX)
+    assert answer[-1] in (Answer.OKAY, Answer.REFUSED)
 
 
 @pytest.mark.parametrize("seed", range(3))
