@@ -50,19 +50,20 @@ def _stated(state):
     return bench.m
 
 
-@pytest.mark.parametrize(
-    "state",
-    [
-        lambda bench, count: bench.always(count == 0),
-        lambda bench, count: bench.always(bench.past(count, 2) == count, where=count > 2),
-        lambda bench, count: bench.stable(count, where=count == 5),
-        lambda bench, count: bench.cover(bench.past(count) == count + 1),
-    ],
-    ids=["always", "past", "stable", "cover"],
-)
-def test_what_a_bench_states_of_a_counter_fails_if_it_is_wrong(monkeypatch, state):
-    monkeypatch.setitem(PROOFS, "wrong", Proof("wrong", "", partial(_stated, state), 2, 14))
-    (verdict,) = prove(["wrong"])
+WRONG = {  # of a counter
+    "always": lambda bench, count: bench.always(count == 0),
+    "past": lambda bench, count: bench.always(bench.past(count, 2) == count, where=count > 2),
+    "stable": lambda bench, count: bench.stable(count, where=count == 5),
+    "cover": lambda bench, count: bench.cover(bench.past(count) == count + 1),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_a_bench_states_of_a_counter_fails_if_it_is_wrong(monkeypatch, name):
+    build = partial(_stated, WRONG[name])
+    wrong = f"wrong_{name}"  # a folder of its own
+    monkeypatch.setitem(PROOFS, wrong, Proof(wrong, "", build, 2, 14))
+    (verdict,) = prove([wrong])
     assert re.search("Assert failed|Unreached cover", verdict.reason)
 
 
