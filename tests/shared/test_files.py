@@ -37,6 +37,16 @@ def test_a_file_has_the_permissions_of_the_users_mask(tmp_path, umask, mode):
     assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == mode
 
 
+@pytest.mark.parametrize("end", [KeyboardInterrupt, ValueError, SystemExit])
+def test_nothing_is_left_beside_a_file_whose_writing_ends_early(tmp_path, end):
+    (tmp_path / "a").write_text("before", encoding="utf-8")
+    with pytest.raises(end), whole_file(tmp_path / "a", "w") as file:
+        file.write("half")
+        raise end
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert (tmp_path / "a").read_text(encoding="utf-8") == "before"
+
+
 ROWS = hnp.arrays(
     st.sampled_from([np.int64, np.uint64, np.uint16, np.uint8, bool]),
     hnp.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=7),
