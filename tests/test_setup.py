@@ -118,6 +118,21 @@ def test_every_missing_package_is_named_or_counted(tmp_path, packages):
     assert not more or int(more[1]) > 0
 
 
+def test_the_set_up_ends_where_system_packages_cannot_be_installed(tmp_path):
+    command = [sys.executable, str(ROOT / "tools" / "system.py"), "one", "two"]
+    done = subprocess.run(
+        command,
+        env=os.environ | {"PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=False,
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("missing system packages; run")
+    assert done.stderr.endswith("apt-get install -y one two\n")
+
+
 def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):
     python = [sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")]
     subprocess.run(python, check=True)

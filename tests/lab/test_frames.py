@@ -32,13 +32,15 @@ def test_every_measure_of_a_frame_is_that_of_the_frame_alone(run, number):
 
 
 @pytest.mark.parametrize("number", [0, 1, -1])
-def test_a_frame_alone_has_the_picture_of_its_own(number):
-    """In a scene that moves: the truth of a later frame is not that of the first."""
+def test_a_frame_alone_has_the_picture_and_the_light_of_its_own(number):
+    """In a scene that moves: truth and light of a later frame are not those of the first."""
     pictures = np.full((FRAMES, 8, 8), 3.0) + np.arange(FRAMES)[:, None, None]
     scene = load_scene(pictures, 8, 8)
     frame = {"frames": FRAMES, "pulses": 4, "period": 60}
     run = Run(Setup.of(scene, sensor={"rows": 8, "cols": 8}, frame=frame))
     assert np.all(run.alone(number).scene.truth_m == pictures[number])
+    own = run.light_of(number % FRAMES).signal_per_pulse
+    assert np.array_equal(own, run.alone(number).light_of(0).signal_per_pulse)
 
 
 def test_frames_have_all_edges_and_events_once(run):

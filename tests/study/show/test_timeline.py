@@ -76,10 +76,14 @@ def test_a_drop_finds_the_fifo_full_and_a_commit_does_not(name):
         part = slice(*timeline.fill_bounds[s : s + 2])
         cycles, fill = timeline.fill_cycle[part], timeline.fill[part]
         assert fill[0] == fill[-1] == 0
-        windows = timeline.period(s, pulse).windows
+        period = timeline.period(s, pulse)
+        windows = period.windows
+        inside = windows.commit < config.period
+        at = np.searchsorted(period.fill_cycle, windows.commit[inside], "right") - 1
         after = fill[
             np.searchsorted(cycles, timeline.start_cycles[pulse] + windows.commit, "right") - 1
         ]
+        assert np.array_equal(period.fill[at], after[inside])
         assert np.all(after[windows.verdict == Verdict.DROPPED] == config.sensor.fifo_depth)
         assert np.all(after[windows.verdict == Verdict.COMMITTED] >= 1)
 
