@@ -25,6 +25,7 @@ CHROMIUM = shutil.which("chromium")
 pytestmark = [pytest.mark.needs("chromium")]
 FLAGS = "--no-sandbox --disable-gpu --disable-background-networking --disable-component-update --disable-sync".split()
 PATIENCE_MS = 240_000
+STEADY_MS = 500  # without a change of the layout
 SHOWN = "document.body.dataset.state === 'shown'"
 
 
@@ -121,15 +122,23 @@ def number(tab, label):
 
 
 def click_map(tab, name, row, col):
-    """Click a pixel of a map; Bokeh tells where the plot is inside its frame."""
+    """Click a pixel of a map, once the page is laid out; Bokeh tells where the plot is inside its
+    frame.
+    """
     x, y = tab.evaluate(
-        """([name, row, col]) => {
+        """async ([name, row, col, steady_ms]) => {
           const view = Bokeh.index.find_one_by_id?.(Bokeh.documents[0].get_model_by_name(name).id)
             ?? Object.values(Bokeh.index.roots ?? Bokeh.index).find((v) => v.model.name === name);
+          const frame = () => new Promise(requestAnimationFrame);
+          const places = () => JSON.stringify([view.el.getBoundingClientRect(), view.frame.bbox.rect]);
+          for (let before = places(), since = performance.now(); performance.now() - since < steady_ms;) {
+            await frame();
+            if (places() !== before) { before = places(); since = performance.now(); }
+          }
           const box = view.el.getBoundingClientRect();
           return [box.x + view.frame.x_scale.compute(col), box.y + view.frame.y_scale.compute(row)];
         }""",
-        [f"map_{name}", row, col],
+        [f"map_{name}", row, col, STEADY_MS],
     )
     tab.mouse.click(x, y)
 
