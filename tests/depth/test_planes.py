@@ -257,19 +257,24 @@ def test_standard_errors_hold_for_pixels_that_fire_in_nearly_every_pulse():
 
 
 def test_standard_errors_hold_where_each_pixel_is_off_the_surface():
-    """The surface through its neighbours alone would have an error of 5.4 mm, and say 3 mm."""
+    """The surface through its neighbours alone would have an error of 5.4 mm, and say 3.8 mm."""
     own_m = 6e-3 * np.random.default_rng(3).standard_normal((32, 32))
     scene = Scene(name="rough", distance_m=8 + own_m, reflectivity=np.full((32, 32), 0.4))
-    errors = scaled_errors(scene, pulses=1000)
+    depth = estimate(scene, 50.0, frame={"pulses": 1000, "link_gbps": 0})
+    errors = scaled_by_their_own(depth, scene)
     assert 0.6 < np.mean(errors < 1) < 0.8
     assert 0.9 < np.mean(errors < 2)
-    depth = estimate(scene, 50.0, frame={"pulses": 1000, "link_gbps": 0})
     assert np.sqrt(np.mean((depth.depth_m[:, :, 0] - scene.truth_m) ** 2)) < 5.0e-3
 
 
 def scaled_errors(scene, pulses):
     """Return the errors of the right pixels, by their standard errors."""
     depth = estimate(scene, 50.0, frame={"pulses": pulses, "link_gbps": 0})
+    return scaled_by_their_own(depth, scene)
+
+
+def scaled_by_their_own(depth, scene):
+    """Return the errors of the right pixels of an estimate, by their standard errors."""
     off_m = np.abs(depth.depth_m[:, :, 0] - scene.truth_m)
     return (off_m / depth.error_m[:, :, 0])[off_m < TOLERANCE_M]
 

@@ -288,6 +288,7 @@ def test_back_undoes_a_change_and_the_theme_stays(tabs, address):
         shown(tab)
     asks(tab, tab.go_back)
     shown(tab)
+    assert tab.is_checked("[name=coincidence]")
     assert tab.input_value("[name=window]") == "20"
     asks(tab, tab.go_back)
     shown(tab)
