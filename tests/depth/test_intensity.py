@@ -6,6 +6,7 @@ import pytest
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
+from coincid.model.depth.histograms import pixel_image
 from coincid.model.scenes.scene import Scene
 
 from ..told import Told
@@ -96,3 +97,16 @@ def test_a_return_within_the_dead_time_of_an_earlier_one_has_its_own_light():
 
 def test_light_at_the_distances_of_an_estimator_of_a_users_own():
     check_unbiased(wall_run(4.0, 0.1, threshold=2), method=Told(4.0))
+
+
+def test_masked_pixels_have_a_depth_of_their_neighbours_and_no_light():
+    """They do not change the light of the others."""
+    run = wall_run(4.0, 0.1, threshold=2, mask="f0fffffffffffff0")
+    depth = run.depth()
+    masked = ~pixel_image(run.config.mask, run.config.sensor)
+    assert masked.sum() == 4 * 8
+    assert np.abs(depth.depth_m[masked] - 4.0).max() < 0.05
+    assert np.isnan(depth.signal_per_pulse[masked]).all()
+    assert np.isnan(depth.signal_error[masked]).all()
+    truth = run.light.total_signal.reshape(SIZE, SIZE)
+    assert depth.signal_per_pulse[~masked].mean() == pytest.approx(truth[~masked].mean(), rel=0.05)

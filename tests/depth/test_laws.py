@@ -15,7 +15,13 @@ from coincid.model.depth.clusters import cluster_events
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import PEAKS, PLANES, RETURNS_MAX, estimate_depth
 from coincid.model.depth.histograms import SOURCES, frame_events, subgroup_histograms
-from coincid.model.depth.peaks import APART_SIGMAS, live_share, pixel_peaks, record_live
+from coincid.model.depth.peaks import (
+    APART_SIGMAS,
+    hit_shares,
+    live_share,
+    pixel_peaks,
+    record_live,
+)
 from coincid.model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from coincid.model.golden.frame import golden_result
 
@@ -277,6 +283,7 @@ def test_a_subgroup_with_settings_of_its_own_is_as_if_all_had_them():
     settings = {name: np.array(values) for name, values in MIXED.items()}
     mixed = run.but(config=run.config.with_settings(**settings))
     clusters = clusters_of(mixed, PULSES_MIXED)
+    shares = shares_of(mixed)
     depths = {method: mixed.depth(method) for method in METHODS}
     of_pixel = pixel_table(run.config.sensor).subgroup.reshape(16, 16)
     for s in range(run.config.sensor.subgroups):
@@ -285,6 +292,8 @@ def test_a_subgroup_with_settings_of_its_own_is_as_if_all_had_them():
         wanted = clusters_of(alike, PULSES_MIXED)[s]
         for found, column in zip(clusters[s], wanted, strict=True):
             assert np.array_equal(found, column)
+        for found, all_alike in zip(shares, shares_of(alike), strict=True):
+            assert np.array_equal(found[s], all_alike[s]), s
         here = of_pixel == s
         for method, one in depths.items():
             other = alike.depth(method)
@@ -300,6 +309,14 @@ def clusters_of(run, pulses, frame=None):
     pulse = pulse_ticks(run.config)
     events = frame_events(run.result, run.config, pulse, frame)
     return cluster_events(events, run.config, pulses, pulse.reach, False)
+
+
+def shares_of(run):
+    """Return what of each subgroup's time the tree was armed, and of its hits came undisturbed."""
+    pulse = pulse_ticks(run.config)
+    events = frame_events(run.result, run.config, pulse, None)
+    hits = hit_shares(run.result, events, run.config, pulse, None)
+    return live_share(run.result, events, run.config, None), hits
 
 
 def assert_equal_where(here, one, other):
