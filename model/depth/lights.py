@@ -14,7 +14,11 @@ from .evidence import Pixels
 from .vector_math import fast_exp, fast_log, top_of
 
 LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
-LEARNING_ROUNDS = 30  # in which the shares of the lights converge
+LEARNING_ROUNDS = 30  # in which the shares of the lights converge, from each pixel alone,
+ROUNDS_ON_SURFACES = 60  # and from pixels that see one surface
+OFF_SIGMAS = 0.9  # of a pulse: standard deviation of what surfaces are off with such a prior,
+OFFSETS_SIGMAS = np.linspace(-1.5, 1.5, 11)  # and the offsets that are tried
+RARE = 1e-30  # likelihood of a pixel that contradicts an offset
 LIGHT_SPAN = 4.0  # lights more than so many times from those of a subgroup's seeds are left out
 NEGLIGIBLE = -1.0  # log likelihood ratio, below which a mean is not worth its exponentials
 NARROW = np.float32(4.0)  # second difference from which on the steps of the lights are too coarse
@@ -52,9 +56,32 @@ def learned_prior(chance: np.ndarray) -> np.ndarray:
     The shares make the pixels likeliest. chance: float32[n, lights], likelihood of each light, in a
     unit of the pixel's own.
     """
-    share = np.full(chance.shape[1], 1 / chance.shape[1])
-    for _ in range(LEARNING_ROUNDS if len(chance) else 0):
-        share = share * _gain(chance, share) / len(chance)
+    number = len(chance)
+    return _likeliest_prior(chance[:, None], np.arange(number + 1), np.zeros(1), LEARNING_ROUNDS)
+
+
+def prior_on_surfaces(chance: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """float32[lights]: the same, where the pixels of a group see one surface.
+
+    chance: float32[n, offsets, lights], likelihood of each light if the surface is off by one of
+    `OFFSETS_SIGMAS`. group: int64[n], in ascending order.
+    """
+    bounds = np.flatnonzero(np.diff(group, prepend=-1, append=-1))
+    weight = -0.5 * (OFFSETS_SIGMAS / OFF_SIGMAS) ** 2
+    return _likeliest_prior(chance, bounds, weight, ROUNDS_ON_SURFACES)
+
+
+def _likeliest_prior(
+    chance: np.ndarray, bounds: np.ndarray, weight: np.ndarray, rounds: int
+) -> np.ndarray:
+    """float32[lights]: log share of the pixels with each light, by expectation and maximisation.
+
+    chance, bounds, weight: of `_gain`.
+    """
+    number, _, lights = chance.shape
+    share = np.full(lights, 1 / lights)
+    for _ in range(rounds if number else 0):
+        share = share * _gain(chance, bounds, weight, share) / number
     share += LIGHT_FLOOR
     return portable.log(share / share.sum()).astype(np.float32)
 
@@ -74,19 +101,37 @@ def measured_prior(signal: np.ndarray, error: np.ndarray, lights: np.ndarray) ->
 
 
 @njit
-def _gain(chance: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _gain(
+    chance: np.ndarray, bounds: np.ndarray, weight: np.ndarray, share: np.ndarray
+) -> np.ndarray:
     """float64[lights]: sum over the pixels of each light's likelihood, relative to the mean over
-    the lights.
+    the lights, where the offset of a group is as likely as all its pixels make it.
+
+    chance: float32[n, offsets, lights]. bounds: int64[groups + 1], first pixels of the groups.
+    weight: float64[offsets], log probability of an offset. share: float64[lights].
     """
-    gain = np.zeros(len(share))
-    for i in range(len(chance)):
-        mean = 0.0
-        for x in range(len(share)):
-            mean += chance[i, x] * share[x]
-        if mean == 0:  # the pixel's likelihoods are too small for a number: it tells nothing
-            continue
-        for x in range(len(share)):
-            gain[x] += chance[i, x] / mean
+    offsets, lights = chance.shape[1:]
+    gain = np.zeros(lights)
+    mean = np.zeros((len(chance), offsets))
+    level = np.empty(offsets, np.float32)
+    for g in range(len(bounds) - 1):
+        level[:] = weight
+        for i in range(bounds[g], bounds[g + 1]):
+            for k in range(offsets):
+                for x in range(lights):
+                    mean[i, k] += chance[i, k, x] * share[x]
+                level[k] += fast_log(np.float32(max(RARE, mean[i, k])))
+        top = top_of(level)
+        total = 0.0
+        for k in range(offsets):
+            level[k] = fast_exp(level[k] - top)
+            total += level[k]
+        for i in range(bounds[g], bounds[g + 1]):
+            for k in range(offsets):
+                if mean[i, k] == 0:  # the likelihoods are too small for a number: they tell nothing
+                    continue
+                for x in range(lights):
+                    gain[x] += level[k] / total * (chance[i, k, x] / mean[i, k])
     return gain
 
 
@@ -130,6 +175,50 @@ def add_light_chances(
             _touch(pixels.total[i], pixels.touched[i], low, high, lights)
             own = pixels.total[i][low * lights : high * lights]
             _add_chances(here, own, line[: len(own)], chance[i])
+
+
+@njit
+def add_chances_on_surfaces(
+    common: np.ndarray,
+    pixels: Pixels,
+    at: np.ndarray,
+    offset: np.ndarray,
+    known: np.ndarray,
+    chance: np.ndarray,
+) -> None:
+    """Compute chance, float32[pixels, offsets, lights]: likelihoods of a known pixel at its surface.
+
+    Its unit is the pixel's own. common, pixels: from `add_events`. at: float64[pixels], number of
+    the surface's time, between two of the pixel's. offset: float64[offsets], times by which the
+    surface may be off. known: bool[pixels]; false afterwards where such times are not all there.
+    """
+    offsets, lights = chance.shape[1:]
+    bins = pixels.touched.shape[1]
+    times = len(common) // lights
+    for i in range(len(pixels.total)):
+        first = pixels.first[i]
+        low = max(0, -first)
+        high = min(bins, times - first)
+        if not known[i] or at[i] + offset[0] < low or at[i] + offset[-1] + 1 >= high:
+            known[i] = False
+            continue
+        total = pixels.total[i]
+        _touch(total, pixels.touched[i], low, high, lights)
+        top = np.float32(-np.inf)
+        for k in range(offsets):
+            time = at[i] + offset[k]
+            before = int(time)
+            share = np.float32(time - before)
+            for x in range(lights):
+                here = before * lights + x
+                there = first * lights + here
+                value = (1 - share) * (common[there] + total[here])
+                value += share * (common[there + lights] + total[here + lights])
+                chance[i, k, x] = value
+                top = max(top, value)
+        for k in range(offsets):
+            for x in range(lights):
+                chance[i, k, x] = fast_exp(chance[i, k, x] - top)
 
 
 @part

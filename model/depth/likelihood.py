@@ -32,7 +32,16 @@ from .evidence import (
     first_shares,
 )
 from .histograms import Events, by_subgroup
-from .lights import add_light_chances, learned_prior, lights_near, mean_over_lights, prior_of_met
+from .lights import (
+    OFFSETS_SIGMAS,
+    add_chances_on_surfaces,
+    add_light_chances,
+    learned_prior,
+    lights_near,
+    mean_over_lights,
+    prior_of_met,
+    prior_on_surfaces,
+)
 from .others import OwnWindows, moves_with_others
 from .pulse_ticks import PulseTicks
 from .unheard import BLIND_MAX, Guess, Spread, Unheard
@@ -110,6 +119,7 @@ def log_likelihood(
     *,
     activity: np.ndarray | None = None,
     guess: Guess | None = None,
+    on_surfaces: bool = False,
     spread: Spread = map,
 ) -> Levels:
     """Return the log likelihood ratio of each pixel's times, as a mean over the lights, and the
@@ -119,7 +129,8 @@ def log_likelihood(
     first: int64[subgroups, pixels], index of the pixel's first time in the grid. bins: number of a
     pixel's times. activity: float64[subgroups, pixels], background of each pixel relative to the
     mean (None: all equal). guess: needed to use offsets, which are ignored without it, and to learn
-    the prior. spread: a `map` over subgroups that may use any order.
+    the prior. on_surfaces: whether the prior is learned at the times of the guess, which are those of
+    surfaces that neighbours share. spread: a `map` over subgroups that may use any order.
     """
     sensor = config.sensor
     subgroups = range(sensor.subgroups)
@@ -179,7 +190,8 @@ def log_likelihood(
         list(spread(lambda s: average(s, prior, _evidence(frame, s)), subgroups))
     else:
         found = list(spread(partial(_evidence, frame), subgroups))
-        prior = _learned_prior(frame, found, spread)
+        learned = _prior_on_surfaces if on_surfaces else _learned_prior
+        prior = learned(frame, found, spread)
         list(spread(lambda s: average(s, prior, found[s]), subgroups))
     return Levels(level.reshape(shape), light.reshape(shape), prior)
 
@@ -314,3 +326,28 @@ def _learned_prior(frame: _Frame, found: Sequence[_Evidence], spread: Spread) ->
 
     list(spread(add, range(len(found))))
     return learned_prior(chance[frame.known])
+
+
+def _prior_on_surfaces(frame: _Frame, found: Sequence[_Evidence], spread: Spread) -> np.ndarray:
+    """Return the prior of the lights, learned at the guess's times from the pixels of minigroups: most
+    see one surface.
+    """
+    guess = frame.guess
+    assert guess is not None
+    minigroup = pixel_table(frame.config.sensor).minigroup
+    order = np.argsort(minigroup, kind="stable")
+    offset = OFFSETS_SIGMAS * frame.pulse.sigma / frame.grid.step
+    chance = np.zeros((*frame.known.shape, len(offset), len(frame.grid.lights)), np.float32)
+    there = frame.known.copy()
+
+    def add(s: int) -> None:
+        common, pixels = found[s]
+        at = guess.time[s] / frame.grid.step - 0.5 - frame.first[s]
+        add_chances_on_surfaces(
+            common, pixels, at, offset, there[s], chance[s, :, :, frame.lights[s]]
+        )
+
+    list(spread(add, range(len(found))))
+    there = there[:, order]
+    group = np.arange(len(found))[:, None] * len(order) + minigroup[order]
+    return prior_on_surfaces(chance[:, order][there], group[there])

@@ -25,6 +25,8 @@ from .unheard import Guess, Spread, Unheard, unheard, unheard_in_light, windows_
 
 HOT = 2.0  # background relative to the mean from which on a pixel's own value is used
 ACTIVITY_HITS = 10.0  # weight of the prior, in hits
+BRIGHT = 1.4  # photons per pulse: such a pixel fires in three of four pulses
+BRIGHT_SHARE = 0.05  # of the pixels
 NEAR_SIGMAS = 3.0  # from a seed to stamps that may be its light
 
 
@@ -62,13 +64,18 @@ def find_surfaces(
     levels = _around(frame, near, prior, 1, first)
     prior = levels.prior
     fit = fitter.fit(levels, first)
+    uncertain = events.mapped and _lights_are_uncertain(frame, near.guess)
     # What an offset says, or a count without a map, depends on the other pixels' surfaces.
-    if events.offset.shape[1] or not events.mapped:
+    if uncertain or events.offset.shape[1] or not events.mapped:
         sharper = fitter.refined(fit).time
         near = near._replace(
             told=events, guess=_sharper_guess(frame, near.guess, levels, first, sharper)
         )
-        levels = _around(frame, near, prior, 1, first)
+        if uncertain:
+            levels = _around(frame, near, None, 1, first, on_surfaces=True)
+            prior = levels.prior
+        else:
+            levels = _around(frame, near, prior, 1, first)
         fit = fitter.fit(levels, first)
     again = partial(_around, frame, near, prior)
     return fitter.surfaces(
@@ -154,13 +161,31 @@ def _counted_light(frame: _Frame, guess: Guess, threads: Threads) -> tuple[Guess
     return guess._replace(light=light), prior
 
 
+def _lights_are_uncertain(frame: _Frame, guess: Guess) -> bool:
+    """Return whether many pixels fire in most pulses, whatever their light is.
+
+    At threshold 1, their light and their time are nearly one number: the brighter they are, the
+    earlier they fire. Without coincidence, events do not tell more of the light than that.
+    """
+    free = (frame.events.threshold == 1) & (frame.events.window > 1)
+    bright = guess.light[free][~np.isnan(guess.time[free])] > BRIGHT
+    return bool(bright.sum() > BRIGHT_SHARE * guess.light.size)
+
+
 def _around(
-    frame: _Frame, near: _Near, prior: np.ndarray | None, width: int, first: np.ndarray
+    frame: _Frame,
+    near: _Near,
+    prior: np.ndarray | None,
+    width: int,
+    first: np.ndarray,
+    *,
+    on_surfaces: bool = False,
 ) -> Levels:
     """Return the likelihoods for pulses so many times as wide as the laser's, in steps of as many
     ticks.
 
-    prior: of the lights; None: to be learned. first: int64[rows, cols], number of the first step.
+    prior: of the lights; None: to be learned, from each pixel alone or `on_surfaces`. first:
+    int64[rows, cols], number of the first step.
     """
     return log_likelihood(
         near.told,
@@ -173,6 +198,7 @@ def _around(
         frame.fitter.bins,
         activity=near.activity,
         guess=near.guess,
+        on_surfaces=on_surfaces,
         spread=frame.spread,
     )
 

@@ -148,7 +148,7 @@ class _Chosen(NamedTuple):
     down: float  # ticks per row
     right: float  # ticks per column
     square: float  # squared error of `off`; infinite: there is no peak
-    disc: int
+    disc: int  # number of the disc; -1: there is no peak
 
 
 def refine(field: Field, planes: Planes, blocks: Blocks) -> Refined:

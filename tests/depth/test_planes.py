@@ -103,6 +103,15 @@ def test_walls_with_few_hits_do_not_lean(scene, klux, threshold, pulses):
     assert abs(np.mean(leans_m)) < 0.0012
 
 
+@pytest.mark.parametrize(("klux", "form", "most_m"), [(50.0, "id", 7e-3), (10.0, "full", 6e-3)])
+def test_bright_pixels_of_a_wall_tell_their_lights_together(klux, form, most_m):
+    """At threshold 1, each alone takes itself for brighter, and the wall for 11 mm farther away."""
+    scene = load_scene("flat:1,0.4", 32, 32)
+    frame = {"pulses": 100, "format": form, "link_gbps": 0}
+    depth = estimate(scene, klux=klux, frame=frame, subgroup={"threshold": 1})
+    assert abs(np.mean(depth.depth_m[:, :, 0] - scene.truth_m)) < most_m
+
+
 @pytest.mark.parametrize(
     ("distance_m", "reflectivity", "threshold"), [(8.07, 0.1, 3), (16.2, 0.4, 2)]
 )
