@@ -15,13 +15,7 @@ from coincid.model.depth.clusters import cluster_events
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import PEAKS, PLANES, RETURNS_MAX, estimate_depth
 from coincid.model.depth.histograms import SOURCES, frame_events, subgroup_histograms
-from coincid.model.depth.peaks import (
-    APART_SIGMAS,
-    hit_shares,
-    live_share,
-    pixel_peaks,
-    record_live,
-)
+from coincid.model.depth.peaks import APART_SIGMAS, hit_shares, live_share, pixel_peaks, record_live
 from coincid.model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from coincid.model.golden.frame import golden_result
 
