@@ -369,8 +369,8 @@ class Config(SubgroupSettings):
         for name in PER_FRAME:
             events = getattr(self.frame, name)
             if events is not None:
-                least, most = FRAME[name].limits(self.sensor)
-                scaled[name] = np.clip(np.multiply(events, pulses) // self.pulses, least, most)
+                most = FRAME[name].limits(self.sensor)[1]
+                scaled[name] = np.minimum(np.multiply(events, pulses) // self.pulses, most)
         return self.with_frame(pulses=pulses, **scaled)
 
     def register_writes(self) -> list[tuple[int, int]]:
