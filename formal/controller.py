@@ -132,16 +132,19 @@ def controller(b: Bench):
 def _place_controller(b: Bench) -> PlacedController:
     """Place a controller. A frame is taken; later its counters come in `BEATS` beats each.
 
-    It is done `SETTLED` cycles after the last of them.
+    It is done `SETTLED` cycles after the last of them. What is programmed is the same whenever a frame
+    is taken, and may be anything while the frame runs.
     """
     m = b.m
     unit = Controller(SMALL)
     capacity = b.constant(DATA_BITS)
     share = b.constant(DATA_BITS)
+    programmed_capacity = b.same("programmed_capacity", b.anything(DATA_BITS))
+    programmed_share = b.same("programmed_share", b.anything(DATA_BITS))
     take = b.same("take", b.anything(1))
     done = unit.done
     counted = unit.counted
-    b.place(unit, command=None, capacity=capacity, share=share)
+    b.place(unit, command=None, capacity=programmed_capacity, share=programmed_share)
     m.d.comb += unit.command.operation.eq(Mux(take, bus.Operation.TAKE, bus.Operation.IDLE))
 
     frame = Signal()
@@ -157,6 +160,8 @@ def _place_controller(b: Bench) -> PlacedController:
     m.d.sync += taken.eq(Mux(take, 1, Mux(taken == 0, 0, taken + (taken != SETTLED))))
 
     b.assume(share <= capacity)
+    b.assume(programmed_capacity == capacity, where=take)
+    b.assume(programmed_share == share, where=take | unit.fresh)
     b.assume(~frame & ~done, where=take)
     b.assume(frame & (taken == SETTLED), where=counted.valid | done)
     b.assume(some & (beat == 0) & (since_last == SETTLED) & ~counted.valid, where=done)

@@ -5,10 +5,12 @@ where nothing can be reached.
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
 from contextlib import suppress
+from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
@@ -96,6 +98,14 @@ def test_uv_looks_where_pip_looks(tmp_path):
     assert uv_options(settings) == [*wanted, "--index", "https://more.example"]
 
 
+@pytest.mark.parametrize("name", ["wheels", "my wheels", "räder"])
+def test_folders_of_wheels_are_found_by_their_addresses(tmp_path, name):
+    folder = tmp_path / name
+    folder.mkdir()
+    for place in ([str(folder)] if " " not in name else []) + [folder.as_uri()]:
+        assert uv_options(f":env:.find-links='{place}'\n") == ["--find-links", place]
+
+
 def test_missing_packages_are_found(tmp_path):
     lock = tmp_path / "some.lock"
     lock.write_text(
@@ -148,6 +158,31 @@ def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("missing Python packages: not-there==1.0; ")
     assert "PIP_FIND_LINKS=FOLDER" in done.stderr
+
+
+def test_another_python_is_made_until_it_has_its_packages(tmp_path):
+    """The first installation fails, so the second call tries again."""
+    installed = ("requirements.lock", "pyproject.toml")
+    for file in (*installed, "scripts/setup"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / file, tmp_path / file)
+    programs = tmp_path / ".venv" / "bin"
+    programs.mkdir(parents=True)
+    (programs / "python").symlink_to(sys.executable)
+    uv = programs / "uv"
+    uv.write_text(
+        '#!/bin/sh\ncase "$*" in *"pip install"*) exit 7 ;; esac\nmkdir -p build/python3.12\n',
+        encoding="utf-8",
+    )
+    uv.chmod(0o755)
+    sums = [f"{sha256((tmp_path / file).read_bytes()).hexdigest()}  {file}" for file in installed]
+    stamp = "\n".join([f"made in {tmp_path}", *sums, ""])
+    (tmp_path / ".venv" / ".stamp").write_text(stamp, encoding="utf-8")
+    command = [tmp_path / "scripts" / "setup", "python3.12"]
+    for _ in range(2):
+        done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8")
+        assert done.returncode == 7, done.stderr
+    assert (tmp_path / "build" / "python3.12").is_dir()
 
 
 def test_an_unknown_need_is_refused():

@@ -204,6 +204,18 @@ def test_damage_costs_one_group_and_is_told(data, damage, form):
     assert len(assembler.frames) == 1 and np.array_equal(assembler.frames[0], shown)
 
 
+@pytest.mark.parametrize("form", ("compact", "compact-full"))
+def test_only_the_damaged_group_is_told(form):
+    config, trace = _of_damage(form)
+    beats = trace.beats[0]
+    ends = [i for i in range(len(beats)) if int(beats[i]) >> 59 in (0b10101, 0b10111)]
+    assert len(ends) > 5
+    for first, _ in _bounds(ends):
+        shown = beats.copy()
+        shown[first] ^= np.uint64(1)
+        assert decode_frame(shown, config.sensor, 2).damaged.tolist() == [first]
+
+
 def _bounds(ends):
     return pairwise([1, *(end + 1 for end in ends)])
 

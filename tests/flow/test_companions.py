@@ -196,14 +196,17 @@ MACRO = re.compile(r"^#define COINCID_(\w+?)(?:\(([a-z, ]+)\))? ", re.MULTILINE)
 
 
 def by_c_compiler(files, folder):
-    """Return what a C program prints of the header: addresses, constants and ranges."""
+    """Return what a C program prints of the header: addresses, constants and ranges.
+
+    Indices are sums, and addresses are factors, so that brackets which are missing matter.
+    """
     counts = {one["name"].upper(): one["count"] for one in _registers(files)}
     lines = []
     for name, arguments in MACRO.findall(files[HEADER]):
         register, _, what = name.rpartition("_")
         if name in counts:
             values = {"sg": LAST, "i": counts[name] - 1}
-            given = ", ".join(f"{values[one]}u" for one in arguments.split(", ") if one)
+            given = ", ".join(f"0u + {values[one]}u" for one in arguments.split(", ") if one)
             lines.append(f'PRINT("{name}", COINCID_{name}{f"({given})" if given else ""})')
         elif register in counts and what in ("VALUE", "LOWEST", "HIGHEST"):
             lines.append(f'PRINT("{name}", COINCID_{name})')
@@ -226,7 +229,7 @@ def by_c_compiler(files, folder):
 
 PROGRAM = """#include <stdio.h>
 #include "$header"
-#define PRINT(name, value) printf("%s %u\\n", name, (unsigned)(value));
+#define PRINT(name, value) printf("%s %u\\n", name, 1u * value);
 int main(void) {
 $lines
 return 0;

@@ -2,6 +2,7 @@
 """Photons against exact closed forms, at a level of 0.1 % with fixed seeds."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -282,7 +283,9 @@ def test_gates_of_a_configuration():
     cycle, gated = edges.tick // timing.phases, edges.pixel % 16 >= 8
     start = 10 + 20 * (edges.pulse[gated] % 9 // 2 % 3)
     assert set(start) == {10, 30, 50} and set(cycle[gated] - start) == set(range(20))
-    assert set(cycle[~gated]) == set(range(250))
+    step = edges.pulse % 9 // 2 % 3
+    for each in range(3):
+        assert set(cycle[~gated & (step == each)]) == set(range(250))
 
 
 def test_light_from_beyond_the_period_falls_into_a_later_one():
@@ -323,6 +326,21 @@ def test_light_in_bins_beyond_the_period_comes_later_or_is_lost(lost):
     number = np.bincount(edges.pixel, minlength=2)
     assert number[0] > 50 and (number[1] > 50) == (not lost) and (number[1] == 0) == lost
     assert np.all(np.abs(edges.tick / timing.period_ticks - 0.25) < 0.01)
+
+
+@pytest.mark.parametrize("first", ([0, 0, 2, 3], [0, 2, 2, 3], [0, 2, 3, 3], [0, 0, 0, 3]))
+def test_the_signal_of_a_pixel_is_that_of_its_bins_and_targets(first):
+    """Also if it has no bins."""
+    photons = np.array([0.5, 1.0, 2.0])
+    bins = Light(
+        rows=1,
+        cols=3,
+        distance_m=5.0,
+        signal_per_pulse=0.25,
+        arrivals=Arrivals(first=first, start_s=np.arange(3) * 1e-9, photons=photons),
+    )
+    expected = [0.25 + photons[a:b].sum() for a, b in pairwise(first)]
+    assert bins.total_signal.tolist() == expected
 
 
 def test_light_in_bins_beyond_the_period_meets_the_gap():

@@ -269,6 +269,29 @@ def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, monkeypatc
         assert len(axis.lines) == len(axis.collections) == 3
 
 
+@pytest.mark.parametrize(
+    ("values", "scale"),
+    [([1, 10, 19], "linear"), ([1, 10, 20], "log"), ([0, 10, 100], "linear")],
+)
+def test_the_plot_is_logarithmic_where_values_span_much_and_shows_all(
+    tmp_path, monkeypatch, values, scale
+):
+    drawn = []
+    monkeypatch.setattr("coincid.study.sweep_plot.save_figure", lambda one, path: drawn.append(one))
+    text = f"scene = 'flat:5'\n[[axis]]\nklux = {values}\n"
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    spec = read_spec(tmp_path / "s.toml")
+    write_plot(
+        tmp_path / "s.png",
+        "a sweep",
+        spec,
+        {p.key: dict.fromkeys(PANELS, 1.0) for p in spec.points},
+    )
+    for axis in drawn[0].axes:
+        assert axis.get_xscale() == scale
+        assert axis.lines[0].get_xdata().tolist() == values
+
+
 def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path, quick, monkeypatch):
     right = MEASURES["edges"]
 
