@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from amaranth.hdl import Module, Signal
 from amaranth.sim import Simulator
+from attrs import evolve
 
 import coincid
 from coincid.hdl.front_end_views import Polyphase
@@ -24,6 +25,7 @@ from coincid.model.depth import methods
 from coincid.model.depth.belief import LAW
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import PEAKS, PLANES
+from coincid.model.depth.intensity import Intensity
 from coincid.model.depth.methods import METHODS, method_names, register_estimator
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.analytic import FORMS, histogram
@@ -125,6 +127,23 @@ def test_estimator_of_the_page_measures_the_wall(page):
 
 def test_every_built_in_method_has_its_finder_and_its_law():
     assert set(METHODS) == {PLANES, *PEAKS} == set(LAW) - {"counts"}
+
+
+def test_what_an_estimator_does_not_find_is_nan_in_all_that_it_tells():
+    """It finds one return of three, with its error and its light."""
+    run = Run(Setup.of("flat:5,0.4", **SMALL))
+
+    def estimate(self, reading):
+        one = np.full((*run.scene.truth_m.shape, 1), 2.0)
+        light = Intensity(signal=one + 1, error=one + 2)
+        return evolve(Depth.of(one), error_m=one + 3, light=light)
+
+    found = run.depth(type("Single", (Far,), {"estimate": estimate, "name": "single"})(), returns=3)
+    told = {"depth_m": 2.0, "signal_per_pulse": 3.0, "signal_error": 4.0, "error_m": 5.0}
+    for name, value in told.items():
+        values = getattr(found, name)
+        assert values.shape == (*run.scene.truth_m.shape, 3), name
+        assert (values[:, :, 0] == value).all() and np.isnan(values[:, :, 1:]).all(), name
 
 
 def test_an_estimator_that_is_none_is_refused():

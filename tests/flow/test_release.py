@@ -318,6 +318,18 @@ def test_every_name_of_an_export_has_its_prefix(two_sensors):
         assert f'name: "coincid:sensor:{prefix}{TOP}:' in core
 
 
+def test_a_prefix_changes_names_only_in_the_manifest(two_sensors, smallest):
+    plain, near = (
+        json.loads(path.read_text(encoding="utf-8"))
+        for path in (smallest / MANIFEST, two_sensors / f"near_{MANIFEST}")
+    )
+    assert FPGA_TOP in plain["tops"]
+    assert near.pop("name") == f"near_{plain.pop('name')}"
+    assert near.pop("tops") == [f"near_{top}" for top in plain.pop("tops")]
+    assert len(near.pop("sha256")) == len(plain.pop("sha256"))
+    assert near == plain
+
+
 def test_an_export_replaces_only_that_with_its_prefix(two_sensors, tmp_path):
     folder = shutil.copytree(two_sensors, tmp_path / "rtl")
     (folder / f"near_{TOP}.v").write_text("old", encoding="utf-8")

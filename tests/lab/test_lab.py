@@ -57,6 +57,14 @@ def test_a_run_is_the_golden_models_for_edges_in_any_order():
     assert len(early) + len(late) == len(shuffled) and late.pulse.max() < 20
 
 
+def test_without_coincidence_the_threshold_is_1_whatever_is_set():
+    setup = small(subgroup={"threshold": 3})
+    assert Run(setup).frame().threshold.tolist() == [3, 3, 3]
+    mixed = setup.but(config=setup.config.with_settings(coincidence=np.array([True, False, True])))
+    assert Run(mixed).frame().threshold.tolist() == [3, 1, 3]
+    assert Run(mixed)["threshold_mean"] == pytest.approx(7 / 3)
+
+
 def compiled_estimators():
     """Return the kernels of the estimators and the types for which they are compiled, before and
     after a real frame.

@@ -176,6 +176,8 @@ def test_depth_comes_out_as_a_sequence(tmp_path):
     with Image.open(tmp_path / "d.gif") as animation:
         assert animation.n_frames == 3
         assert animation.info["loop"] == 0  # for ever
-        assert animation.info["duration"] == 250  # milliseconds
+        for frame in range(3):
+            animation.seek(frame)
+            assert animation.info["duration"] == 250  # milliseconds
     with pytest.raises(InputError, match=r"d.mp4: must end with .gif or .png"):
         run.animate(tmp_path / "d.mp4")
