@@ -14,6 +14,7 @@ from coincid.board.serial_transport import SerialTransport
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.lab.setup import scene_of
 from coincid.model.contract.config import changes_of_text, load_config
+from coincid.model.depth.histograms import by_subgroup
 from coincid.model.scenes.scene import Scene
 from coincid.tb.rtl_errors import Mismatch
 
@@ -75,6 +76,22 @@ def test_a_scene_as_settings():
     assert (settings.level == round((1 - np.exp(-0.613 * (4 / 6) ** 2)) * 256)).all()
     assert (settings.background == round((1 - np.exp(-1.226e6 * cycle_s)) * 65536)).all()
     assert settings.dead_cycles == 1
+
+
+def test_each_subgroup_has_the_background_of_its_own_pixels():
+    """The left half reflects twice as much of the sun."""
+    config = load_config("emulator")
+    sensor = config.sensor
+    reflectivity = np.full((sensor.rows, sensor.cols), 0.2)
+    reflectivity[:, : sensor.cols // 2] = 0.4
+    distance_m = np.full(reflectivity.shape, 5.0)
+    scene = Scene(name="halves", distance_m=distance_m, reflectivity=reflectivity)
+    background = source_settings(config, scene, 50.0).background
+    assert background.shape == (sensor.subgroups,)
+    left = by_subgroup(reflectivity, sensor).mean(axis=1) > 0.3
+    assert left.any() and not left.all()
+    assert background[left] == pytest.approx(2 * background[~left][0], rel=0.01)
+    assert len(set(background[left])) == len(set(background[~left])) == 1
 
 
 @pytest.mark.parametrize("beyond", [-1, 0, 1])

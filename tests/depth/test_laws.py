@@ -412,6 +412,16 @@ def test_a_depth_is_believed_from_the_lowest_confidence_on(confidence):
     assert depth.reason.tolist() == [[expected, Reason.NO_LIGHT]]
 
 
+def test_a_depth_stays_as_it_is_when_the_callers_arrays_change():
+    distance_m = np.full((2, 2, 1), 5.0)
+    confidence = np.full((2, 2, 1), 0.75)
+    depth = Depth.of(distance_m, confidence)
+    distance_m[:] = 6.0
+    confidence[:] = 0.25
+    assert (depth.depth_m == 5.0).all()
+    assert (depth.confidence == 0.75).all()
+
+
 @pytest.mark.parametrize("name", ("wide", "odd"))
 def test_an_event_of_format_short_has_its_winner_in_the_map(name):
     """Also of subgroups with more than 64 pixels."""

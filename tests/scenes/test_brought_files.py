@@ -401,6 +401,10 @@ def test_arrays_in_archives(tmp_path):
     assert moving.pictures == 2
     colour = png(tmp_path / "c.png", np.zeros(SHAPE, np.uint8))
     assert np.all(load_scene(f"{tmp_path / 'a.npz'}:depth,{colour}", *SHAPE).reflectivity == 0.05)
+    evening = tmp_path / "run 18:30, left"
+    evening.mkdir()
+    np.savez(evening / "a.npz", depth=depth_m, other=depth_m + 1)
+    assert np.array_equal(load_scene(f"{evening}/a.npz:depth", *SHAPE).truth_m, depth_m)
     (tmp_path / "e.mat").write_bytes(b"no archive")
     with pytest.raises(InputError, match="e.mat: is not a readable archive"):
         load_scene(str(tmp_path / "e.mat"), *SHAPE)

@@ -11,7 +11,7 @@ from attrs import evolve
 
 from coincid.flow.async_constraints import async_constraints
 from coincid.flow.silicon_report import Domain, domains, latches, netlist
-from coincid.hdl.front_end_views import Asynchronous
+from coincid.hdl.front_end_views import Asynchronous, view_at
 from coincid.hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges
@@ -52,7 +52,9 @@ def test_a_circuit_at_another_clock_is_the_same_circuit():
         delay_line=True,
         gain_ppm=300,
     )
-    assert Asynchronous(circuit=circuit).at(400.0).circuit == evolve(circuit, clock_mhz=400.0)
+    view = Asynchronous(circuit=circuit)
+    assert view.at(400.0).circuit == evolve(circuit, clock_mhz=400.0)
+    assert view_at(view, 400.0) == view.at(400.0)
 
 
 def config(window=12, pulses=8, **subgroup):

@@ -95,6 +95,19 @@ def test_every_difference(change, words, trace, record):
         check(CONFIG.sensor, trace, record)
 
 
+@pytest.mark.parametrize("early", range(CONFIG.sensor.streams))
+def test_of_several_differences_the_first_in_time_is_told(early, trace, record):
+    """A beat of one stream, and of the other one the first beat that comes later."""
+    late = 1 - early
+    after = record.beat_cycle[early][AT]
+    later = int(np.searchsorted(record.beat_cycle[late], after, side="right"))
+    record.beats[early][AT] ^= np.uint64(1)
+    record.beats[late][later] ^= np.uint64(1)
+    record.commit_cycle[-1] += 1
+    with pytest.raises(Mismatch, match=f"stream {early}, .*cycle {after}, event_id"):
+        check(CONFIG.sensor, trace, record)
+
+
 @pytest.mark.parametrize("stream", range(CONFIG.sensor.streams))
 def test_a_wrong_counter_is_named_with_its_subgroup(stream, trace, record):
     """Every counter of every subgroup of the stream; two are in a beat."""

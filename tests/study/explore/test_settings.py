@@ -25,7 +25,7 @@ from coincid.study.explore.control_values import (
     without_lost_pictures,
 )
 from coincid.study.explore.controls import CONTROL, CONTROLS
-from coincid.study.explore.uploads import BYTES_MAX, Uploads
+from coincid.study.explore.uploads import BYTES_MAX, NAME_MAX, Uploads
 
 OTHER = dict(
     scene="two-targets",
@@ -180,6 +180,14 @@ def test_an_uploaded_depth_picture_is_the_scene(tmp_path):
     uploads = uploaded(tmp_path, "depth", "../../wall.png", depth_mm)
     assert uploads.depth.parent.parent == tmp_path  # a name cannot lead out of the folder
     assert np.all(check_settings({"scene": "upload"}, uploads).scene().truth_m == 4.0)
+
+
+@pytest.mark.parametrize("letters", [1, 56, 57, 300])
+def test_a_picture_keeps_the_end_of_its_name(tmp_path, letters):
+    depth_mm = Image.fromarray(np.full((48, 64), 4000, np.uint16))
+    uploads = uploaded(tmp_path, "depth", letters * "a" + "wall.png", depth_mm)
+    assert uploads.depth.name.endswith("wall.png")
+    assert len(uploads.depth.name) <= NAME_MAX
 
 
 def test_each_picture_of_an_uploaded_sequence_is_scaled(tmp_path):
