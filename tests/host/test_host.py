@@ -348,6 +348,18 @@ def three_frames():
     return [golden.frame(of, random_edges(of, 300, seed)).beats for seed in range(3)]
 
 
+def test_a_stream_may_begin_anew_after_any_beat():
+    (frame, *_) = three_frames()
+    beats = frame[0]
+    assembler = FrameAssembler(ODD)
+    for cut in range(len(beats)):
+        assembler.add(beats[:cut])
+        assembler.forget()
+        assembler.add(beats)
+        assert len(assembler.frames) == cut + 1, cut
+        assert np.array_equal(assembler.frames[-1], beats)
+
+
 def test_frames_come_in_their_order_and_none_from_before_a_reset():
     delivery = Delivery()
     driver = Driver(delivery, ODD, fresh=True)

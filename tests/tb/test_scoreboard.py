@@ -137,3 +137,18 @@ def test_a_frame_that_a_receiver_stalls_is_no_frame_that_hangs(stalled):
     stalled_trace = Golden(CONFIG.sensor).frame(CONFIG, trouble(CONFIG, 1, 4.0), ready)
     last = max(int(cycles[-1]) for cycles in stalled_trace.beat_cycle)
     assert stalled <= last < cycle_limit(CONFIG, stalled)
+
+
+@pytest.mark.parametrize("link_gbps", (0.1, 1.0, 8.0))
+def test_a_frame_on_a_slow_link_is_no_frame_that_hangs(link_gbps):
+    """FIFOs are full at the end of the frame; the last beat leaves before the limit."""
+    config = configured(
+        {"rows": 8, "cols": 16, "streams": 2, "fifo_depth": 256},
+        {"period": 60, "pulses": 20, "link_gbps": link_gbps},
+        {"threshold": 1, "coincidence": False},
+    )
+    trace = Golden(config.sensor).frame(config, trouble(config, 1, 4.0))
+    last = max(int(cycles[-1]) for cycles in trace.beat_cycle)
+    assert last < cycle_limit(config, 0)
+    if link_gbps < 1:
+        assert last > config.frame_cycles + 1000
