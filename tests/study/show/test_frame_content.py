@@ -105,3 +105,16 @@ def test_a_report_keeps_no_more_edges_than_fit_for_all_its_frames(recorded, fram
     page = report.report_html("a run", views)
     (pulses,) = {int(number) for number in re.findall(r'"pulses",(\d+)', page)}
     assert pulses == 10
+
+
+def test_a_report_holds_the_times_of_the_longest_period():
+    """Of 1,024 cycles of 32 ticks; light comes until its end."""
+    sensor = {"rows": 8, "cols": 8, "coarse_bits": 10, "phases": 32}
+    setup = Setup.of("flat:5", klux=50, sensor=sensor, frame={"period": 1024, "pulses": 2})
+    view = FrameView("a frame", Run(setup).frame())
+    line = view.timeline
+    found = report._sources(view, 2)
+    assert line.windows.end.max() > 32_000
+    assert np.array_equal(found["edges"]["tick"], line.tick)
+    for name, values in found["windows"].items():
+        assert np.array_equal(values, getattr(line.windows, name)), name
