@@ -115,6 +115,6 @@ def test_a_report_holds_the_times_of_the_longest_period():
     line = view.timeline
     found = report._sources(view, 2)
     assert line.windows.end.max() > 32_000
-    assert np.array_equal(found["edges"]["tick"], line.tick)
-    for name, values in found["windows"].items():
+    assert np.array_equal(found["edges"].data["tick"], line.tick)
+    for name, values in found["windows"].data.items():
         assert np.array_equal(values, getattr(line.windows, name)), name
