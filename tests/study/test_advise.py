@@ -156,6 +156,31 @@ def test_less_light_is_less_in_every_pixel(monkeypatch):
     assert less.klux == pytest.approx(klux / 10)
 
 
+def test_what_would_help_is_tried_in_one_frame_at_fixed_thresholds(monkeypatch):
+    """Whatever the configuration has."""
+    tried = []
+
+    def least_wrong(setup, *given):
+        tried.append(setup)
+        return 0.9
+
+    monkeypatch.setattr("coincid.study.usefulness._least_wrong", least_wrong)
+    setup = Setup.of(
+        "flat:9,0.05",
+        sensor={"rows": 8, "cols": 16},
+        frame={"pulses": 5, "frames": 3},
+        subgroup={"auto": True, "threshold": 2},
+        klux=10.0,
+    )
+    config = setup.config.with_settings(coincidence=np.array([True, False]))
+    useless_sentence(0.9, setup.but(config=config), window=32)
+    assert len(tried) == 3
+    for one in tried:
+        assert one.config.frames == 1
+        assert not one.config.auto.any()
+        assert one.config.coincidence.all()
+
+
 def test_the_curve_of_a_window_has_each_threshold_once(monkeypatch, tmp_path):
     """And links and formats are tried with the window, the threshold and the controller that were
     chosen, whatever those of the configuration are.
