@@ -62,6 +62,19 @@ def test_a_pixel_is_a_hole_if_most_of_its_samples_have_no_depth(fault, pixel):
         assert_wall(depth_scene(samples, ROWS, COLS, meaning=meaning), [pixel] * is_hole)
 
 
+@pytest.mark.parametrize("before", range(5))
+@pytest.mark.parametrize("behind", range(5))
+def test_a_pixel_has_the_surface_that_most_of_its_samples_see(before, behind):
+    """Whether the others are in front of it or behind it."""
+    samples = np.full(SIDE * SIDE, WALL_M)
+    samples[:before] = WALL_M - 2
+    samples[SIDE * SIDE - behind :] = WALL_M + 2
+    wall_samples = SIDE * SIDE - before - behind
+    if wall_samples > max(before, behind):
+        everywhere = np.tile(samples.reshape(SIDE, SIDE), (ROWS, COLS))
+        assert_wall(depth_scene(everywhere, ROWS, COLS, meaning=Meaning()))
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 def test_one_sample_of_each_pixel_without_depth_costs_no_pixel(fault):
     value, meaning = FAULTS[fault]

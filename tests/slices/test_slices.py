@@ -211,6 +211,22 @@ def test_every_lane_is_a_design_of_its_own(name):
         ] == expected(name, given, lane)
 
 
+@pytest.mark.parametrize("bit", range(8))
+def test_a_single_bit_of_a_single_lane_is_light(bit):
+    """Also if the other bits of its field are dark in all lanes."""
+    lane = 5
+    one = [1 << bit if k == lane else 0 for k in range(64)]
+    given = [
+        {"edges": [value << 8 * row for value in one], "shared": [3] * 64} for row in (0, 3, 1, 1)
+    ]
+    given.append({"edges": [0] * 64, "shared": [0] * 64})
+    with Slices(sliced("rows"), 64) as slices:
+        seen = play(slices, "rows", given)
+    for k in (0, lane):
+        found = [{port: values[k] for port, values in cycle.items()} for cycle in seen]
+        assert found == Rows.expected(given, k)
+
+
 @pytest.mark.parametrize("flag", PROCESSORS)
 @pytest.mark.parametrize("lanes", LANES)
 def test_any_word_on_any_processor_gives_the_same_bits(lanes, flag):

@@ -10,9 +10,11 @@ from pywellen import Waveform
 from coincid.hdl.export import units_files
 from coincid.hdl.subgroup_pair import SensorModule, Slice
 from coincid.model.contract.parameters import TOP
+from coincid.model.contract.result import differences
 from coincid.model.golden.frame import Golden
 from coincid.tb.frame_record import FrameJob
 from coincid.tb.play import play
+from coincid.tb.replay import replay
 from coincid.tb.rtl import of_one_subgroup
 from coincid.tb.scoreboard import check
 from coincid.tb.sliced import SlicedSensor, play_side_by_side
@@ -70,6 +72,29 @@ def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
         alone, _ = play(chain, "sliced", tmp_path)
         for one, other, frame, number in zip(alone, together, chain, range(9), strict=False):
             assert check(frame.config.sensor, frame.expected, other, number) == one.checked
+
+
+def test_frames_follow_each_other_where_some_subgroups_have_the_controller():
+    """Its thresholds are those of the frame before; those of the other subgroups stay."""
+    subgroups = random_cases.built_sensor(ODD).subgroups
+    config = random_cases.configured(
+        ODD,
+        {
+            "frames": 3,
+            "pulses": 30,
+            "period": 80,
+            "capacity": 20,
+            "auto_bounds": [1, 2, 3, 4, 5, 6],
+        },
+        {"threshold": 1},
+        {"subgroups": list(range(0, subgroups, 2)), "auto": True},
+    )
+    edges = random_cases.random_edges(config, 6000, 1)
+    golden = replay("golden", config, edges)
+    used = golden["threshold_used"]
+    assert (used[:, 1::2] == 1).all()
+    assert (used[1:, ::2] > 1).any()
+    assert not differences(golden, replay("sliced", config, edges))
 
 
 def running() -> random_cases.Config:
