@@ -69,6 +69,15 @@ def test_light_from_winners_and_counts():
     check_unbiased(wall_run(4.0, 0.1, form="short", threshold=2))
 
 
+@pytest.mark.parametrize("link_gbps", [0.3, 0.1])
+def test_light_from_winners_and_counts_of_which_many_are_dropped(link_gbps):
+    """15 and 70 % of the windows."""
+    run = wall_run(4.0, 0.1, form="short", threshold=1).but(frame={"link_gbps": link_gbps})
+    assert run["dropped_share"] > 0.1
+    truth = run.light.total_signal.reshape(SIZE, SIZE)
+    assert run.depth().signal_per_pulse[:, :, 0].mean() == pytest.approx(truth.mean(), rel=0.08)
+
+
 def test_light_of_two_surfaces_in_a_pixel():
     distance_m = np.broadcast_to([4.0, 10.0], (SIZE, SIZE, 2))
     scene = Scene(name="pane", distance_m=distance_m, reflectivity=np.full(distance_m.shape, 0.1))
