@@ -2,11 +2,19 @@
 """The lights that a pixel may have."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from coincid.model.depth.lights import LIGHT_SPAN, lights_near, prior_of_met
+from coincid.model.depth.lights import (
+    LIGHT_SPAN,
+    OFFSETS_SIGMAS,
+    learned_prior,
+    lights_near,
+    prior_of_met,
+    prior_on_surfaces,
+)
 
 LIGHTS = np.geomspace(1e-3, 10.0, 20)
 
@@ -34,3 +42,28 @@ def test_the_lights_near_the_seeds_are_all_within_the_span_and_one_beyond(known)
 
 def test_without_seeds_all_lights_are_possible():
     assert lights_near(np.empty(0), LIGHTS) == slice(0, 20)
+
+
+def test_pixels_that_see_one_surface_tell_their_lights_together():
+    """A pixel cannot tell its light from that beside it on a surface that is farther or nearer.
+
+    Half of the pixels have the first of three lights, half have the last. Alone, all may have the
+    middle one, which is likeliest. A bright and a dark pixel of one surface cannot.
+    """
+    offsets = len(OFFSETS_SIGMAS)
+    middle = offsets // 2
+    chance = np.zeros((40, offsets, 3), np.float32)
+    chance[::2, middle, 0] = chance[1::2, middle, 2] = 1
+    chance[::2, middle + 3, 1] = chance[1::2, middle - 3, 1] = 1
+    alone = np.exp(learned_prior(chance.sum(axis=1)))
+    assert np.argmax(alone) == 1
+    assert alone[1] > 0.9
+    together = np.exp(prior_on_surfaces(chance, np.repeat(np.arange(10), 4)))
+    assert together[[0, 2]] == pytest.approx([0.5, 0.5], abs=0.03)
+    assert together.sum() == pytest.approx(1)
+
+
+def test_without_pixels_all_lights_are_alike():
+    none = np.zeros((0, len(OFFSETS_SIGMAS), 4), np.float32)
+    for prior in (learned_prior(none[:, 0]), prior_on_surfaces(none, np.zeros(0, int))):
+        assert np.exp(prior) == pytest.approx([0.25] * 4)
