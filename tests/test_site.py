@@ -5,6 +5,8 @@ are whole.
 The examples do not run here (`test_examples.py` runs them). The search is tried in a browser.
 """
 
+import importlib
+import os
 import re
 import shutil
 import subprocess
@@ -39,6 +41,19 @@ def search_from_a_file(site):
         tab.wait_for_selector("#search-results p.context")
         assert "rosstalk" in tab.locator("#search-results p.context").first.text_content()
         browser.close()
+
+
+def test_sources_follow_the_pages_and_unchanged_ones_keep_their_time(tmp_path, monkeypatch):
+    """A change of one digit counts; a page that is gone goes."""
+    monkeypatch.syspath_prepend(ROOT)
+    build = importlib.import_module("docs.build")
+    monkeypatch.setattr(build, "SOURCE", tmp_path)
+    build.lay_out({"docs/a.md": b"4.2 mm", "docs/b.md": b"same", "docs/c.md": b"gone"})
+    os.utime(tmp_path / "docs" / "b.md", (1, 1))
+    build.lay_out({"docs/a.md": b"4.3 mm", "docs/b.md": b"same"})
+    found = {path.name: path.read_bytes() for path in (tmp_path / "docs").iterdir()}
+    assert found == {"a.md": b"4.3 mm", "b.md": b"same"}
+    assert (tmp_path / "docs" / "b.md").stat().st_mtime == 1
 
 
 def test_a_bad_link_is_the_only_warning(tmp_path):

@@ -77,6 +77,15 @@ def test_error_and_confidence_hold_with_a_tail():
     assert depth.confidence[:, :, 0].mean() == pytest.approx(right.mean(), abs=0.05)
 
 
+@pytest.mark.parametrize("method", ["planes", "matched", "background"])
+@pytest.mark.parametrize("later_s", [-600e-12, 600e-12])
+def test_time_0_of_a_pulse_may_be_anywhere_in_it(run, method, later_s):
+    """As it is in responses that a TCSPC system records: at the trigger, not at the peak."""
+    pulse = Pulse(time_s=TIME_S + later_s, density=tailed_pulse().density)
+    shifted = Run(run.setup.but(pulse=pulse), workers=2)
+    assert abs(bias_mm(shifted.depth(method))) < 2
+
+
 def test_result_that_is_read_back_has_its_pulse(run, tmp_path):
     write_result(tmp_path / "result.npz", run.result)
     arrays = read_result(tmp_path / "result.npz")
