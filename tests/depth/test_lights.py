@@ -48,13 +48,16 @@ def test_pixels_that_see_one_surface_tell_their_lights_together():
     """A pixel cannot tell its light from that beside it on a surface that is farther or nearer.
 
     Half of the pixels have the first of three lights, half have the last. Alone, all may have the
-    middle one, which is likeliest. A bright and a dark pixel of one surface cannot.
+    middle one, which is likeliest. A bright and a dark pixel of one surface cannot. Surfaces are off by
+    different times.
     """
     offsets = len(OFFSETS_SIGMAS)
-    middle = offsets // 2
     chance = np.zeros((40, offsets, 3), np.float32)
-    chance[::2, middle, 0] = chance[1::2, middle, 2] = 1
-    chance[::2, middle + 3, 1] = chance[1::2, middle - 3, 1] = 1
+    for pixel in range(40):
+        bright = pixel % 2
+        surface = offsets // 2 - 1 + pixel // 4 % 3
+        chance[pixel, surface, 2 * bright] = 1
+        chance[pixel, surface + (-3 if bright else 3), 1] = 1
     alone = np.exp(learned_prior(chance.sum(axis=1)))
     assert np.argmax(alone) == 1
     assert alone[1] > 0.9

@@ -349,15 +349,14 @@ def three_frames():
 
 
 def test_a_stream_may_begin_anew_after_any_beat():
-    (frame, *_) = three_frames()
-    beats = frame[0]
+    (lost, whole, _) = (frame[0] for frame in three_frames())
     assembler = FrameAssembler(ODD)
-    for cut in range(len(beats)):
-        assembler.add(beats[:cut])
+    for cut in range(len(lost)):
+        assembler.add(lost[:cut])
         assembler.forget()
-        assembler.add(beats)
+        assembler.add(whole)
         assert len(assembler.frames) == cut + 1, cut
-        assert np.array_equal(assembler.frames[-1], beats)
+        assert np.array_equal(assembler.frames[-1], whole)
 
 
 def test_frames_come_in_their_order_and_none_from_before_a_reset():
