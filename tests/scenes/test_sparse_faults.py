@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Few samples without depth in a large picture: they cost no pixel that has other samples."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -62,17 +64,21 @@ def test_a_pixel_is_a_hole_if_most_of_its_samples_have_no_depth(fault, pixel):
         assert_wall(depth_scene(samples, ROWS, COLS, meaning=meaning), [pixel] * is_hole)
 
 
-@pytest.mark.parametrize("before", range(5))
-@pytest.mark.parametrize("behind", range(5))
+OTHERS = [  # samples in front of the wall and behind it: fewer of each than of the wall
+    (before, behind)
+    for before, behind in product(range(SIDE * SIDE), repeat=2)
+    if SIDE * SIDE - before - behind > max(before, behind)
+]
+
+
+@pytest.mark.parametrize(("before", "behind"), OTHERS)
 def test_a_pixel_has_the_surface_that_most_of_its_samples_see(before, behind):
     """Whether the others are in front of it or behind it."""
     samples = np.full(SIDE * SIDE, WALL_M)
     samples[:before] = WALL_M - 2
     samples[SIDE * SIDE - behind :] = WALL_M + 2
-    wall_samples = SIDE * SIDE - before - behind
-    if wall_samples > max(before, behind):
-        everywhere = np.tile(samples.reshape(SIDE, SIDE), (ROWS, COLS))
-        assert_wall(depth_scene(everywhere, ROWS, COLS, meaning=Meaning()))
+    everywhere = np.tile(samples.reshape(SIDE, SIDE), (ROWS, COLS))
+    assert_wall(depth_scene(everywhere, ROWS, COLS, meaning=Meaning()))
 
 
 @pytest.mark.parametrize("fault", FAULTS)

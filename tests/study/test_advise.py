@@ -139,15 +139,21 @@ def test_what_would_help_a_near_scene_stays_in_front_of_the_sensor(monkeypatch):
     assert "half the distance, 0.05 m in the middle" in told and "0.08 to 0.08 m" in told
 
 
-def test_less_light_is_less_in_every_pixel(monkeypatch):
-    """Where the sun does not lie everywhere, a tenth of it does not, either."""
-    tried = []
+@pytest.fixture
+def tried(monkeypatch):
+    """The setups of what would help, in place of their simulations."""
+    setups = []
 
     def least_wrong(setup, *given):
-        tried.append(setup)
+        setups.append(setup)
         return 0.9
 
     monkeypatch.setattr("coincid.study.usefulness._least_wrong", least_wrong)
+    return setups
+
+
+def test_less_light_is_less_in_every_pixel(tried):
+    """Where the sun does not lie everywhere, a tenth of it does not, either."""
     klux = np.linspace(0, 90, 64).reshape(8, 8)
     setup = Setup.of("flat:9,0.05", sensor={"rows": 8, "cols": 8}, frame={"pulses": 5}, klux=klux)
     told = useless_sentence(0.9, setup, window=32)
@@ -156,15 +162,8 @@ def test_less_light_is_less_in_every_pixel(monkeypatch):
     assert less.klux == pytest.approx(klux / 10)
 
 
-def test_what_would_help_is_tried_in_one_frame_at_fixed_thresholds(monkeypatch):
+def test_what_would_help_is_tried_in_one_frame_at_fixed_thresholds(tried):
     """Whatever the configuration has."""
-    tried = []
-
-    def least_wrong(setup, *given):
-        tried.append(setup)
-        return 0.9
-
-    monkeypatch.setattr("coincid.study.usefulness._least_wrong", least_wrong)
     setup = Setup.of(
         "flat:9,0.05",
         sensor={"rows": 8, "cols": 16},
