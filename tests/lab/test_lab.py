@@ -3,7 +3,9 @@
 all workers.
 """
 
+import os
 import sys
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import nullcontext
 from functools import partial
 
@@ -137,6 +139,16 @@ def test_arrays_of_equal_bytes_have_keys_of_their_own():
     alike = (bits, bits.reshape(2, 2), bits.reshape(4, 1), bits.view(np.uint64), bits.view("f8"))
     assert len({fingerprint(one) for one in alike}) == len(alike)
     assert fingerprint(bits) == fingerprint(bits.copy()) == fingerprint(np.stack([bits, bits])[0])
+
+
+@pytest.mark.parametrize("holder", [list, tuple, lambda arrays: {"of": arrays}])
+def test_arrays_within_containers_have_keys_of_their_own(holder):
+    """Long ones, which text would abridge."""
+    first = np.zeros(5000)
+    other = first.copy()
+    other[2500] = 1
+    assert fingerprint(holder([first])) != fingerprint(holder([other]))
+    assert fingerprint(holder([first])) == fingerprint(holder([first.copy()]))
 
 
 def test_a_table_holds_counts_beyond_32_bits():
@@ -294,6 +306,23 @@ def test_setups_that_share_the_words_of_the_rtl_come_out_as_alone():
             with pytest.raises(InputError, match="guess"):
                 campaign(setups, read, workers)
         assert failed.keys() == {"bad"} and isinstance(failed["bad"], InputError)
+
+
+def _ends_its_process(run):
+    """Read a run as a worker that the system stops, for example for want of memory."""
+    os._exit(1)
+
+
+def test_setups_of_a_worker_that_is_stopped_fail_each():
+    setups = {seed: small(seed=seed) for seed in (1, 2, 3)}
+    failed = {}
+    told = []
+    with Processes(2) as workers:
+        found = campaign(setups, _ends_its_process, workers, failed=failed, progress=told.append)
+    assert not found
+    assert failed.keys() == setups.keys()
+    assert all(isinstance(error, BrokenProcessPool) for error in failed.values())
+    assert told[-1] == len(setups)
 
 
 def test_pixels_without_a_truth_are_in_no_share():

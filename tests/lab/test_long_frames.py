@@ -44,6 +44,24 @@ def test_a_long_run_gives_the_same_events_and_depth(subgroup, monkeypatch):
     assert run.frame(1)["edges"] == usual.frame(1)["edges"]
 
 
+def test_a_long_run_gives_the_same_counts_of_each_frame(monkeypatch):
+    """The frames differ, so one in another's place shows."""
+    setup = Setup.of(
+        "five-objects",
+        klux=20,
+        sensor=SENSOR | {"counts": 1},
+        frame={"frames": 3, "pulses": 70, "format": "counts"},
+    )
+    usual = Run(setup)
+    expected = [usual.frame(number).depth_m for number in range(3)]
+    monkeypatch.setattr(long_frames, "EDGES_MAX", 0)
+    run = Run(setup)
+    for number in range(3):
+        np.testing.assert_array_equal(run.frame(number).depth_m, expected[number])
+    assert not np.array_equal(expected[0], expected[1], equal_nan=True)
+    assert not run.has_result  # each frame was decoded alone
+
+
 def test_a_long_run_keeps_the_edges_and_fates_of_the_first_pulses(long):
     setup = setup_of(pulses=700)
     run = Run(setup)

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from coincid.model.shared import spool
-from coincid.model.shared.files import GrowingNpz, whole_file, write_csv, write_npz
+from coincid.model.shared.errors import InputError
+from coincid.model.shared.files import GrowingNpz, read_npz, whole_file, write_csv, write_npz
 
 
 def test_a_table_has_six_digits_of_small_and_large_numbers(tmp_path):
@@ -67,3 +68,36 @@ def test_an_npz_that_grows_has_the_bytes_of_one_written_at_once(
             growing.append({"rows": part, "twice": part})
         growing.write(folder / "grown.npz", other)
     assert (folder / "grown.npz").read_bytes() == (folder / "whole.npz").read_bytes()
+
+
+def test_folders_of_a_file_are_made(tmp_path):
+    with whole_file(tmp_path / "a" / "b" / "c", "w") as file:
+        file.write("c")
+    assert (tmp_path / "a" / "b" / "c").read_text(encoding="utf-8") == "c"
+
+
+def test_an_npz_is_read_as_it_was_written(tmp_path):
+    path = tmp_path / "a.npz"
+    write_npz(path, {"rows": np.arange(6).reshape(2, 3), "more": np.array([True]), "other": 1.5})
+    arrays = read_npz(path, ("rows",), ("more", "absent"))
+    assert arrays.keys() == {"rows", "more"}
+    assert arrays["rows"].tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert arrays["more"].tolist() == [True]
+    with pytest.raises(InputError, match="has no array 'absent', must have rows, absent"):
+        read_npz(path, ("rows", "absent"))
+
+
+def test_what_is_no_npz_is_told(tmp_path):
+    (tmp_path / "text").write_text("rows", encoding="utf-8")
+    with pytest.raises(InputError, match="is not an NPZ file, must hold the arrays rows, more"):
+        read_npz(tmp_path / "text", ("rows", "more"))
+    np.save(tmp_path / "single.npy", np.arange(3))
+    with pytest.raises(InputError, match="is a single array, must be an NPZ file"):
+        read_npz(tmp_path / "single.npy", ("rows",))
+    write_npz(tmp_path / "whole.npz", {"rows": np.arange(1000)})
+    whole = (tmp_path / "whole.npz").read_bytes()
+    (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match="half.npz"):
+        read_npz(tmp_path / "half.npz", ("rows",))
+    with pytest.raises(InputError, match="missing.npz"):
+        read_npz(tmp_path / "missing.npz", ("rows",))
