@@ -17,6 +17,7 @@ Not in the bounds: a pixel that is dead from an earlier window, and events that 
 """
 
 import math
+from types import NoneType
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,7 @@ from ..model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from ..model.depth.quality import OTHER_SURFACE_M
 from ..model.depth.tree import kept_shares
 from ..model.light.light import Light, background_cps, signal_per_pulse
+from ..model.shared.arguments import check_kind
 from ..model.shared.errors import check_integer
 from ..model.shared.pulse import TIME_MAX_S, PulseSource, pulse_of
 from ..model.shared.quantities import check_real
@@ -106,7 +108,7 @@ def bound(
     InputError
         If a value is out of range.
     """
-    chosen = config or parse_config({})
+    chosen = check_kind("config", config, Config, NoneType) or parse_config({})
     if "pulses" in settings:
         chosen = chosen.with_frame(pulses=settings.pop("pulses"))
     chosen = chosen.with_settings(**settings)

@@ -152,7 +152,10 @@ class Run:
         return self.setup.pulse if light is None else light.pulse
 
     def light_of(self, frame: int) -> Light:
-        """Return the detected signal and background of every pixel in a frame."""
+        """Return the detected signal and background of every pixel in a frame (from the end, if
+        negative). Raises `InputError`.
+        """
+        frame = self._in_range(frame)
         if self._light is not None:
             return self._light
         lights = self.setup.photons.lights
@@ -199,7 +202,10 @@ class Run:
         return is_long(self.setup.photons)
 
     def seen_edges(self, number: int) -> SeenEdges:
-        """Return what the run keeps of the edges of a frame: all of them, unless it is long."""
+        """Return what the run keeps of the edges of a frame (from the end, if negative): all of
+        them, unless it is long. Raises `InputError`.
+        """
+        number = self._in_range(number)
         if self.is_long:
             return self._frames_of_golden().seen[number]
         edges = self.frame_edges(number)
@@ -214,9 +220,9 @@ class Run:
 
     def frame_edges(self, number: int) -> Edges:
         """Return the edges of one frame (from the end, if negative), with pulses counted from its
-        start.
+        start. Raises `InputError`.
         """
-        number %= self.config.frames
+        number = self._in_range(number)
         own = self.edges.take(self._of_frame[number])
         return evolve(own, pulse=own.pulse - number * self.config.pulses) if number else own
 
@@ -226,8 +232,17 @@ class Run:
         return self._frames_of_golden().traces
 
     def counters(self, number: int) -> np.ndarray:
-        """int64[subgroups, 11]: the counters of a frame of the golden model."""
-        return self._frames_of_golden().counters[number]
+        """int64[subgroups, 11]: the counters of a frame of the golden model (from the end, if
+        negative). Raises `InputError`.
+        """
+        return self._frames_of_golden().counters[self._in_range(number)]
+
+    def _in_range(self, frame: int) -> int:
+        """Return the number of a frame, which is counted from the end if it is negative. Raises
+        `InputError`.
+        """
+        frames = self.config.frames
+        return check_integer("frame", frame, -frames, frames - 1) % frames
 
     def _frames_of_golden(self) -> PlayedFrames:
         if self._played_frames is None:
@@ -267,8 +282,10 @@ class Run:
     def result_of(self, number: int) -> dict[str, np.ndarray]:
         """Return the result with the events of one frame at least, and the counters of all frames.
 
-        Of a long run, only one such result is in memory, also if several runs share a cache.
+        Of a long run, only one such result is in memory, also if several runs share a cache. A
+        negative number counts from the end. Raises `InputError`.
         """
+        number = self._in_range(number)
         if self.setup.engine != "golden" or not self.is_long or self.has_result:
             return self.result
         return self.cache.decoded.get((self._key, number), partial(self._decoded, number))
@@ -312,11 +329,9 @@ class Run:
         options: those of `estimate_depth`. The estimator is told the measured pulse of the setup,
         unless `pulse` is given.
         """
-        if estimator is not None and not isinstance(estimator, str | Estimator):
-            raise InputError(
-                f"estimator = {estimator!r}: must be METHOD or METHOD/SOURCE; a frame is given as frame={estimator!r}"
-            )
-        method = estimator or options.pop("method", None) or self.setup.estimators[0]
+        _check_estimator(estimator)
+        method = estimator or _check_estimator(options.pop("method", None))
+        method = method or self.setup.estimators[0]
         source = DEFAULT_SOURCE
         if isinstance(method, str):
             method, _, named = method.partition("/")
@@ -338,8 +353,8 @@ class Run:
         """Return one frame (from the end, if negative) with an estimator; None: the first one of
         the setup. Raises `InputError`.
         """
-        frames = self.config.frames
-        number = check_integer("frame", number, -frames, frames - 1) % frames
+        number = self._in_range(number)
+        _check_estimator(estimator)
         chosen = estimator or next(iter(self.setup.estimators), None)
         name = chosen if chosen is None or isinstance(chosen, str) else fingerprint(chosen)
         return self._frames.setdefault((number, name), Frame(self, number, chosen))
@@ -347,6 +362,15 @@ class Run:
     def __getitem__(self, measure: str) -> Number:
         """Return a measure of the last frame."""
         return self.frame()[measure]
+
+
+def _check_estimator(estimator: Method | None) -> Method | None:
+    """Return an estimator, or None. Raises `InputError`."""
+    if estimator is not None and not isinstance(estimator, str | Estimator):
+        raise InputError(
+            f"estimator = {estimator!r}: must be METHOD or METHOD/SOURCE; a frame is given as frame={estimator!r}"
+        )
+    return estimator
 
 
 def _at_frame(columns: dict[str, np.ndarray], number: int, frames: int) -> dict[str, np.ndarray]:

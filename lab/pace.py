@@ -5,6 +5,7 @@ laser pulse. All of it is arithmetic.
 Ref: paper, for the laser's mean power of 10 mW.
 """
 
+from bisect import bisect_right
 from fractions import Fraction
 
 from ..model.contract.config import Config
@@ -40,15 +41,19 @@ def gap_for(config: Config, rate_per_s: float) -> int:
     longest one.
     """
     check_real("rate_per_s", rate_per_s, RATE_MIN_PER_S)
-    back_to_back = config.with_frame(gap=0)
     if config.pulses == 1:
         return 0
     cycles = int(Fraction(str(config.clock_mhz)) * 1_000_000 / Fraction(str(rate_per_s)))
-    free_cycles = cycles - back_to_back.frame_cycles
-    gap = free_cycles // (config.pulses - 1)
-    if not 0 <= gap <= GAP_MAX:
-        low = config.clock_mhz * 1e6 / (back_to_back.frame_cycles + GAP_MAX * (config.pulses - 1))
-        high = frames_per_s(back_to_back)
+
+    def cycles_with(gap: int) -> int:
+        return config.with_frame(gap=gap).frame_cycles
+
+    # The waits of a frame are not proportional to the gap: those between searches are long already.
+    gap = bisect_right(range(GAP_MAX + 1), cycles, key=cycles_with) - 1
+    longer = config.pulses - 1  # cycles that a gap of one more would take
+    if gap < 0 or cycles >= cycles_with(GAP_MAX) + longer:
+        low = frames_per_s(config.with_frame(gap=GAP_MAX))
+        high = frames_per_s(config.with_frame(gap=0))
         raise InputError(
             f"rate_per_s = {rate_per_s:g}: must be from {low:.6g} to {high:.6g} with these periods",
             field="rate_per_s",

@@ -323,7 +323,8 @@ def _links(
     run: Run, chosen: Config, rates_gbps: list[float], formats: tuple[str, ...]
 ) -> Iterator[Tried]:
     """Try the links and formats for the settings of `chosen`."""
-    subgroup = {name: getattr(chosen, name) for name in ("auto", "threshold", "window")}
+    searched = "coincidence", "auto", "threshold", "window"
+    subgroup = {name: getattr(chosen, name) for name in searched}
     start = run.but(subgroup=subgroup) if chosen.auto.any() else run.alone(-1, subgroup=subgroup)
     for link_gbps in rates_gbps:
         for packets in formats:

@@ -3,14 +3,18 @@
 clouds.
 """
 
+from types import NoneType
+
 import numpy as np
 
 from ..model.depth.belief import SENTENCES
 from ..model.depth.depth import Depth
 from ..model.light.link_budget import Optics
 from ..model.scenes.view import View
+from ..model.shared.arguments import check_kind
 from ..model.shared.errors import InputError
 from ..model.shared.files import FilePath, check_suffix, whole_file
+from ..model.shared.quantities import check_switch
 
 _NORMAL = "nx", "ny", "nz"
 _NUMBERS = "x", "y", "z", "confidence", "signal", "signal_error"
@@ -47,6 +51,9 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
     InputError
         If normals are requested and the depth has no slopes.
     """
+    check_kind("depth", depth, Depth)
+    check_kind("optics", optics, Optics, NoneType)
+    check_switch("normals", normals)
     if normals and depth.slope_m is None:
         raise InputError("normals: the depth has no slopes, its method must be planes")
     optics = optics or Optics()
@@ -101,6 +108,11 @@ def write_ply(path: FilePath, points: np.ndarray) -> None:
     another suffix.
     """
     check_suffix(path, ".ply")
+    check_kind("points", points, np.ndarray)
+    if points.ndim != 1 or points.dtype.names is None:
+        raise InputError(
+            "points: must be the array of point_cloud, of one dimension and with fields"
+        )
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -109,8 +121,7 @@ def write_ply(path: FilePath, points: np.ndarray) -> None:
     ]
     header += [f"comment reason {reason}: {told}" for reason, told in SENTENCES.items()]
     fields = [
-        f"property {_PLY_TYPES[points.dtype[name].kind]} {name}"
-        for name in points.dtype.names or ()
+        f"property {_PLY_TYPES[points.dtype[name].kind]} {name}" for name in points.dtype.names
     ]
     header += [f"element vertex {len(points)}", *fields, "end_header", ""]
     with whole_file(path) as file:

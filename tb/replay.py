@@ -16,6 +16,7 @@ from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.result import ResultBuilder
 from ..model.golden.frame import golden_result
+from ..model.shared.arguments import check_kind
 from ..model.shared.errors import InputError, extra
 from ..model.shared.quantities import check_choice
 from .engines import ENGINES, SIMULATORS
@@ -88,8 +89,10 @@ def replay(
     InputError
         If an argument is illegal, or the tools of the RTL are missing.
     """
+    check_kind("config", config, Config)
+    check_kind("edges", edges, Edges)
     chosen = chosen_view(engine, view, config.clock_mhz)
-    ready = np.zeros(0, np.uint8) if ready is None else ready
+    ready = np.zeros(0, np.uint8) if ready is None else _checked_ready(ready)
     if chosen is None:
         done = progress or (lambda cycles: None)
         return golden_result(
@@ -136,6 +139,16 @@ def replay_together(
             jobs, play_side_by_side(chains, threads=threads), strict=True
         )
     ]
+
+
+def _checked_ready(ready: np.ndarray) -> np.ndarray:
+    """Return the levels of `tready` by cycle. Raises `InputError` if they are no row of numbers."""
+    check_kind("ready", ready, np.ndarray)
+    if ready.ndim != 1 or ready.dtype.kind not in "biu":
+        raise InputError(
+            f"ready: has shape {ready.shape} and dtype {ready.dtype}, must be one row of integers"
+        )
+    return ready
 
 
 def _result(config: Config, records: list[Recorded]) -> dict[str, np.ndarray]:

@@ -20,6 +20,7 @@ import numpy as np
 
 from ..contract.config import Config
 from ..shared.constants import SIGMA_PER_FWHM
+from ..shared.pulse import TIME_MAX_S
 from ..shared.quantities import Numbers, check_real
 from . import portable
 
@@ -28,7 +29,8 @@ SYSTEM_FWHM_S = 500e-12  # laser pulse and jitter combined (paper IV)
 
 def pulse_sigma_ticks(config: Config, system_fwhm_s: float = SYSTEM_FWHM_S) -> float:
     """Return the sigma of laser pulse and jitter combined. Raises `InputError`."""
-    return check_real("system_fwhm_s", system_fwhm_s, 1e-15, 1.0) * SIGMA_PER_FWHM / config.tick_s
+    fwhm_s = check_real("system_fwhm_s", system_fwhm_s, 1e-15, TIME_MAX_S)
+    return fwhm_s * SIGMA_PER_FWHM / config.tick_s
 
 
 def photons_of(count: Numbers, pixels: Numbers) -> np.ndarray:

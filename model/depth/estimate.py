@@ -7,6 +7,7 @@ other methods are our own choice.
 
 from collections.abc import Callable
 from functools import partial
+from types import NoneType
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -14,6 +15,7 @@ from attrs import evolve
 
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
+from ..shared.arguments import check_kind, check_workers
 from ..shared.constants import SUCCESS_TOLERANCE_S
 from ..shared.errors import InputError, check_integer
 from ..shared.pulse import Pulse
@@ -28,6 +30,7 @@ from .counts import find_surfaces as find_in_counts
 from .depth import Depth
 from .histograms import (
     Events,
+    check_arrays,
     frame_events,
     frame_records,
     minigroup_step_ticks,
@@ -103,6 +106,11 @@ def estimate_depth(
     InputError
         If an argument is out of range.
     """
+    check_arrays(arrays)
+    check_kind("config", config, Config)
+    check_kind("pulse", pulse, Pulse, NoneType)
+    if workers is not None:
+        check_workers(workers)
     chosen = chosen_method(method)
     if pulse is None:
         pulse = Pulse.of_result(arrays)

@@ -6,8 +6,9 @@ Ref: paper III-A (stamp, ID map, minigroup stamps), IV (a histogram per pixel). 
 the arrival time (`arrivals.py`).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from types import NoneType
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from ..contract.config import Config
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE, Sensor
 from ..contract.pixels import Pixels, pixel_table
+from ..shared.arguments import check_kind
 from ..shared.compiled import njit, part
 from ..shared.errors import InputError, check_integer
 from ..shared.pulse import Pulse
@@ -24,6 +26,15 @@ from ..shared.quantities import check_choice
 from .arrivals import SYSTEM_FWHM_S, arrival_ticks, photons_of
 from .pulse_ticks import PulseTicks, pulse_ticks
 
+EVENT_ARRAYS = (  # of a result with events; it may have others
+    "opened",
+    "pulse",
+    "subgroup",
+    "stamp",
+    "count",
+    "winner",
+    "threshold_used",
+)
 SOURCES = {
     "map": "the subgroup's stamp, for the pixels of the ID map",
     "minigroup": "each minigroup's own coarse stamp, for its pixels: "
@@ -71,9 +82,9 @@ def frame_events(
     if the result has no such frame, or no events.
     """
     _check_events(config)
-    frames = len(arrays["opened"])
-    if frame is not None and not 0 <= frame < frames:
-        raise InputError(f"frame = {frame}: must be an integer from 0 to {frames - 1}")
+    check_arrays(arrays, *EVENT_ARRAYS)
+    if frame is not None:
+        check_integer("frame", frame, 0, len(arrays["opened"]) - 1)
     row = _rows_by_subgroup(arrays["pulse"], arrays["subgroup"], config.pulses, frame)
     subgroup = arrays["subgroup"][row]
     stamp = arrays["stamp"][row]
@@ -114,6 +125,14 @@ def _check_events(config: Config) -> None:
             " the arrays gate_cycle, gate_hits and count_pulses of the result",
             field="frame.format",
         )
+
+
+def check_arrays(arrays: Mapping[str, np.ndarray], *names: str) -> None:
+    """Raise `InputError` if a result lacks one of these arrays, or is none."""
+    check_kind("arrays", arrays, Mapping)
+    for name in names:
+        if name not in arrays:
+            raise InputError(f"arrays: {name} is missing, which a result has", field="arrays")
 
 
 def _rows_by_subgroup(
@@ -198,6 +217,9 @@ def pixel_histogram(
     InputError
         If the pixel or the frame does not exist, or the format has no events.
     """
+    check_arrays(arrays)
+    check_kind("config", config, Config)
+    check_kind("pulse", pulse, Pulse, NoneType)
     table = pixel_table(config.sensor)
     check_integer("pixel", pixel, 0, config.sensor.array_pixels - 1)
     shape = pulse_ticks(config, system_fwhm_s, pulse or Pulse.of_result(arrays))

@@ -328,7 +328,8 @@ def live_share(
         starts = np.bincount(start, minlength=ticks + 1)
         ends = np.bincount(np.minimum(armed, ticks), minlength=ticks + 1)[: ticks + 1]
         blocked = np.cumsum(starts - ends)[:ticks] * windows.per_stored[s]
-        rejected = windows.rejected[s] * (window + sensor.phases / 2) / ticks
+        until_armed = window + sensor.phases / 2 + sensor.rearm * sensor.phases
+        rejected = windows.rejected[s] * until_armed / ticks
         live[s] = 1 - (blocked + rejected) / windows.periods
     return np.maximum(live, LIVE_MIN)
 

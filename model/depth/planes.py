@@ -20,12 +20,11 @@ from .intensity import find_intensity
 from .lights import measured_prior
 from .likelihood import Grid, Levels, log_likelihood
 from .pulse_ticks import PulseTicks
-from .surfaces import Coarse, Fitter, peak_offset
+from .surfaces import BRIGHT_PHOTONS, Coarse, Fitter, peak_offset
 from .unheard import Guess, Spread, Unheard, unheard, unheard_in_light, windows_of
 
 HOT = 2.0  # background relative to the mean from which on a pixel's own value is used
 ACTIVITY_HITS = 10.0  # weight of the prior, in hits
-BRIGHT = 1.4  # photons per pulse: such a pixel fires in three of four pulses
 BRIGHT_SHARE = 0.05  # of the pixels
 NEAR_SIGMAS = 3.0  # from a seed to stamps that may be its light
 
@@ -168,7 +167,7 @@ def _lights_are_uncertain(frame: _Frame, guess: Guess) -> bool:
     earlier they fire. Without coincidence, events do not tell more of the light than that.
     """
     free = (frame.events.threshold == 1) & (frame.events.window > 1)
-    bright = guess.light[free][~np.isnan(guess.time[free])] > BRIGHT
+    bright = guess.light[free][~np.isnan(guess.time[free])] > BRIGHT_PHOTONS
     return bool(bright.sum() > BRIGHT_SHARE * guess.light.size)
 
 

@@ -34,8 +34,9 @@ from .seeds import LEAST, Blocks, Seeds, find_seeds, seed_scores
 
 COARSE_SIGMAS = 1.4  # step of the first grid
 COARSE_LIGHTS = geometric_steps(0.02, 40, 7).astype(np.float32)  # photons per pulse
-FAINT_LIGHTS = geometric_steps(0.015, 1.383, 11)
-BRIGHT_LIGHTS = geometric_steps(1.383, 60, 11)  # these pixels fire in most pulses: finer steps
+BRIGHT_PHOTONS = 1.383  # photons per pulse: such a pixel fires in three of four pulses
+FAINT_LIGHTS = geometric_steps(0.015, BRIGHT_PHOTONS, 11)
+BRIGHT_LIGHTS = geometric_steps(BRIGHT_PHOTONS, 60, 11)  # finer steps
 LIGHTS = np.concatenate([FAINT_LIGHTS, BRIGHT_LIGHTS[1:]]).astype(np.float32)
 COARSE_HITS = 2.0  # of the faintest light in all pulses, at most: of the first grid,
 HITS = 1.5  # and of the second

@@ -6,12 +6,14 @@ are off by default.
 """
 
 import math
+from types import NoneType
 from typing import Any
 
 import numpy as np
 from attrs import field, frozen
 from numpy.typing import ArrayLike
 
+from ..shared.arguments import check_kind
 from ..shared.errors import InputError, check_integer
 from ..shared.pulse import Pulse, pulse_of
 from ..shared.quantities import Numbers, check_choice, given, real, real_array
@@ -104,8 +106,12 @@ class Arrivals:
     width_s: float = real(0.0, 0, 1)
 
     def __attrs_post_init__(self) -> None:
-        n = len(self.photons)
-        first = np.asarray(self.first, np.int64)
+        photons = real_array("photons", self.photons, np.shape(self.photons), 0, SIGNAL_MAX)
+        first = real_array("first", self.first, np.shape(self.first), 0)
+        if photons.ndim != 1:
+            raise InputError(f"photons: has shape {photons.shape}, must have a number per bin")
+        n = len(photons)
+        first = first.astype(np.int64)
         if (
             first.ndim != 1
             or len(first) < 2
@@ -116,9 +122,7 @@ class Arrivals:
             raise InputError(f"first: must ascend from 0 to the {n} bins")
         object.__setattr__(self, "first", first)
         object.__setattr__(self, "start_s", real_array("start_s", self.start_s, (n,), 0))
-        object.__setattr__(
-            self, "photons", real_array("photons", self.photons, (n,), 0, SIGNAL_MAX)
-        )
+        object.__setattr__(self, "photons", photons)
         inner = np.delete(
             np.diff(self.start_s), first[1:-1][(first[1:-1] > 0) & (first[1:-1] < n)] - 1
         )
@@ -158,6 +162,8 @@ class Light:
     def __attrs_post_init__(self) -> None:
         check_integer("rows", self.rows, 1, 4096)
         check_integer("cols", self.cols, 1, 4096)
+        check_kind("arrivals", self.arrivals, Arrivals, NoneType)
+        check_kind("interferer", self.interferer, Interferer, NoneType)
         for name in ("distance_m", "signal_per_pulse", "system_fwhm_s"):
             array = np.asarray(getattr(self, name))
             object.__setattr__(self, name, array[:, None] if array.ndim == 1 else array)

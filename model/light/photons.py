@@ -26,11 +26,13 @@ import math
 from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
+from types import NoneType
 from typing import Any
 
 import numpy as np
 
 from ..contract.edges import Edges
+from ..shared.arguments import check_kind, check_workers
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from ..shared.errors import SEED_MAX, InputError, check_integer
 from ..shared.quantities import real_array
@@ -93,10 +95,14 @@ def edge_chunks(
     chunk_pulses: pulses per chunk; None: about `CHUNK_EDGES` edges. Neither workers nor chunks
     change the edges. A SPAD model of a user's own (`OwnSpad`) makes one chunk of all pulses.
     """
+    check_kind("light", light, Light)
+    check_kind("spad", spad, Spad, OwnSpad)
+    check_kind("timing", timing, Timing)
+    check_kind("gate", gate, SpadGate, NoneType)
     pulses = check_integer("pulses", pulses, 1, PULSES_MAX)
     pulse_start = check_integer("pulse_start", pulse_start, 0, PULSES_MAX)
     seed = check_integer("seed", seed, 0, SEED_MAX)
-    workers = check_integer("workers", workers, 1, 256)
+    workers = check_workers(workers)
     physics, arrays = _in_ticks(light, spad, timing, gate, pulse_start + pulses)
     if isinstance(spad, OwnSpad):
         generate = partial(

@@ -138,6 +138,7 @@ def load_scene(
     """
     check_integer("rows", rows, 1, 4096)
     check_integer("cols", cols, 1, 4096)
+    check_real("range_m", range_m, NEAREST_M)
     meaning = Meaning(
         unit=unit,
         scale=scale,

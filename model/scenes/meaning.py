@@ -62,6 +62,6 @@ class Meaning:
         given = () if self.missing is None else np.atleast_1d(self.missing)
         try:
             numbers = np.asarray([*given, *MARKS, *(known.missing if known else ())], np.float64)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(f"missing = {self.missing!r}: must be a number, or several") from None
         return numbers

@@ -9,6 +9,7 @@ import numpy as np
 from attrs import evolve, field, frozen
 
 from ..light.light import NEAREST_M, Light
+from ..shared.arguments import check_kind
 from ..shared.errors import InputError
 from ..shared.quantities import Numbers, given, real_array
 from .ambient import Ambient, ambient_klux, told_klux
@@ -23,6 +24,7 @@ class ShapedLight(Protocol):
 
 
 NO_OBJECT = 0
+LABEL_MAX = 2**31 - 1
 REFLECTIVITY = 0.4  # default: the reflectivity of the paper's flat target
 
 
@@ -57,8 +59,10 @@ class Scene:
     later: tuple["Scene", ...] = ()
 
     def __attrs_post_init__(self) -> None:
-        distance_m = np.asarray(self.distance_m, np.float64)
-        reflectivity = np.asarray(self.reflectivity, np.float64)
+        own = np.shape(self.distance_m)
+        distance_m = real_array("distance_m", self.distance_m, own, NEAREST_M, nan=True)
+        own = np.shape(self.reflectivity)
+        reflectivity = real_array("reflectivity", self.reflectivity, own, 0, 1)
         if distance_m.ndim == 2:
             distance_m = distance_m[:, :, None]
             reflectivity = reflectivity[:, :, None] if reflectivity.ndim == 2 else reflectivity
@@ -74,9 +78,8 @@ class Scene:
             self, "reflectivity", real_array("reflectivity", reflectivity, shape, 0, 1)
         )
         object.__setattr__(self, "sunlit", real_array("sunlit", self.sunlit, shape[:2], 0, 1))
-        object.__setattr__(
-            self, "labels", np.broadcast_to(np.asarray(self.labels, np.int64), shape[:2])
-        )
+        labels = real_array("labels", self.labels, shape[:2], -LABEL_MAX, LABEL_MAX)
+        object.__setattr__(self, "labels", labels.astype(np.int64))
 
     def __repr__(self) -> str:
         """Return one line: name, size, and range of the distances."""
@@ -141,6 +144,7 @@ def scene_light(scene: Scene, klux: Ambient, **others: Any) -> Light:
 
     klux: ambient light, as in `simulate`. others: `background`, and fields of `Light`.
     """
+    check_kind("scene", scene, Scene)
     reaches_klux = ambient_klux(klux, scene.rows, scene.cols) * scene.sunlit
     try:
         if scene.transient is not None:

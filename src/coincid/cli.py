@@ -42,6 +42,7 @@ FRAMES_MAX = 1000  # for the controller
 REPEATS_MAX = 1000
 BAUD_MAX = 100_000_000
 WORKERS_MAX = 1 << 10
+SWITCHES = {"true": True, "false": False}
 
 console = Console(stderr=True, highlight=False)
 
@@ -541,7 +542,8 @@ def photons(
     write_edges(out, made, Timing.from_config(settings))
     for note in setup.seen.notes:
         print(note)
-    print(f"{out}: {len(made):,} edges of {settings.frames * settings.pulses:,} pulses")
+    pulses = setup.config.frames * setup.config.pulses
+    print(f"{out}: {len(made):,} edges of {pulses:,} pulses")
 
 
 @command
@@ -962,12 +964,13 @@ def _spad(given: Iterable[str] | None) -> "Spad":
             raise InputError(
                 f"--spad {text}: must be NAME=VALUE with a name of {', '.join(fields_dict(Spad))}"
             )
+        if isinstance(fields_dict(Spad)[name].default, bool):
+            if value not in SWITCHES:
+                raise InputError(f"--spad {text}: must be {' or '.join(SWITCHES)}")
+            values[name] = SWITCHES[value]
+            continue
         try:
-            values[name] = (
-                value == "true"
-                if isinstance(fields_dict(Spad)[name].default, bool)
-                else float(value)
-            )
+            values[name] = float(value)
         except ValueError:
             raise InputError(f"--spad {text}: must be a number") from None
     return Spad(**values)

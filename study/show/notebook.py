@@ -132,6 +132,8 @@ def plot_timeline(run: Run, subgroup: int, pulse: int, frame: int = 0) -> Shown:
     """Return one laser period of a subgroup: edges with their fates, windows, gate, commits,
     FIFO.
     """
+    check_integer("subgroup", subgroup, 0, run.config.sensor.subgroups - 1)
+    check_integer("pulse", pulse, 0, run.config.pulses - 1)
     with extra("explore"):
         from .figures import TimelineFigure
 
