@@ -30,6 +30,7 @@ from ..model.shared.own_part import OwnPart
 from ..model.shared.pulse import Pulse, pulse_of
 from ..model.shared.quantities import check_choice, check_switch
 from ..model.shared.sources import digest, sources_digest
+from ..tb.engines import ENGINES
 from ..tb.replay import DEFAULT_VIEW
 
 if TYPE_CHECKING:
@@ -168,6 +169,7 @@ class Setup:
         if not isinstance(self.spad, Spad):
             raise wrong_value("spad", self.spad, "a Spad")
         check_integer("seed", self.seed, 0, SEED_MAX)
+        check_choice("engine", self.engine, ENGINES)
         check_choice("background", self.background, BACKGROUNDS)
         check_switch("spad_gate", self.spad_gate)
         if self.config.counting:

@@ -107,7 +107,7 @@ class Arrivals:
 
     def __attrs_post_init__(self) -> None:
         photons = real_array("photons", self.photons, np.shape(self.photons), 0, SIGNAL_MAX)
-        first = real_array("first", self.first, np.shape(self.first), 0)
+        first = real_array("first", self.first, np.shape(self.first), 0, 2.0**53)
         if photons.ndim != 1:
             raise InputError(f"photons: has shape {photons.shape}, must have a number per bin")
         n = len(photons)

@@ -7,6 +7,7 @@ import numpy as np
 from attrs import frozen
 
 from ..light.light import NEAREST_M
+from ..shared.arguments import check_kind
 from ..shared.errors import InputError
 from ..shared.quantities import check_real
 from .conventions import check_unit, convention
@@ -47,6 +48,7 @@ class Meaning:
             check_real("sky_m", self.sky_m, NEAREST_M)
         if self.fov_deg is not None:
             check_real("fov_deg", self.fov_deg, 1e-3, 179)
+        check_kind("z", self.z, bool, np.bool_)
         if self.bin_ps is None and self.recorded_pulses is not None:
             raise InputError(
                 f"recorded_pulses = {self.recorded_pulses}: goes with histograms, whose bins need"
@@ -61,6 +63,8 @@ class Meaning:
         known = convention(self.unit)
         given = () if self.missing is None else np.atleast_1d(self.missing)
         try:
+            if np.iscomplexobj(given):
+                raise TypeError
             numbers = np.asarray([*given, *MARKS, *(known.missing if known else ())], np.float64)
         except (TypeError, ValueError, OverflowError):
             raise InputError(f"missing = {self.missing!r}: must be a number, or several") from None
