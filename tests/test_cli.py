@@ -406,6 +406,25 @@ def test_help_shows_every_text_whole(name):
     assert "[[" not in shown
 
 
+@pytest.mark.parametrize("value", ["True", "1", "yes", ""])
+def test_a_switch_of_the_detector_is_true_or_false(value, tmp_path):
+    given = "photons --scene flat:5 --set rows=8 --set cols=8 --set pulses=5"
+    result = command(f"{given} --spad paralyzable={value} --out {tmp_path}/edges.npz")
+    assert result.exit_code == 2
+    assert "must be true or false" in result.stderr
+    for legal in ("true", "false"):
+        result = command(f"{given} --spad paralyzable={legal} --out {tmp_path}/edges.npz")
+        assert result.exit_code == 0, result.stderr
+
+
+def test_photons_of_pictures_that_move_are_of_as_many_frames(tmp_path):
+    np.save(tmp_path / "moves.npy", np.full((3, 8, 8), 5.0))
+    given = "--set rows=8 --set cols=8 --set pulses=5"
+    result = command(f"photons --scene {tmp_path}/moves.npy {given} --out {tmp_path}/edges.npz")
+    assert result.exit_code == 0, result.stderr
+    assert "edges of 15 pulses" in result.stdout
+
+
 def letters(text):
     """Return a text without its spaces and line ends, which also stand within words."""
     return "".join(text.split())

@@ -391,6 +391,23 @@ def test_dropped_events_leave_the_share_of_live_periods():
     assert 1 - shares[1].mean(axis=1) == pytest.approx(lost, rel=0.1)
 
 
+@pytest.mark.parametrize("rearm", (0, 5))
+def test_rejected_windows_block_the_tree_until_it_is_armed_again(rearm):
+    """In the mean over the period: a window, half a cycle, and the gap before it is armed."""
+    sensor = SENSOR | {"rearm": rearm}
+    frame = {"pulses": PULSES}
+    setup = Setup.of("flat:60,0.4", klux=20.0, sensor=sensor, frame=frame)
+    run = Run(setup.but(subgroup={"threshold": 12}))
+    config = run.config
+    assert not run.result["committed"].any()
+    events = frame_events(run.result, config, PulseTicks(2.0))
+    lost = 1 - live_share(run.result, events, config, None).mean(axis=1)
+    cycle = config.sensor.phases
+    blocked = run.result["opened"][0] * (config.window + cycle / 2 + rearm * cycle)
+    assert lost.min() > 0.01
+    assert lost == pytest.approx(blocked / (PULSES * config.period_ticks))
+
+
 def test_a_minigroup_is_live_until_the_quarter_after_its_stamp():
     sensor = Sensor(rows=8, cols=8)
     quarter = sensor.quarter_ticks

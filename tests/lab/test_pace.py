@@ -37,6 +37,16 @@ def test_gap_for_a_rate_by_hand():
         gap_for(config, 0.01)
 
 
+@pytest.mark.parametrize("rate_per_s", (5_000, 10_000, 10_700))
+def test_the_gap_for_a_rate_of_counts_is_the_longest(rate_per_s):
+    """The waits between searches hold the gap already, so frames do not grow in proportion to it."""
+    document = {"sensor": {"counts": 1}, "frame": {"format": "counts", "pulses": 100}}
+    config = parse_config(document)
+    gap = gap_for(config, rate_per_s)
+    assert frames_per_s(config.with_frame(gap=gap)) >= rate_per_s
+    assert frames_per_s(config.with_frame(gap=gap + 1)) < rate_per_s
+
+
 def test_measures_count_the_gaps():
     frame = {"period": 60, "pulses": 20, "gap": 940, "format": "id"}
     run = Run(Setup.of("flat:5,0.4", sensor={"rows": 8, "cols": 16, "streams": 2}, frame=frame))

@@ -132,6 +132,18 @@ def test_what_would_help_is_said_of_the_last_picture_of_a_scene_that_moves(monke
     assert "half the distance, 4.5 m" in advise(setup, klux=100.0).useless
 
 
+@pytest.mark.parametrize("auto", (False, True))
+def test_links_are_tried_with_the_coincidence_that_was_chosen(auto):
+    """Also if the configuration begins without it."""
+    own = {"coincidence": False, "auto": auto}
+    setup = Setup.of("flat:6", sensor={"rows": 8, "cols": 8}, frame={"pulses": 20}, klux=50.0)
+    advice = advise(setup.but(subgroup=own), klux=50.0)
+    assert advice.chosen.config.coincidence.all()
+    for tried in (advice.best, *advice.links):
+        assert tried.config.coincidence.all(), tried.config
+        assert np.array_equal(tried.config.threshold, advice.chosen.config.threshold)
+
+
 def test_what_would_help_a_near_scene_stays_in_front_of_the_sensor(monkeypatch):
     monkeypatch.setattr("coincid.study.usefulness._least_wrong", lambda setup, *given: 0.9)
     setup = Setup.of("flat:0.08", sensor={"rows": 8, "cols": 8}, frame={"pulses": 5}, klux=1.0)
