@@ -52,7 +52,12 @@ ROOMS = {
         "tests/test_needs.py",
         "tests/test_pages.py",
     ],
-    "src/coincid": ["tests/test_cli.py", "tests/test_commands.py"],
+    "src/coincid": [
+        "tests/test_cli.py",
+        "tests/test_commands.py",
+        "tests/board/test_run.py",
+        "tests/formal/test_formal.py",
+    ],
 }
 NUMBER = 8  # mutants of a room
 SLACK_S = 60.0  # a mutant may take so much longer than the room without mutation,

@@ -75,6 +75,20 @@ def test_a_proof_that_does_not_end_does_not_hold(monkeypatch):
     assert verdict.reason and " FAILS " in str(verdict)
 
 
+def test_the_command_runs_the_proofs_that_are_named(monkeypatch):
+    """Or all of them, which takes long; a proof that fails is an exit code and a sentence."""
+    asked = []
+
+    def prove_none(names, tell):
+        asked.append(list(names))
+        return []
+
+    monkeypatch.setattr("coincid.formal.prove.prove", prove_none)
+    assert command("formal dpcu tree").exit_code == 0
+    assert command("formal").exit_code == 0
+    assert asked == [["dpcu", "tree"], []]
+
+
 def test_unknown_proof():
     assert_refused(command("formal nothing"), "nothing")
 

@@ -11,6 +11,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 
 from coincid.model.shared.errors import InputError
@@ -19,6 +20,7 @@ from coincid.tb.engines import SIMULATORS
 from coincid.tb.rtl_errors import SimulationError
 from coincid.tools import wheels
 from coincid.tools.build import ToolchainError, build_once, compile_in, compile_once
+from coincid.tools.libraries import array_at
 from coincid.tools.system import MissingPackagesError, system_packages
 
 from ..benches import BENCHES
@@ -353,3 +355,17 @@ def test_packages_are_not_installed_by_a_user_who_may_not(monkeypatch):
 def test_top_that_is_not_there(toy):
     with pytest.raises(InputError, match="top = 'nothing': no such module"):
         toolchain.build("verilator", [toy], "nothing", key="toy")
+
+
+def test_arrays_of_a_library_are_read_where_it_has_them():
+    memory = np.arange(6, dtype=np.uint32)
+    assert array_at(memory.ctypes.data, (2, 3), np.uint32).tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert array_at(memory.ctypes.data, (3,), np.uint16).tolist() == [0, 0, 1]
+
+
+@pytest.mark.parametrize("address", (None, 0x1000))
+def test_an_empty_array_needs_no_address(address):
+    """The address of one with items is read, so that of an empty one may be any."""
+    found = array_at(address, (0, 3), np.uint32)
+    assert found.shape == (0, 3)
+    assert found.dtype == np.uint32
