@@ -640,3 +640,14 @@ def test_photon_hdf5_that_cannot_be_used(tmp_path):
         read_recording(tmp_path / "b.h5")
     with pytest.raises(InputError, match="sync-channel = 3"):
         read_recording(photon_hdf5(tmp_path / "c.h5", **SYNCED), 3)
+
+
+def test_a_delay_is_subtracted_from_ticks_too(tmp_path):
+    """A table of edges has ticks already; the delay is in picoseconds."""
+    path = tmp_path / "a.csv"
+    path.write_text("pulse,pixel,tick\n0,3,100\n1,4,1\n", encoding="utf-8")
+    assert edges_of(path)[0] == [(0, 3, 100), (1, 4, 1)]
+    tick_ps = TIMING.tick_s * 1e12
+    found, lost = edges_of(path, delay_ps=2 * tick_ps)
+    assert found == [(0, 3, 98)]
+    assert lost == {"before the trigger, by the delay": 1}
