@@ -5,7 +5,7 @@ frame.
 
 from ..model.contract import groups, latency
 from ..model.contract.config import Config
-from ..model.contract.packet import RECORD, layout
+from ..model.contract.packet import COUNTS, RECORD, layout
 from ..model.contract.parameters import Sensor
 
 # Cycles in which events may still be stored and beats leave, besides those of the periods.
@@ -16,16 +16,19 @@ def beats_beside_cycles(sensor: Sensor, stream: int) -> int:
     """Return the largest number of beats in a frame of a stream beyond one per cycle of the frame.
 
     A stream moves one beat per cycle. What is left when the last period has ended is in FIFOs, in
-    record buffers, and on its way; then come the counters.
+    record buffers, and on its way, or in the counters of a frame of counts; then come the counters
+    of the subgroups.
     """
     subgroups = len(sensor.stream_subgroups(stream))
     lengths = layout(sensor)
     event = max(lengths.longest_word, _alone_in_a_group(sensor))
     record = lengths.length(RECORD) if sensor.records else 0
-    left = subgroups * (sensor.fifo_depth * event + record)
+    left = sensor.fifo_depth * event + record
+    if sensor.counts:
+        left = max(left, sensor.minigroups * lengths.length(COUNTS))
     on_the_way = latency.output_depth(lengths.longest) * event
     end = 1 + lengths.counter_beats * subgroups
-    return BEFORE_AND_AFTER + left + on_the_way + end
+    return BEFORE_AND_AFTER + subgroups * left + on_the_way + end
 
 
 def largest_frame(config: Config, stream: int = 0) -> int:

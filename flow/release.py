@@ -362,13 +362,14 @@ def write_release(
     folder: Path, config: Config, view: str | View = POLYPHASE, prefix: str = ""
 ) -> list[Path]:
     """Write the release of a configuration's sensor to `folder`, which appears complete and
-    replaces an earlier release with the same prefix. Return the files.
+    replaces an earlier release with the same prefix; files that are not of a release stay. Return
+    the files.
 
     prefix: of all names of the release (see `prefix.py`), such as "near_". Releases with different
     prefixes may be in one folder.
 
-    Raises `InputError` if the folder cannot be written, or contains anything but earlier releases,
-    or if names cannot begin with the prefix.
+    Raises `InputError` if the folder cannot be written, or holds other things and no release, or
+    if names cannot begin with the prefix.
     """
     given, folder = folder, Path(folder).resolve()
     prefix = checked_prefix(prefix)
@@ -391,6 +392,7 @@ def write_release(
             (fresh / name).parent.mkdir(exist_ok=True)
             (fresh / name).write_bytes(content)
         if folder.exists():
+            _take_along(folder, fresh)
             folder.rename(stale)
         fresh.rename(folder)
     except OSError as error:
@@ -400,6 +402,21 @@ def write_release(
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return sorted(folder / name for name in files)
+
+
+def _take_along(folder: Path, fresh: Path) -> None:
+    """Copy the files of `folder` that are of no release to `fresh`."""
+    released = set()
+    for path in folder.glob(f"*{FILE_LIST}"):
+        released |= {path.name, *path.read_text(encoding="utf-8").split()}
+    for path in folder.glob(f"*{MANIFEST}"):
+        released |= {path.name, *json.loads(path.read_text(encoding="utf-8"))["sha256"]}
+    for path in folder.rglob("*"):
+        name = path.relative_to(folder)
+        if path.is_dir() or name.as_posix() in released or (fresh / name).exists():
+            continue
+        (fresh / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(path, fresh / name, follow_symlinks=False)
 
 
 def _contents(config: Config, view: str | View, prefix: str) -> dict[str, bytes]:

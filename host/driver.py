@@ -215,12 +215,15 @@ class Driver:
 
     def reset(self) -> None:
         """Reset the sensor, whatever it is doing: its frame ends at once, and its settings have
-        their first values. Beats of an unfinished frame that come later are the caller's to drop.
+        their first values. Frames that all streams have sent stay; beats of an unfinished frame
+        that come later are the caller's to drop.
         """
         self._write(*registers.control("reset"))
         self.programmed = registers.reset_values(self.sensor)
+        whole = min(len(assembler.frames) for assembler in self._assemblers)
         for assembler in self._assemblers:
             assembler.forget()
+            del assembler.frames[whole:]  # other streams have not sent theirs
 
     def status(self) -> Status:
         """Read the status without clearing anything."""

@@ -239,7 +239,7 @@ def advise(
     settings = tell(stage, _settings(run, thresholds, windows), rows)
     chosen = cheapest(settings, lambda one: one.bits)
     rates_gbps = links_of(run.config)
-    formats = (*FORMATS, COUNTS) if setup.config.sensor.counts else FORMATS
+    formats = (*FORMATS, COUNTS) if _can_count(setup.config) else FORMATS
     found = _links(run, chosen.config, rates_gbps, formats)
     links = tell("links and formats", found, len(rates_gbps) * len(formats))
     best = cheapest(links, lambda one: (one.link_gbps, one.bits))
@@ -261,13 +261,24 @@ def advise(
     )
 
 
+def _can_count(config: Config) -> bool:
+    """Return whether the sensor has counts, and the frame enough pulses for them."""
+    if not config.sensor.counts:
+        return False
+    try:
+        config.with_frame(frames=1, format=COUNTS)
+    except InputError:
+        return False
+    return True
+
+
 def _with_counts(run: Run) -> str:
     """Return a sentence about the same sensor with counts; "" if it cannot have them."""
     try:
-        config = run.config.with_sensor(counts=1)
-    except InputError:  # its minigroups have another size
+        config = run.config.with_sensor(counts=1).with_frame(frames=1, format=COUNTS)
+    except InputError:  # its minigroups have another size, or the frame has too few pulses
         return ""
-    counted = _tried(run.alone(-1, config=config.with_frame(frames=1, format=COUNTS)))
+    counted = _tried(run.alone(-1, config=config))
     return (
         f"With counts (counts = 1, format = {COUNTS}), the sensor would send {counted.bits:,} bits per"
         f" frame, and {counted.wrong:.1%} of the pixels would be wrong ({counted.far:.1%} by more than"

@@ -131,7 +131,9 @@ def warnings(config: Config) -> list[str]:
     coincidence = config.coincidence & (not config.counting)
     coincidence_on = bool(coincidence.any())
     lets_all_through = coincidence & (config.threshold == 1) & ~config.auto
-    never_commits = coincidence & (config.threshold > pixels_on)
+    # The controller lowers the threshold after the first frame.
+    stays = ~config.auto | (config.frames == 1)
+    never_commits = coincidence & (config.threshold > pixels_on) & stays
     controller_idle = config.auto & ~coincidence
     controlled = bool((config.auto & coincidence).any())
     gate_given = _any_given(config, "subgroup.gate_start", "subgroup.gate_len", "frame.gate_every")

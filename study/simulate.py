@@ -127,9 +127,9 @@ def pictures_of(config: Config) -> dict[str, tuple[str, str, str]]:
 
 def with_link(config: Config, link_gbps: float | None = None) -> Config:
     """Return a configuration with a link. link_gbps: its rate; None: that of the configuration if
-    it has one, else `LINK_GBPS`.
+    it was given (0: no limit), else `LINK_GBPS`.
     """
-    if link_gbps is not None or not config.frame.link_gbps:
+    if link_gbps is not None or "frame.link_gbps" not in config.given:
         config = config.with_frame(link_gbps=LINK_GBPS if link_gbps is None else link_gbps)
     return config if "frame.format" in config.given else config.with_frame(format=LINK_FORMAT)
 

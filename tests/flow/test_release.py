@@ -702,6 +702,39 @@ def test_ip_xact_tells_clock_and_reset_as_the_rtl_has_them(releases, preset):
     assert of_reset == {told["rst"]["POLARITY"]}
 
 
+def test_limits_hold_for_frames_of_counts():
+    """The counters of all minigroups come when the last period has ended."""
+    of = parse_config(
+        {
+            "sensor": {"rows": 128, "cols": 128, "counts": 1, "fifo_depth": 1},
+            "frame": {"period": 40, "pulses": 3, "search_pulses": 1, "format": "counts"},
+        }
+    )
+    (beats,) = Golden(of.sensor).frame(of, random_edges(of, 1_000, seed=1)).beats
+    assert len(beats) <= largest_frame(of)
+    assert len(beats) > largest_frame(of) / 2
+
+
+def test_another_export_into_a_folder_keeps_the_files_of_others(tmp_path):
+    """Also those in folders; what an earlier export has left and this one has not goes."""
+    folder = tmp_path / "rtl"
+    smallest = EXPORTS["smallest"][0]
+    write_release(folder, parse_config(smallest))
+    own = {"my_top.v": "module my_top; endmodule\n", "obj_dir/deep/a.txt": "a"}
+    for name, text in own.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
+    manifest = folder / MANIFEST
+    known = json.loads(manifest.read_text(encoding="utf-8"))
+    known["sha256"]["old.v"] = "0"
+    manifest.write_text(json.dumps(known), encoding="utf-8")
+    (folder / "old.v").write_text("module old; endmodule\n", encoding="utf-8")
+    write_release(folder, parse_config(smallest))
+    for name, text in own.items():
+        assert (folder / name).read_text(encoding="utf-8") == text
+    assert not (folder / "old.v").exists()
+
+
 def test_limits_hold_where_every_edge_is_an_event():
     of = parse_config(
         {

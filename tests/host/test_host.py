@@ -374,6 +374,24 @@ def test_frames_come_in_their_order_and_none_from_before_a_reset():
     assert all(map(np.array_equal, driver.receive(), third))
 
 
+def test_a_reset_leaves_no_frame_that_other_streams_have_not_sent():
+    """So frames of different numbers are never joined."""
+    delivery = Delivery()
+    driver = Driver(delivery, ODD, fresh=True)
+    first, second, third = three_frames()
+    ahead, *behind = delivery.streams
+    delivery.streams[ahead].append(np.concatenate([first[ahead], second[ahead]]))
+    for stream in behind:
+        delivery.streams[stream].append(np.concatenate([first[stream], second[stream][:3]]))
+    with pytest.raises(HostError, match="nothing more came"):
+        for _ in range(2):
+            driver.receive(seconds=0.05)
+    driver.reset()
+    for stream, portions in delivery.streams.items():
+        portions.append(third[stream])
+    assert all(map(np.array_equal, driver.receive(), third))
+
+
 def test_a_slow_stream_is_waited_for_as_long_as_beats_come(monkeypatch):
     now_s = [0.0]
 

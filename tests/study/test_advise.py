@@ -110,6 +110,15 @@ def test_the_rates_of_an_advice_are_those_of_one_stream(streams, gap):
         assert mbps == pytest.approx(gbps * 1e3, rel=0.05)
 
 
+@pytest.mark.parametrize("counts", (0, 1))
+def test_frames_of_too_few_pulses_for_counts_have_advice(counts):
+    """Counts need searches before and after them."""
+    sensor = {"rows": 8, "cols": 8, "counts": counts}
+    advice = advise(Setup.of("flat:3", sensor=sensor, frame={"pulses": 2}, klux=1.0), klux=1.0)
+    assert not advice.counts
+    assert all(tried.config.format != "counts" for tried in advice.links)
+
+
 def test_where_no_setting_helps_the_advice_begins_with_what_would(tmp_path):
     given = "--klux 100 --set rows=8 --set cols=8 --set pulses=5"
     done = command(f"advise flat:9,0.05 {given} --out {tmp_path}/out")
@@ -308,6 +317,14 @@ def test_what_is_wasted(document, words):
     assert any(words in sentence for sentence in warnings(parse_config(document)))
     lean = {"sensor": {"window_max": 16, "coarse_bits": 8}, "frame": {"format": "compact"}}
     assert not any(words in sentence for sentence in warnings(parse_config(lean)))
+
+
+def test_the_controller_lowers_a_threshold_above_all_pixels():
+    mask = {"mask": "7", "threshold": 5}
+    words = "nothing can commit"
+    for auto, told in ((False, True), (True, False)):
+        config = parse_config({"subgroup": mask | {"auto": auto}, "frame": {"frames": 6}})
+        assert any(words in line for line in warnings(config)) == told
 
 
 def test_counters_have_the_gaps_for_their_way():

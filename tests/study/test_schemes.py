@@ -13,6 +13,7 @@ from coincid.study.simulate import LINK_FORMAT, LINK_GBPS, with_link
         (None, None, LINK_GBPS),
         (None, 0.0, 0.0),  # no limit
         (None, 3.0, 3.0),
+        (0.0, None, 0.0),
         (5.0, None, 5.0),
         (5.0, 0.0, 0.0),
         (5.0, 3.0, 3.0),
