@@ -110,7 +110,6 @@ def test_a_part_cannot_be_called_from_python():
         _add(1, 2)
 
 
-@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 @pytest.mark.parametrize("kind", [njit, part])
 def test_kernels_never_run_in_the_interpreter_and_never_hold_its_lock(kind):
     """So threads of a session run side by side, and an interrupt is seen at once."""
