@@ -46,12 +46,7 @@ ROOMS = {
     "study": ["tests/study"],
     "tb": ["tests/tb"],
     "slices": ["tests/slices", "tests/tb/test_sliced.py"],
-    "tools": [
-        "tests/tb/test_toolchain.py",
-        "tests/test_setup.py",
-        "tests/test_needs.py",
-        "tests/test_pages.py",
-    ],
+    "tools": ["tests/tb/test_toolchain.py", "tests/test_setup.py", "tests/test_needs.py"],
     "src/coincid": [
         "tests/test_cli.py",
         "tests/test_commands.py",

@@ -42,7 +42,7 @@ OPTIONS = {  # that functions pass on
     "generate_edges": ("pulses", "seed", "pulse_start", "workers", "gate"),
     "bound": ("pulses", "threshold", "window", "coincidence"),
 }
-NO_CALLS = {"Config", "InputError"}  # made by parse_config, and by whoever finds a mistake
+NO_CALLS = {"Config", "InputError"}  # parse_config makes the one, checks raise the other
 NOT_CHECKED = {  # (function, argument): Python's own error comes out of it
     ("events_table", "arrays"),
     ("load_config", "changes"),
