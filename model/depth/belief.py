@@ -18,6 +18,7 @@ from ..contract.config import Config
 from ..shared.compiled import njit
 from ..shared.threads import Threads
 from . import portable
+from .gates import gate_moves
 from .histograms import Events, by_subgroup, is_hit, pixel_image
 
 BELIEVED_MIN = 0.5  # confidence
@@ -322,12 +323,9 @@ def _gates(config: Config) -> tuple[np.ndarray, np.ndarray]:
     """float64[subgroups] each: first tick in which a window may open in any pulse, and the one
     after the last.
     """
-    frame = config.frame
     ticks = float(config.sensor.phases)  # per cycle
     last = config.period - config.sensor.guard
-    moved = 0
-    if frame.gate_every:
-        moved = frame.gate_step * (frame.gate_steps - 1)
+    moved = gate_moves(config)[-1]
     start = np.where(config.gating, config.gate_start, 0)
     end = np.where(config.gating, config.gate_start + config.gate_len + moved, last)
     return np.minimum(start, last) * ticks, np.minimum(end, last) * ticks

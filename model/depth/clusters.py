@@ -11,6 +11,7 @@ import numpy as np
 from ..contract.config import Config
 from ..contract.latency import armed_cycle, close_cycle
 from ..shared.latest import Latest
+from .gates import gate_moved
 from .histograms import Events
 
 NEVER = -(1 << 40)  # a tick long before any other
@@ -181,27 +182,6 @@ def _gate_opens(pulse: np.ndarray, s: int, config: Config) -> np.ndarray:
         return np.zeros_like(pulse)
     in_frame = pulse % config.pulses
     return (config.gate_start[s] + gate_moved(config, in_frame)) * config.sensor.phases
-
-
-def gate_moved(config: Config, pulse: np.ndarray) -> np.ndarray:
-    """int64[n]: cycles by which the gate has moved in pulses of a frame, int64[n]."""
-    frame = config.frame
-    if not frame.gate_every:
-        return np.zeros_like(pulse)
-    return frame.gate_step * (pulse // frame.gate_every % frame.gate_steps)
-
-
-def open_share(config: Config, subgroup: int, pulses: range) -> np.ndarray:
-    """float64[cycles]: share of some pulses in which the gate of a subgroup is open; without gating,
-    it always is.
-    """
-    if not config.gating[subgroup]:
-        return np.ones(config.period)
-    opens = config.gate_start[subgroup] + gate_moved(config, np.array(pulses))
-    start, number = np.unique(opens, return_counts=True)
-    cycle = np.arange(config.period)[:, None]
-    is_open = (cycle >= start) & (cycle < start + config.gate_len[subgroup])
-    return is_open @ number / number.sum()
 
 
 def armed_ticks(stamp: np.ndarray, window: int | np.ndarray, config: Config) -> np.ndarray:

@@ -18,13 +18,13 @@ from ..contract.config import Config
 from ..contract.counts import GATES, NO_GATE
 from ..contract.gate_counts import Counts
 from ..contract.pixels import pixel_table
-from ..shared.errors import InputError, check_integer
+from ..shared.errors import check_integer
 from ..shared.threads import Threads
 from .belief import REACH_SIGMAS, ByChance, Hits, Lit, Signs, signs_of
-from .clusters import open_share
 from .count_light import Trials, better_background, first_background, fit_lights, pulse_shares
 from .count_likelihood import NO_TICK, Seen, count_likelihood
-from .histograms import Events, by_subgroup, pixel_image, winner_map
+from .gates import open_pulses
+from .histograms import Events, by_subgroup, check_arrays, pixel_image, winner_map
 from .intensity import Intensity
 from .likelihood import DEAD_S, Grid, Levels
 from .pulse_ticks import PulseTicks
@@ -51,12 +51,7 @@ def gate_counts(
 
     Raises `InputError` if the result has no such frame, or no counts.
     """
-    missing = [name for name in Counts._fields if name not in arrays]
-    if missing:
-        raise InputError(
-            f"arrays: {missing[0]} is missing, which a result of the format counts has",
-            field="arrays",
-        )
+    check_arrays(arrays, *Counts._fields)
     frames = len(arrays["gate_cycle"])
     chosen = range(frames)
     if frame is not None:
@@ -93,7 +88,8 @@ def trials_of(
     """Return counts with the pulses in which pixels could be hit.
 
     first, hits: as in `Trials`, bins have a quarter of a cycle. own_pulses: int64[subgroups,
-    pixels], in which each pixel counted. counted: the pulses of the frame in which pixels count.
+    pixels], in which each pixel counted, the first ones of `counted`: the pulses of the frame in
+    which pixels count.
     """
     sensor = config.sensor
     bins = hits.shape[3]
@@ -101,7 +97,10 @@ def trials_of(
     cycle = np.clip(begin // sensor.phases, 0, config.period - 1)
     tried = np.empty(hits.shape)
     for s in range(sensor.subgroups):
-        tried[s] = own_pulses[s][:, None, None] * open_share(config, s, counted)[cycle[s]]
+        # A pixel that stops early misses the later places of a gate that moves.
+        tries = open_pulses(config, s, counted.start, counted.start + own_pulses[s])
+        of_pixels = np.take_along_axis(tries, cycle[s].reshape(sensor.pixels, -1), axis=1)
+        tried[s] = of_pixels.reshape(cycle[s].shape)
     tried = np.maximum(tried - _dead(hits, first, config), hits)
     tried[first == NO_TICK] = 0
     return Trials(first, hits, tried - hits, sensor.quarter_ticks)

@@ -24,6 +24,7 @@ from ..shared.errors import InputError, check_integer
 from ..shared.pulse import Pulse
 from ..shared.quantities import check_choice
 from .arrivals import SYSTEM_FWHM_S, arrival_ticks, photons_of
+from .gates import open_share
 from .pulse_ticks import PulseTicks, pulse_ticks
 
 EVENT_ARRAYS = (  # of a result with events; it may have others
@@ -161,9 +162,10 @@ def _photon_rate(opened: np.ndarray, window: np.ndarray, config: Config) -> np.n
     sensor = config.sensor
     to_next_cycle = (sensor.phases - 1) / 2  # a mean
     blocked = window + to_next_cycle + sensor.rearm * sensor.phases  # ticks until the tree is armed
-    cycles = np.where(config.gating, config.gate_len, config.period)
-    cycles = np.minimum(cycles, config.period - sensor.guard)
-    armed = cycles * sensor.phases - opened * blocked
+    usable = config.period - sensor.guard
+    pulses = range(config.pulses)
+    cycles = [open_share(config, s, pulses)[:usable].sum() for s in range(sensor.subgroups)]
+    armed = np.array(cycles) * sensor.phases - opened * blocked
     return opened / np.maximum(armed, 1)
 
 

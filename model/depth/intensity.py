@@ -27,7 +27,7 @@ from ..contract.latency import armed_cycle, close_cycle
 from ..contract.packet import BEAT_BITS
 from ..shared.compiled import njit, part
 from ..shared.threads import Threads
-from .clusters import open_share
+from .gates import open_share
 from .histograms import Events, by_subgroup, pixel_image
 from .likelihood import DEAD_S
 from .pulse_ticks import PulseTicks

@@ -268,10 +268,11 @@ def _law(frame: _Frame, s: int) -> Law:
 
 
 def _background(events: Events, config: Config) -> tuple[np.ndarray, np.ndarray]:
-    """Return the background photons per tick and pixel of each subgroup, and the share of the pulses
-    in which none of them has fired a pixel yet, float64[subgroups].
+    """Return the background photons per tick and live pixel of each subgroup, and the share of the
+    pulses in which none of them has fired a pixel yet, float64[subgroups].
     """
-    noise = np.maximum(events.photon_rate / config.sensor.pixels, QUIET_RATE)
+    live = np.maximum(config.mask.sum(axis=1), 1)
+    noise = np.maximum(events.photon_rate / live, QUIET_RATE)
     return noise, 1 - np.minimum(BLIND_MAX, noise * DEAD_S / config.tick_s)
 
 

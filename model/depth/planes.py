@@ -54,7 +54,7 @@ def find_surfaces(
         told=evolve(events, offset=events.offset[:, :0]),
         guess=guess,
         never=never,
-        activity=_activity(events, guess.time, pulse.sigma),
+        activity=background_activity(events, config.mask, guess.time, pulse.sigma),
     )
     prior = None
     if not events.mapped:
@@ -104,7 +104,7 @@ class _Near(NamedTuple):
     told: Events  # without offsets, as long as the surfaces are not known well enough for them
     guess: Guess  # of the surfaces
     never: Unheard
-    activity: np.ndarray  # float64[subgroups, pixels], of `_activity`
+    activity: np.ndarray  # float64[subgroups, pixels], of `background_activity`
 
 
 def _look_coarsely(frame: _Frame) -> tuple[Coarse, Guess, Unheard]:
@@ -219,10 +219,16 @@ def _sharper_guess(
     )
 
 
-def _activity(events: Events, seed: np.ndarray, sigma_ticks: float) -> np.ndarray:
-    """float64[subgroups, pixels]: background of a pixel over the mean, from its hits away from its
-    seed; 1 unless hot.
+def background_activity(
+    events: Events, mask: np.ndarray, seed: np.ndarray, sigma_ticks: float
+) -> np.ndarray:
+    """float64[subgroups, pixels]: background of a pixel over the mean of the live ones, from its
+    hits away from its seed; 1 unless hot.
+
+    mask: bool[subgroups, pixels], live pixels.
     """
     hits = hits_away(events.stamp, events.hits, events.bounds, seed, NEAR_SIGMAS * sigma_ticks)
-    ratio = (hits + ACTIVITY_HITS) / (hits.mean(axis=1, keepdims=True) + ACTIVITY_HITS)
+    live = np.maximum(mask.sum(axis=1, keepdims=True), 1)
+    mean = np.where(mask, hits, 0).sum(axis=1, keepdims=True) / live
+    ratio = (hits + ACTIVITY_HITS) / (mean + ACTIVITY_HITS)
     return np.where(ratio > HOT, ratio, 1.0)

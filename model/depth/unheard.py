@@ -26,8 +26,9 @@ from ..contract.coincidence import Rise, event_share, rises
 from ..contract.config import Config
 from ..shared.compiled import njit, part
 from . import portable
-from .clusters import armed_ticks, open_share
+from .clusters import armed_ticks
 from .evidence import RARE
+from .gates import open_share
 from .histograms import Events
 from .pulse_ticks import PulseTicks
 from .tree import Tree, kept_shares, light_by_tick, light_scale, unheard_in
@@ -143,7 +144,7 @@ def unheard_in_light(
         kinds = 1 + dropping
         missed = never.missed[:, s]
         blind = never.blind[:, s]
-        noise = float(photon_rate) * (1 - 1 / config.sensor.pixels)
+        noise = float(photon_rate) * (1 - 1 / max(1, config.mask[s].sum()))
         time = np.where(config.mask[s], guess.time[s], np.nan)
         signal = light_by_tick(time, guess.light[s], before, config.period_ticks)
         seen = float(of_ticks.committed[signal > 0].sum())

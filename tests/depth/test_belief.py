@@ -83,14 +83,26 @@ def test_of_several_reasons_the_one_that_explains_more_is_told():
 
 def test_the_gates_edges_are_those_of_its_first_and_its_last_place():
     """A wall is beside no edge where the gate would be after one more step."""
-    moving = {"gate_every": 50, "gate_step": 10, "gate_steps": 3}
+    moving = {"gate_every": 50, "gate_step": 10, "gate_steps": 3, "pulses": 150}
     gate = {"gating": True, "gate_start": 10, "gate_len": 30}
     dark = Run(Setup.of("flat:5,0", klux=0, sensor=SENSOR, frame=moving, subgroup=gate))
     events = frame_events(dark.result, dark.config, PulseTicks(2.0))
     for cycle, is_edge in ((10, True), (60, True), (50, False), (70, False), (30, False)):
         ticks = np.full((16, 16), float(cycle * dark.config.sensor.phases))
         with Threads(1) as threads:
-            signs = find_signs(events, dark.config, 2.0, 100, ticks, ticks, False, threads)
+            signs = find_signs(events, dark.config, 2.0, 150, ticks, ticks, False, threads)
+        assert np.all(signs.at_edge == is_edge), cycle
+
+
+def test_places_that_a_gate_does_not_reach_in_a_frame_have_no_edge():
+    moving = {"gate_every": 50, "gate_step": 10, "gate_steps": 8, "pulses": 120}
+    gate = {"gating": True, "gate_start": 10, "gate_len": 30}
+    dark = Run(Setup.of("flat:5,0", klux=0, sensor=SENSOR, frame=moving, subgroup=gate))
+    events = frame_events(dark.result, dark.config, PulseTicks(2.0))
+    for cycle, is_edge in ((60, True), (110, False)):
+        ticks = np.full((16, 16), float(cycle * dark.config.sensor.phases))
+        with Threads(1) as threads:
+            signs = find_signs(events, dark.config, 2.0, 120, ticks, ticks, False, threads)
         assert np.all(signs.at_edge == is_edge), cycle
 
 

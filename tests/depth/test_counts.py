@@ -115,6 +115,20 @@ def test_pulses_of_the_searches_are_no_trials_of_the_gates():
         assert np.all(trials.hits + trials.misses == pulses), cycle
 
 
+def test_pixels_that_stop_early_have_the_gates_of_their_own_pulses():
+    """The gate shows the wall in the first half of the counting pulses, in which all pixels stop."""
+    moving = {"search_pulses": 150, "gate_every": 600, "gate_step": 125, "gate_steps": 2}
+    run = counted(
+        "flat:4,0.4",
+        5.0,
+        frame={"pulses": 1000} | moving,
+        subgroup={"gating": True, "gate_start": 0, "gate_len": 120},
+    )
+    assert run.result["count_pulses"].mean() < 200
+    signal = run.depth().signal_per_pulse
+    assert np.nanmean(signal) == pytest.approx(run.light.signal_per_pulse.mean(), rel=0.08)
+
+
 @pytest.mark.parametrize("klux", [10.0, 50.0, 100.0])
 def test_background_is_learned_from_the_counts(klux):
     run = counted("five-objects", klux, side=32, frame={"pulses": 1000})

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coincid.model.depth.clusters import open_share
+from coincid.model.depth.gates import open_pulses, open_share
 
 from ..random_cases import configured
 
@@ -30,3 +30,7 @@ def test_the_share_of_a_cycle_is_that_of_its_pulses(start, length, step, every, 
         first = start + step * ((pulse // every) % steps if every else 0)
         is_open[pulse, first : first + length] = 1
     assert open_share(config, 0, range(pulses)) == pytest.approx(is_open.mean(axis=0))
+    for begin in range(pulses):
+        ends = np.arange(begin, pulses + 1)
+        number = [is_open[begin:end].sum(axis=0) for end in ends]
+        np.testing.assert_array_equal(open_pulses(config, 0, begin, ends), number)

@@ -141,6 +141,23 @@ def test_background_is_told_from_windows_after_which_the_tree_is_blind(rearm):
     assert events.photon_rate.sum() == pytest.approx(detected, rel=0.05)
 
 
+@pytest.mark.parametrize("gate_len", (46, 200))
+@pytest.mark.parametrize("gate_step", (0, 100))
+def test_background_is_that_of_the_time_in_which_a_gate_is_open(gate_len, gate_step):
+    """A gate may end beyond the period, and its places may be beyond it."""
+    setup = Setup.of(
+        "flat:60,1.0",
+        klux=20.0,
+        sensor=SENSOR,
+        frame={"link_gbps": 0, "gate_every": 1, "gate_steps": 2, "gate_step": gate_step},
+        subgroup={"threshold": 1, "gating": True, "gate_start": 200, "gate_len": gate_len},
+    )
+    run = Run(setup)
+    events = frame_events(run.result, run.config, pulse_ticks(run.config))
+    detected = len(run.edges) / run.config.pulses / run.config.period_ticks
+    assert events.photon_rate.sum() == pytest.approx(detected, rel=0.1)
+
+
 @pytest.mark.parametrize("source", SOURCES)
 def test_histograms_of_the_frames_add_up_to_that_of_all(three_frames, source):
     result, config = three_frames.result, three_frames.config

@@ -12,6 +12,7 @@ from coincid.model.depth import surfaces
 from coincid.model.depth.arrivals import pulse_sigma_ticks
 from coincid.model.depth.histograms import by_subgroup, frame_events
 from coincid.model.depth.likelihood import Grid, Guess, log_likelihood
+from coincid.model.depth.planes import background_activity
 from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.depth.quality import OTHER_SURFACE_M, TOLERANCE_M, wrong_share
 from coincid.model.depth.seeds import find_seeds
@@ -45,6 +46,18 @@ def estimate(
     sensor = {"rows": scene.rows, "cols": scene.cols} | (sensor or {})
     config = configured(sensor, frame, subgroup, *override)
     return Run(Setup(config=config, scene=scene, klux=klux, spad=spad or Spad())).depth(**options)
+
+
+def test_no_pixel_is_hot_among_masked_ones():
+    """The mean of the background is that of the live pixels."""
+    mask = format(0xFFFF, "x")  # a quarter of the pixels
+    config = configured({"rows": 8, "cols": 8}, {"pulses": 300}, {"mask": mask, "threshold": 1})
+    scene = load_scene("flat:20,0.4", 8, 8)
+    run = Run(Setup(config=config, scene=scene, klux=100.0))
+    pulse = pulse_ticks(config)
+    events = frame_events(run.result, config, pulse)
+    seed = np.full((1, 64), scene.truth_m[0, 0] / config.tick_m)
+    assert np.all(background_activity(events, config.mask, seed, pulse.sigma) == 1.0)
 
 
 def share(depth, scene, tolerance_m=TOLERANCE_M):
