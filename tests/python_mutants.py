@@ -46,7 +46,12 @@ ROOMS = {
     "study": ["tests/study"],
     "tb": ["tests/tb"],
     "slices": ["tests/slices", "tests/tb/test_sliced.py"],
-    "tools": ["tests/tb/test_toolchain.py", "tests/test_setup.py", "tests/test_needs.py"],
+    "tools": [
+        "tests/tb/test_toolchain.py",
+        "tests/test_setup.py",
+        "tests/test_needs.py",
+        "tests/test_pages.py",
+    ],
     "src/coincid": [
         "tests/test_cli.py",
         "tests/test_commands.py",

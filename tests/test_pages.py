@@ -116,6 +116,15 @@ def test_every_picture_is_made_by_one_program_and_shown_in_its_regions():
     assert shown == {name: maker for name, maker in makers.items() if not name.endswith(".csv")}
 
 
+def test_modules_of_the_package_and_of_its_rooms_are_known():
+    modules = PAGES.sources.modules
+    assert modules["coincid"] == ROOT / PACKAGE / "__init__.py"
+    assert modules["coincid.cli"] == ROOT / PACKAGE / "cli.py"
+    assert modules["coincid.hdl.tree"] == ROOT / "hdl" / "tree.py"
+    assert modules["coincid.model.depth"] == ROOT / "model" / "depth" / "__init__.py"
+    assert modules["docs.studies.speed"] == ROOT / "docs" / "studies" / "speed.py"
+
+
 def test_programs_exist():
     for program in PAGES.programs.values():
         module, _, function = program.run.partition(":")
@@ -252,31 +261,6 @@ def test_a_program_that_reads_what_its_stamp_does_not_cover_is_found():
         "flow/synth.py",
         "model/depth/planes.py",
     ]
-
-
-def recorded(folder, code, *arguments):
-    """Return what the recorder writes about a program, in a folder for its file."""
-    environment = {
-        "PYTHONPATH": str(ROOT / "docs" / "recorder"),
-        "COINCID_READ": str(folder / "read"),
-    }
-    command = [sys.executable, "-c", code, *arguments]
-    subprocess.run(command, cwd=ROOT, env=os.environ | environment, check=True)
-    return (folder / "read").read_text(encoding="utf-8")
-
-
-def test_the_recorder_sees_reads_of_all_processes(tmp_path):
-    code = "import subprocess, sys; from pathlib import Path; Path('pyproject.toml').read_bytes(); "
-    code += "subprocess.run([sys.executable, '-c', 'import coincid.model.contract.latency'], check=True)"
-    read = recorded(tmp_path, code)
-    assert "pyproject.toml" in read.split() and "latency" in read
-
-
-def test_the_recorder_takes_no_folder_for_a_file(tmp_path):
-    """`shutil.rmtree` opens each folder by its name in the folder above."""
-    (tmp_path / "outer" / "inner").mkdir(parents=True)
-    code = "import shutil, sys; shutil.rmtree(sys.argv[1])"
-    assert "inner" not in recorded(tmp_path, code, str(tmp_path / "outer")).split()
 
 
 @pytest.mark.parametrize("name", CHEAP)

@@ -28,10 +28,10 @@ def load(path: Path, prefix: str, functions: Functions) -> ctypes.CDLL:
 def array_at(
     address: int | None, shape: Sequence[int], kind: npt.DTypeLike = np.uint64
 ) -> np.ndarray:
-    """Return the array of a library's memory at an address, which need not be one if the array
-    is empty.
+    """Return the array of a library's memory at an address. An empty array needs none, and any
+    will do.
     """
-    if address is None or not prod(shape):
+    if address is None:
         return np.zeros(shape, kind)
     memory = (ctypes.c_char * (prod(shape) * np.dtype(kind).itemsize)).from_address(address)
     return np.frombuffer(memoryview(memory), kind).reshape(shape)
