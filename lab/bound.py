@@ -35,7 +35,7 @@ from ..model.depth.tree import kept_shares
 from ..model.light.light import Light, background_cps, signal_per_pulse
 from ..model.shared.arguments import check_kind
 from ..model.shared.errors import check_integer
-from ..model.shared.pulse import TIME_MAX_S, PulseSource, pulse_of
+from ..model.shared.pulse import TIME_MAX_S, Pulse, PulseSource, pulse_of
 from ..model.shared.quantities import check_real
 
 REACH_SIGMAS = 5.0  # from the centre of a pulse to its beginning and end
@@ -275,7 +275,7 @@ def median_light(light: Light) -> MedianLight | None:
         return None
     return MedianLight(
         signal_per_pulse=float(np.median(light.total_signal[lit])),
-        noise_cps=float(np.median(light.background_cps[lit])),
+        noise_cps=float(np.median(light.total_background_cps[lit])),
     )
 
 
@@ -284,12 +284,13 @@ def with_usual_threshold(config: Config, threshold: np.ndarray) -> Config:
     return config.with_settings(threshold=int(np.median(threshold)))
 
 
-def pixel_bounds_mm(config: Config, light: Light) -> np.ndarray:
+def pixel_bounds_mm(config: Config, light: Light, pulse: Pulse | None = None) -> np.ndarray:
     """float64[pixels]: lowest RMS error of each pixel's distance from the words, in millimetres, as
     if its neighbours had the same light; NaN without light.
 
     It is interpolated between `LIGHTS` lights, at the median background of the pixels that have
-    some light. The settings are those of subgroup 0.
+    some light. The settings are those of subgroup 0. pulse: measured shape of laser pulse and jitter
+    together, instead of a Gaussian.
     """
     total = light.total_signal
     found = np.full(len(total), np.nan)
@@ -300,10 +301,10 @@ def pixel_bounds_mm(config: Config, light: Light) -> np.ndarray:
     lights = np.geomspace(total[lit].min(), total[lit].max(), LIGHTS)
     if lights[0] == lights[-1]:
         lights = lights[:1]
-    pulse = pulse_ticks(config, pulse=light.pulse)
+    shape = pulse_ticks(config, pulse=pulse)
     lowest = []
     for one in lights:
-        wall = subgroup_wall(config, float(one), usual.noise_cps, pulse)
+        wall = subgroup_wall(config, float(one), usual.noise_cps, shape)
         lowest.append(_lowest_mm(config, wall, of_all=False))
     found[lit] = np.exp(np.interp(np.log(total[lit]), np.log(lights), np.log(lowest)))
     return found

@@ -25,6 +25,7 @@ from ..model.depth.quality import (
 from ..model.light.light import Light
 from ..model.scenes.scene import Scene
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
+from ..model.shared.pulse import Pulse
 from .bound import median_light, with_usual_threshold, word_bounds_mm
 from .pace import LASER_MEAN_W, frame_s, frames_per_s, pulse_energy_j
 
@@ -36,6 +37,8 @@ class MeasuredRun(Protocol):
 
     @property
     def result(self) -> dict[str, np.ndarray]: ...
+    @property
+    def pulse(self) -> Pulse | None: ...
 
 
 class MeasuredFrame(Protocol):
@@ -129,7 +132,7 @@ def _bound_mm(frame: MeasuredFrame) -> float | None:
     if usual is None or frame.config.counting:
         return None
     config = with_usual_threshold(frame.config, frame.threshold)
-    pulse = pulse_ticks(config, pulse=frame.light.pulse)
+    pulse = pulse_ticks(config, pulse=frame.run.pulse)
     return word_bounds_mm(config, *usual, pulse).pixel_mm
 
 

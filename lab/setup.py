@@ -21,14 +21,14 @@ from ..model.light.light import BACKGROUNDS, Light
 from ..model.light.photons import edge_chunks, edges_at_most
 from ..model.light.spad import Spad, SpadGate
 from ..model.light.timing import Timing
-from ..model.scenes.ambient import Ambient
+from ..model.scenes.ambient import Ambient, ambient_klux
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.recorded_light import RecordedLight
 from ..model.scenes.scene import Scene, scene_light
 from ..model.shared.errors import SEED_MAX, InputError, check_integer, wrong_value
 from ..model.shared.own_part import OwnPart
 from ..model.shared.pulse import Pulse, pulse_of
-from ..model.shared.quantities import check_choice, check_switch
+from ..model.shared.quantities import Numbers, check_choice, check_switch
 from ..model.shared.sources import digest, sources_digest
 from ..tb.engines import ENGINES
 from ..tb.replay import DEFAULT_VIEW
@@ -255,7 +255,19 @@ class Setup:
         """Digest of everything that the outcome depends on, including the sources of the
         project.
         """
-        return fingerprint(self, versions(self.engine))
+        return fingerprint(self, self._file_of_klux, versions(self.engine))
+
+    @property
+    def _file_of_klux(self) -> Numbers | None:
+        """Content of the file that `klux` names; None for other forms, and if it cannot be read, of
+        which a run tells.
+        """
+        if not isinstance(self.klux, str) or self.scene is None:
+            return None
+        try:
+            return ambient_klux(self.klux, self.scene.rows, self.scene.cols)
+        except InputError:
+            return None
 
 
 def _unknown_field(name: str) -> InputError:

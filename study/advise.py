@@ -292,7 +292,7 @@ def _limit(run: Run, config: Config) -> str:
     if light is None:
         return "No pixel has light."
     usual = config.with_settings(coincidence=True, auto=False)
-    pulse = pulse_ticks(usual, pulse=run.light.pulse)
+    pulse = pulse_ticks(usual, pulse=run.pulse)
     of_words = []
     for threshold in LIMITED:
         lowest = word_bounds_mm(usual.with_settings(threshold=threshold), *light, pulse)

@@ -97,13 +97,17 @@ class Arrivals:
     The laser pulse's own shape is added to this. first: int64[pixels + 1]. start_s: float64[n],
     beginning of each bin since the laser trigger, ascending in a pixel (beyond the laser period:
     light of an earlier pulse). photons: float64[n], mean detected photons per pulse. width_s:
-    width of a bin, which is filled evenly.
+    width of a bin, which is filled evenly. background_cps, span_s: a number or float64[pixels],
+    detected counts per second that are among these photons for so long after the trigger, and that
+    are no signal.
     """
 
     first: np.ndarray
     start_s: np.ndarray
     photons: np.ndarray
     width_s: float = real(0.0, 0, 1)
+    background_cps: Numbers = 0.0
+    span_s: float = real(0.0, 0, 1)
 
     def __attrs_post_init__(self) -> None:
         photons = real_array("photons", self.photons, np.shape(self.photons), 0, SIGNAL_MAX)
@@ -123,11 +127,22 @@ class Arrivals:
         object.__setattr__(self, "first", first)
         object.__setattr__(self, "start_s", real_array("start_s", self.start_s, (n,), 0))
         object.__setattr__(self, "photons", photons)
+        noise_cps = real_array(
+            "background_cps", self.background_cps, (len(first) - 1,), 0, RATE_MAX_CPS
+        )
+        object.__setattr__(self, "background_cps", noise_cps)
         inner = np.delete(
             np.diff(self.start_s), first[1:-1][(first[1:-1] > 0) & (first[1:-1] < n)] - 1
         )
         if np.any(inner < 0):
             raise InputError("start_s: must ascend in every pixel")
+
+    @property
+    def signal(self) -> np.ndarray:
+        """float64[pixels]: photons per pulse, without those of the background."""
+        until = np.concatenate([[0.0], np.cumsum(self.photons)])
+        of_pixels = np.diff(until[self.first])
+        return np.maximum(of_pixels - self.background_cps * self.span_s, 0.0)
 
 
 @frozen(kw_only=True, eq=False)
@@ -196,8 +211,16 @@ class Light:
         total = self.signal_per_pulse.sum(axis=1)
         if self.arrivals is None:
             return total
-        until = np.concatenate([[0.0], np.cumsum(self.arrivals.photons)])
-        return total + np.diff(until[self.arrivals.first])
+        return total + self.arrivals.signal
+
+    @property
+    def total_background_cps(self) -> np.ndarray:
+        """float64[pixels]: detected counts per second of all background, also of that among the
+        `arrivals`.
+        """
+        if self.arrivals is None:
+            return self.background_cps
+        return self.background_cps + self.arrivals.background_cps
 
     def notes(self) -> tuple[str, ...]:
         """Notes for the user: whether the signal is far above the level for which the sensor is

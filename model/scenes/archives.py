@@ -33,6 +33,12 @@ def is_in_archive(source: FilePath) -> bool:
     return path.suffix.lower() in ARCHIVES and os.path.exists(path)
 
 
+def is_matlab(source: FilePath) -> bool:
+    """Return whether a text is a MATLAB file, or one of its arrays."""
+    path, _ = _divided(source)
+    return path.suffix.lower() == MATLAB
+
+
 def read_from_archive(source: FilePath) -> np.ndarray:
     """Return an array of an archive, rows first. Raises `InputError`, which lists the arrays of
     two and three dimensions.

@@ -2,7 +2,7 @@
 """The catalogue of scenes: makes a `Scene` from the name or file that a user gives."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
 
 import numpy as np
@@ -179,7 +179,7 @@ def load_scene(
             " distances in metres"
         )
     if meaning.bin_ps is not None:
-        _check_only_histograms(meaning, colour)
+        _check_only_histograms(meaning, colour, reflectivity)
         return _histograms(source, rows, cols, meaning, range_m)
     return depth_scene(
         source,
@@ -192,14 +192,17 @@ def load_scene(
     )
 
 
-def _check_only_histograms(meaning: Meaning, colour: FilePath | None) -> None:
+def _check_only_histograms(
+    meaning: Meaning, colour: FilePath | None, reflectivity: float | np.ndarray
+) -> None:
     """Raise `InputError` if something was said about depth, and the file holds histograms."""
     if colour is not None:
         raise InputError(f"colour = {str(colour)!r}: goes with depth files only, not with bin_ps")
-    for one in fields(Meaning):
-        value = getattr(meaning, one.name)
-        if one.name not in ("bin_ps", "recorded_pulses") and value != one.default:
-            raise InputError(f"{one.name} = {value!r}: goes with depth files only, not with bin_ps")
+    if np.any(reflectivity != REFLECTIVITY):
+        raise InputError("reflectivity: goes with depth files and arrays, not with bin_ps")
+    for name, value in _said(meaning):
+        if name not in ("bin_ps", "recorded_pulses"):
+            raise InputError(f"{name} = {value!r}: goes with depth files only, not with bin_ps")
 
 
 def _histograms(
@@ -249,12 +252,18 @@ def _is_depth(text: str) -> bool:
 
 def _check_no_meaning(source: str, meaning: Meaning) -> None:
     """Raise `InputError` if something was said about a depth file, and the scene is none."""
+    for name, value in _said(meaning):
+        raise InputError(
+            f"{name} = {value!r}: goes with depth files only, not with scene {source!r}"
+        )
+
+
+def _said(meaning: Meaning) -> Iterator[tuple[str, object]]:
+    """Yield name and value of what is not the default."""
     for one in fields(Meaning):
         value = getattr(meaning, one.name)
         if isinstance(value, np.ndarray) or value != one.default:
-            raise InputError(
-                f"{one.name} = {value!r}: goes with depth files only, not with scene {source!r}"
-            )
+            yield one.name, value
 
 
 def _named_scene(source: str, rows: int, cols: int, range_m: float) -> Scene:

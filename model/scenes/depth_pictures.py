@@ -16,7 +16,7 @@ from attrs import frozen
 
 from ..shared.errors import InputError
 from ..shared.files import FilePath
-from .archives import MATLAB, is_in_archive, read_from_archive
+from .archives import is_in_archive, is_matlab, read_from_archive
 from .conventions import ARRAYS, DEPTH_FILES, convention
 from .image_files import (
     check_picture_array,
@@ -129,7 +129,7 @@ def _in_array(path: str, samples: np.ndarray, *, is_file: bool) -> Pictures:
     hidden = np.ma.getmaskarray(samples) if isinstance(samples, np.ma.MaskedArray) else None
     numbers = np.asarray(np.ma.getdata(samples))
     moves = numbers.ndim == 3 and numbers.shape[2] != 1
-    if moves and is_in_archive(path) and MATLAB in path.lower():
+    if moves and is_file and is_matlab(path):
         numbers = np.moveaxis(numbers, 2, 0)
     if moves and (numbers.shape[2] <= COLOURS_MAX < min(numbers.shape[:2])):
         raise InputError(

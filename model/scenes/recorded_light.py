@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from attrs import frozen
 
-from ..light.light import BACKGROUNDS, SIGNAL_MAX, SIGNAL_REFERENCE, Arrivals, Light
+from ..light.light import BACKGROUNDS, NEAREST_M, SIGNAL_MAX, SIGNAL_REFERENCE, Arrivals, Light
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import Numbers, check_real, real_array
@@ -32,11 +32,13 @@ class RecordedLight:
     """Histograms of rows x cols pixels, as `Scene.transient`.
 
     photons: float64[rows, cols, bins], mean photons per laser pulse; bin i holds times of [i, i +
-    1) x `bin_s`. surface_m: float64[rows, cols], distance of each histogram's peak, NaN = none.
+    1) x `bin_s`. background: float64[rows, cols], those of a bin that are no signal. surface_m:
+    float64[rows, cols], distance of each histogram's peak, NaN = none.
     """
 
     photons: np.ndarray
     bin_s: float
+    background: np.ndarray
     surface_m: np.ndarray
 
     def depth_m(self) -> np.ndarray:
@@ -56,6 +58,8 @@ class RecordedLight:
             start_s=index * self.bin_s,
             photons=np.minimum(photons, SIGNAL_MAX),
             width_s=self.bin_s,
+            background_cps=self.background.ravel() / self.bin_s,
+            span_s=bins * self.bin_s,
         )
         ambient = np.full((rows, cols), np.nan)
         return arriving_light(arrivals, ambient, klux, background, **others)
@@ -72,12 +76,13 @@ def histogram_scene(
     """
     bin_s = check_real("bin_ps", meaning.bin_ps, 1e-3, BIN_PS_MAX) / PS_PER_S
     counts = _checked(path, counts, rows, cols)
-    surface_m, peak = _peaks(counts, bin_s)
-    surface_m[~(surface_m < range_m)] = np.nan
+    surface_m, peak, background = _peaks(counts, bin_s)
+    surface_m[~((surface_m >= NEAREST_M) & (surface_m < range_m))] = np.nan
     found = ~np.isnan(surface_m)
     if not found.any():
         raise InputError(
-            f"{path}: no histogram has a peak within the laser period's range of {range_m:.4g} m;"
+            f"{path}: no histogram has a peak from {NEAREST_M:g} m to the laser period's range of"
+            f" {range_m:.4g} m;"
             f" a bin is {meaning.bin_ps:g} ps (bin_ps)"
         )
     notes = [
@@ -94,8 +99,15 @@ def histogram_scene(
     else:
         per_pulse = check_integer("recorded_pulses", meaning.recorded_pulses, 1, PULSES_MAX)
     if not found.all():
-        notes.append(f"{path}: {np.sum(~found)} of {found.size} histograms have no peak")
-    light = RecordedLight(photons=counts / per_pulse, bin_s=bin_s, surface_m=surface_m)
+        notes.append(
+            f"{path}: {np.sum(~found)} of {found.size} histograms have no peak in this range"
+        )
+    light = RecordedLight(
+        photons=counts / per_pulse,
+        bin_s=bin_s,
+        background=background / per_pulse,
+        surface_m=surface_m,
+    )
     return Scene(
         name=Path(path).name,
         distance_m=surface_m,
@@ -121,9 +133,9 @@ def _checked(path: str, counts: np.ndarray, rows: int, cols: int) -> np.ndarray:
     return real_array(f"{path}: counts", counts, counts.shape, 0)
 
 
-def _peaks(counts: np.ndarray, bin_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return distance and counts of the highest peak of each histogram; float64[rows, cols] twice,
-    NaN = no peak.
+def _peaks(counts: np.ndarray, bin_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return distance and counts of the highest peak of each histogram, NaN = no peak, and the
+    counts of a bin that are background; float64[rows, cols] each.
 
     A peak is as wide as the gap between surfaces; its counts are those above the median bin.
     """
@@ -142,4 +154,25 @@ def _peaks(counts: np.ndarray, bin_s: float) -> tuple[np.ndarray, np.ndarray]:
     middle = (weight * (index + 0.5)).sum(axis=2) / np.where(total > 0, total, 1)
     noise = np.sqrt(np.maximum(width * background, 1.0))
     is_peak = (above > PEAK_SIGMAS * noise) & (total > 0)
-    return np.where(is_peak, middle * per_bin_m, np.nan), np.where(is_peak, above, np.nan)
+    return (
+        np.where(is_peak, middle * per_bin_m, np.nan),
+        np.where(is_peak, above, np.nan),
+        _background(counts, index),
+    )
+
+
+def _background(counts: np.ndarray, peak: np.ndarray) -> np.ndarray:
+    """float64[rows, cols]: mean of the bins beside the peak, without those that stand out, which
+    have further surfaces. peak: int64[rows, cols, n], its bins.
+    """
+    beside = np.ones(counts.shape, bool)
+    np.put_along_axis(beside, peak, False, 2)
+    mean = _mean(counts, beside)
+    deviation = np.sqrt(_mean((counts - mean[:, :, None]) ** 2, beside))
+    most = mean + PEAK_SIGMAS * deviation
+    return _mean(counts, beside & (counts <= most[:, :, None]))
+
+
+def _mean(values: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """float64[rows, cols]: mean over the bins that are there, 0 without any."""
+    return np.where(there, values, 0).sum(axis=2) / np.maximum(there.sum(axis=2), 1)

@@ -91,8 +91,8 @@ class FrameView:
         self.bound_mm = np.full(shape, np.nan)  # it is that of events
         if not config.counting:
             usual = with_usual_threshold(config, frame.threshold)
-            self.bound_mm = pixel_bounds_mm(usual, light).reshape(shape)
-        self.background = light.background_cps.reshape(shape) * (
+            self.bound_mm = pixel_bounds_mm(usual, light, frame.run.pulse).reshape(shape)
+        self.background = light.total_background_cps.reshape(shape) * (
             config.period_ticks * config.tick_s
         )
         if config.counting:

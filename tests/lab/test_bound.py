@@ -165,7 +165,7 @@ def test_bounds_of_a_map_are_those_of_its_light():
             rows=1, cols=3, distance_m=5.0, signal_per_pulse=[[0.2], [0.0], [0.8]], pulse=pulse,
             background_cps=1e6,
         )  # fmt: skip
-        found = bounds.pixel_bounds_mm(config, light)
+        found = bounds.pixel_bounds_mm(config, light, pulse)
         shape = pulse_ticks(config, pulse=pulse)
         for pixel in (0, 2):
             signal = light.total_signal[pixel]

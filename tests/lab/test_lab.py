@@ -163,6 +163,18 @@ def test_a_table_holds_counts_beyond_32_bits():
     }
 
 
+def test_klux_of_a_file_counts_by_its_content(tmp_path):
+    """A campaign does not take what it has found in another light."""
+    path = tmp_path / "sun.npy"
+    keys = []
+    for klux in (10.0, 90.0, 10.0):
+        np.save(path, np.full((8, 8), klux))
+        keys.append(small(klux=str(path)).key)
+    assert keys[0] == keys[2] != keys[1]
+    path.unlink()
+    assert small(klux=str(path)).key not in keys
+
+
 def test_equal_content_has_equal_keys_and_every_field_counts():
     setup = small()
     assert setup.key == small().key

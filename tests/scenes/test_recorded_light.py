@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from coincid.lab.bound import median_light, word_bounds_mm
+from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
+from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
+from coincid.model.shared.pulse import Pulse
 from coincid.study.run import simulate
 
 SHAPE = (8, 8)
@@ -70,10 +74,37 @@ def test_the_truth_is_the_peak_of_each_histogram(tmp_path, source):
 def test_the_photons_are_those_of_the_histograms():
     """As many per pulse, and the sensor measures the same distances."""
     run = simulate(CONFIG, counts(), bin_ps=BIN_PS, recorded_pulses=PULSES, seed=2)
-    per_pulse = run.light.total_signal.reshape(SHAPE)
-    assert per_pulse == pytest.approx(np.full(SHAPE, 0.6), rel=0.1)
-    assert np.all(run.light.background_cps == 0)
+    assert run.light.arrivals.photons.sum() / 64 == pytest.approx(0.6, rel=0.1)
     assert np.nanmedian(np.abs(run.depth().depth_m[:, :, 0] - WALL_M)) < 0.02
+
+
+def test_signal_and_background_of_the_histograms_are_told_apart():
+    """Bounds and notes are those of 0.5 photons per pulse, and of a pulse that the user tells."""
+    setup = Setup.of(
+        load_scene(counts(), *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES),
+        klux=0.0,
+        sensor={"rows": 8, "cols": 8},
+    )
+    light = setup.photons.light
+    assert np.all(light.background_cps == 0)
+    assert light.total_signal.reshape(SHAPE) == pytest.approx(np.full(SHAPE, 0.5), rel=0.1)
+    noise_cps = 0.1 / (BINS * BIN_PS * 1e-12)
+    assert light.total_background_cps.mean() == pytest.approx(noise_cps, rel=0.1)
+    run = Run(setup)
+    usual = median_light(light)
+    assert run["bound_mm"] == pytest.approx(word_bounds_mm(setup.config, *usual).pixel_mm)
+    wide = Pulse.gaussian(2e-9)
+    of_wide = word_bounds_mm(setup.config, *usual, pulse_ticks(setup.config, pulse=wide))
+    assert run.but(pulse=wide)["bound_mm"] == pytest.approx(of_wide.pixel_mm)
+
+
+def test_a_peak_that_is_too_near_is_no_surface():
+    near = counts()
+    near[0, 0] = 0
+    near[0, 0, :3] = 200
+    scene = load_scene(near, *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES)
+    assert np.flatnonzero(~scene.valid).tolist() == [0]
+    assert any("1 of 64 histograms have no peak in this range" in note for note in scene.notes)
 
 
 def test_photons_of_a_bin_come_while_it_lasts():
@@ -95,7 +126,7 @@ def test_unknown_pulses_are_scaled_to_the_light_of_the_sensor():
     for factor in (1, 7):
         scene = load_scene(factor * counts(), *SHAPE, bin_ps=BIN_PS)
         light = Setup(config=CONFIG, scene=scene, klux=0.0).photons.light
-        assert np.median(light.total_signal) == pytest.approx(0.613 * 0.6 / 0.5, rel=0.05)
+        assert np.median(light.total_signal) == pytest.approx(0.613, rel=0.05)
         assert any("--recorded-pulses" in note for note in scene.notes)
 
 
@@ -114,6 +145,8 @@ def test_what_is_no_histogram_is_refused():
         (counts(), {"bin_ps": 0}, "bin_ps = 0"),
         (counts(), {"recorded_pulses": 0}, "recorded_pulses = 0"),
         (counts(), {"unit": "mm"}, "unit = 'mm': goes with depth files only"),
+        (counts(), {"reflectivity": 0.9}, "reflectivity: goes with depth files and arrays"),
+        (counts(), {"missing": np.array([1.0, 2.0])}, "missing = array.*goes with depth files"),
         (counts(), {"bin_ps": None, "recorded_pulses": 4}, "recorded_pulses = 4: goes with hist"),
     ):
         with pytest.raises(InputError, match=words):

@@ -62,6 +62,13 @@ def mat_73_of(at):
     return str(at / "b.mat")
 
 
+def npz_beside_matlab_of(at):
+    """Its folder only looks like one of MATLAB's files."""
+    folder = at / "of.material"
+    folder.mkdir()
+    return npz_of(folder)
+
+
 def npy_of(at):
     np.save(at / "a.npy", (pictures() * 1000).astype(">u2"))
     return str(at / "a.npy")
@@ -77,6 +84,7 @@ SOURCES = {
     "HDF5": hdf5_of,
     "MATLAB": mat_of,
     "MATLAB 7.3": mat_73_of,
+    "NPZ in a folder": npz_beside_matlab_of,
 }
 
 
