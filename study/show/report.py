@@ -176,7 +176,8 @@ def _sources(view: FrameView, pulses: int) -> dict[str, Any]:
             name: np.array(part, np.int32)
             for name, part in zip(("first", "end"), zip(*gates, strict=True), strict=True)
         },
-        "fill": {"cycle": line.fill_cycle.astype(np.int32), "fill": line.fill.astype(np.int32)},
+        # a page has no integers of 64 bits, and a frame with gaps has more than 2^31 cycles
+        "fill": {"cycle": line.fill_cycle.astype(float), "fill": line.fill.astype(np.int32)},
         "subgroups": {
             "fill": line.fill_bounds.astype(np.int32),
             "events": view.events.bounds.astype(np.int32),

@@ -13,6 +13,7 @@ import numpy as np
 from attrs import evolve, frozen
 
 from ...model.contract import latency
+from ...model.contract.coincidence import AT_LEAST
 from ...model.contract.config import Config
 from ...model.contract.counters import COUNTER_NAMES
 from ...model.contract.edges import Edges, Fate
@@ -162,9 +163,13 @@ def frame_timeline(config: Config, edges: Edges, trace: Trace) -> Timeline:
     threshold = np.where(
         config.coincidence, trace.counters[:, COUNTER_NAMES.index("threshold_used")], 1
     )
-    windows = _windows(
-        config, trace, period[opening], tick[opening], _counts(opening, fate), threshold
-    )
+    count = _counts(opening, fate)
+    limit = threshold[subgroup[order][opening]]
+    if sensor.rule == AT_LEAST:
+        meets = count >= limit
+    else:
+        meets = _judged(config, _maps(config, opening, fate, inside[order]), limit)
+    windows = _windows(config, trace, period[opening], tick[opening], count, meets)
     fill_cycle, fill, fill_bounds = _fill(config, trace)
     return Timeline(
         config=config,
@@ -190,21 +195,42 @@ def _counts(opening: np.ndarray, fate: np.ndarray) -> np.ndarray:
     return np.bincount(of_window[opening | (fate == Fate.COUNTED)], minlength=opening.sum())
 
 
+def _maps(config: Config, opening: np.ndarray, fate: np.ndarray, pixel: np.ndarray) -> np.ndarray:
+    """bool[windows, rows, cols]: the pixels of a subgroup that are in each window."""
+    counted = opening | (fate == Fate.COUNTED)
+    of_window = np.cumsum(opening) - 1
+    maps = np.zeros((opening.sum(), config.sensor.pixels), bool)
+    maps[of_window[counted], pixel[counted]] = True
+    return maps.reshape(-1, *config.sensor.subgroup)
+
+
+def _judged(config: Config, maps: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """bool[windows]: which windows the sensor's own rule lets become events. limit: the threshold
+    of each.
+    """
+    meets = np.zeros(len(maps), bool)
+    for one in np.unique(limit):
+        own = limit == one
+        meets[own] = config.sensor.rule.judged(maps[own], int(one))
+    return meets
+
+
 def _windows(
     config: Config,
     trace: Trace,
     period: np.ndarray,
     start: np.ndarray,
     count: np.ndarray,
-    threshold: np.ndarray,
+    meets: np.ndarray,
 ) -> Windows:
+    """Return the windows. meets: bool[windows], those that become events if the FIFO has room."""
     subgroup, pulse = np.divmod(period, config.pulses)
     end = start + np.where(config.coincidence, config.window, 1)[subgroup]
     commit = (end - 1 >> config.sensor.phase_bits) + latency.COMMIT
     cycle = config.start_cycles()[pulse] + commit
     stored = np.isin(_key(subgroup, cycle), _key(trace.commit_subgroup, trace.commit_cycle))
     met = np.where(stored, Verdict.COMMITTED, Verdict.DROPPED)
-    verdict = np.where(count >= threshold[subgroup], met, Verdict.REJECTED).astype(np.uint8)
+    verdict = np.where(meets, met, Verdict.REJECTED).astype(np.uint8)
     return Windows(start, end, count, verdict, commit)
 
 

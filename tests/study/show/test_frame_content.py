@@ -118,3 +118,16 @@ def test_a_report_holds_the_times_of_the_longest_period():
     assert np.array_equal(found["edges"].data["tick"], line.tick)
     for name, values in found["windows"].data.items():
         assert np.array_equal(values, getattr(line.windows, name)), name
+
+
+def test_a_report_holds_the_times_of_a_frame_with_the_longest_gaps():
+    """Of more cycles than an integer of 32 bits holds."""
+    sensor = {"rows": 8, "cols": 8}
+    frame = {"pulses": 10, "gap": (1 << 28) - 1}
+    setup = Setup.of("flat:5", klux=5, sensor=sensor, frame=frame, subgroup={"threshold": 1})
+    view = FrameView("a frame", Run(setup).frame())
+    line = view.timeline
+    found = report._sources(view, 10)
+    assert line.fill_cycle.max() > 1 << 31
+    assert np.array_equal(found["fill"].data["cycle"], line.fill_cycle)
+    assert found["starts"] == line.start_cycles.tolist()

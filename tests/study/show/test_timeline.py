@@ -6,6 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
+from coincid.model.contract.coincidence import AT_LEAST, Rule
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges, Fate
@@ -26,12 +27,22 @@ BUSY = {  # name: document; there are many edges, so that FIFOs overflow
 }  # fmt: skip
 
 
-def played(document, edges_per_period=60):
+class LastPixel(Rule):
+    """A window also needs the last pixel of the subgroup."""
+
+    name = "last-pixel"
+    version = "1"
+
+    def meets(self, maps, threshold):
+        return maps[:, -1, -1] & (maps.sum(axis=(1, 2)) >= threshold)
+
+
+def played(document, edges_per_period=60, rule=AT_LEAST):
     """Return (config, edges, trace) of one frame with uniformly random edges."""
     frame = {"period": 40, "pulses": 6} | document.get("frame", {})
     config = parse_config(
         document | {"sensor": SENSOR | document.get("sensor", {}), "frame": frame}
-    )
+    ).with_rule(rule)
     edges = random_edges(config, edges_per_period * config.pulses, 7)
     return config, edges, Golden(config.sensor).frame(config, edges)
 
@@ -40,9 +51,11 @@ def counters(trace, name):
     return trace.counters[:, COUNTER_NAMES.index(name)]
 
 
+@pytest.mark.parametrize("rule", [AT_LEAST, LastPixel()])
 @pytest.mark.parametrize("name", BUSY)
-def test_windows_are_those_of_the_counters(name):
-    config, edges, trace = played(BUSY[name])
+def test_windows_are_those_of_the_counters(name, rule):
+    """Also if the sensor has a rule of its own."""
+    config, edges, trace = played(BUSY[name], rule=rule)
     timeline = frame_timeline(config, edges, trace)
     subgroup = np.repeat(
         np.arange(config.sensor.subgroups), np.diff(timeline.window_bounds[:: config.pulses])
