@@ -96,10 +96,23 @@ def _intro(sensor: Sensor) -> tuple[str, str]:
 def _blocks(sensor: Sensor) -> list[tuple[str, str, list[list[str]]]]:
     """Return (title, text, rows of `HEAD`) for both blocks."""
     where = f"At {SUBGROUP_BASE:#x} + {SUBGROUP_STRIDE:#x} * s; offsets are within the block."
+    where += _while_busy(sensor)
     return [
         ("Global block", "At 0.", _rows(GLOBAL, sensor)),
         (f"Block of subgroup s, 0 to {sensor.subgroups - 1}", where, _rows(SUBGROUP, sensor)),
     ]
+
+
+def _while_busy(sensor: Sensor) -> str:
+    """Return how the settings of a subgroup differ from others if no second copy of them is
+    built; "" if one is.
+    """
+    if sensor.held:
+        return ""
+    return (
+        " held is 0: a write to a setting of a subgroup while busy is refused like a value out of"
+        " range; at other times, it takes effect at once and not at frame start."
+    )
 
 
 def _rows(registers: tuple[Register, ...], sensor: Sensor) -> list[list[str]]:
@@ -188,7 +201,7 @@ def _systemrdl(sensor: Sensor) -> str:
         *_rdl_block(GLOBAL, sensor, "  "),
         "",
         "  regfile {",
-        '    desc = "Settings and counters of a subgroup.";',
+        f'    desc = "Settings and counters of a subgroup.{_while_busy(sensor)}";',
         *_rdl_block(SUBGROUP, sensor, "    "),
         f"  }} subgroup[{sensor.subgroups}] @ {SUBGROUP_BASE:#x} += {SUBGROUP_STRIDE:#x};",
         "};",

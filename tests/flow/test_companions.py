@@ -15,8 +15,9 @@ from peakrdl_ipxact import IPXACTImporter
 from systemrdl import RDLCompiler
 from systemrdl.node import RegNode
 
-from coincid.flow.register_files import HEADER, HTML, IP_XACT, JSON, RDL, register_files
+from coincid.flow.register_files import HEADER, HTML, IP_XACT, JSON, MARKDOWN, RDL, register_files
 from coincid.host.transport import RefusedError
+from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.registers import control
 from coincid.tb.sliced import SlicedSensor
 
@@ -240,6 +241,14 @@ return 0;
 def _registers(files):
     said = json.loads(files[JSON])
     return [*said["global"], *said["subgroup"]]
+
+
+@pytest.mark.parametrize("file", (MARKDOWN, HTML, RDL, IP_XACT))
+@pytest.mark.parametrize("held", (0, 1))
+def test_pages_tell_that_settings_of_a_subgroup_are_not_held(file, held):
+    """Then a write while busy is refused, and others take effect at once."""
+    text = register_files(Sensor(held=held))[file]
+    assert ("while busy is refused" in text) == (not held)
 
 
 READERS = {IP_XACT: by_ip_xact, HTML: by_page, JSON: by_json, HEADER: by_c_compiler}
