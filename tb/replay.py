@@ -39,13 +39,11 @@ def chosen_view(
     missing.
     """
     check_choice("engine", engine, ENGINES)
-    if isinstance(view, np.ndarray):  # whose comparisons are no truths
-        raise InputError(f"view = {view!r}: must be the name of a view, or a View")
     if waves and engine not in SIMULATORS:
         raise InputError(
             f"engine = {engine!r}: has no waveform of the whole sensor; {' and '.join(SIMULATORS)} have one"
         )
-    if engine == "golden" and view == DEFAULT_VIEW:
+    if engine == "golden" and isinstance(view, str) and view == DEFAULT_VIEW:
         return None
     with extra("rtl"):
         from ..hdl.front_end_views import view_at
