@@ -41,7 +41,7 @@ ASYNC_PULSES, ASYNC_FRAMES = 4, 1
 FRAMES_MAX = 1000  # for the controller
 REPEATS_MAX = 1000
 BAUD_MAX = 100_000_000
-WORKERS_MAX = 1 << 10
+PROCESSES_MAX = 1 << 10
 SWITCHES = {"true": True, "false": False}
 
 console = Console(stderr=True, highlight=False)
@@ -486,7 +486,7 @@ def sweep(
 ) -> None:
     """Run a grid of configurations, scenes and light on many processes or machines; the table has one row per point."""
     workers = check_integer(
-        "workers", os.cpu_count() or 1 if workers is None else workers, 1, WORKERS_MAX
+        "workers", os.cpu_count() or 1 if workers is None else workers, 1, PROCESSES_MAX
     )
     out = out or Path("build") / f"{spec.stem}.parquet"
     if out.suffix != ".parquet":
