@@ -201,7 +201,7 @@ def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Se
         control.name: _checked(control, values.get(control.name, control.default))
         for control in CONTROLS
     }
-    config = parse_config(_document(values)).with_pulses(values["pulses"])
+    config = parse_config(_document(values))
     work = config.sensor.array_pixels * config.pulses * config.frames
     if work > PIXEL_PULSES_MAX:
         most = max(1, PIXEL_PULSES_MAX // (config.sensor.array_pixels * config.frames))
@@ -244,12 +244,12 @@ def _checked(control: Control, value: Any) -> Any:
 
 
 def _document(values: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the tables of the configuration file, with the default pulses and without values that
-    are defaults of the file.
+    """Return the tables of the configuration file, without values that are defaults of the
+    file.
     """
     document: dict[str, dict[str, Any]] = {
         "sensor": {},
-        "frame": {"frames": values["frames"]},
+        "frame": {name: values[name] for name in ("pulses", "frames")},
         "subgroup": {},
     }
     for control in CONTROLS:

@@ -128,6 +128,17 @@ def test_illegal_values_name_the_control_and_what_is_legal(values, control, sent
     assert (found and found.name) == control
 
 
+@pytest.mark.parametrize("pulses", (10, 100, 1000))
+def test_numbers_per_frame_are_those_of_the_frame_that_is_set(pulses):
+    """Whatever a usual frame has: just below half of the pulses can be search pulses."""
+    most = pulses // 2 - 1
+    counting = {"format": "counts", "pulses": pulses}
+    assert check_settings(counting | {"search_pulses": most}).config.search_pulses == most
+    with pytest.raises(InputError, match=f"below half of frame.pulses = {pulses}"):
+        check_settings(counting | {"search_pulses": most + 1})
+    assert check_settings({"pulses": pulses, "capacity": 777}).config.capacity == 777
+
+
 def test_a_lost_picture_is_said_and_the_default_counts():
     values = {"scene": "upload", "sun": "picture", "threshold": 3}
     kept, told = without_lost_pictures(values, Uploads())
