@@ -15,7 +15,7 @@ import numpy as np
 from ..lab import outcomes
 from ..lab.options import OPTIONS, documented
 from ..lab.setup import Setup, for_pictures, scene_of
-from ..model.contract.config import SETTINGS, TABLES, Config, load_config
+from ..model.contract.config import PER_FRAME, SETTINGS, Config, load_config, parse_config
 from ..model.contract.pixels import pixel_number
 from ..model.contract.result import events_table, write_result
 from ..model.depth.depth import write_depths
@@ -272,22 +272,60 @@ def _check_order(config: object) -> None:
 
 
 def with_settings(config: Config, settings: dict[str, Any]) -> Config:
-    """Return a copy of `config` with other settings, by their names in any table. Raises
-    `InputError`.
+    """Return a copy of `config` with other settings, by their names in any table. They are checked
+    together. Raises `InputError`.
     """
     for name in settings:
         if name not in SETTINGS:
             raise InputError(
                 f"{name}: unknown argument or setting, must be one of {', '.join((*OPTIONS, *SETTINGS))}"
             )
-    of = {
-        table: {name: value for name, value in settings.items() if name in keys}
-        for table, keys in TABLES.items()
-    }
-    config = config.with_sensor(**of["sensor"]) if of["sensor"] else config
-    if "pulses" in of["frame"]:  # the controller's bounds and capacity change in proportion
-        pulses = SETTINGS["pulses"].checked(
-            "frame.pulses", of["frame"].pop("pulses"), config.sensor
-        )
-        config = config.with_pulses(pulses)
-    return config.with_frame(**of["frame"]).with_settings(**of["subgroup"])
+    if not settings:
+        return config
+    document = config.written()
+    document["frame"] |= _for_pulses(config, settings)
+    several = _differing(config)
+    for name, value in settings.items():
+        table = SETTINGS[name].table
+        if table == "subgroup" and np.ndim(value):
+            several[name] = value
+        else:
+            several.pop(name, None)
+            document[table][name] = value
+    for name in several:
+        document["subgroup"].pop(name, None)
+    try:
+        changed = parse_config(document).with_settings(**several)
+    except InputError as error:
+        raise _blaming(error, settings) from None
+    return changed.with_rule(config.sensor.rule)
+
+
+def _differing(config: Config) -> dict[str, Any]:
+    """Return the settings that were written and differ between subgroups: a value for each."""
+    of_subgroups = {name: getattr(config, name) for name in config.written()["subgroup"]}
+    return {name: values for name, values in of_subgroups.items() if np.any(values != values[0])}
+
+
+def _for_pulses(config: Config, settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings that count something per frame, in proportion to the pulses of
+    `settings`; none if these have no pulses.
+    """
+    if "pulses" not in settings:
+        return {}
+    pulses = SETTINGS["pulses"].checked("frame.pulses", settings["pulses"], config.sensor)
+    replaced = {name: None for name in PER_FRAME if name in settings}
+    # not the format, which may change with the pulses, and not all go with all formats
+    config = config.with_frame(format=SETTINGS["format"].default, **replaced)
+    frame = config.with_pulses(pulses).frame
+    scaled = {name: getattr(frame, name) for name in PER_FRAME}
+    return {name: value for name, value in scaled.items() if value is not None}
+
+
+def _blaming(error: InputError, settings: dict[str, Any]) -> InputError:
+    """Return an error about another setting with the keys of the changes that led to it."""
+    keys = [SETTINGS[name].key for name in settings]
+    if (error.field or "").partition("[")[0] in keys:
+        return error
+    changed = ", ".join(keys)
+    return InputError(f"{changed}: does not go with the other settings ({error})", field=changed)

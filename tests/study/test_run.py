@@ -367,6 +367,55 @@ def test_settings_are_options_of_simulate():
         run.depth(-1)
 
 
+TINY = {"rows": 8, "cols": 8}
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ({"gating": True, "gate_start": 100}, {"period": 80, "gate_start": 20}),
+        ({"gating": True, "gate_start": 20, "period": 80}, {"gate_start": 100, "period": 250}),
+        ({"period": 250}, {"coarse_bits": 7, "period": 100}),
+        ({"window": 40}, {"window_max": 16, "window": 16}),
+        ({"counts": 1, "format": "counts"}, {"counts": 0, "format": "id"}),
+        ({"counts": 1, "format": "counts"}, {"pulses": 2, "format": "id"}),
+        (
+            {"counts": 1, "format": "counts", "pulses": 90, "search_pulses": 20},
+            {"pulses": 4, "search_pulses": 1},
+        ),
+    ],
+)
+def test_settings_that_are_legal_together_are_taken_together(before, after):
+    """Though each alone is refused, or some order of them."""
+    run = coincid.simulate(coincid.load_config(None, before | TINY), "flat:3", klux=0, **after)
+    expected = coincid.load_config(None, before | TINY | after)
+    assert run.config.sensor == expected.sensor and run.config.frame == expected.frame
+    assert run.config.register_writes() == expected.register_writes()
+
+
+def test_a_setting_that_does_not_go_with_the_others_is_named():
+    config = coincid.load_config(None, TINY | {"gating": True, "gate_start": 100})
+    with pytest.raises(coincid.InputError) as refused:
+        coincid.simulate(config, "flat:3", period=80)
+    told = "frame.period: does not go with the other settings (subgroup.gate_start = 100: must be"
+    assert str(refused.value).startswith(told)
+
+
+def test_settings_of_subgroups_stay_where_others_change():
+    """And change where they are given, as one value or as one for each."""
+    own = {"subgroups": [1], "threshold": 5, "mask": "ff"}
+    document = SMALL | {"subgroup": {"threshold": 2}, "override": [own]}
+    config = coincid.parse_config(document)
+    for after, threshold in (
+        ({"pulses": 30}, [2, 5]),
+        ({"threshold": 3}, [3, 3]),
+        ({"threshold": [3, 4]}, [3, 4]),
+    ):
+        changed = coincid.simulate(config, "flat:3", klux=0, **after).config
+        assert changed.threshold.tolist() == threshold
+        assert np.array_equal(changed.mask, config.mask)
+
+
 @pytest.mark.parametrize(
     ("compiled", "told"), [(False, "coincid: compiling the models, first run only\n"), (True, "")]
 )
