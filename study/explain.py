@@ -78,12 +78,14 @@ def _events(config: Config, frame_s: float) -> list[tuple[str, str]]:
     """Return the rows of events."""
     beats = event_beats(config)
     grouped = " with three pixels" * FORMATS[config.format].grouped
-    events_per_us = config.capacity / frame_s / 1e6
+    # not what the controller is told, which may be less or more
+    fitting = config.with_frame(capacity=None).capacity
+    events_per_us = fitting / frame_s / 1e6
     return [
         ("event", f"{config.format}: {beats:.3g} beats of {BEAT_BITS} bits{grouped}"),
         (
             "events that fit",
-            f"{config.capacity:,} per stream and frame, {events_per_us:.4g} million per second",
+            f"{fitting:,} per stream and frame, {events_per_us:.4g} million per second",
         ),
     ]
 
