@@ -15,13 +15,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from attrs import evolve, frozen
+from attrs import frozen
 
 from ..lab.bound import median_light, photon_bound_mm, word_bounds_mm
 from ..lab.outcomes import Frame, Run
 from ..lab.pace import frames_per_s, told_pace
 from ..lab.setup import SETTLING, Setup
-from ..model.contract.config import Config, toml_text
+from ..model.contract.config import Config
 from ..model.contract.link import SHARE_MIN, stream_gbps
 from ..model.contract.packet import BEAT_BITS
 from ..model.depth.pulse_ticks import pulse_ticks
@@ -30,6 +30,7 @@ from ..model.light.photons import edge_chunks
 from ..model.shared.errors import InputError
 from ..model.shared.files import whole_file, write_csv
 from ..model.shared.quantities import check_real
+from .config_file import config_text
 from .palette import ALARM, GREY, SERIES
 from .plot_style import new_figure, save_figure, style
 from .price import um2_per_pixel, uw_per_pixel
@@ -239,7 +240,9 @@ def advise(
     settings = tell(stage, _settings(run, thresholds, windows), rows)
     chosen = cheapest(settings, lambda one: one.bits)
     rates_gbps = links_of(run.config)
-    formats = (*FORMATS, COUNTS) if _can_count(setup.config) else FORMATS
+    counting = _in_counts(run.config)
+    has_counts = run.config.sensor.counts and counting is not None
+    formats = (*FORMATS, COUNTS) if has_counts else FORMATS
     found = _links(run, chosen.config, rates_gbps, formats)
     links = tell("links and formats", found, len(rates_gbps) * len(formats))
     best = cheapest(links, lambda one: (one.link_gbps, one.bits))
@@ -257,27 +260,22 @@ def advise(
         klux=klux,
         limit=_limit(run, best.config),
         useless=useless,
-        counts="" if COUNTS in formats else _with_counts(run),
+        counts="" if has_counts or counting is None else _with_counts(run, counting),
     )
 
 
-def _can_count(config: Config) -> bool:
-    """Return whether the sensor has counts, and the frame enough pulses for them."""
-    if not config.sensor.counts:
-        return False
+def _in_counts(config: Config) -> Config | None:
+    """Return the configuration of one frame of counts, on a sensor that has them; None if its
+    minigroups have another size, or the frame too few pulses.
+    """
     try:
-        config.with_frame(frames=1, format=COUNTS)
+        return config.with_sensor(counts=1).with_frame(frames=1, format=COUNTS)
     except InputError:
-        return False
-    return True
+        return None
 
 
-def _with_counts(run: Run) -> str:
-    """Return a sentence about the same sensor with counts; "" if it cannot have them."""
-    try:
-        config = run.config.with_sensor(counts=1).with_frame(frames=1, format=COUNTS)
-    except InputError:  # its minigroups have another size, or the frame has too few pulses
-        return ""
+def _with_counts(run: Run, config: Config) -> str:
+    """Return a sentence about the same sensor with counts. config: that of a frame of counts."""
     counted = _tried(run.alone(-1, config=config))
     return (
         f"With counts (counts = 1, format = {COUNTS}), the sensor would send {counted.bits:,} bits per"
@@ -387,19 +385,8 @@ def write_advice(out: Path, advice: Advice, heading: str) -> list[Path]:
     files = [out / name for name in (TABLE, PICTURE, SETTINGS)]
     write_csv(files[0], [HEADS, *(one.row() for one in advice.tried)])
     _draw(files[1], advice, heading)
-    best = advice.best.config
-    frames = SETTLING + 1 if best.auto.any() else 1
-    config = evolve(best, frame=evolve(best.frame, frames=frames))
-    written = config.written()
     with whole_file(files[2], "w") as file:
-        file.write(
-            toml_text(
-                {
-                    table: {k: v for k, v in of.items() if k != "mask"}
-                    for table, of in written.items()
-                }
-            )
-        )
+        file.write(config_text(advice.best.config))
     return files
 
 

@@ -119,6 +119,31 @@ def test_frames_of_too_few_pulses_for_counts_have_advice(counts):
     assert all(tried.config.format != "counts" for tried in advice.links)
 
 
+@pytest.mark.parametrize(
+    ("frame", "subgroup", "override"),
+    [
+        ({}, {"threshold": 2, "window": 8}, {}),
+        ({"frames": 5}, {"auto": True}, {}),  # one for each picture of a scene that moves
+        ({}, {"mask": "f" * 15 + "0"}, {}),
+        ({}, {"gating": True}, {"subgroups": [1, 3], "gate_start": 30, "mask": "fffe"}),
+        ({}, {"gate_start": 7}, {"subgroups": [0, 2], "gate_start": 30, "auto": True}),
+        ({"auto_bounds": [1, 2, 3, 4, 5, 6]}, {}, {"subgroups": [3], "threshold": 5}),
+    ],
+)
+def test_the_settings_that_are_written_are_those_that_were_tried(
+    tmp_path, monkeypatch, frame, subgroup, override
+):
+    monkeypatch.setattr("coincid.study.advise._draw", lambda *given: None)
+    config = configured({"rows": 16, "cols": 16}, frame, subgroup, *[override] * bool(override))
+    config = config.with_frame(capacity=None, link_gbps=4.0)
+    best = Tried(config=config, wrong=0.1, far=0.0, error_mm=9.0, bits=10, dropped=0.0, load=0.1)
+    advice = Advice(settings=[best], chosen=best, links=[best], best=best, klux=1.0)
+    read = load_config(write_advice(tmp_path, advice, "a wall")[-1])
+    assert read.sensor == config.sensor and read.frame == config.frame
+    assert read.register_writes() == config.register_writes()
+    assert read.given == config.given - {"frame.capacity"}
+
+
 def test_where_no_setting_helps_the_advice_begins_with_what_would(tmp_path):
     given = "--klux 100 --set rows=8 --set cols=8 --set pulses=5"
     done = command(f"advise flat:9,0.05 {given} --out {tmp_path}/out")
@@ -266,6 +291,13 @@ def test_what_a_configuration_means_by_hand(clock_mhz, gap):
     assert told["events that fit"] == pytest.approx(fitting, **near)
     if gap:
         assert told["gap"] == pytest.approx([gap, gap * cycle_ns / 1e3], **near)
+
+
+def test_the_events_that_fit_are_those_of_the_link():
+    """Whatever the controller is told."""
+    for capacity in (0, 20, 1 << 30):
+        told = dict(meaning(parse_config({"frame": {"capacity": capacity}})))
+        assert told["events that fit"] == dict(meaning(parse_config({})))["events that fit"]
 
 
 WITH_COUNTS = {"counts": 1}
