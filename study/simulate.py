@@ -40,13 +40,15 @@ from ..model.golden.frame import Golden, Trace
 from ..model.light.photons import edge_chunks
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import told_klux
-from ..model.shared.errors import InputError, extra
+from ..model.scenes.scene import Scene
+from ..model.shared.errors import InputError, extra, wrong_value
 from ..model.shared.files import whole_file
 from ..model.shared.interrupts import in_background
 from ..model.shared.pulse import with_pulse
 from ..tb.frame_record import FrameJob, Recorded
 from ..tb.replay import DEFAULT_VIEW, chosen_view
 from ..tb.rtl_errors import Mismatch
+from .config_file import mask_text
 from .progress import Bar, first_time
 from .schemes import (
     CONTROLLED,
@@ -196,9 +198,10 @@ def simulate_to_folder(
     report.json in `out`, and return the report.
 
     threshold: of `fixed`; None: that of the configuration if it gives one, else the best of 1 to 7
-    for this scene. settling: number of frames of `auto`, of which the last one counts (None:
-    `SETTLING` + 1, or one for each picture of a scene that moves); unused without the controller
-    in a still scene. A scene that moves also leaves `DEPTHS` and `ANIMATION`, of the last scheme.
+    for this scene; frames of counts have none. settling: number of frames of `auto`, of which the
+    last one counts (None: `SETTLING` + 1, or one for each picture of a scene that moves); unused
+    without the controller in a still scene, of which one frame is played. A scene that moves also
+    leaves `DEPTHS` and `ANIMATION`, of the last scheme.
     told: further entries of the report. events.npz
     is a result file of all frames, in the order of `SCHEMES`; depth.npz is `Depth.save` of the last
     frame. Raises `InputError`, and the errors of `play_runs`; after a `Mismatch`, only the
@@ -208,10 +211,13 @@ def simulate_to_folder(
     shown = chosen_view(engine, view, config.clock_mhz, waves)
     config.check_map()
     if threshold is not None:
+        if config.counting:
+            raise wrong_value("threshold", threshold, "left out, because frames have counts")
         config = config.with_settings(threshold=threshold)
     scene = setup.seen
-    usual = SLOW_SETTLING if engine == SLOW_ENGINE else SETTLING + 1
-    settling = settling or (scene.pictures if scene.later else usual)
+    schemes = schemes_of(config)
+    all_frames = seeing_all(config, scene)
+    settling = _frames_of(scene, engine, settling) if all_frames else 1
     timing, ambient = Timing.from_config(config), told_klux(setup.klux)
     golden = setup.but(
         config=config, frame={"frames": settling}, engine="golden", view=DEFAULT_VIEW
@@ -239,8 +245,6 @@ def simulate_to_folder(
     for path in (*others, out / DEPTHS, out / ANIMATION):  # from an earlier run
         path.unlink(missing_ok=True)
     compiled = partial(_prepare, engine, config.sensor, waves, shown)
-    schemes = schemes_of(config)
-    all_frames = seeing_all(config, scene)
     total = sum(settling if name in all_frames else 1 for name in schemes)
     with Bar(console, lines=True) as bar, in_background(compiled) as preparing:
         chooses = not config.counting and "subgroup.threshold" not in config.given
@@ -291,6 +295,15 @@ def simulate_to_folder(
             path.unlink()
     _tell(console, notes, config, titles, report, written)
     return report
+
+
+def _frames_of(scene: Scene, engine: str, settling: int | None) -> int:
+    """Return the number of frames of a scheme that sees all frames. settling: as it was given."""
+    if settling:
+        return settling
+    if scene.later:
+        return scene.pictures
+    return SLOW_SETTLING if engine == SLOW_ENGINE else SETTLING + 1
 
 
 def _golden_runs(run: Run, chooses: bool, streams: bool, bar: Bar) -> GoldenRuns:
@@ -409,9 +422,7 @@ def settings_of(config: Config) -> dict[str, Any]:
     differ.
     """
     subgroup = {name: getattr(config, name).tolist() for name in SUBGROUP}
-    subgroup["mask"] = [
-        f"{sum(1 << int(i) for i in np.flatnonzero(mask)):x}" for mask in config.mask
-    ]
+    subgroup["mask"] = [mask_text(mask) for mask in config.mask]
     derived: dict[str, Any] = {}
     if config.sensor.controller:
         derived = {"auto_bounds": config.auto_bounds.tolist(), "capacity": config.capacity}

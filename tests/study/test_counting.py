@@ -72,9 +72,15 @@ def test_simulation_of_counts_leaves_depth_and_its_numbers(tmp_path):
     depth = estimate_depth(arrays, of.config)
     assert np.array_equal(np.load(tmp_path / DEPTH)["depth_m"], depth.depth_m, equal_nan=True)
     assert report["wrong_share_counts"] < 0.05
+    assert report["frames"] == 1
     assert report["configuration"]["frame"]["search_pulses"] == 60
     assert f"{BEAT_BITS * report['beats_counts']:,}" in told
     assert "threshold" not in told
+
+
+def test_a_threshold_of_frames_of_counts_is_refused():
+    given = "--engine golden --set counts=1 --set format=counts --threshold 3"
+    assert_refused(command(f"sim {given}"), "threshold = 3: must be left out", "frames have counts")
 
 
 def test_counts_of_a_scene_that_moves(tmp_path):
