@@ -13,7 +13,7 @@ from amaranth.lib.wiring import In, Out, Signature, connect, flipped
 from ...hdl import bus
 from ...hdl.axi import LITE, OKAY, STREAM
 from ...hdl.unit import Unit, place
-from ...model.contract.registers import DATA_BITS, Access
+from ...model.contract.registers import DATA_BITS, Access, control
 from .. import parameters as chip
 from ..parameters import Emulator
 from .buffer import FrameBuffer, StreamSlice
@@ -93,6 +93,7 @@ class EmulatorControl(Unit):
         self.sources = Signal(DATA_BITS, reset_less=True)  # of the sources
         # Strobes to the blocks.
         self.reseed = Signal()  # a seed was written
+        self.renumbered = Signal()  # a soft reset has set the sensor's frame number to 0
         self.begin = Signal()  # to the seeder
         self.take = Signal()  # to the frame buffer
 
@@ -135,7 +136,7 @@ class EmulatorControl(Unit):
         """Let the emulator's own settings take effect."""
         late = Signal()  # the frame number changes with `frame_done`
         m.d.sync += late.eq(self.frame_done)
-        m.d.comb += self.begin.eq(self.reseed | late)
+        m.d.comb += self.begin.eq(self.reseed | self.renumbered | late)
         m.d.sync += [
             self.common.spread.eq((1 << self.setting["spread"]) - 1),
             self.common.dead.eq(self.setting["dead_cycles"] - 1),
@@ -255,7 +256,8 @@ class EmulatorControl(Unit):
             axi.awprot.eq(0),
             axi.arprot.eq(0),
         ]
-        m.d.sync += [access.done.eq(0), self.reseed.eq(0), self.write.valid.eq(0), self.take.eq(0)]
+        strobes = access.done, self.reseed, self.renumbered, self.write.valid, self.take
+        m.d.sync += [strobe.eq(0) for strobe in strobes]
         m.d.sync += [
             self.write.subgroup.eq(self.subgroup),
             self.write.echo.eq(self.is_echo),
@@ -293,6 +295,11 @@ class EmulatorControl(Unit):
                         access.value.eq(axi.rdata),
                     ]
                     m.next = "idle"
+                # The sensor resets itself before it answers.
+                address, reset = control("reset")
+                resets = (axi.awaddr == address) & (axi.wdata & reset).any()
+                with m.If(axi.bvalid & (axi.bresp == OKAY) & resets):
+                    m.d.sync += self.renumbered.eq(1)
             with m.State("local"):
                 m.d.sync += wait.eq(wait + 1)
                 with m.If(wait == LOCAL_CYCLES):

@@ -155,6 +155,22 @@ def test_every_pair_of_features(port):
     assert driver.transport.repeats == 0
 
 
+@pytest.mark.parametrize("frames", [0, 2])
+def test_after_a_soft_reset_the_light_is_that_of_frame_0_again(port, frames):
+    """Also where frame 0 was running, so that its number stays."""
+    of, settings = config(), source(3)
+    driver = programmed(port, of, settings)
+    check_frames(driver, of, settings, range(frames))
+    driver.program(config(pulses=200))
+    driver.start()
+    assert driver.status().busy
+    driver.reset()
+    while len(driver.waiting()):  # what the frame sent before
+        pass
+    driver.program(of)
+    check_frames(driver, of, settings, range(2))
+
+
 def test_registers(port):
     driver = EmulatorDriver(SerialTransport(port, patience_s=PATIENCE_S))
     for name, value in (("seed", 0xFFFF_FFFF), ("spread", 4), ("dead_cycles", 15)):
