@@ -21,12 +21,11 @@ from ..model.depth.depth import Depth
 from ..model.depth.estimate import estimate_depth
 from ..model.depth.quality import OTHER_SURFACE_M
 from ..model.golden.frame import Golden
-from ..model.light.light import BACKGROUNDS
+from ..model.light.light import BACKGROUNDS, Light
 from ..model.light.spad import Spad
 from ..model.light.timing import Timing
 from ..model.scenes.ambient import Ambient
 from ..model.scenes.scene import Scene, scene_light
-from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import InputError
 from ..study.pictures import Panel, depth_row
 from ..tb.rtl_errors import Mismatch
@@ -55,15 +54,9 @@ def source_settings(
     if scene.later:
         raise InputError(f"scene: has {scene.pictures} pictures, must have one for the emulator")
     light = scene_light(scene, klux, background=BACKGROUNDS[0])
-    distance_m = (
-        np.asarray(light.distance_m)[:, 0]
-        if np.ndim(light.distance_m) > 1
-        else np.asarray(light.distance_m)
-    )
-    signal = np.asarray(light.signal_per_pulse).reshape(sensor.array_pixels, -1)[:, 0]
-    ticks = np.rint(np.nan_to_num(2 * distance_m / SPEED_OF_LIGHT_M_S / timing.tick_s)).astype(
-        np.int64
-    )
+    distance_m, signal = _nearest_target(light)
+    # As a TDC does: the tick in which the light arrives, not the nearest edge of a tick.
+    ticks = np.floor(np.nan_to_num(distance_m / timing.tick_m)).astype(np.int64)
     in_range = np.isfinite(distance_m) & (ticks < config.period_ticks)
     level = np.where(
         in_range, np.minimum(np.rint((1 - np.exp(-signal)) * (1 << LEVEL_BITS)), LEVEL_MAX), 0
@@ -95,6 +88,15 @@ def source_settings(
         dead_cycles=dead_cycles,
         seed=seed,
     )
+
+
+def _nearest_target(light: Light) -> tuple[np.ndarray, np.ndarray]:
+    """float64[pixels] each: distance of a pixel's nearest target (NaN = none), and its signal."""
+    order_m = np.where(np.isnan(light.distance_m), np.inf, light.distance_m)
+    nearest = order_m.argmin(axis=1)[:, None]
+    distance_m = np.take_along_axis(light.distance_m, nearest, axis=1)
+    signal = np.take_along_axis(light.signal_per_pulse, nearest, axis=1)
+    return distance_m[:, 0], signal[:, 0]
 
 
 @define

@@ -52,25 +52,39 @@ def test_the_picture_is_drawn_while_frames_come(driver, tmp_path, monkeypatch):
     assert titles == [f"{n} frames of the emulator" for n in (1, 2, 3)]
 
 
-def test_a_pixel_with_two_surfaces_echoes_as_bright_as_the_first():
-    config = load_config("emulator")
-    sensor = config.sensor
-    distance_m = np.stack([np.full((sensor.rows, sensor.cols), d) for d in (4.0, 6.0)], axis=2)
-    reflectivity = np.full(distance_m.shape, 0.2)
-    both = Scene(name="both", distance_m=distance_m, reflectivity=reflectivity)
-    first = Scene(
-        name="first", distance_m=distance_m[:, :, :1], reflectivity=reflectivity[:, :, :1]
+def scene_with(distances_m):
+    """A scene in which each pixel of the preset has targets at these distances, in this order."""
+    sensor = load_config("emulator").sensor
+    distance_m = np.broadcast_to(distances_m, (sensor.rows, sensor.cols, len(distances_m)))
+    return Scene(
+        name="targets", distance_m=distance_m, reflectivity=np.full(distance_m.shape, 0.2)
     )
-    level, expected = (source_settings(config, one, 0.0).level for one in (both, first))
-    assert np.array_equal(level, expected)
-    assert level.min() > 0
+
+
+@pytest.mark.parametrize("distances_m", [(4.0, 6.0), (6.0, 4.0), (np.nan, 4.0), (np.nan, 6.0, 4.0)])
+def test_a_pixel_with_several_targets_has_the_echo_of_the_nearest(distances_m):
+    config = load_config("emulator")
+    settings, alone = (
+        source_settings(config, scene_with(targets), 0.0) for targets in (distances_m, (4.0,))
+    )
+    assert np.array_equal(settings.tick, alone.tick)
+    assert np.array_equal(settings.level, alone.level)
+    assert settings.level.min() > 0
+
+
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.9])
+def test_an_echo_begins_in_the_tick_in_which_its_light_arrives(part):
+    """Wherever in the tick that is."""
+    config = load_config("emulator")
+    settings = source_settings(config, scene_with([(30 + part) * config.tick_m]), 0.0)
+    assert (settings.tick == 30).all()
 
 
 def test_a_scene_as_settings():
     config = load_config("emulator")
     scene = scene_of(config, "flat:6,0.4")
     settings = source_settings(config, scene, 50.0)
-    tick = round(2 * 6 / 299_792_458 / config.tick_s)
+    tick = int(2 * 6 / 299_792_458 / config.tick_s)
     cycle_s = 1e-6 / config.clock_mhz
     assert (settings.tick == tick).all()
     assert (settings.level == round((1 - np.exp(-0.613 * (4 / 6) ** 2)) * 256)).all()
@@ -100,7 +114,7 @@ def test_only_what_lies_within_the_period_has_an_echo(beyond):
     config = load_config("emulator")
     tick = config.period_ticks + beyond
     distance_m = np.full((config.sensor.rows, config.sensor.cols), 2.0)
-    distance_m[0, 0] = tick * config.tick_m
+    distance_m[0, 0] = (tick + 0.5) * config.tick_m
     scene = Scene(name="far", distance_m=distance_m, reflectivity=np.ones_like(distance_m))
     settings = source_settings(config, scene, 0.0)
     assert (settings.tick < config.period_ticks).all()
