@@ -19,6 +19,7 @@ from ..model.contract.pixels import pixel_table
 from ..model.contract.result import ResultBuilder
 from ..model.depth.depth import Depth
 from ..model.depth.estimate import estimate_depth
+from ..model.depth.methods import DEFAULT_METHOD
 from ..model.depth.quality import OTHER_SURFACE_M
 from ..model.golden.frame import Golden
 from ..model.light.light import BACKGROUNDS, Light
@@ -35,7 +36,7 @@ from .source_model import SourceSettings, source_edges
 
 DEPTH = "depth.png"
 REDRAW_S = 1.0  # between two pictures
-METHOD = "matched"
+METHOD = "matched"  # of events
 LEVEL_MAX = (1 << LEVEL_BITS) - 1
 RATE_MAX = (1 << RATE_BITS) - 1
 RECOVERIES_MAX = 5  # in a row
@@ -126,8 +127,11 @@ class Session:
             raise InputError(
                 "subgroup.auto = true: the emulator is checked without the controller, must be false"
             )
-        self.driver, self.config, self.settings = driver, config, settings
-        self.golden, self.result, self.tally = Golden(config.sensor), ResultBuilder(config), Tally()
+        # The frame buffer takes the beats as if there were no link.
+        self.config = config.with_frame(link_gbps=0)
+        self.driver, self.settings = driver, settings
+        self.golden, self.tally = Golden(config.sensor), Tally()
+        self.result = ResultBuilder(self.config)
         self._begun: tuple[float, float] | None = None
         self._stalls = 0
         driver.resume()
@@ -210,7 +214,8 @@ class Session:
 
     def depth(self) -> Depth:
         """Return the depth from all frames together."""
-        return estimate_depth(self.result.arrays(), self.config, method=METHOD)
+        method = DEFAULT_METHOD if self.config.counting else METHOD
+        return estimate_depth(self.result.arrays(), self.config, method=method)
 
 
 def emulate(
@@ -227,8 +232,10 @@ def emulate(
     """Program a scene, take frames, check every word, and draw the depth from all frames so far
     into `out`.
 
-    The picture is drawn again every `REDRAW_S`. tell: called after each frame.
+    The picture is drawn again every `REDRAW_S`. tell: called after each frame. Raises `InputError`
+    before the first frame if depth cannot be made of the format.
     """
+    config.check_map()
     session = Session(driver, config, source_settings(config, scene, klux, seed=seed))
     out.mkdir(parents=True, exist_ok=True)
     drawn = time.monotonic()

@@ -12,10 +12,13 @@ from coincid.board.driver import EmulatorDriver
 from coincid.board.run import Session, source_settings
 from coincid.board.serial_transport import SerialTransport
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
+from coincid.board.source_model import source_edges
 from coincid.lab.setup import scene_of
 from coincid.model.contract.config import changes_of_text, load_config
 from coincid.model.depth.histograms import by_subgroup
+from coincid.model.golden.frame import Golden
 from coincid.model.scenes.scene import Scene
+from coincid.model.shared.errors import InputError
 from coincid.tb.rtl_errors import Mismatch
 
 from ..command import command
@@ -122,6 +125,65 @@ def test_only_what_lies_within_the_period_has_an_echo(beyond):
     assert settings.tick[0, 0] == (tick if inside else 0)
     assert (settings.level[0, 0] > 0) == inside
     assert (settings.level.ravel()[1:] > 0).all()
+
+
+def test_a_limit_of_the_link_does_not_change_what_is_predicted(driver):
+    """The emulator has no such link: its buffer takes the beats."""
+    config = CONFIG.with_frame(link_gbps=0.2, pulses=4)
+    settings = source_settings(config, scene_of(config, "flat:8"), 200.0)
+    session = Session(driver, config, settings)
+    beats = session.frame()
+    limited = Golden(config.sensor).frame(config, source_edges(config, settings, 0)).beats[0]
+    assert not np.array_equal(beats, limited)  # a limit that is felt
+
+
+class Unused:
+    """A driver that nobody may use."""
+
+    def __getattr__(self, name):
+        raise AssertionError(name)
+
+
+def test_a_format_without_a_map_is_refused_before_the_first_frame(tmp_path):
+    config = CONFIG.with_frame(format="short")
+    scene = scene_of(config, "flat:5")
+    with pytest.raises(InputError, match="frame.format = 'short': must be"):
+        run.emulate(Unused(), config, scene, tmp_path / "none", klux=50.0, frames=1)
+
+
+class Predicted:
+    """The driver of an emulator whose frames are as the golden model predicts."""
+
+    transport = None
+
+    def __init__(self, config, settings):
+        self.config, self.settings = config, settings
+        self.golden = Golden(config.sensor)
+
+    def resume(self):
+        pass
+
+    def program(self, config):
+        pass
+
+    def write_settings(self, writes):
+        pass
+
+    def __getitem__(self, name):
+        return 0
+
+    def frame(self):
+        edges = source_edges(self.config, self.settings, self.golden.frames)
+        return self.golden.frame(self.config, edges).beats[0]
+
+
+def test_depth_of_counts():
+    config = CONFIG.with_sensor(counts=1).with_frame(format="counts", pulses=40)
+    settings = source_settings(config, scene_of(config, "flat:5"), 0.0)
+    session = Session(Predicted(config, settings), config, settings)
+    session.frame()
+    depth_m = session.depth().depth_m[:, :, 0]
+    assert np.nanmedian(depth_m) == pytest.approx(5, abs=2 * config.tick_m)
 
 
 def test_a_wrong_word_is_found(driver):
