@@ -75,8 +75,8 @@ class EmulatorDriver(Driver):
         Raises `HostError` if the frame does not end within `seconds`.
         """
         self.programmed.clear()
-        self._assemblers[0].forget()
-        self._assemblers[0].frames.clear()
+        self._drop_unfinished()
+        self._joined.clear()
         if self.status().busy:
             self.abort()
         end = time.monotonic() + seconds

@@ -10,7 +10,7 @@ from attrs import frozen
 
 from ..model.contract import registers
 from ..model.contract.config import Config
-from ..model.contract.packet import FRAME_END, FRAME_START, layout
+from ..model.contract.packet import FRAME_END, FRAME_START, HEADER, header_field, layout
 from ..model.contract.parameters import SENSOR, Sensor
 from ..model.contract.registers import (
     ID_VALUE,
@@ -158,6 +158,7 @@ class Driver:
         self.sensor = sensor or read_sensor(transport)
         self.programmed = registers.reset_values(self.sensor) if fresh else {}
         self._assemblers = [FrameAssembler(self.sensor, k) for k in range(self.sensor.streams)]
+        self._joined: list[list[np.ndarray]] = []  # frames that all streams have sent
 
     def __getitem__(self, key: Key) -> int:
         """Read a register. Raises `InputError` if there is none of that name."""
@@ -220,10 +221,14 @@ class Driver:
         """
         self._write(*registers.control("reset"))
         self.programmed = registers.reset_values(self.sensor)
-        whole = min(len(assembler.frames) for assembler in self._assemblers)
+        self._drop_unfinished()
+
+    def _drop_unfinished(self) -> None:
+        """Drop the beats of frames that not all streams have sent."""
+        self._join()
         for assembler in self._assemblers:
             assembler.forget()
-            del assembler.frames[whole:]  # other streams have not sent theirs
+            assembler.frames.clear()
 
     def status(self) -> Status:
         """Read the status without clearing anything."""
@@ -258,20 +263,37 @@ class Driver:
         to decode.
 
         Raises `HostError` after `seconds` without further beats, and `StreamError` if the beats
-        are not a frame.
+        are not a frame. A frame that one stream has lost is dropped from the others.
         """
-        end, waiting = time.monotonic() + seconds, list(self._assemblers)
-        while waiting := [assembler for assembler in waiting if not assembler.frames]:
+        end = time.monotonic() + seconds
+        while not self._joined:
+            waiting = [assembler for assembler in self._assemblers if not assembler.frames]
             for assembler in waiting:
                 beats = self._beats(assembler.stream)
                 if len(beats):
                     assembler.add(beats)
                     end = time.monotonic() + seconds
-            if time.monotonic() > end:
+            self._join()
+            if not self._joined and time.monotonic() > end:
                 raise HostError(
                     f"stream {waiting[0].stream}: nothing more came for {seconds:g} s; the frame is not whole"
                 )
-        return [assembler.frames.pop(0) for assembler in self._assemblers]
+        return self._joined.pop(0)
+
+    def _join(self) -> None:
+        """Join the streams' frames of the same number."""
+        while all(assembler.frames for assembler in self._assemblers):
+            heads = [assembler.frames[0][0] for assembler in self._assemblers]
+            ahead = [_frames_between(heads[0], head) for head in heads]
+            lone = [
+                assembler
+                for assembler, frames in zip(self._assemblers, ahead, strict=True)
+                if frames < max(ahead)
+            ]
+            for assembler in lone:
+                del assembler.frames[0]  # a stream that is ahead has lost it
+            if not lone:
+                self._joined.append([assembler.frames.pop(0) for assembler in self._assemblers])
 
     def _beats(self, stream: int) -> np.ndarray:
         """Return the beats of a stream that have come since the last call."""
@@ -284,10 +306,18 @@ class Driver:
         try:
             write_block(self.transport, address, values)
         except RefusedError as error:
-            reasons = self.status().errors
+            reasons = error.reasons or self.status().errors
             if reasons:
                 self.clear(*reasons)
             raise RefusedError(str(error), reasons) from None
+
+
+def _frames_between(first: np.uint64, second: np.uint64) -> int:
+    """Return by how many frames the second head is ahead of the first one; their numbers wrap."""
+    _, bits = HEADER["pulse"]
+    numbers = 1 << bits
+    ahead = int(header_field(second, "pulse")) - int(header_field(first, "pulse"))
+    return (ahead + numbers // 2) % numbers - numbers // 2
 
 
 def read_sensor(transport: Transport) -> Sensor:

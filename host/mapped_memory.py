@@ -6,7 +6,6 @@
 import ctypes
 import mmap
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,10 @@ from ..model.contract import registers
 from ..model.contract.registers import ADDRESS_BITS
 from ..model.shared.errors import InputError
 from ..model.shared.files import FilePath
-from .transport import RefusedError, errors_in
+from .transport import ERRORS, STATUS, RefusedError, errors_in
+
+STATUS_ADDRESS = registers.address("status")
+ERROR_BITS = sum(1 << STATUS.bit(name) for name in ERRORS)
 
 
 class MemoryTransport:
@@ -24,10 +26,11 @@ class MemoryTransport:
     path: of the file; base: byte offset of the sensor in it, a multiple of the page size; size:
     number of bytes to map.
 
-    A processor's store does not wait for the answer of the bus. So the sensor's sticky status
-    bits are read after each write or run of writes, and they show a refusal. This transport has
-    no stream, and `receive` returns nothing. A design with a DMA engine overrides it; a design
-    may also have a buffer that is read through registers.
+    A processor's load or store does not get the answer of the bus. So the sensor's sticky error
+    bits are read after each access, and they show a refusal. Those from before are cleared in the
+    sensor, because they would hide it, and kept here: reading the status gives them, and writing
+    it clears them. This transport has no stream, and `receive` returns nothing. A design with a
+    DMA engine overrides it; a design may also have a buffer that is read through registers.
     """
 
     def __init__(self, path: FilePath, base: int = 0, size: int = 1 << ADDRESS_BITS):
@@ -39,6 +42,7 @@ class MemoryTransport:
                 f"{os.fspath(path)}: {size} bytes from {base:#x} on cannot be mapped ({error})"
             ) from None
         self._words = (ctypes.c_uint32 * (size // 4)).from_buffer(self._map)
+        self._errors = 0  # sticky error bits that were cleared in the sensor, but not by the user
 
     def __enter__(self) -> "MemoryTransport":
         return self
@@ -48,19 +52,32 @@ class MemoryTransport:
         self._map.close()
 
     def read(self, address: int) -> int:
-        """Return the word at `address`."""
-        return self._words[address // 4]
+        """Return the word at `address`. Raises `RefusedError`."""
+        self._keep_errors()
+        value = self._words[address // 4]
+        self._check(f"read of {address:#07x}")
+        return value | self._errors if address == STATUS_ADDRESS else value
 
     def write(self, address: int, value: int) -> None:
-        """Write `value` to `address`. Raises `RefusedError` if the status shows a refusal."""
-        self.write_block(address, [value])
+        """Write `value` to `address`. Raises `RefusedError`."""
+        self._keep_errors()
+        if address == STATUS_ADDRESS:
+            self._errors &= ~value
+        self._words[address // 4] = value
+        self._check(f"write of {value:#x} to {address:#07x}")
 
-    def write_block(self, address: int, values: Sequence[int]) -> None:
-        """Write several words from `address` on. Raises the same error."""
-        for i, value in enumerate(values):
-            self._words[address // 4 + i] = value
-        if reasons := errors_in(self._words[registers.address("status") // 4]):
-            raise RefusedError(f"write of {len(values)} words from {address:#07x} on", reasons)
+    def _check(self, access: str) -> None:
+        """Raise `RefusedError` if the access has set error bits."""
+        if reasons := errors_in(self._keep_errors()):
+            raise RefusedError(access, reasons)
+
+    def _keep_errors(self) -> int:
+        """Move the sensor's error bits here, and return them, as in the status."""
+        errors = self._words[STATUS_ADDRESS // 4] & ERROR_BITS
+        if errors:
+            self._words[STATUS_ADDRESS // 4] = errors
+        self._errors |= errors
+        return errors
 
     def receive(self, stream: int) -> np.ndarray:
         """Return no beats; see the class."""

@@ -341,10 +341,11 @@ class Delivery(Memory):
         return portions.pop(0) if portions else np.zeros(0, np.uint64)
 
 
-def three_frames(**settings):
-    """The beats of three frames of the odd sensor, by frame and stream."""
+def three_frames(number=0, **settings):
+    """The beats of three frames of the odd sensor from that number on, by frame and stream."""
     of = configured(SENSORS["odd"], {"pulses": 2} | settings)
     golden = Golden(ODD)
+    golden.frames = number
     return [golden.frame(of, random_edges(of, 300, seed)).beats for seed in range(3)]
 
 
@@ -392,6 +393,40 @@ def test_a_reset_leaves_no_frame_that_other_streams_have_not_sent():
     assert all(map(np.array_equal, driver.receive(), third))
 
 
+def after_an_error(first, second):
+    """Return a driver over streams of which one sends a wrong beat in place of its first frame."""
+    delivery = Delivery()
+    driver = Driver(delivery, ODD, fresh=True)
+    damaged, *others = delivery.streams
+    delivery.streams[damaged] += [np.zeros(1, np.uint64), second[damaged]]
+    for stream in others:
+        delivery.streams[stream].append(first[stream])
+    with pytest.raises(StreamError):
+        driver.receive(seconds=0.05)
+    return driver, delivery
+
+
+@pytest.mark.parametrize("number", [0, 0xFFFF])
+def test_a_frame_that_one_stream_has_lost_is_dropped_from_the_others(number):
+    first, second, _ = three_frames(number)
+    driver, delivery = after_an_error(first, second)
+    _, *others = delivery.streams
+    for stream in others:
+        delivery.streams[stream].append(second[stream])
+    assert all(map(np.array_equal, driver.receive(seconds=0.05), second))
+
+
+def test_a_reset_after_an_error_leaves_no_frame_that_one_stream_has_sent():
+    first, second, third = three_frames()
+    driver, delivery = after_an_error(first, second)
+    with pytest.raises(HostError, match="nothing more came"):
+        driver.receive(seconds=0.05)
+    driver.reset()
+    for stream, portions in delivery.streams.items():
+        portions.append(third[stream])
+    assert all(map(np.array_equal, driver.receive(seconds=0.05), third))
+
+
 def test_a_slow_stream_is_waited_for_as_long_as_beats_come(monkeypatch):
     now_s = [0.0]
 
@@ -411,9 +446,7 @@ def test_a_slow_stream_is_waited_for_as_long_as_beats_come(monkeypatch):
 
 
 def test_mapped_file(tmp_path):
-    """In a file of plain memory, every word goes to its place, and a sticky status bit means a
-    refusal.
-    """
+    """In a file of plain memory, every word goes to its place."""
     path, base = tmp_path / "uio", 1 << 16
     path.write_bytes(bytes(base + (1 << ADDRESS_BITS)))
     image = np.memmap(path, np.uint32, "r+", offset=base)
@@ -425,34 +458,90 @@ def test_mapped_file(tmp_path):
         assert driver.sensor == SENSOR
         driver.program(of)
         assert all(image[at // 4] == value for at, value in of.register_writes())
-        image[address("status") // 4] = 1 << BY_NAME["status"].bit("bad_value")
-        with pytest.raises(RefusedError) as refused:
-            driver["period"] = 50
-        assert refused.value.reasons == ("bad_value",)
     with pytest.raises(InputError, match="cannot be mapped"):
         MemoryTransport(tmp_path / "none")
 
 
 class StickyWords(dict):
-    """A mapped sensor that refuses a period of 0, and whose status a write of 1 clears."""
+    """The words of a mapped sensor: it refuses a threshold or a period of 0, and has nothing at
+    `NOWHERE`. A write of 1 clears a bit of its status.
+    """
+
+    status = address("status") // 4
+    of_values = [address("period") // 4, *(address("threshold", s) // 4 for s in range(2))]
+
+    def refuse(self, reason):
+        super().__setitem__(self.status, self[self.status] | 1 << STATUS.bit(reason))
+
+    def __getitem__(self, word):
+        if word == NOWHERE // 4:
+            self.refuse("bad_address")
+            return 0
+        return super().__getitem__(word)
 
     def __setitem__(self, word, value):
-        status = address("status") // 4
-        if word == status:
-            value = self[status] & ~value
-        elif word == address("period") // 4 and value == 0:
-            super().__setitem__(status, 1 << BY_NAME["status"].bit("bad_value"))
-        super().__setitem__(word, value)
+        if word == self.status:
+            super().__setitem__(word, self[word] & ~value)
+        elif word in self.of_values and value == 0:
+            self.refuse("bad_value")
+        else:
+            super().__setitem__(word, value)
 
 
-def test_a_mapped_sensor_tells_its_refusal_after_the_write(tmp_path):
-    """Not after the next one, and until the bit is cleared, which is a write, too."""
+NOWHERE = 0xFFC
+
+
+@pytest.fixture
+def mapped(tmp_path):
     path = tmp_path / "uio"
     path.write_bytes(bytes(1 << ADDRESS_BITS))
     with MemoryTransport(path) as transport:
-        transport._words = StickyWords({address("status") // 4: 0})
-        transport.write(address("period"), 99)
-        with pytest.raises(RefusedError):
-            transport.write(address("period"), 0)
-        transport.write(address("status"), 1 << BY_NAME["status"].bit("bad_value"))
-        transport.write(address("period"), 98)
+        transport._words = StickyWords(
+            {at // 4: value for at, value in registers.reset_values(SENSOR).items()}
+            | {StickyWords.status: 0}
+        )
+        yield transport
+
+
+def test_a_mapped_sensor_tells_its_refusal_after_the_access(mapped):
+    """Not after the next one."""
+    mapped.write(address("period"), 99)
+    with pytest.raises(RefusedError, match="write of 0x0 .*bad_value"):
+        mapped.write(address("period"), 0)
+    mapped.write(address("period"), 98)
+    with pytest.raises(RefusedError, match="read of 0x00ffc .*bad_address"):
+        mapped.read(NOWHERE)
+    assert mapped.read(address("period")) == 98
+
+
+@pytest.mark.parametrize("old", ["bad_value", "bad_address"])
+def test_an_old_error_of_a_mapped_sensor_is_no_refusal_and_hides_none(mapped, old):
+    """It stays until it is cleared."""
+    mapped._words.refuse(old)
+    driver = Driver(mapped, SENSOR)
+    driver["period"] = 50
+    assert driver["period"] == 50
+    assert driver.status().errors == (old,)
+    with pytest.raises(RefusedError) as refused:
+        mapped.write(address("period"), 0)
+    assert refused.value.reasons == ("bad_value",)
+    driver.clear()
+    assert driver.status().errors == ()
+
+
+def test_a_driver_tells_and_clears_the_new_reason_only(mapped):
+    mapped._words.refuse("bad_address")
+    driver = Driver(mapped, SENSOR)
+    driver.programmed.clear()
+    with pytest.raises(RefusedError) as refused:
+        driver.write_settings([(address("period"), 0)])
+    assert refused.value.reasons == ("bad_value",)
+    assert driver.status().errors == ("bad_address",)
+
+
+def test_a_mapped_sensor_keeps_the_words_after_a_refused_one(mapped):
+    first = address("threshold", 0)
+    before = mapped.read(first + 4)
+    with pytest.raises(RefusedError):
+        write_block(mapped, first, [0, before + 1])
+    assert mapped.read(first + 4) == before
