@@ -54,6 +54,10 @@ def source_settings(
     sensor, timing = config.sensor, Timing.from_config(config)
     if scene.later:
         raise InputError(f"scene: has {scene.pictures} pictures, must have one for the emulator")
+    if scene.transient is not None:
+        raise InputError(
+            "scene: has the shape of its light in time, must have distances for the emulator"
+        )
     light = scene_light(scene, klux, background=BACKGROUNDS[0])
     distance_m, signal = _nearest_target(light)
     # As a TDC does: the tick in which the light arrives, not the nearest edge of a tick.

@@ -22,6 +22,7 @@ from coincid.model.shared.errors import InputError
 from coincid.tb.rtl_errors import Mismatch
 
 from ..command import command
+from ..transients import synthetic
 from .test_emulator import EMULATOR
 
 # Of the emulator that `test_emulator.py` compiles.
@@ -81,6 +82,14 @@ def test_an_echo_begins_in_the_tick_in_which_its_light_arrives(part):
     config = load_config("emulator")
     settings = source_settings(config, scene_with([(30 + part) * config.tick_m]), 0.0)
     assert (settings.tick == 30).all()
+
+
+def test_a_scene_without_distances_is_refused():
+    """It would be dark."""
+    config = load_config("emulator")
+    scene = evolve(scene_with([4.0]), transient=synthetic(np.ones((8, 8, 5))))
+    with pytest.raises(InputError, match="scene: .* must have distances"):
+        source_settings(config, scene, 0.0)
 
 
 def test_a_scene_as_settings():
