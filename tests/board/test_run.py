@@ -60,9 +60,7 @@ def scene_with(distances_m):
     """A scene in which each pixel of the preset has targets at these distances, in this order."""
     sensor = load_config("emulator").sensor
     distance_m = np.broadcast_to(distances_m, (sensor.rows, sensor.cols, len(distances_m)))
-    return Scene(
-        name="targets", distance_m=distance_m, reflectivity=np.full(distance_m.shape, 0.2)
-    )
+    return Scene(name="targets", distance_m=distance_m, reflectivity=np.full(distance_m.shape, 0.2))
 
 
 @pytest.mark.parametrize("distances_m", [(4.0, 6.0), (6.0, 4.0), (np.nan, 4.0), (np.nan, 6.0, 4.0)])
