@@ -58,6 +58,7 @@ from .walk import (
 
 CHUNK_EDGES = 1 << 16  # edges generated and sorted at a time: they fit a core's cache
 PULSES_MAX = 1 << 40
+REACH_SIGMAS = 5.0  # from the centre of another LiDAR's pulse to its first and last light
 APART_PULSES_MAX = 1 << 24  # pulses whose starts are kept
 
 
@@ -195,8 +196,9 @@ def _in_ticks(
         for name in ("start_cycles", "len_cycles", "step_cycles")
     )
     other = light.interferer or Interferer(photons_per_pulse=0.0)
+    other_sigma = other.fwhm_s * SIGMA_PER_FWHM / tick_s
     if timing.waits:
-        check_integer("pulses", pulse_stop, 0, APART_PULSES_MAX, "with a gap or dither")
+        check_integer("pulses", pulse_stop, 0, APART_PULSES_MAX, "with a gap, dither or pauses")
     physics = Physics(
         period_ticks=float(period_ticks),
         spacing_ticks=float(timing.spacing_ticks),
@@ -215,7 +217,9 @@ def _in_ticks(
         gate_steps=gate.steps,
         frame_pulses=gate.frame_pulses,
         other_period_ticks=other.period_s / tick_s if light.interferer else 0.0,
-        other_sigma=other.fwhm_s * SIGMA_PER_FWHM / tick_s,
+        other_sigma=other_sigma,
+        # A pulse of several periods, which is no pulse, would take forever.
+        other_reach=min(REACH_SIGMAS * other_sigma, float(period_ticks)),
         bin_width=light.arrivals.width_s / tick_s if light.arrivals else 0.0,
     )
     bin_first, bin_start, bin_photons = _bins(light, tick_s, period_ticks)

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clock and TDC of the photon model: tick, laser period, gap, dither."""
+"""Clock and TDC of the photon model: tick, laser period, waits between two periods."""
 
 import numpy as np
 from attrs import frozen
 
 from ..contract.config import Config
+from ..contract.counts import pause_cycles
 from ..contract.dither import DITHER_BITS_MAX, GAP_MAX, LFSR_BITS, start_cycles
 from ..contract.parameters import CLOCK_MHZ
 from ..shared.constants import SPEED_OF_LIGHT_M_S
@@ -20,7 +21,9 @@ class Timing:
     tap_width_lsb: float64[phases], widths of the TDC's phases, which sum to `phases`; None = all
     1. gap_cycles, dither_bits, dither_seed: settings of the wait between two periods
        (docs/contract.md). frame_pulses: number of pulses after which the sequence of waits starts
-    again; 0: all pulses are one frame.
+    again; 0: all pulses are one frame. search_pulses, search_minigroups: pulses
+    of each search of a frame of counts, 0: no counts; and the minigroups of a subgroup, by which the
+    pause after a search is long.
     """
 
     clock_hz: float = real(CLOCK_MHZ * 1e6, 1)
@@ -31,6 +34,8 @@ class Timing:
     dither_bits: int = 0
     dither_seed: int = 1
     frame_pulses: int = 0
+    search_pulses: int = 0
+    search_minigroups: int = 0
 
     def __attrs_post_init__(self) -> None:
         check_integer("phases", self.phases, 1, 1024)
@@ -39,6 +44,8 @@ class Timing:
         check_integer("dither_bits", self.dither_bits, 0, DITHER_BITS_MAX)
         check_integer("dither_seed", self.dither_seed, 1, (1 << LFSR_BITS) - 1)
         check_integer("frame_pulses", self.frame_pulses, 0, 1 << 16)
+        check_integer("search_pulses", self.search_pulses, 0, 1 << 16)
+        check_integer("search_minigroups", self.search_minigroups, 0, 1 << 16)
         if self.tap_width_lsb is not None:
             total = real_array("tap_width_lsb", self.tap_width_lsb, (self.phases,), 0).sum()
             if abs(total - self.phases) > 1e-9 * self.phases:
@@ -48,7 +55,7 @@ class Timing:
 
     @classmethod
     def from_config(cls, config: Config, tap_width_lsb: np.ndarray | None = None) -> "Timing":
-        """Return clock, phases, period, gap and dither of a configuration."""
+        """Return clock, phases, period and waits of a configuration."""
         return cls(
             clock_hz=config.clock_mhz * 1e6,
             phases=config.sensor.phases,
@@ -58,6 +65,8 @@ class Timing:
             dither_bits=config.frame.dither_bits,
             dither_seed=config.frame.dither_seed,
             frame_pulses=config.pulses,
+            search_pulses=config.search_pulses if config.counting else 0,
+            search_minigroups=config.sensor.minigroups if config.counting else 0,
         )
 
     @property
@@ -75,13 +84,13 @@ class Timing:
 
     @property
     def spacing_ticks(self) -> int:
-        """From the beginning of a period to that of the next one, without dither's wait."""
+        """From the beginning of a period to that of the next one, without pauses and dither's wait."""
         return (self.period_cycles + self.gap_cycles) * self.phases
 
     @property
     def waits(self) -> bool:
         """Whether there may be cycles between two periods."""
-        return self.gap_cycles > 0 or self.dither_bits > 0
+        return self.gap_cycles > 0 or self.dither_bits > 0 or self.search_pulses > 0
 
     @property
     def period_s(self) -> float:
@@ -105,6 +114,9 @@ class Timing:
             self.dither_seed,
             self.gap_cycles,
         )
+        if self.search_pulses:
+            for search, pause in enumerate(pause_cycles(self.search_minigroups), start=1):
+                frame[search * self.search_pulses :] += max(0, pause - self.gap_cycles)
         number, pulse = np.divmod(np.arange(pulses + 1), max(1, len(frame) - 1))
         return number * frame[-1] + frame[pulse]
 

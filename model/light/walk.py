@@ -66,6 +66,7 @@ class Physics(NamedTuple):
     frame_pulses: int  # after which progressive gating starts again
     other_period_ticks: float  # laser period of another LiDAR, 0 without one
     other_sigma: float  # of its pulse
+    other_reach: float  # of its light, from the centre of its pulse on, before and after it
     bin_width: float  # of signal in bins
 
 
@@ -324,7 +325,7 @@ def _arrival(
 ) -> float:
     """Return the arrival of photon `i`, of the target or bin to which `mark` belongs.
 
-    Negative: in the gap before the period.
+    Negative: in the wait before the period.
     """
     period_ticks = physics.period_ticks
     pixel = at.pixel
@@ -345,14 +346,34 @@ def _arrival(
         t = begins + interpolated(uniform(at.key, SHAPE, i), arrays.shape_share, arrays.shape)
     else:
         t = begins + arrays.sigma[pixel, target] * normal(at.key, SHAPE, i)
-    apart = physics.spacing_ticks > period_ticks
-    if arrays.starts.size and (lap or apart):  # from an earlier pulse, whose distance varies
-        emitted = max(pulse - lap, 0)
-        regular = (pulse - emitted) * physics.spacing_ticks
-        t += regular - (arrays.starts[pulse] - arrays.starts[emitted])
-        if not 0 <= t < period_ticks:
-            return -1.0
+    if arrays.starts.size:
+        return _from_any_pulse(t, pulse, lap, physics, arrays)
     return _modulo(t, period_ticks)
+
+
+@part(error_model="numpy")
+def _from_any_pulse(t: float, pulse: int, lap: int, physics: Physics, arrays: Arrays) -> float:
+    """Return the arrival of light that comes `lap` regular spacings and `t` after its own pulse.
+
+    Pulses are at least a period apart, so at most one of them sends such light into this period; it
+    may be the next one, if its light begins before its trigger. Negative: none does.
+    """
+    emitted = pulse - lap
+    waited = arrays.starts[pulse] - _start(emitted, physics, arrays)
+    t += lap * physics.spacing_ticks - waited
+    while t < 0 and emitted <= pulse:
+        t += _start(emitted + 1, physics, arrays) - _start(emitted, physics, arrays)
+        emitted += 1
+    while t >= physics.period_ticks:
+        t -= _start(emitted, physics, arrays) - _start(emitted - 1, physics, arrays)
+        emitted -= 1
+    return t
+
+
+@part(error_model="numpy")
+def _start(pulse: int, physics: Physics, arrays: Arrays) -> float:
+    """Return the start of a pulse's period; before the first one, the laser ran without waits."""
+    return arrays.starts[pulse] if pulse >= 0 else pulse * physics.spacing_ticks
 
 
 @part(error_model="numpy")
@@ -373,8 +394,10 @@ def _draw_others(
     Return the new n.
     """
     drawn = 0
-    t = -_modulo(since, physics.other_period_ticks)  # tail of the last pulse before the period
-    while t < physics.period_ticks:
+    t = -_modulo(since, physics.other_period_ticks)
+    while t > -physics.other_reach:  # pulses before the period, which still send late light into it
+        t -= physics.other_period_ticks
+    while t < physics.period_ticks + physics.other_reach:  # and those after it, early light
         sum_of_gaps = exponential(key, OTHER, drawn)
         while sum_of_gaps < mean:
             arrives = t + physics.other_sigma * normal(key, OTHER_SHAPE, drawn)

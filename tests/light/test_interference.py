@@ -11,7 +11,7 @@ from coincid.model.light.light import Interferer, Light
 from coincid.model.light.photons import edge_chunks, generate_edges
 from coincid.model.light.spad import Spad
 from coincid.model.light.timing import Timing
-from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
+from coincid.model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
 
 from .test_photons import BARE, LEVEL, same
@@ -73,6 +73,25 @@ def test_width_of_the_others_pulse():
     assert time_s.std() == pytest.approx(2e-9 / 2.3548, rel=0.02)
 
 
+def test_light_of_the_other_falls_on_both_sides_of_a_trigger():
+    """A third of it comes before the trigger, at the end of the period before."""
+    other = Interferer(photons_per_pulse=0.5, phase_s=0.5e-9, fwhm_s=2.5e-9)
+    edges = edges_of(dark(interferer=other), Timing())
+    early = stats.norm.cdf(-0.5e-9, scale=2.5e-9 * SIGMA_PER_FWHM)
+    expected = np.array([early, 1 - early]) * 0.5 * 64 * 400
+    seen = np.bincount(edges.tick < 4000)
+    assert seen == pytest.approx(expected, rel=0.05)
+
+
+def test_wide_pulses_of_the_other_are_even_light():
+    """Also in the first nanoseconds of a period, where there is light of several earlier pulses."""
+    other = Interferer(photons_per_pulse=0.1, period_s=1e-9, fwhm_s=5e-9)
+    edges = edges_of(dark(interferer=other), Timing(), pulses=200)
+    expected = 64 * 200 * 0.1
+    seen = np.bincount(edges.tick // 16, minlength=500)
+    assert seen == pytest.approx(np.full(500, expected), abs=5 * expected**0.5)
+
+
 def waits_of(pulses, bits):
     return np.diff(start_cycles(pulses, 250, bits)) - 250
 
@@ -109,6 +128,24 @@ def test_every_frame_waits_alike():
     assert np.diff(gap.start_cycles()).tolist() == [*(1250 + waits[:6]), 250]
     # A frame ends with its last period.
     assert np.diff(config.start_cycles()).tolist() == (250 + np.r_[waits[:6], 0]).tolist()
+
+
+def test_searches_of_counts_are_waits_as_those_of_the_sensor():
+    """So the pulses of another LiDAR with our spacing of 350 cycles come at another time after each
+    search: these take 13,244 and 8252 cycles more than the gap, or 56 and 148 less than a multiple.
+    """
+    config = parse_config(
+        {
+            "sensor": {"rows": 8, "cols": 8, "counts": 1},
+            "frame": {"format": "counts", "pulses": 10, "gap": 100},
+        }
+    )
+    timing = Timing.from_config(config)
+    assert timing.start_cycles(10)[:10].tolist() == config.start_cycles()[:10].tolist()
+    other = Interferer(photons_per_pulse=40, period_s=700e-9, phase_s=33.01e-9, **SHARP)
+    edges = edges_of(dark(interferer=other), timing, pulses=10)
+    of_pulse = [np.unique(edges.tick[edges.pulse == pulse]).tolist() for pulse in range(10)]
+    assert of_pulse == [[528]] * 2 + [[528 + 56 * 32]] * 2 + [[2320 + 148 * 32]] * 6
 
 
 def test_dither_leaves_what_is_in_range_alone():
@@ -185,12 +222,14 @@ def test_where_light_arrives_with_gaps(flight, arrives):
     assert np.unique(edges.tick).tolist() == ticks
 
 
-def test_dither_spreads_what_is_out_of_range():
-    """A target beyond the laser period answers the previous pulse, or falls into the wait after
-    it.
+@pytest.mark.parametrize("bits", (4, 8))
+@pytest.mark.parametrize("periods", (1.04, 1.8, 2.3, 5.3))
+def test_dither_spreads_what_is_out_of_range(bits, periods):
+    """A target beyond the laser period answers an earlier pulse, or falls into a wait. Before the
+    first pulse, the laser did not wait.
     """
-    timing = Timing(dither_bits=4)
-    flight_s = timing.period_s + 20e-9
+    timing = Timing(dither_bits=bits)
+    flight_s = (periods * 8000 + 0.5) * timing.tick_s
     far = Light(
         rows=8,
         cols=8,
@@ -199,13 +238,24 @@ def test_dither_spreads_what_is_out_of_range():
         system_fwhm_s=0.0,
     )
     edges = edges_of(far, timing)
-    waits = waits_of(400, 4)
-    expected = {(k + 1, int(320 - 32 * waits[k])) for k in range(399) if waits[k] <= 10} | {
-        (0, 320)
-    }
-    assert {(int(p), int(t)) for p, t in zip(edges.pulse, edges.tick, strict=True)} == {
-        one for one in expected if one[1] >= 0
-    }
+    starts = np.concatenate([[0], np.cumsum(250 + waits_of(400, bits))]) * 32
+    sent = np.concatenate([np.arange(-8, 0) * 8000, starts[:400]])
+    arrives = sent + round(periods * 8000)
+    pulse = np.searchsorted(starts, arrives, side="right") - 1
+    inside = (pulse >= 0) & (pulse < 400)
+    pulse = pulse[inside]
+    tick = arrives[inside] - starts[pulse]
+    expected = set(zip(pulse[tick < 8000].tolist(), tick[tick < 8000].tolist(), strict=True))
+    assert len(expected) > 10
+    assert set(zip(edges.pulse.tolist(), edges.tick.tolist(), strict=True)) == expected
+
+
+def test_dither_parts_a_pulse_at_the_end_of_the_range():
+    """Its late half comes in the wait and is lost, unless there is no wait."""
+    timing = Timing(dither_bits=8)
+    wall = Light(rows=8, cols=8, distance_m=timing.range_m, signal_per_pulse=0.5)
+    expected = 0.5 * 64 * 400 * 0.5
+    assert len(edges_of(wall, timing)) == pytest.approx(expected, rel=0.05)
 
 
 def test_neither_chunks_nor_workers_change_the_edges():
@@ -231,7 +281,7 @@ def test_bad_values():
         ),
         (
             lambda: edges_of(dark(), Timing(dither_bits=1), pulses=1 << 25),
-            "pulses = 33554432.*with a gap or dither",
+            "pulses = 33554432.*with a gap, dither or pauses",
         ),
     ):
         with pytest.raises(InputError, match=words):

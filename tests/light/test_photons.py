@@ -413,6 +413,8 @@ def test_the_timing_of_a_configuration_has_every_field():
         dither_seed=5,
         frame_pulses=7,
         gap_cycles=11,
+        search_pulses=0,
+        search_minigroups=0,
     )
 
 
