@@ -38,11 +38,9 @@ def gap_for(config: Config, rate_per_s: float) -> int:
     """Return the longest gap, in cycles, with which a configuration has so many frames per second.
 
     Raises `InputError` if not even a gap of 0 is short enough, or the gap would be longer than the
-    longest one.
+    longest one. A frame of one pulse has no gap, so it has a single rate.
     """
     check_real("rate_per_s", rate_per_s, RATE_MIN_PER_S)
-    if config.pulses == 1:
-        return 0
     cycles = int(Fraction(str(config.clock_mhz)) * 1_000_000 / Fraction(str(rate_per_s)))
 
     def cycles_with(gap: int) -> int:
@@ -50,7 +48,7 @@ def gap_for(config: Config, rate_per_s: float) -> int:
 
     # The waits of a frame are not proportional to the gap: those between searches are long already.
     gap = bisect_right(range(GAP_MAX + 1), cycles, key=cycles_with) - 1
-    longer = config.pulses - 1  # cycles that a gap of one more would take
+    longer = max(1, config.pulses - 1)  # cycles that a gap of one more would take
     if gap < 0 or cycles >= cycles_with(GAP_MAX) + longer:
         low = frames_per_s(config.with_frame(gap=GAP_MAX))
         high = frames_per_s(config.with_frame(gap=0))
@@ -58,7 +56,7 @@ def gap_for(config: Config, rate_per_s: float) -> int:
             f"rate_per_s = {rate_per_s:g}: must be from {low:.6g} to {high:.6g} with these periods",
             field="rate_per_s",
         )
-    return gap
+    return gap if config.pulses > 1 else 0
 
 
 def told_pace(config: Config) -> str:

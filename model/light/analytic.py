@@ -30,7 +30,7 @@ from ..contract.pixels import pixel_table
 from ..shared.compiled import njit
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 from ..shared.errors import InputError, check_integer
-from ..shared.quantities import Numbers, check_choice, real_array
+from ..shared.quantities import Numbers, check_choice, check_real, real_array
 from .link_budget import FORMS
 from .spad import Spad
 from .timing import Timing
@@ -352,12 +352,12 @@ def success_probability(expected: np.ndarray, flight_s: float, timing: Timing) -
     """Probability that the largest bin of a pixel's histogram lies within `SUCCESS_TOLERANCE_S`
     of the target.
 
-    expected: float64[ticks], mean counts, assumed to be independent and Poisson. The target is at
-    the maximum of the mean within a nanosecond of the time of flight. So the lead of the first
-    photons is assumed to be calibrated. A tie counts half.
+    expected: float64[ticks], mean counts, assumed to be independent and Poisson. flight_s: time of
+    flight, also beyond the laser period. The target is at the maximum of the mean within a
+    nanosecond of it. So the lead of the first photons is assumed to be calibrated. A tie counts half.
     """
     time_s = (np.arange(len(expected)) + 0.5) * timing.tick_s
-    near = np.abs(time_s - flight_s) < 1e-9
+    near = np.abs(time_s - flight_s % timing.period_s) < 1e-9
     peak_s = time_s[near][np.argmax(expected[near])]
     inside = np.abs(time_s - peak_s) <= SUCCESS_TOLERANCE_S
     k = np.arange(int(expected.max() + 10 * np.sqrt(expected.max())) + 20)
@@ -380,7 +380,7 @@ def success_by_threshold(
     float64[7]. See `histogram`.
     """
     timing = timing or Timing()
-    flight_s = 2 * distance_m / SPEED_OF_LIGHT_M_S
+    flight_s = 2 * check_real("distance_m", distance_m, 0) / SPEED_OF_LIGHT_M_S
 
     def success(threshold: int) -> float:
         light = distance_m, signal_per_pulse, noise_cps

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 
 from ..contract.edges import Edges
+from ..contract.settings import GATE_MAX
 from ..shared.arguments import check_kind, check_workers
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from ..shared.errors import SEED_MAX, InputError, check_integer
@@ -192,8 +193,12 @@ def _in_ticks(
     seen = ~np.isnan(light.distance_m) & (light.range_ambiguity | (flight_ticks < period_ticks))
     gate = gate or SpadGate(start_cycles=0, len_cycles=timing.period_cycles)
     gate_start, gate_len, gate_step = (
-        real_array(name, getattr(gate, name), (pixels,), 0, timing.period_cycles) * timing.phases
-        for name in ("start_cycles", "len_cycles", "step_cycles")
+        real_array(name, getattr(gate, name), (pixels,), 0, longest) * timing.phases
+        for name, longest in (
+            ("start_cycles", timing.period_cycles),
+            ("len_cycles", timing.period_cycles),
+            ("step_cycles", GATE_MAX),  # a gate beyond the period is closed
+        )
     )
     other = light.interferer or Interferer(photons_per_pulse=0.0)
     other_sigma = other.fwhm_s * SIGMA_PER_FWHM / tick_s

@@ -71,9 +71,7 @@ class Scene:
                 f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets"
             )
         shape = distance_m.shape
-        object.__setattr__(
-            self, "distance_m", real_array("distance_m", distance_m, shape, NEAREST_M, nan=True)
-        )
+        object.__setattr__(self, "distance_m", distance_m)
         object.__setattr__(
             self, "reflectivity", real_array("reflectivity", reflectivity, shape, 0, 1)
         )

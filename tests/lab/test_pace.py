@@ -37,6 +37,14 @@ def test_gap_for_a_rate_by_hand():
         gap_for(config, 0.01)
 
 
+def test_a_frame_of_one_pulse_has_a_single_rate():
+    config = parse_config({"frame": {"pulses": 1}})
+    assert gap_for(config, 2_000_000) == 0
+    for other in (1_900_000, 2_100_000):
+        with pytest.raises(InputError, match=r"rate_per_s = .*: must be from 2e\+06 to 2e\+06"):
+            gap_for(config, other)
+
+
 @pytest.mark.parametrize("rate_per_s", (5_000, 10_000, 10_700))
 def test_the_gap_for_a_rate_of_counts_is_the_longest(rate_per_s):
     """The waits between searches hold the gap already, so frames do not grow in proportion to it."""

@@ -270,6 +270,17 @@ def test_a_target_beyond_the_period_is_seen_as_many_periods_nearer(form, scheme)
         assert found == pytest.approx(near, rel=1e-6)
 
 
+def test_success_beyond_the_period_is_that_of_as_many_periods_nearer():
+    timing = Timing(period_cycles=40)
+    setting = dict(timing=timing, window_ticks=16, pulses=100, form=CORRECTED)
+    near, far = (
+        analytic.success_by_threshold(0.1, 1e6, 5.0 + k * timing.range_m, **setting) for k in (0, 2)
+    )
+    assert far == pytest.approx(near, rel=1e-6) and near.max() > 0.9
+    with pytest.raises(InputError, match="distance_m = nan: must be a number of at least 0"):
+        analytic.success_by_threshold(0.1, 1e6, math.nan, **setting)
+
+
 def test_success_probability_counts_largest_bins():
     rng, timing = np.random.default_rng(1), Timing(period_cycles=10)
     ticks, flight_s = np.arange(timing.period_ticks), 8e-9

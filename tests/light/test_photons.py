@@ -288,6 +288,23 @@ def test_gates_of_a_configuration():
         assert set(cycle[~gated & (step == each)]) == set(range(250))
 
 
+def test_a_gate_that_moves_beyond_the_period_is_closed_there():
+    """A step of more than a period is legal, as in the sensor."""
+    config = configured(
+        {"rows": 8, "cols": 8},
+        {"gate_step": 300, "gate_every": 1, "gate_steps": 2, "pulses": 6},
+        {"gating": True, "gate_start": 10, "gate_len": 20},
+    )
+    edges = edges_of(
+        light(noise_cps=1e8),
+        timing=Timing.from_config(config),
+        pulses=6,
+        gate=SpadGate.from_config(config),
+    )
+    assert set(edges.pulse) == {0, 2, 4}
+    assert set(edges.tick // 32) == set(range(10, 30))
+
+
 def test_light_from_beyond_the_period_falls_into_a_later_one():
     period_m = SPEED_OF_LIGHT_M_S * Timing().period_s / 2
     near, far = (
