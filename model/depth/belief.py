@@ -15,6 +15,7 @@ import numpy as np
 from scipy import special
 
 from ..contract.config import Config
+from ..contract.counts import CYCLES_MAX
 from ..shared.compiled import njit
 from ..shared.threads import Threads
 from . import portable
@@ -320,11 +321,13 @@ def _around(image: np.ndarray, steps: Sequence[tuple[int, int]]) -> np.ndarray:
 
 
 def _gates(config: Config) -> tuple[np.ndarray, np.ndarray]:
-    """float64[subgroups] each: first tick in which a window may open in any pulse, and the one
-    after the last.
+    """float64[subgroups] each: first tick in which a window may open or a hit may count in any
+    pulse, and the one after the last.
     """
     ticks = float(config.sensor.phases)  # per cycle
     last = config.period - config.sensor.guard
+    if config.counting:  # no window opens, and no guard ends the period
+        last = min(config.period, CYCLES_MAX)
     moved = gate_moves(config)[-1]
     start = np.where(config.gating, config.gate_start, 0)
     end = np.where(config.gating, config.gate_start + config.gate_len + moved, last)

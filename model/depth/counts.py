@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import special
 
 from ..contract.config import Config
-from ..contract.counts import GATES, NO_GATE
+from ..contract.counts import COUNT_BITS, GATES, NO_GATE
 from ..contract.gate_counts import Counts
 from ..contract.pixels import pixel_table
 from ..shared.errors import check_integer
@@ -31,6 +31,7 @@ from .pulse_ticks import PulseTicks
 from .seeds import seed_scores
 from .surfaces import Coarse, Fitter, peak_offset
 
+COUNT_MOST = (1 << COUNT_BITS) - 1  # hits of a bin, with which a pixel stops
 # Of a pixel with its neighbours: a score that accidents of background and dark surfaces reach alike,
 EVEN_SCORE = -4.0
 SCORE_WIDTH = 2.0  # and the change of it that makes odds e times as high
@@ -256,6 +257,7 @@ def count_intensity(seen: Seen, config: Config, pulse: PulseTicks, ticks: np.nda
     ticks: float64[rows, cols, returns], NaN = none.
     """
     sensor = config.sensor
+    seen = _without_last_hits(seen)
     signal = np.full(ticks.shape, np.nan)
     error = np.full(ticks.shape, np.nan)
     for k in range(ticks.shape[2]):
@@ -266,6 +268,21 @@ def count_intensity(seen: Seen, config: Config, pulse: PulseTicks, ticks: np.nda
         signal[:, :, k] = pixel_image(np.where(there, light, np.nan), sensor)
         error[:, :, k] = pixel_image(np.where(there, doubt, np.nan), sensor)
     return Intensity(signal=signal, error=error)
+
+
+def _without_last_hits(seen: Seen) -> Seen:
+    """Return counts without the hits with which pixels stopped, and their pulses: a pulse in which a
+    pixel stops has this hit for certain, which says nothing of its light.
+    """
+    subgroups, pixels, _, bins = seen.hits.shape
+    of_frames = (subgroups, pixels, -1, GATES, bins)
+    last = seen.hits.reshape(of_frames) == COUNT_MOST
+    stopped = last.any(axis=(3, 4), keepdims=True)
+    misses = seen.misses.reshape(of_frames) - (stopped & ~last)
+    return seen._replace(
+        hits=seen.hits - last.reshape(seen.hits.shape),
+        misses=np.maximum(misses, 0.0).reshape(seen.misses.shape),
+    )
 
 
 def count_signs(

@@ -28,6 +28,7 @@ from .count_likelihood import Seen
 from .counts import GateCounts, count_intensity, count_signs, gate_counts, seen_behind
 from .counts import find_surfaces as find_in_counts
 from .depth import Depth
+from .gates import open_share
 from .histograms import (
     Events,
     check_arrays,
@@ -356,8 +357,11 @@ def find_returns(
     live, group = (
         _live(arrays, events, config, source, frame) if method == "background" else (None, None)
     )
-    hit_share = live
-    if source != "minigroup" and method != "maximum":
+    hit_share = None
+    if source == "minigroup":
+        # The hits of an event's offsets come while its window is open, so nothing prevents them.
+        hit_share = live if config.frame.minigroup_records else None
+    elif method != "maximum":
         hit_share = hit_shares(arrays, events, config, shape, frame).__getitem__
     step_ticks = 1 if source != "minigroup" else minigroup_step_ticks(config)
     histograms = subgroup_histograms(
@@ -371,6 +375,7 @@ def find_returns(
             shape,
             returns,
             hit_share=hit_share(s) if hit_share else None,
+            is_open=np.repeat(open_share(config, s, range(config.pulses)), config.sensor.phases),
             group=group,
             step_ticks=step_ticks,
         )

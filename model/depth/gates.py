@@ -5,6 +5,8 @@ Ref: paper III-C (gating), and progressive gating in docs/contract.md: a gate mo
 place, and begins again at the first one.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ..contract.config import Config
@@ -45,6 +47,36 @@ def open_pulses(config: Config, subgroup: int, begin: int, end: np.ndarray) -> n
     is_open = (cycle >= opens) & (cycle < opens + config.gate_len[subgroup])
     number = _pulses_at_places(config, end) - _pulses_at_places(config, np.array(begin))
     return number @ is_open
+
+
+class GateTurns(NamedTuple):
+    """How many pulses of a frame have a gate that turns in each cycle, int64[cycles]."""
+
+    opens: np.ndarray
+    closes: np.ndarray  # that was open in the cycle before
+
+
+def gate_turns(config: Config, subgroup: int) -> GateTurns:
+    """Return in which cycles the gate of a subgroup opens and closes; without gating, it opens in
+    the first one.
+    """
+    pulses = np.array([config.pulses])
+    start = np.zeros(1, np.int64)
+    length = config.period
+    if config.gating[subgroup]:
+        pulses = _pulses_at_places(config, np.array(config.pulses))
+        start = config.gate_start[subgroup] + gate_moves(config)
+        length = config.gate_len[subgroup]
+    if not length:
+        pulses = np.zeros_like(pulses)
+
+    def by_cycle(cycle: np.ndarray) -> np.ndarray:
+        inside = cycle < config.period
+        number = np.zeros(config.period, np.int64)
+        np.add.at(number, cycle[inside], pulses[inside])
+        return number
+
+    return GateTurns(opens=by_cycle(start), closes=by_cycle(start + length))
 
 
 def _pulses_at_places(config: Config, end: np.ndarray) -> np.ndarray:

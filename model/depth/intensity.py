@@ -27,7 +27,7 @@ from ..contract.latency import armed_cycle, close_cycle
 from ..contract.packet import BEAT_BITS
 from ..shared.compiled import njit, part
 from ..shared.threads import Threads
-from .gates import open_share
+from .gates import GateTurns, gate_turns
 from .histograms import Events, by_subgroup, pixel_image
 from .likelihood import DEAD_S
 from .pulse_ticks import PulseTicks
@@ -72,7 +72,8 @@ class _Subgroup(NamedTuple):
     pulses: int
     mapped: bool  # events name all their pixels, not only the winner
     rejected: np.ndarray  # float64[n], share of the windows with so many other pixels
-    seen: np.ndarray  # float64[ticks], share of the pulses whose gate is open
+    turns: GateTurns
+    frame_pulses: int  # of the turns
     opened: float  # windows in all pulses
     activity: np.ndarray  # float64[pixels], background relative to the mean of the lit pixels
     dead_ticks: float  # of a SPAD
@@ -234,7 +235,8 @@ def _subgroup_of(
         pulses=pulses,
         mapped=events.mapped,
         rejected=1.0 - kept[1 : max(2, until)],
-        seen=np.repeat(open_share(config, s, range(config.pulses)), sensor.phases),
+        turns=gate_turns(config, s),
+        frame_pulses=config.pulses,
         opened=float(events.opened[s]),
         activity=np.where(mask, activity, 0.0),
         dead_ticks=DEAD_S / config.tick_s,
@@ -477,14 +479,13 @@ def _without_pixel(company: np.ndarray, fires: float) -> None:
 @part(allocates=True)
 def _walk_cycles(subgroup: _Subgroup, work: _Work, silent: float) -> tuple[float, float]:
     """Compute `waits` of the lit cycles; return the ticks of a period in which the tree waits for a
-    photon, and the windows that it opens.
+    photon behind an open gate, and the windows that it opens.
 
     silent: chance that no pixel fires in a tick without light.
     """
     phases = subgroup.phases
     cycles = len(work.lit_cycle)
     coming = np.zeros(cycles + 4 + subgroup.rearm + subgroup.window // phases)
-    coming[0] = 1.0
     away = np.zeros(len(coming) - cycles)  # of an armed tree: armed again so many cycles later
     dark_ticks = 0.0
     left = 1.0
@@ -495,15 +496,23 @@ def _walk_cycles(subgroup: _Subgroup, work: _Work, silent: float) -> tuple[float
         left *= silent
     dark_stays = left
     before = 0.0  # chance that the tree was armed all through the cycle before
+    is_open = 0  # pulses of a frame whose gate is open
     ticks = 0.0
     windows = 0.0
     for c in range(cycles):
         begin = c * phases
-        seen = subgroup.seen[begin]
+        closes = subgroup.turns.closes[c]
+        if closes:
+            # The trees behind the gates that close are taken to be as often armed as the others.
+            stays = 1 - closes / is_open
+            before *= stays
+            for k in range(c, len(coming)):
+                coming[k] *= stays
+        is_open += subgroup.turns.opens[c] - closes
+        coming[c] += subgroup.turns.opens[c] / subgroup.frame_pulses
         armed = (before, coming[c])
         before = 0.0
-        if begin >= subgroup.open_ticks or seen == 0:
-            before = armed[0] + armed[1]
+        if begin >= subgroup.open_ticks or is_open == 0:
             for t in range(begin, begin + phases):
                 work.waits[0, t] = 0.0
                 work.waits[1, t] = 0.0
@@ -511,20 +520,20 @@ def _walk_cycles(subgroup: _Subgroup, work: _Work, silent: float) -> tuple[float
             for after in range(2):
                 left = armed[after]
                 for t in range(begin, begin + phases):
-                    work.waits[after, t] = left * seen
+                    work.waits[after, t] = left
                     opens = left * (1 - work.silent[after, t])
                     close = _close_cycle(t, subgroup.window, phases)
                     coming[_armed_cycle(close, subgroup.rearm)] += opens
-                    ticks += left * seen
-                    windows += opens * seen
+                    ticks += left
+                    windows += opens
                     left -= opens
                 before += left
         else:
             whole = armed[0] + armed[1]
             for k in range(1, len(away)):
                 coming[c + k] += whole * away[k]
-            ticks += whole * dark_ticks * seen
-            windows += whole * (1 - dark_stays) * seen
+            ticks += whole * dark_ticks
+            windows += whole * (1 - dark_stays)
             before = whole * dark_stays
     return ticks, windows
 

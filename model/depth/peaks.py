@@ -21,6 +21,7 @@ FILTER_SIGMAS = 4.0  # half width of the matched filter of a Gaussian
 CENTRINGS = 5  # the bins that determine a centre are moved to it so many times at most
 APART_SIGMAS = 4.0  # distance between the returns of a pixel
 ACCIDENT_MAX = 0.01  # probability that a second or further return is background
+CLOSED_SHARE = 1e-3  # of the background where a gate is closed: a lead may move a hit there
 LIVE_MIN = 0.05  # share of periods; below it, pile-up cannot be corrected
 MOST_SIGMAS = 2.5  # half of the time in which most of a pulse comes; another may follow at once
 STILL_ARMED_MIN = 0.1  # share of the trees after a pulse; below it, it is too uncertain
@@ -34,14 +35,16 @@ def pixel_peaks(
     returns: int,
     *,
     hit_share: np.ndarray | None = None,
+    is_open: np.ndarray | None = None,
     group: np.ndarray | None = None,
     step_ticks: int = 1,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (ticks, confidence), each float64[pixels, returns], from int32[pixels, bins].
 
     live: float64[bins], or [minigroups, bins] with `group`, int64[pixels], each pixel's minigroup;
-    of `live_share` or `record_live`. hit_share: the same, of `hit_shares`; None: 1. step_ticks:
-    between the stamps in the histogram.
+    of `live_share` or `record_live`. hit_share: the same, of `hit_shares`; None: 1. is_open:
+    float64[bins], share of the pulses whose gate is open; None: 1. step_ticks: between the stamps in
+    the histogram.
     """
     bins = histogram.shape[1]
     single = method == "maximum"
@@ -51,8 +54,11 @@ def pixel_peaks(
     hits = np.ones(1) if single else _hits_of_pulse(pulse, sigma_ticks)
     width = hits.sum()
     shape = np.ones((1, bins))
-    if live is not None:
-        of_group = np.atleast_2d(live)
+    gated = is_open is not None and not np.all(is_open == 1.0)
+    if live is not None or gated:
+        of_group = np.atleast_2d(np.ones(bins) if live is None else live)
+        if gated:
+            of_group = of_group * np.maximum(is_open, CLOSED_SHARE)
         relative = of_group / of_group.mean(axis=1, keepdims=True)
         # NumPy's own correlation depends on the processor.
         shape = ndimage.correlate1d(relative, hits / width, mode="constant")
@@ -63,6 +69,7 @@ def pixel_peaks(
         seen=np.ones_like(shape) if hit_share is None else np.atleast_2d(hit_share),
         group=np.zeros(len(histogram), np.int64) if group is None else group,
         by_evidence=method == "background",
+        places=float(np.count_nonzero(is_open)) if gated else float(bins),
         near=0 if single else round(NEAR_SIGMAS * sigma_ticks),
         apart=apart,
     )
@@ -104,6 +111,7 @@ class _Law(NamedTuple):
     by_evidence: (
         bool  # peaks are those of the evidence against background, not of the filtered hits
     )
+    places: float  # bins in which background may be
     near: int  # bins from a peak to those that determine its centre
     apart: int  # bins between the returns of a pixel
 
@@ -194,7 +202,7 @@ def _weigh(pixel: _Pixel, law: _Law, total: int, number: int, work: _Workspace) 
             evidence[j] = seen[j] * math.log(seen[j] / expected) - seen[j] + expected
         work.score[j] = evidence[j] if law.by_evidence else seen[j]
         top = max(top, evidence[j])
-    anywhere = (bins - number) * math.exp(-top)
+    anywhere = max(0.0, law.places - number) * math.exp(-top)
     for n in range(number):
         anywhere += math.exp(evidence[work.reached[n]] - top)
     return _Found(per_bin, top, anywhere)
@@ -221,7 +229,7 @@ def _take(
             break
         fewer = max(0.0, math.ceil(work.seen[at]) - 1)
         below = _poisson_cdf(fewer, found.per_bin * pixel.shape[at])
-        accident = 1 - below ** (bins / law.width)
+        accident = 1 - below ** (law.places / law.width)
         if r and accident > ACCIDENT_MAX:
             break
         ticks[r] = _centre(pixel, at, law.near)

@@ -88,6 +88,7 @@ def test_seeds_differ_in_all_and_are_never_0():
     assert len(np.unique(states)) == len(states)
     assert (states >> SEED_BIT & 1).all()
     assert np.array_equal(seeds(1, 0, 0, 16), known[4][:16])
+    assert np.array_equal(seeds(1, 0, 0, 192)[:64], known[4])  # each lane has blocks of its own
 
 
 def test_cipher_changes_half_of_the_bits():

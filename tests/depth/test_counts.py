@@ -12,7 +12,7 @@ from coincid.lab.setup import Setup
 from coincid.model.contract.counts import GATE_CYCLES, NO_GATE
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.result import ResultBuilder
-from coincid.model.depth.belief import Reason, signs_of
+from coincid.model.depth.belief import LAW, Reason, signs_of
 from coincid.model.depth.count_light import first_background
 from coincid.model.depth.counts import count_signs, find_surfaces, gate_counts, seen_behind
 from coincid.model.depth.depth import Depth
@@ -93,7 +93,7 @@ def test_light_of_the_pixels_is_estimated_with_its_error(distance_m, klux):
     depth = run.depth()
     truth = run.light.total_signal.reshape(32, 32)
     signal = depth.signal_per_pulse[:, :, 0]
-    assert abs(np.mean(signal) / np.mean(truth) - 1) < 0.08
+    assert abs(np.mean(signal) / np.mean(truth) - 1) < 0.045
     scaled = (signal - truth) / depth.signal_error[:, :, 0]
     assert 0.7 < np.std(scaled) < 1.3
 
@@ -184,6 +184,24 @@ def without_gates(arrays, minigroup):
 def pixel_table_of(minigroup):
     """Return the pixels of a minigroup of the default sensor, by their numbers in the subgroup."""
     return np.flatnonzero(pixel_table(counted("flat:4,0.4").config.sensor).minigroup == minigroup)
+
+
+def test_confidence_of_counts_has_a_law_of_its_own(monkeypatch):
+    """Only the law of counts decides."""
+    run = counted("flat:4,0.4")
+    assert run.depth().confidence.min() > 0.5
+    never = (*LAW["counts"][:-1], -1e3)
+    monkeypatch.setitem(LAW, "counts", never)
+    assert run.depth().confidence.max() < 0.01
+
+
+def test_the_guard_of_windows_is_no_edge_of_a_gate():
+    """A gate that is always open changes nothing."""
+    setting = {"gating": True, "gate_start": 0, "gate_len": 250}
+    for subgroup in ({}, setting):
+        run = counted("flat:73.5,0.9", 1.0, frame={"pulses": 2000}, subgroup=subgroup)
+        reason = run.depth().reason
+        assert np.mean(reason == Reason.BELIEVED) > 0.95, subgroup
 
 
 def test_pixels_without_a_gate_are_not_believed():

@@ -113,6 +113,40 @@ def test_minigroups_tell_surfaces_apart_that_share_a_window(frame):
     assert by_minigroup < 0.2 < by_map
 
 
+@pytest.mark.parametrize("distance_m", (6.27, 9.27))
+def test_background_with_offsets_has_the_distance_of_matched(distance_m):
+    """Hits of an open window come whether the tree is armed or not."""
+    setup = Setup.of(
+        f"flat:{distance_m},0.3",
+        klux=10.0,
+        sensor={"rows": 16, "cols": 16},
+        frame={"pulses": 300, "format": "full"},
+    )
+    run = Run(setup)
+    for method in ("matched", "background"):
+        off_m = run.depth(method, source="minigroup").depth_m - distance_m
+        assert abs(np.median(off_m)) < 0.006, method
+
+
+@pytest.mark.parametrize("method", ("matched", "background"))
+@pytest.mark.parametrize("gate_len", (15, 40))
+def test_background_in_a_gate_is_hardly_a_further_return(method, gate_len):
+    """It is denser there than over the whole period."""
+    further = []
+    for seed in (1, 2, 3):
+        setup = Setup.of(
+            "flat:9,0.3",
+            klux=80.0,
+            sensor={"rows": 16, "cols": 16},
+            frame={"pulses": 200},
+            subgroup={"threshold": 1, "gating": True, "gate_start": 22, "gate_len": gate_len},
+            seed=seed,
+        )
+        depth = Run(setup).depth(method, returns=2)
+        further.append(np.mean(~np.isnan(depth.depth_m[:, :, 1])))
+    assert np.mean(further) < 0.02
+
+
 def test_estimators_rank_as_they_should(five_objects):
     planes = {name: share(*run) for name, run in five_objects.items()}
     assert planes[2] < 0.005 and planes[3] < 0.03 and planes["off"] < 0.15

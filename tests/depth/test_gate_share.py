@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coincid.model.depth.gates import open_pulses, open_share
+from coincid.model.depth.gates import gate_turns, open_pulses, open_share
 
 from ..random_cases import configured
 
@@ -34,3 +34,7 @@ def test_the_share_of_a_cycle_is_that_of_its_pulses(start, length, step, every, 
         ends = np.arange(begin, pulses + 1)
         number = [is_open[begin:end].sum(axis=0) for end in ends]
         np.testing.assert_array_equal(open_pulses(config, 0, begin, ends), number)
+    turns = gate_turns(config, 0)
+    before = np.pad(is_open, ((0, 0), (1, 0)))[:, :-1]
+    np.testing.assert_array_equal(turns.opens, (is_open > before).sum(axis=0))
+    np.testing.assert_array_equal(turns.closes, (is_open < before).sum(axis=0))

@@ -104,6 +104,18 @@ def test_a_return_within_the_dead_time_of_an_earlier_one_has_its_own_light():
     assert found == pytest.approx(truth, rel=0.05)
 
 
+def test_light_where_a_gate_that_moves_opens():
+    """A wall at 12 m returns its light in cycle 40, where the third of four places begins."""
+    setup = Setup.of(
+        "flat:12,0.3",
+        klux=30.0,
+        sensor={"rows": 16, "cols": 16},
+        frame={"pulses": 1000, "gate_every": 1, "gate_steps": 4, "gate_step": 20},
+        subgroup={"threshold": 1, "gating": True, "gate_start": 0, "gate_len": 30},
+    )
+    check_unbiased(Run(setup, workers=2))
+
+
 def test_light_at_the_distances_of_an_estimator_of_a_users_own():
     check_unbiased(wall_run(4.0, 0.1, threshold=2), method=Told(4.0))
 

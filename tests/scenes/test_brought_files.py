@@ -84,6 +84,11 @@ WALLS = {  # file, options, distance in metres
         {"missing": 7},
         4,
     ),
+    "a number that single floats do not hold": (
+        lambda at: npy(at / "d.npy", with_hole(4, 7.1, "f4")),
+        {"missing": 7.1},
+        4,
+    ),
     "a sky of the user's": (lambda at: npy(at / "d.npy", with_hole(4, 60, "f4")), {"sky_m": 50}, 4),
 }
 

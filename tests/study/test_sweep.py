@@ -235,6 +235,12 @@ def test_a_point_knows_what_a_scene_file_holds(tmp_path):
     assert key(4.0) == key(4.0) != key(5.0)
 
 
+def test_scenes_of_a_sweep_reach_as_far_as_its_laser_period(tmp_path):
+    """A wall at 110 m is beyond the usual period of 75 m."""
+    far = BASE.replace("flat:5,0.4", "flat:110,0.4").replace("period = 40", "period = 400")
+    assert np.all(grid(tmp_path, far).points[0].setup.scene.truth_m == 110.0)
+
+
 def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, monkeypatch):
     """Across is the first axis, a line each value of the second; bands span the third.
 
