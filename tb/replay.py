@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..model.contract.config import Config
-from ..model.contract.edges import Edges
+from ..model.contract.edges import NAMES, Edges, checked_edges
 from ..model.contract.result import ResultBuilder
 from ..model.golden.frame import golden_result
 from ..model.shared.arguments import check_kind
@@ -90,7 +90,7 @@ def replay(
         If an argument is illegal, or the tools of the RTL are missing.
     """
     check_kind("config", config, Config)
-    check_kind("edges", edges, Edges)
+    edges = _checked_edges(config, edges)
     chosen = chosen_view(engine, view, config.clock_mhz)
     ready = np.zeros(0, np.uint8) if ready is None else _checked_ready(ready)
     if chosen is None:
@@ -129,16 +129,35 @@ def replay_together(
         chosen_view("sliced", DEFAULT_VIEW, config.clock_mhz)
     from .sliced import play_side_by_side
 
-    chains = [
-        [FrameJob(config, edges.frame(number, config.pulses)[0]) for number in range(config.frames)]
-        for config, edges in jobs
-    ]
+    chains = []
+    for config, given in jobs:
+        edges = _checked_edges(config, given)
+        frames = range(config.frames)
+        chains.append([FrameJob(config, edges.frame(k, config.pulses)[0]) for k in frames])
     return [
         _result(config, records)
         for (config, _), records in zip(
             jobs, play_side_by_side(chains, threads=threads), strict=True
         )
     ]
+
+
+def _checked_edges(config: Config, edges: Edges) -> Edges:
+    """Return the edges if the sensor can have them. Raises `InputError`.
+
+    The engines would read beyond their arrays, or disagree.
+    """
+    check_kind("edges", edges, Edges)
+    arrays = {name: np.asarray(getattr(edges, name)) for name in NAMES}
+    if edges.offset_ps is not None:
+        arrays["offset_ps"] = np.asarray(edges.offset_ps)
+    return checked_edges(
+        arrays,
+        pixels=config.sensor.array_pixels,
+        pulses=config.frames * config.pulses,
+        period_ticks=config.period_ticks,
+        source="edges: ",
+    )
 
 
 def _checked_ready(ready: np.ndarray) -> np.ndarray:
