@@ -33,7 +33,7 @@ from ..model.shared.quantities import check_real
 from .config_file import config_text
 from .palette import ALARM, GREY, SERIES
 from .plot_style import new_figure, save_figure, style
-from .price import um2_per_pixel, uw_per_pixel
+from .price import um2_per_pixel, uw_per_pixel, while_measured
 from .progress import first_time
 from .usefulness import is_useful, useless_sentence
 
@@ -149,7 +149,7 @@ class Advice:
         """
         config = self.best.config
         mw = uw_per_pixel(config, self.klux) / 1e3
-        return f"about {mw:.2g} mW and {um2_per_pixel(config.sensor):.0f} um2 per pixel in 45 nm"
+        return f"about {mw:.2g} mW{while_measured(config)} and {um2_per_pixel(config.sensor):.0f} um2 per pixel in 45 nm"
 
     @property
     def sentence(self) -> str:

@@ -10,7 +10,7 @@ from ..model.contract.counts import CYCLES_MAX
 from ..model.contract.link import stream_gbps
 from ..model.contract.packet import BEAT_BITS, COUNTS, FORMATS, WITH_MAP, layout
 from ..model.shared.constants import SPEED_OF_LIGHT_M_S
-from .price import um2_per_pixel, uw_per_pixel
+from .price import um2_per_pixel, uw_per_pixel, while_measured
 
 KLUX = 50.0  # ambient light for the power
 FILLED_BY_COUNTERS = 0.1  # share of the link above which there is a warning
@@ -51,7 +51,7 @@ def meaning(config: Config) -> list[tuple[str, str]]:
         ("area", f"about {um2_per_pixel(sensor):.0f} um2 per pixel in 45 nm{unpriced}"),
         (
             "power",
-            f"about {uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux{unpriced}",
+            f"about {uw_per_pixel(config, KLUX) / 1e3:.3g} mW per pixel at {KLUX:g} klux{while_measured(config)}{unpriced}",
         ),
     ]
 

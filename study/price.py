@@ -34,7 +34,7 @@ def um2_per_pixel(sensor: Sensor) -> float:
 
 
 def uw_per_pixel(config: Config, klux: float) -> float:
-    """Return the power per pixel under ambient light."""
+    """Return the power per pixel under ambient light, in a laser period."""
     measured = float(np.interp(klux, *UW_PER_PIXEL))
     return (
         measured
@@ -43,6 +43,13 @@ def uw_per_pixel(config: Config, klux: float) -> float:
         * um2_per_pixel(config.sensor)
         / um2_per_pixel(Sensor())
     )
+
+
+def while_measured(config: Config) -> str:
+    """Return the words that tell when a sensor has the power of `uw_per_pixel`: not in a gap,
+    whose power is not measured.
+    """
+    return " in a period" * bool(config.gap)
 
 
 def _between(name: str, value: int) -> float:

@@ -419,6 +419,13 @@ def test_power_is_that_of_the_light_and_in_proportion_to_clock_and_area():
     assert smaller < 1 and uw_per_pixel(lean, 50.0) == pytest.approx(37.0 * smaller)
 
 
+def test_the_power_beside_a_gap_is_that_in_a_period():
+    """Between periods the sensor takes less, and nobody has measured how much."""
+    for gap in (0, 168_097):
+        told = dict(meaning(configured({}, {"gap": gap})))["power"]
+        assert ("in a period" in told) == (gap > 0)
+
+
 def test_prices_are_those_of_the_pages():
     cost = read_csv(DOCS / "images" / "cost.csv").set_index(["parameter", "value"])[
         "area_um2_per_pixel"
