@@ -33,7 +33,7 @@ MODULES = {  # page: title, modules
         ("catalogue", "scene", "flat_scenes", "depth_file", "recorded_light", "ambient", "daylight", "transient", "ray_scene"),
     ),
     "model.depth": ("Depth", ("estimate", "histograms", "arrivals", "quality", "peaks", "planes")),
-    "model.recorded": ("Recorded photons", ("exchange", "recordings", "ptu", "photon_hdf5")),
+    "model.recorded": ("Recorded photons", ("exchange", "recordings", "ptu", "photon_hdf5", "columns")),
     "hdl": (
         "RTL",
         (

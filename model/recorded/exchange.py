@@ -5,7 +5,7 @@ Tables have named columns (CSV: a header line; NPZ, HDF5: one array each); other
 ignored. Names of times end
 with their unit: `time_ps`, `time_ns`, `time_us`, `time_s`. A table holds one of
 
-* `pulse, pixel, tick`: edges, as this project writes them;
+* `pulse, pixel, tick`, and perhaps `offset_ps`: edges, as this project writes them;
 * `sync, channel, time_ps`: time since the laser's trigger number `sync`;
 * `channel, time_ps`: absolute times, with the triggers as events on a channel of their own.
 
@@ -15,28 +15,27 @@ HDF5 files may also be Photon-HDF5 (`photon_hdf5.py`).
 import io
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import h5py
 import numpy as np
+from attrs import evolve
 
 from ..contract.edges import NAMES, Edges
 from ..light.timing import Timing
 from ..shared.errors import InputError, check_integer
 from ..shared.files import FilePath, read_npz, reading, whole_file
+from .columns import Columns, checked_columns, integers, not_negative
 from .photon_hdf5 import is_photon_hdf5, read_photon_hdf5
 from .ptu import read_ptu, write_ptu
-from .recordings import SYNC_MAX, Recording, since_sync, undivided
+from .recordings import DIVIDER_MAX, SYNC_MAX, Recording, since_sync, undivided
 
-INTEGER_MAX = (1 << 63) - 1
 UNITS_PS = {"time_ps": 1, "time_ns": 1000, "time_us": 1_000_000, "time_s": 1_000_000_000_000}
+OFFSET = "offset_ps"  # column of edges that know their place in their tick
 HDF5 = (".h5", ".hdf5")
 SUFFIXES = (".npz", ".csv", *HDF5, ".ptu")
-DIVIDER_MAX = 1 << 16
-# int64 where all numbers are written as integers, else float64; of one length
-Columns: TypeAlias = Sequence[np.ndarray]
 Read: TypeAlias = Callable[[tuple[str, ...]], Columns]
 EXPECTED = "pulse, pixel, tick; or sync, channel, time_ps; or channel, time_ps (or time_ns, time_us, time_s)"
 
@@ -64,7 +63,12 @@ def _read(path: FilePath, sync_channel: int | None) -> Recording:
         return read_photon_hdf5(path, sync_channel)
     names, read = {".npz": _npz, ".csv": _csv}.get(suffix, _hdf5)(path)
     if set(NAMES) <= set(names):
-        return _of_syncs(path, NAMES, read(NAMES), "edges", sync_channel)
+        if OFFSET not in names:
+            return _of_syncs(path, NAMES, read(NAMES), "edges", sync_channel)
+        *columns, offset_ps = read((*NAMES, OFFSET))
+        not_negative(path, OFFSET, offset_ps)
+        found = _of_syncs(path, NAMES, columns, "edges", sync_channel)
+        return evolve(found, offset_ps=offset_ps.astype(np.float64))
     unit = next((name for name in UNITS_PS if name in names), None)
     if unit is None or "channel" not in names:
         raise InputError(
@@ -75,7 +79,7 @@ def _read(path: FilePath, sync_channel: int | None) -> Recording:
         columns = sync, channel, time * float(UNITS_PS[unit])
         return _of_syncs(path, ("sync", "channel", "time"), columns, "table of syncs", sync_channel)
     channel, time = read(("channel", unit))
-    channel = _integers(path, "channel", channel)
+    channel = integers(path, "channel", channel)
     if sync_channel is None:
         raise InputError(
             f"{path}: has absolute times and no column sync: --sync-channel must name the channel of the laser's trigger"
@@ -83,7 +87,7 @@ def _read(path: FilePath, sync_channel: int | None) -> Recording:
     is_sync = channel == sync_channel
     if not is_sync.any():
         raise InputError(f"{path}: has no events on channel {sync_channel} (--sync-channel)")
-    _not_negative(path, unit, time)
+    not_negative(path, unit, time)
     _exact(path, unit, time)
     return since_sync(
         time[~is_sync], channel[~is_sync], time[is_sync], UNITS_PS[unit], "table of absolute times"
@@ -92,7 +96,7 @@ def _read(path: FilePath, sync_channel: int | None) -> Recording:
 
 def write_edges(path: FilePath, edges: Edges, timing: Timing) -> None:
     """Write edges to a file, whole or not at all; the same edges give the same bytes. The suffix
-    selects the format.
+    selects the format. PTU files have no place for offsets.
     """
     suffix = check_suffix(path)
     if suffix == ".npz":
@@ -101,17 +105,33 @@ def write_edges(path: FilePath, edges: Edges, timing: Timing) -> None:
         write_ptu(path, edges, timing)
     elif suffix == ".csv":
         with whole_file(path) as file:
-            table = np.stack([getattr(edges, name) for name in NAMES], axis=1)
-            np.savetxt(file, table, "%d", ",", header=",".join(NAMES), comments="")
+            columns = _written(edges)
+            # 17 digits bring every float back
+            forms = ["%d" if name in NAMES else "%.17g" for name in columns]
+            table = np.rec.fromarrays(list(columns.values()))
+            np.savetxt(file, table, forms, ",", header=",".join(columns), comments="")
     else:
         data = io.BytesIO()
         with h5py.File(data, "w") as archive:
-            for name in NAMES:
+            for name, column in _written(edges).items():
                 archive.create_dataset(
-                    name, data=getattr(edges, name), compression="gzip" if len(edges) else None
+                    name, data=column, compression="gzip" if len(edges) else None
                 )
         with whole_file(path) as file:
             file.write(data.getvalue())
+
+
+def _written(edges: Edges) -> dict[str, np.ndarray]:
+    """Return the columns of a table of edges by name."""
+    columns = {name: getattr(edges, name) for name in NAMES}
+    return columns if edges.offset_ps is None else columns | {OFFSET: edges.offset_ps}
+
+
+def offsets_note(path: FilePath, edges: Edges) -> str:
+    """Return a sentence if `write_edges` leaves out the offsets of edges, else nothing."""
+    if edges.offset_ps is None or check_suffix(path) != ".ptu":
+        return ""
+    return f"left out: {OFFSET}, for which a PTU file has no place"
 
 
 def check_suffix(path: FilePath) -> str:
@@ -134,7 +154,7 @@ def parse_channels(text: str) -> dict[int, int]:
             )
         columns = zip(("channel", "pixel"), read(("channel", "pixel")), strict=True)
         pairs = list(
-            zip(*(_integers(text, name, column).tolist() for name, column in columns), strict=True)
+            zip(*(integers(text, name, column).tolist() for name, column in columns), strict=True)
         )
         if not pairs:
             raise InputError(f"{text}: names no channel")
@@ -165,24 +185,13 @@ def _of_syncs(
             f"sync-channel = {sync_channel}: {path} is a {kind}, which has no triggers among its events"
         )
     whole = [
-        values if name == "time" else _integers(path, name, values)
+        values if name == "time" else integers(path, name, values)
         for name, values in zip(names, columns, strict=True)
     ]
     for name, values in zip(names, whole, strict=True):
-        _not_negative(path, name, values)
+        not_negative(path, name, values)
     sync, channel, time = whole
     return Recording(sync=sync, channel=channel, time_ps=time, kind=kind, in_ticks=names == NAMES)
-
-
-def _integers(path: FilePath, name: str, values: np.ndarray) -> np.ndarray:
-    """Return `values` as int64. Raises `InputError`."""
-    with np.errstate(invalid="ignore"):
-        bad = np.flatnonzero(~((values == np.floor(values)) & (np.abs(values) < SYNC_MAX)))
-    if values.dtype.kind != "i" and len(bad):
-        raise InputError(
-            f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be an integer, below 2^53 in a column of floats"
-        )
-    return values.astype(np.int64)
 
 
 def _exact(path: FilePath, name: str, values: np.ndarray) -> None:
@@ -193,14 +202,6 @@ def _exact(path: FilePath, name: str, values: np.ndarray) -> None:
     if len(bad):
         raise InputError(
             f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be below 2^53 in a column of floats; integers may be larger"
-        )
-
-
-def _not_negative(path: FilePath, name: str, values: np.ndarray) -> None:
-    bad = np.flatnonzero(~((values >= 0) & (values < np.inf)))
-    if len(bad):
-        raise InputError(
-            f"{path}: {name}[{bad[0]}] = {values[bad[0]]}: must be a number of at least 0"
         )
 
 
@@ -268,7 +269,7 @@ def _npz(path: FilePath) -> tuple[list[str], Read]:
             names = list(archive.files)
     except Exception:  # the fault is reported below
         names = list(NAMES)
-    return names, lambda chosen: _columns(path, read_npz(path, chosen))
+    return names, lambda chosen: checked_columns(path, read_npz(path, chosen))
 
 
 def _hdf5(path: FilePath) -> tuple[list[str], Read]:
@@ -281,34 +282,6 @@ def _hdf5(path: FilePath) -> tuple[list[str], Read]:
     def read(chosen: tuple[str, ...]) -> Columns:
         with reading(path, "HDF5 file"), h5py.File(path, "r") as archive:
             arrays = {name: archive[name][()] for name in chosen}
-        return _columns(path, arrays)
+        return checked_columns(path, arrays)
 
     return names, read
-
-
-def _columns(path: FilePath, arrays: dict[str, np.ndarray]) -> Columns:
-    """Return the arrays as numeric columns of equal length, integers as int64. Raises
-    `InputError`.
-    """
-    for name, array in arrays.items():
-        if np.ndim(array) != 1 or array.dtype.kind not in "iuf":
-            raise InputError(
-                f"{path}: {name}: holds {np.asarray(array).dtype}{list(np.shape(array))}, must hold numbers in one dimension"
-            )
-    lengths = {name: len(array) for name, array in arrays.items()}
-    if len(set(lengths.values())) > 1:
-        raise InputError(
-            f"{path}: lengths differ: " + ", ".join(f"{name} {n}" for name, n in lengths.items())
-        )
-    return [_column(path, name, array) for name, array in arrays.items()]
-
-
-def _column(path: FilePath, name: str, array: np.ndarray) -> np.ndarray:
-    """Return int64 for integers, float64 for floats. Raises `InputError` for integers beyond
-    int64.
-    """
-    if array.dtype.kind == "f":
-        return array.astype(np.float64)
-    if len(array) and int(array.max()) > INTEGER_MAX:
-        raise InputError(f"{path}: {name}: holds {array.max()}, must be below 2^63")
-    return array.astype(np.int64)

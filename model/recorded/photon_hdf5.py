@@ -13,6 +13,7 @@ import numpy as np
 
 from ..shared.errors import InputError
 from ..shared.files import FilePath, reading
+from .columns import checked_columns, integers, not_negative
 from .recordings import PS_PER_S, Recording, since_sync
 
 GROUP = "photon_data"
@@ -48,8 +49,12 @@ def read_photon_hdf5(path: FilePath, sync_channel: int | None = None) -> Recordi
         if name not in found:
             raise InputError(f"{path}: has no {GROUP}/{name}, which such a file must have")
     unit_ps = _above_zero(path, TIMES_UNIT, found[TIMES_UNIT]) * PS_PER_S
-    time = np.asarray(found[TIMES]).astype(np.int64)
-    channel = np.asarray(found.get(DETECTORS, np.zeros(len(time)))).astype(np.int64)
+    arrays = {name: found[name] for name in (TIMES, DETECTORS, BINS) if name in found}
+    columns = dict(zip(arrays, checked_columns(path, arrays), strict=True))
+    for name in (TIMES, BINS):
+        not_negative(path, name, columns.get(name, np.zeros(0)))
+    time = integers(path, TIMES, columns[TIMES])
+    channel = integers(path, DETECTORS, columns.get(DETECTORS, np.zeros(len(time))))
     if BINS not in found:
         return _absolute(path, time, channel, unit_ps, sync_channel)
     if sync_channel is not None:
@@ -70,7 +75,7 @@ def read_photon_hdf5(path: FilePath, sync_channel: int | None = None) -> Recordi
     return Recording(
         sync=time,
         channel=channel,
-        time_ps=(np.asarray(found[BINS], np.float64) + 0.5) * bin_ps,
+        time_ps=(columns[BINS] + 0.5) * bin_ps,
         period_ps=unit_ps,
         divider=divider,
         kind=kind,
@@ -93,7 +98,12 @@ def _absolute(
 
 
 def _above_zero(path: FilePath, name: str, value: Any) -> float:
-    number = float(value)
+    numbers = np.asarray(value)
+    if numbers.size != 1 or numbers.dtype.kind not in "iuf":
+        raise InputError(
+            f"{path}: {GROUP}/{name}: holds {numbers.dtype}{list(numbers.shape)}, must hold one number"
+        )
+    number = float(numbers.item())
     if not 0 < number < np.inf:
         raise InputError(f"{path}: {GROUP}/{name} = {number:g}: must be above 0")
     return number

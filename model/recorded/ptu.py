@@ -22,7 +22,7 @@ from ..contract.edges import Edges
 from ..light.timing import Timing
 from ..shared.errors import InputError
 from ..shared.files import FilePath, reading, whole_file
-from .recordings import NO_SYNC, Recording, folded, since_sync
+from .recordings import DIVIDER_MAX, NO_SYNC, Recording, folded, since_sync
 
 PS_PER_S = 1e12
 DIVIDER = "HWSync_Divider"  # tag of the header: laser pulses per sync of the device
@@ -60,6 +60,8 @@ def read_ptu(path: FilePath, sync_channel: int | None = None) -> Recording:
                 f"{path}: MeasDesc_GlobalResolution = {unit_ps / PS_PER_S:g}: must be above 0"
             )
         divider = int(file.tags.get(DIVIDER, 1) or 1)
+        if not 1 <= divider <= DIVIDER_MAX:
+            raise InputError(f"{path}: {DIVIDER} = {divider}: must be from 0 to {DIVIDER_MAX}")
         if not file.is_t3:
             found = _t2(path, raw, photons, unit_ps, file.record_type, sync_channel)
             return evolve(found, divider=divider) if sync_channel is None else found

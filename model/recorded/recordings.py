@@ -16,6 +16,7 @@ PS_PER_S = 1e12
 NO_SYNC = -1  # sync of a photon that belongs to no laser pulse
 FRACTION = 1e-6  # of a tick: tolerance for rounding errors at the border of a tick
 SAME_PERIOD = 1e-3  # relative difference of laser periods up to which there is no note
+DIVIDER_MAX = 1 << 16
 SYNC_MAX = 1 << 53  # float64 is exact for integers up to this
 
 
@@ -27,7 +28,8 @@ class Recording:
     none. channel: int64[n], input of the tagger; with `grid` (rows, cols), the position in an
     image, row * cols + col. time_ps: float64[n] since the trigger. period_ps: between triggers,
     None = unknown. divider: laser pulses per recorded trigger. kind: description of the recording.
-    outside: meaning of `NO_SYNC`. in_ticks: the times already are ticks.
+    outside: meaning of `NO_SYNC`. in_ticks: the times already are ticks; offset_ps: float64[n],
+    place in that tick, None = unknown.
     """
 
     sync: np.ndarray
@@ -39,6 +41,7 @@ class Recording:
     grid: tuple[int, int] | None = None
     outside: str = "before the first sync"
     in_ticks: bool = False
+    offset_ps: np.ndarray | None = None
 
 
 def since_sync(
@@ -49,7 +52,7 @@ def since_sync(
 
     time, sync_time: in `unit_ps`, any order; integers (or whole float64) keep the difference exact.
     """
-    triggers = np.sort(sync_time)
+    triggers = np.unique(sync_time)  # a trigger that is recorded twice is one pulse
     sync = np.searchsorted(triggers, time, side="right") - 1
     period = float(np.median(np.diff(triggers))) * unit_ps if len(triggers) > 1 else None
     return Recording(
@@ -119,9 +122,7 @@ def recorded_edges(
     if not len(recording.sync):
         raise InputError("the recording holds no photons")
     pulses = config.frames * config.pulses
-    tick_ps = timing.tick_s * PS_PER_S
-    ticks = recording.time_ps if recording.in_ticks else recording.time_ps / tick_ps
-    tick = np.floor(ticks - delay_ps / tick_ps + FRACTION)
+    tick, offset_ps = _ticks(recording, timing.tick_s * PS_PER_S, delay_ps)
     pixel = _pixels(recording, config.sensor.rows, config.sensor.cols, channels)
     pulse = recording.sync - first_sync
     reasons = {
@@ -143,9 +144,8 @@ def recorded_edges(
         raise InputError(f"no photon is left: {told(lost)}{span}")
     pulse, pixel, tick = pulse[left], pixel[left], tick[left].astype(np.int64)
     order = np.lexsort((pixel, tick, pulse))
-    return Edges(pulse[order], pixel[order], tick[order]), {
-        reason: count for reason, count in lost.items() if count
-    }
+    edges = Edges(pulse, pixel, tick, None if offset_ps is None else offset_ps[left])
+    return edges.take(order), {reason: count for reason, count in lost.items() if count}
 
 
 def told(lost: dict[str, int]) -> str:
@@ -165,6 +165,21 @@ def period_note(recording: Recording, timing: Timing) -> str:
         f"laser period: {recording.period_ps / 1e3:.6g} ns in the recording, {period_ps / 1e3:.6g} ns in the frame "
         f"(frame.period = {max(1, round(recording.period_ps / PS_PER_S * timing.clock_hz))} would fit)"
     )
+
+
+def _ticks(
+    recording: Recording, tick_ps: float, delay_ps: float
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the tick of each photon, and its place in the tick if the recording knows it."""
+    ticks = recording.time_ps if recording.in_ticks else recording.time_ps / tick_ps
+    offset_ps = recording.offset_ps
+    if offset_ps is None:
+        return np.floor(ticks - delay_ps / tick_ps + FRACTION), None
+    if delay_ps == 0:  # an offset may lie on the end of its tick, where it stays
+        return ticks, offset_ps
+    place = ticks + (offset_ps - delay_ps) / tick_ps
+    tick = np.floor(place + FRACTION)
+    return tick, np.maximum(place - tick, 0) * tick_ps
 
 
 def _pixels(

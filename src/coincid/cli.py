@@ -579,6 +579,7 @@ def edges(
     from coincid.model.light.timing import Timing
     from coincid.model.recorded.exchange import (
         check_suffix,
+        offsets_note,
         parse_channels,
         read_recording,
         write_edges,
@@ -598,9 +599,12 @@ def edges(
         raise error.within(recording) from None
     write_edges(out, converted, timing)
     print(f"{recording}: {recorded.kind}, {len(recorded.sync):,} photons")
-    for note in filter(
-        None, (period_note(recorded, timing), f"left out: {told(lost)}" if lost else "")
-    ):
+    notes = (
+        period_note(recorded, timing),
+        f"left out: {told(lost)}" if lost else "",
+        offsets_note(out, converted),
+    )
+    for note in filter(None, notes):
         print(note)
     print(f"{out}: {len(converted):,} edges")
 

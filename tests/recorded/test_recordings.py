@@ -651,3 +651,87 @@ def test_a_delay_is_subtracted_from_ticks_too(tmp_path):
     found, lost = edges_of(path, delay_ps=2 * tick_ps)
     assert found == [(0, 3, 98)]
     assert lost == {"before the trigger, by the delay": 1}
+
+
+DAMAGED_PHOTONS = {
+    "few detectors": ({"detectors": np.zeros(2, int)}, "lengths differ: timestamps 3, detectors 2"),
+    "few bins": ({"nanotimes": np.zeros(2, int)}, "lengths differ.* nanotimes 2"),
+    "one timestamp": ({"timestamps": 5}, r"timestamps: holds int64\[\]"),
+    "negative": ({"timestamps": np.array([-5, 5, 7])}, r"timestamps\[0\] = -5"),
+    "no bin": ({"nanotimes": np.array([1, np.nan, 2])}, r"nanotimes\[1\] = nan"),
+    "large": (
+        {"timestamps": np.array([1, 2, 2**63 + 5], np.uint64)},
+        "timestamps: holds 9223372036854775813, must be below 2.63",
+    ),
+    "unit in words": ({"timestamps_specs__timestamps_unit": "x"}, "unit: holds .* one number"),
+    "two rates": (
+        {"measurement_specs__laser_repetition_rate": np.array([1e7, 2e7])},
+        r"laser_repetition_rate: holds float64\[2\], must hold one number",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED_PHOTONS)
+def test_damaged_photon_hdf5(tmp_path, name):
+    changed, words = DAMAGED_PHOTONS[name]
+    path = photon_hdf5(tmp_path / "a.h5", **(SYNCED | changed))
+    with pytest.raises(InputError, match=words):
+        read_recording(path)
+
+
+def test_a_number_of_photon_hdf5_may_be_an_array_of_one(tmp_path):
+    unit = {"timestamps_specs__timestamps_unit": np.array([25e-9])}
+    found = read_recording(photon_hdf5(tmp_path / "a.h5", **(SYNCED | unit)))
+    assert found.period_ps == pytest.approx(25_000)
+
+
+PLACED = Edges(np.array([1, 0]), np.array([4, 3]), np.array([7, 100]), np.array([62.5, 0.1]))
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".h5"])
+def test_offsets_come_back(tmp_path, suffix):
+    """In the order of their edges, to the last digit."""
+    path = tmp_path / f"edges{suffix}"
+    write_edges(path, PLACED, TIMING)
+    found, _ = recorded_edges(read_recording(path), CONFIG, TIMING)
+    assert found.tick.tolist() == [100, 7] and found.offset_ps.tolist() == [0.1, 62.5]
+
+
+def test_a_delay_moves_offsets(tmp_path):
+    """By a fraction of a tick of 62.5 ps."""
+    write_edges(tmp_path / "a.npz", PLACED, TIMING)
+    found, _ = recorded_edges(read_recording(tmp_path / "a.npz"), CONFIG, TIMING, delay_ps=10.0)
+    assert found.tick.tolist() == [99, 7]
+    assert found.offset_ps == pytest.approx([52.6, 52.5])
+
+
+def test_offsets_that_a_file_cannot_hold_are_told(tmp_path):
+    write_edges(tmp_path / "a.npz", PLACED, TIMING)
+    for name, is_told in (("b.ptu", True), ("b.npz", False)):
+        result = command("edges", tmp_path / "a.npz", "--out", tmp_path / name)
+        assert result.exit_code == 0, result.output
+        assert ("left out: offset_ps" in result.stdout) == is_told
+
+
+def test_offsets_are_numbers_of_at_least_0(tmp_path):
+    (tmp_path / "a.csv").write_text("pulse,pixel,tick,offset_ps\n0,3,5,-1\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"offset_ps\[0\] = -1"):
+        read_recording(tmp_path / "a.csv")
+
+
+def test_triggers_that_come_twice_are_one_pulse():
+    triggers = np.repeat(np.arange(4) * 500_000, 2)
+    found = since_sync(np.array([1000, 501_000]), np.zeros(2), triggers, 1.0, "times")
+    assert found.period_ps == 500_000 and found.sync.tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("divider", [-1, (1 << 16) + 1])
+def test_a_divider_of_the_header_out_of_range(tmp_path, divider):
+    path = ptu(tmp_path / "a.ptu", [t2(1, 0, 5), t2(0, 3, 9)], HWSync_Divider=divider)
+    with pytest.raises(InputError, match=f"HWSync_Divider = {divider}: must be from 0 to 65536"):
+        read_recording(path)
+
+
+def test_a_divider_of_0_in_the_header_is_none(tmp_path):
+    path = ptu(tmp_path / "a.ptu", [t2(1, 0, 5), t2(0, 3, 9)], HWSync_Divider=0)
+    assert read_recording(path).divider == 1
