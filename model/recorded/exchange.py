@@ -65,9 +65,9 @@ def _read(path: FilePath, sync_channel: int | None) -> Recording:
     if set(NAMES) <= set(names):
         if OFFSET not in names:
             return _of_syncs(path, NAMES, read(NAMES), "edges", sync_channel)
-        *columns, offset_ps = read((*NAMES, OFFSET))
+        *of_edges, offset_ps = read((*NAMES, OFFSET))
         not_negative(path, OFFSET, offset_ps)
-        found = _of_syncs(path, NAMES, columns, "edges", sync_channel)
+        found = _of_syncs(path, NAMES, of_edges, "edges", sync_channel)
         return evolve(found, offset_ps=offset_ps.astype(np.float64))
     unit = next((name for name in UNITS_PS if name in names), None)
     if unit is None or "channel" not in names:
