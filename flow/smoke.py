@@ -111,7 +111,9 @@ def smoke_edges(config: Config) -> Edges:
             else pixels[-4 - p : len(pixels) - p]
         )
         pulse, pixel = np.append(pulse, [p] * 4), np.append(pixel, burst)
-        tick = np.append(tick, (early + 6 + p) * sensor.phases - 2 + np.arange(4))
+        # in a short period, as late as single edges may be
+        cycle = early + min(6 + p, cycles - 1)
+        tick = np.append(tick, cycle * sensor.phases - 2 + np.arange(4))
     _, once = np.unique(pulse * sensor.array_pixels + pixel, return_index=True)
     return Edges(pulse[once], pixel[once], tick[once])
 
