@@ -15,10 +15,13 @@ from ..model.shared.errors import InputError
 LONGEST = 40  # characters; simulators limit the length of a name
 FORM = re.compile(rf"([A-Za-z][A-Za-z0-9_]{{0,{LONGEST - 1}}})?")
 # All modules, C symbols and macros of an export begin like this.
-SYMBOL = re.compile(r"(?<!\w)coincid_(?=\w)")
+# Verilator's programs have a V in front of the module, and patterns of file names have a star behind.
+SYMBOL = re.compile(r"(?:(?<!\w)|(?<=/V))coincid_(?=[\w*])")
 MACRO = re.compile(r"(?<!\w)COINCID_(?=\w)")
 ADDRESS_MAP = re.compile(r"(?<=\baddrmap )coincid(?= \{)")
 VERILOG = (".v", ".vh")
+# Names of files in texts that are not those of a text of the export.
+OTHER_FILES = ("registers.*", "manifest.json")
 
 
 def checked_prefix(prefix: str) -> str:
@@ -45,7 +48,7 @@ def prefixed_files(files: dict[str, str], prefix: str) -> dict[str, str]:
     if not prefix:
         return files
     others = [PurePosixPath(name).name for name in files if not SYMBOL.search(name)]
-    mentioned = "|".join(re.escape(name) for name in (*others, "registers.*"))
+    mentioned = "|".join(re.escape(name) for name in (*others, *OTHER_FILES))
     file_name = re.compile(rf"(?<![\w.])({mentioned})(?!\w)")
 
     def renamed(name: str, text: str) -> str:
