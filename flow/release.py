@@ -5,6 +5,7 @@ README and a manifest.
 
 import hashlib
 import json
+import os
 import shutil
 import tempfile
 from importlib.metadata import files as files_of
@@ -405,18 +406,42 @@ def write_release(
 
 
 def _take_along(folder: Path, fresh: Path) -> None:
-    """Copy the files of `folder` that are of no release to `fresh`."""
-    released = set()
-    for path in folder.glob(f"*{FILE_LIST}"):
-        released |= {path.name, *path.read_text(encoding="utf-8").split()}
-    for path in folder.glob(f"*{MANIFEST}"):
-        released |= {path.name, *json.loads(path.read_text(encoding="utf-8"))["sha256"]}
+    """Copy what is in `folder` and of no release to `fresh`: files, links and folders."""
+    released = {Path(name) for names in _releases(folder).values() for name in names}
+    released |= {name.parent for name in released}
     for path in folder.rglob("*"):
         name = path.relative_to(folder)
-        if path.is_dir() or name.as_posix() in released or (fresh / name).exists():
+        if name in released or os.path.lexists(fresh / name):
             continue
         (fresh / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(path, fresh / name, follow_symlinks=False)
+        if path.is_dir() and not path.is_symlink():
+            (fresh / name).mkdir()
+        else:
+            shutil.copy2(path, fresh / name, follow_symlinks=False)
+
+
+def _releases(folder: Path) -> dict[str, list[str]]:
+    """Return the files of each release in `folder`, its manifest among them, by the manifest's
+    name.
+    """
+    releases = {}
+    for manifest in folder.glob(f"*{MANIFEST}"):
+        facts = _json(manifest)
+        named = manifest.name.removesuffix(MANIFEST) + TOP
+        # somebody else's file may have a name that ends like that of a manifest
+        if not isinstance(facts, dict) or facts.get("name") != named:
+            continue
+        if isinstance(facts.get("sha256"), dict):
+            releases[manifest.name] = [manifest.name, *facts["sha256"]]
+    return releases
+
+
+def _json(path: Path) -> Any:
+    """Return the content of a JSON file, or None if it is none."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
 
 
 def _contents(config: Config, view: str | View, prefix: str) -> dict[str, bytes]:
@@ -431,11 +456,6 @@ def _contents(config: Config, view: str | View, prefix: str) -> dict[str, bytes]
 
 def _other_releases(folder: Path, prefix: str) -> dict[str, bytes]:
     """Return the files by name of the releases in `folder` that have other prefixes."""
-    files = {}
-    for manifest in folder.glob(f"*{MANIFEST}"):
-        if manifest.name == f"{prefix}{MANIFEST}":
-            continue
-        names = json.loads(manifest.read_text(encoding="utf-8"))["sha256"]
-        for name in (manifest.name, *names):
-            files[name] = (folder / name).read_bytes()
-    return files
+    releases = _releases(folder)
+    releases.pop(f"{prefix}{MANIFEST}", None)
+    return {name: (folder / name).read_bytes() for names in releases.values() for name in names}
