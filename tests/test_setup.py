@@ -160,29 +160,59 @@ def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):
     assert "PIP_FIND_LINKS=FOLDER" in done.stderr
 
 
-def test_another_python_is_made_until_it_has_its_packages(tmp_path):
-    """The first installation fails, so the second call tries again."""
+def set_up_place(folder):
+    """Make a folder with the set-up, in which all that it installs seems to be there."""
     installed = ("requirements.lock", "pyproject.toml")
     for file in (*installed, "scripts/setup"):
-        (tmp_path / file).parent.mkdir(exist_ok=True)
-        shutil.copy(ROOT / file, tmp_path / file)
-    programs = tmp_path / ".venv" / "bin"
+        (folder / file).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / file, folder / file)
+    programs = folder / ".venv" / "bin"
     programs.mkdir(parents=True)
     (programs / "python").symlink_to(sys.executable)
-    uv = programs / "uv"
+    sums = [f"{sha256((folder / file).read_bytes()).hexdigest()}  {file}" for file in installed]
+    stamp = "\n".join([f"made in {folder}", *sums, ""])
+    (folder / ".venv" / ".stamp").write_text(stamp, encoding="utf-8")
+
+
+def test_another_python_is_made_until_it_has_its_packages(tmp_path):
+    """The first installation fails, so the second call tries again."""
+    set_up_place(tmp_path)
+    uv = tmp_path / ".venv" / "bin" / "uv"
     uv.write_text(
         '#!/bin/sh\ncase "$*" in *"pip install"*) exit 7 ;; esac\nmkdir -p build/python3.12\n',
         encoding="utf-8",
     )
     uv.chmod(0o755)
-    sums = [f"{sha256((tmp_path / file).read_bytes()).hexdigest()}  {file}" for file in installed]
-    stamp = "\n".join([f"made in {tmp_path}", *sums, ""])
-    (tmp_path / ".venv" / ".stamp").write_text(stamp, encoding="utf-8")
     command = [tmp_path / "scripts" / "setup", "python3.12"]
     for _ in range(2):
         done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8")
         assert done.returncode == 7, done.stderr
     assert (tmp_path / "build" / "python3.12").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("python", "code", "says"),
+    [
+        (sys.executable, 0, ""),
+        ("/nonexistent", 1, "PYTHON=/nonexistent: does not run"),
+        ("./other", 1, "PYTHON=./other: is Python 3.99, and .venv has"),
+    ],
+)
+def test_another_python_than_that_of_the_environment_is_refused(tmp_path, python, code, says):
+    """The environment stays, because it may have what somebody has put into it."""
+    set_up_place(tmp_path)
+    other = tmp_path / "other"
+    other.write_text("#!/bin/sh\necho 3.99\n", encoding="utf-8")
+    other.chmod(0o755)
+    done = subprocess.run(
+        [tmp_path / "scripts" / "setup"],
+        env=os.environ | {"PYTHON": python},
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+    )
+    assert done.returncode == code
+    assert says in done.stderr
 
 
 def test_an_unknown_need_is_refused():
