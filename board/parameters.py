@@ -20,6 +20,7 @@ REGION_BITS = 20  # bits of an address inside a region; the bits above select th
 SENSOR_BASE, OWN_BASE, SOURCE_BASE, BUFFER_BASE = 0x000000, 0x100000, 0x200000, 0x300000
 SOURCE_STRIDE = 0x800
 BUFFER_BEATS, BUFFER_BEATS_MAX = 8192, 1 << 16  # size of the frame buffer: default and maximum
+CLOCKS_PER_BIT = 4, 1 << 16  # of the serial link: the fewest and the most
 EMULATOR_ID = 0x454D554C  # "EMUL"
 EMULATOR_VERSION = 0x00010000
 
@@ -72,7 +73,7 @@ class Emulator:
             raise wrong_value(
                 "buffer_beats", self.buffer_beats, legal, low=64, high=BUFFER_BEATS_MAX
             )
-        check_integer("clocks_per_bit", self.clocks_per_bit, 4, 1 << 16)
+        check_integer("clocks_per_bit", self.clocks_per_bit, *CLOCKS_PER_BIT)
 
     @classmethod
     def of(cls, config: Config, buffer_beats: int = BUFFER_BEATS) -> "Emulator":

@@ -4,11 +4,13 @@ board.
 """
 
 import ctypes
+import math
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 from ..model.contract.parameters import Sensor
+from ..model.shared.errors import check_integer
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tb import toolchain
@@ -16,7 +18,7 @@ from ..tb.rtl import emitted, listed
 from ..tb.verilated import COMPILER, include, objects_in, run_time, verilated_unit
 from ..tools.build import Compile, compile_once
 from ..tools.libraries import Functions, load
-from .parameters import BUFFER_BEATS, Emulator
+from .parameters import BUFFER_BEATS, CLOCKS_PER_BIT, Emulator
 from .rtl.top import EMULATOR_LIST, SERIAL_TOP, emulator_files
 
 SOURCE = Path(__file__).with_name("emulator.cpp")
@@ -34,6 +36,16 @@ def simulated(
 ) -> Emulator:
     """Return an emulator of `sensor` for simulation, with the fastest line by default."""
     return Emulator(sensor=sensor, buffer_beats=buffer_beats, clocks_per_bit=clocks_per_bit)
+
+
+def clocks_at(baud: int, clock_mhz: float) -> int:
+    """Return the clock cycles per bit of a serial line. Raises `InputError` if the clock cannot
+    make it.
+    """
+    clock_hz = clock_mhz * 1e6
+    fewest, most = CLOCKS_PER_BIT
+    low, high = math.ceil(clock_hz / most), math.floor(clock_hz / fewest)
+    return round(clock_hz / check_integer("baud", baud, low, high, f"at {clock_mhz:g} MHz"))
 
 
 def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:

@@ -7,6 +7,7 @@ the first one varies slowest.
 """
 
 import math
+import os
 from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any
@@ -84,6 +85,9 @@ def read_spec(path: FilePath) -> Spec:
     range.
     """
     try:
+        # a SPEC is no configuration: `read_toml` would offer the presets
+        if not os.path.exists(path):
+            raise InputError("no such file")
         document = read_toml(path)
         axes = _axes(document.pop("axis", []))
         _place_clock(document)

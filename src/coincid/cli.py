@@ -40,7 +40,6 @@ PULSES_MAX = 1 << 16
 ASYNC_PULSES, ASYNC_FRAMES = 4, 1
 FRAMES_MAX = 1000  # for the controller
 REPEATS_MAX = 1000
-BAUD_MAX = 100_000_000
 PROCESSES_MAX = 1 << 10
 SWITCHES = {"true": True, "false": False}
 
@@ -880,11 +879,12 @@ def emulate(
                 PATIENCE_S,
                 SIMULATED_CLOCKS_PER_BIT,
                 SimulatedPort,
+                clocks_at,
                 simulated,
             )
         clocks = SIMULATED_CLOCKS_PER_BIT
         if baud is not None:
-            clocks = round(settings.clock_mhz * 1e6 / check_integer("baud", baud, 1, BAUD_MAX))
+            clocks = clocks_at(baud, settings.clock_mhz)
         built, library = (
             emulator_netlist(settings, clocks_per_bit=clocks)
             if netlist

@@ -203,6 +203,9 @@ def test_a_wrong_word_is_found(driver):
             session.frame()
 
 
+AT_100_MHZ = ["--set", "clock_mhz=100"]
+
+
 @pytest.mark.parametrize(
     "arguments, says",
     [
@@ -211,6 +214,14 @@ def test_a_wrong_word_is_found(driver):
         (["--port", "/dev/none"], "cannot be opened"),
         (["--simulate", "--frames", "0"], "frames = 0"),
         (["--port", "/dev/none", "--netlist"], "netlist: goes with --simulate only"),
+        (
+            ["--simulate", "--baud", "100000000", *AT_100_MHZ],
+            "baud = 100000000: must be an integer from 1526 to 25000000 (at 100 MHz)",
+        ),
+        (
+            ["--simulate", "--baud", "1525", *AT_100_MHZ],
+            "baud = 1525: must be an integer from 1526",
+        ),
     ],
 )
 def test_bad_input(arguments, says):

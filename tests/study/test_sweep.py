@@ -433,6 +433,13 @@ def test_a_bad_spec_is_refused_before_anything_runs(tmp_path, spec, words):
     assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
 
 
+def test_presets_are_not_offered_as_a_spec(tmp_path):
+    """They are configurations, which a SPEC may only extend."""
+    done = command("sweep", tmp_path / "none.toml")
+    assert_refused(done, "none.toml", "no such file")
+    assert "silicon" not in done.output
+
+
 def test_outputs_that_cannot_be(tmp_path):
     for options in (
         ("--out", tmp_path / "x.png"),
