@@ -22,6 +22,7 @@ from ..model.contract.packet import (
     COUNTS,
     ENTRIES,
     EVENT_FORMATS,
+    FORMATS,
     FRAME_END,
     FRAME_START,
     HEADER,
@@ -29,6 +30,7 @@ from ..model.contract.packet import (
     OFFSETS,
     RECORD,
     Field,
+    built_formats,
     layout,
 )
 from ..model.contract.parameters import TOP, Sensor
@@ -180,7 +182,7 @@ def stream_words(sensor: Sensor, groups_link: str = "contract.md#groups-of-event
     counters = ", ".join(f"`{name}`" for name in COUNTER_NAMES)
     rows = [(FRAME_START, "frame start", 1, "nothing; `pulse` holds the frame's number")]
     for name, packet in EVENT_FORMATS.items():
-        if packet.grouped:
+        if packet.grouped or name not in built_formats(sensor):
             continue
         behind = (
             ", then ".join(f"the {field.name}" for field in packet.fields if field.aligned)
@@ -190,28 +192,26 @@ def stream_words(sensor: Sensor, groups_link: str = "contract.md#groups-of-event
     if sensor.counts:
         after = "the pulses of its pixels, then its rows"
         rows.append((COUNTS, "counts of a minigroup", lengths.length(COUNTS), after))
-    rows += [
-        (RECORD, "minigroup record", lengths.length(RECORD), "the minigroups' entries"),
-        (
-            FRAME_END,
-            "frame end",
-            1,
-            f"{lengths.counter_beats} beats per subgroup of the stream: its counters",
-        ),
-    ]
+    if sensor.records:
+        after = "the minigroups' entries"
+        rows.append((RECORD, "minigroup record", lengths.length(RECORD), after))
+    after = f"{lengths.counter_beats} beats per subgroup of the stream: its counters"
+    rows.append((FRAME_END, "frame end", 1, after))
 
     def beats(field: Field) -> int:
         return -(-field.bits(sensor) // BEAT_BITS)
 
-    told = f"""
-* Map, {beats(MAP)} beats: bit i of beat w is pixel 64 w + i.
-* Offsets, {beats(OFFSETS)} beats: a byte per minigroup, eight in a beat; 255 means not hit.
-* Entries, {beats(ENTRIES)} beats: {sensor.record_bits} bits per minigroup, the map above the stamp; map 0 means nothing latched.
-* Counters, 32 bits each, two in a beat, lowest bits first: {counters}.
-"""
+    told = f"\n* Map, {beats(MAP)} beats: bit i of beat w is pixel 64 w + i.\n"
+    if sensor.offsets:
+        told += f"* Offsets, {beats(OFFSETS)} beats: a byte per minigroup, eight in a beat; 255 means not hit.\n"
+    if sensor.records:
+        told += f"* Entries, {beats(ENTRIES)} beats: {sensor.record_bits} bits per minigroup, the map above the stamp; map 0 means nothing latched.\n"
+    told += f"* Counters, 32 bits each, two in a beat, lowest bits first: {counters}.\n"
     coded = ((packet.code, name, length, after) for packet, name, length, after in rows)
     table = markdown.table(("type", "packet", "beats", "after the header"), coded, left=(1, 3))
-    groups_told = "In the formats `compact` and `compact-full`, events leave in groups, whose beats have type 5"
+    grouped = " and ".join(f"`{name}`" for name in built_formats(sensor) if FORMATS[name].grouped)
+    formats = "formats" if " and " in grouped else "format"
+    groups_told = f"In the {formats} {grouped}, events leave in groups, whose beats have type 5"
     told += f"\n{groups_told} ([{groups_link.partition('#')[0]}]({groups_link})).\n"
     if sensor.counts:
         told += f"\nA packet with counts has other fields:\n\n{counts_table()}"

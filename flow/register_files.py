@@ -9,6 +9,7 @@ PeakRDL is an application of 7.8 MB.
 
 import html
 import json
+import re
 import tempfile
 from pathlib import Path
 from string import Template
@@ -16,19 +17,24 @@ from typing import Any
 
 from attrs import asdict
 
+from ..model.contract.packet import FORMAT_NAMES, built_formats
 from ..model.contract.parameters import Sensor, bits_for
 from ..model.contract.registers import (
     ADDRESS_BITS,
+    BY_NAME,
     DATA_BITS,
     GLOBAL,
+    MODE,
     SUBGROUP,
     SUBGROUP_BASE,
     SUBGROUP_STRIDE,
     WRITABLE,
     Access,
+    Bits,
     Register,
     built,
 )
+from ..model.contract.settings import SWITCHES
 from ..model.shared import markdown
 from ..model.shared.licence import SPDX
 
@@ -73,13 +79,31 @@ def _plain(register: Register, sensor: Sensor) -> dict[str, Any]:
         "count": register.count(sensor),
         "access": register.access.name.lower(),
         "reset": register.reset(sensor),
-        "doc": register.doc,
+        "doc": _doc(register, sensor),
     }
     if register.access in WRITABLE:
         values |= {"low": register.low(sensor), "high": register.high(sensor)}
     if register.bits:
-        values["bits"] = [asdict(bits) for bits in register.bits]
+        values["bits"] = [asdict(bits) for bits in _bits(register, sensor)]
     return values
+
+
+def _doc(register: Register, sensor: Sensor) -> str:
+    """Return what a register is for, without the formats that the sensor refuses."""
+    doc = register.doc
+    if register is not BY_NAME["format"] or len(built_formats(sensor)) == len(FORMAT_NAMES):
+        return doc
+    for number, name in enumerate(FORMAT_NAMES):
+        if name not in built_formats(sensor):
+            doc = re.sub(rf", {number} {name} \([^()]*\)", "", doc)
+    return f"{doc} Other numbers are refused."
+
+
+def _bits(register: Register, sensor: Sensor) -> list[Bits]:
+    """Return the parts of a register, without the modes that the sensor refuses."""
+    if register is not MODE:
+        return list(register.bits)
+    return [bits for bits in register.bits if SWITCHES[bits.name].built(sensor)]
 
 
 HEAD = ("offset", "name", "access", "range", "reset", "meaning")
@@ -128,9 +152,16 @@ def _rows(registers: tuple[Register, ...], sensor: Sensor) -> list[list[str]]:
         )
         reset = "" if register.access is Access.COUNTER else str(register.reset(sensor))
         rows.append(
-            [offset, register.name, register.access.name.lower(), legal, reset, register.doc]
+            [
+                offset,
+                register.name,
+                register.access.name.lower(),
+                legal,
+                reset,
+                _doc(register, sensor),
+            ]
         )
-        for bits in register.bits:
+        for bits in _bits(register, sensor):
             meaning = f"{bits.doc}{' Write 1 to clear.' if bits.clears else ''}"
             rows.append(["", f"bit {bits.lsb}: {bits.name}", "", "", "", meaning])
     return rows
@@ -213,12 +244,12 @@ def _systemrdl(sensor: Sensor) -> str:
 def _rdl_block(registers: tuple[Register, ...], sensor: Sensor, indent: str) -> list[str]:
     lines = []
     for register in built(registers, sensor):
-        reset, doc = register.reset(sensor), register.doc
+        reset, doc = register.reset(sensor), _doc(register, sensor)
         if register.access in WRITABLE and not register.bits:
             doc += f" Range: {register.low(sensor)} to {register.high(sensor)}."
         array = f"[{register.count(sensor)}]" if register.count(sensor) > 1 else ""
         lines += [f"{indent}reg {{", f'{indent}  desc = "{doc}";']
-        for bits in register.bits:
+        for bits in _bits(register, sensor):
             use = RDL_FIELD.get(register.access, RDL_CLEARED if bits.clears else RDL_STATE)
             value = reset >> bits.lsb & (1 << bits.width) - 1
             where = f"[{bits.lsb + bits.width - 1}:{bits.lsb}]"
@@ -281,7 +312,7 @@ def _defines(register: Register, sensor: Sensor, address: str, arguments: list[s
     if register.count(sensor) > 1:
         address, arguments = f"{address} + 4u * (i)", [*arguments, "i"]
     macro = f"{name}({', '.join(arguments)})" if arguments else name
-    lines = [f"#define {macro} ({address})  /* {register.doc} */"]
+    lines = [f"#define {macro} ({address})  /* {_doc(register, sensor)} */"]
     if register.access is Access.CONSTANT:
         lines.append(f"#define {name}_VALUE {register.reset(sensor)}u")
     if register.access is Access.SETTING:
@@ -289,7 +320,7 @@ def _defines(register: Register, sensor: Sensor, address: str, arguments: list[s
             f"#define {name}_LOWEST {register.low(sensor)}u",
             f"#define {name}_HIGHEST {register.high(sensor)}u",
         ]
-    for bits in register.bits:
+    for bits in _bits(register, sensor):
         mask = ((1 << bits.width) - 1) << bits.lsb
         lines.append(f"#define {name}_{bits.name.upper()} {mask:#x}u  /* {bits.doc} */")
     return lines

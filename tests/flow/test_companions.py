@@ -251,6 +251,17 @@ def test_pages_tell_that_settings_of_a_subgroup_are_not_held(file, held):
     assert ("while busy is refused" in text) == (not held)
 
 
+@pytest.mark.parametrize("file", (MARKDOWN, HTML, HEADER, JSON, RDL, IP_XACT))
+@pytest.mark.parametrize("built", (0, 1))
+def test_only_formats_and_modes_that_are_built_are_described(file, built):
+    """The sensor refuses the others."""
+    text = register_files(Sensor(offsets=built, counts=built, controller=built))[file]
+    for told in ("2 full", "4 compact-full", "5 counts", "the controller sets the threshold"):
+        assert (told in text) == bool(built), told
+    assert ("Other numbers are refused." in text) == (not built)
+    assert "1 id (map)" in text and "3 compact (id in groups)" in text
+
+
 READERS = {IP_XACT: by_ip_xact, HTML: by_page, JSON: by_json, HEADER: by_c_compiler}
 
 

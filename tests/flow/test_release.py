@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+from fnmatch import fnmatch
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
@@ -20,10 +21,12 @@ from attrs import evolve
 
 from coincid.flow.limits import beats_beside_cycles, largest_frame
 from coincid.flow.plain_names import plain_verilog
+from coincid.flow.ports import stream_words
 from coincid.flow.register_files import IP_XACT
 from coincid.flow.release import CELLS_LIST, MANIFEST, phase_clock, write_release
-from coincid.flow.smoke import FPGA_SMOKE, SMOKE, smoke_configs, smoke_test
+from coincid.flow.smoke import FPGA_SMOKE, SMOKE, smoke_configs, smoke_edges, smoke_test
 from coincid.flow.yosys import LIBERTY, cells_folder
+from coincid.hdl.deserialiser import CYCLES
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.front_end_views import view_at
 from coincid.hdl.sensor import FPGA_TOP, SensorTop
@@ -303,7 +306,7 @@ def test_two_sensors_with_prefixes_are_one_simulation(two_sensors):
 
 def test_every_name_of_an_export_has_its_prefix(two_sensors):
     """Modules, macros, C symbols, files, cores and names of register maps."""
-    names = re.compile(r"(?<![A-Za-z0-9_*])(coincid_|COINCID_)")
+    names = re.compile(r"(?<![A-Za-z0-9_*])V?(coincid_|COINCID_)|(?<![\w.])manifest\.json")
     for prefix in PREFIXES:
         manifest = json.loads((two_sensors / f"{prefix}{MANIFEST}").read_text(encoding="utf-8"))
         for name, digest in manifest["sha256"].items():
@@ -312,8 +315,11 @@ def test_every_name_of_an_export_has_its_prefix(two_sensors):
             assert Path(name).name.startswith(prefix)
             if not name.startswith("captured/"):
                 wrong = [line for line in content.decode().splitlines() if names.search(line)]
-                allowed = [line for line in wrong if "cells/coincid_*.v" in line]
-                assert wrong == allowed, name
+                assert not wrong, name
+        waivers = (two_sensors / f"{prefix}coincid.vlt").read_text(encoding="utf-8")
+        (latches,) = re.findall(r'-rule LATCH -file "(.*?)"', waivers)
+        cells = [name for name in manifest["sha256"] if name.startswith("cells/")]
+        assert cells and all(fnmatch(name, latches) for name in cells)
         core = (two_sensors / f"{prefix}{TOP}.core").read_text(encoding="utf-8")
         assert f'name: "coincid:sensor:{prefix}{TOP}:' in core
 
@@ -470,6 +476,19 @@ def test_the_smoke_test_takes_no_undefined_bit_for_a_right_one():
     for line in (ROOT / "flow" / "smoke_bench.vh").read_text(encoding="utf-8").splitlines():
         if re.search(r"\bcheck\((?!input|whole)", line):
             assert "===" in line, line
+
+
+@pytest.mark.parametrize("coarse_bits", (3, 4, 10))
+@pytest.mark.parametrize("phases", (4, 32))
+def test_edges_of_a_smoke_test_are_in_its_period(coarse_bits, phases):
+    """Also in the shortest one that a sensor may have."""
+    sensor = built_sensor(
+        {"rows": 8, "cols": 8, "coarse_bits": coarse_bits, "phases": phases, "window_max": 8}
+    )
+    for of_frame in smoke_configs(sensor):
+        edges = smoke_edges(of_frame)
+        assert edges.tick.min() >= (CYCLES + 1) * phases
+        assert edges.tick.max() < (of_frame.period - 2) * phases
 
 
 @pytest.mark.long
@@ -734,6 +753,33 @@ def test_another_export_into_a_folder_keeps_the_files_of_others(tmp_path):
     for name, text in own.items():
         assert (folder / name).read_text(encoding="utf-8") == text
     assert not (folder / "old.v").exists()
+
+
+@pytest.mark.parametrize("text", ['{"a": 1}', "[]", '{"sha256": {"my.v": "0"}}', "no JSON"])
+def test_another_export_keeps_links_folders_and_manifests_of_others(tmp_path, text):
+    folder = tmp_path / "rtl"
+    smallest = EXPORTS["smallest"][0]
+    write_release(folder, parse_config(smallest))
+    (folder / "link").symlink_to(tmp_path, target_is_directory=True)
+    (folder / "broken").symlink_to("nowhere")
+    (folder / "empty" / "deep").mkdir(parents=True)
+    own = {f"my_{MANIFEST}": text, "my.v": "", f"my_{FILE_LIST}": "my.v\n"}
+    for name, content in own.items():
+        (folder / name).write_text(content, encoding="utf-8")
+    write_release(folder, parse_config(smallest))
+    assert (folder / "link").readlink() == tmp_path
+    assert (folder / "broken").readlink() == Path("nowhere")
+    assert (folder / "empty" / "deep").is_dir()
+    for name, content in own.items():
+        assert (folder / name).read_text(encoding="utf-8") == content
+
+
+def test_words_of_the_stream_are_those_that_are_built():
+    lean = stream_words(built_sensor({"offsets": 0, "records": 0, "counts": 0}))
+    whole = stream_words(built_sensor({"offsets": 1, "records": 1, "counts": 1}))
+    for told in ("format full", "Offsets", "minigroup record", "Entries", "`compact-full`"):
+        assert told in whole and told not in lean
+    assert "In the format `compact`, events leave" in lean
 
 
 def test_limits_hold_where_every_edge_is_an_event():
