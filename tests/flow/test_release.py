@@ -755,7 +755,7 @@ def test_another_export_into_a_folder_keeps_the_files_of_others(tmp_path):
     assert not (folder / "old.v").exists()
 
 
-@pytest.mark.parametrize("text", ['{"a": 1}', "[]", '{"sha256": {"my.v": "0"}}', "no JSON"])
+@pytest.mark.parametrize("text", ['{"a": 1}', "[]", '{"sha256": {"not-there.v": "0"}}', "no JSON"])
 def test_another_export_keeps_links_folders_and_manifests_of_others(tmp_path, text):
     folder = tmp_path / "rtl"
     smallest = EXPORTS["smallest"][0]
