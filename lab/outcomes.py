@@ -331,6 +331,8 @@ class Run:
         """
         _check_estimator(estimator)
         method = estimator or _check_estimator(options.pop("method", None))
+        if method is None and not self.setup.estimators:
+            raise InputError("estimators: is empty, so there is no depth", field="estimators")
         method = method or self.setup.estimators[0]
         source = DEFAULT_SOURCE
         if isinstance(method, str):

@@ -3,7 +3,7 @@
 computed here.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache, cached_property
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
@@ -209,12 +209,11 @@ class Setup:
         other fields. Raises `InputError`.
         """
         config: Config = fields.pop("config", self.config)
+        tables = {"frame": frame or {}, "subgroup": subgroup or {}}
         for name in fields:
             if name not in fields_dict(Setup):
                 raise _unknown_field(name)
-        return evolve(
-            self, config=config.with_frame(**frame or {}).with_settings(**subgroup or {}), **fields
-        )
+        return evolve(self, config=with_tables(config, tables), **fields)
 
     @property
     def seen(self) -> Scene:
@@ -302,6 +301,34 @@ def for_pictures(config: Config, scene: Scene) -> Config:
     if not scene.later or "frame.frames" in config.given:
         return config
     return config.with_frame(frames=scene.pictures)
+
+
+def with_tables(config: Config, tables: Mapping[str, Mapping[str, Any]]) -> Config:
+    """Return a copy of a configuration with other settings, given as tables of a configuration
+    file. They are checked together. Raises `InputError`.
+
+    A list or an array in the table `subgroup` gives one value per subgroup.
+    """
+    if not any(tables.values()):
+        return config
+    document = config.written()
+    several = _differing(config)
+    for table, settings in tables.items():
+        for name, value in settings.items():
+            if table == "subgroup" and np.ndim(value):
+                several[name] = value
+            else:
+                several.pop(name, None)
+                document[table][name] = value
+    for name in several:
+        document["subgroup"].pop(name, None)
+    return parse_config(document).with_settings(**several).with_rule(config.sensor.rule)
+
+
+def _differing(config: Config) -> dict[str, Any]:
+    """Return the settings that were written and differ between subgroups: a value for each."""
+    of_subgroups = {name: getattr(config, name) for name in config.written()["subgroup"]}
+    return {name: values for name, values in of_subgroups.items() if np.any(values != values[0])}
 
 
 def seeded(setup: Setup, seeds: int) -> list[Setup]:

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..lab import outcomes
 from ..lab.options import OPTIONS, documented
-from ..lab.setup import Setup, for_pictures, scene_of
-from ..model.contract.config import PER_FRAME, SETTINGS, Config, load_config, parse_config
+from ..lab.setup import Setup, for_pictures, scene_of, with_tables
+from ..model.contract.config import PER_FRAME, SETTINGS, Config, load_config
 from ..model.contract.pixels import pixel_number
 from ..model.contract.result import events_table, write_result
 from ..model.depth.depth import write_depths
@@ -280,31 +280,13 @@ def with_settings(config: Config, settings: dict[str, Any]) -> Config:
             raise InputError(
                 f"{name}: unknown argument or setting, must be one of {', '.join((*OPTIONS, *SETTINGS))}"
             )
-    if not settings:
-        return config
-    document = config.written()
-    document["frame"] |= _for_pulses(config, settings)
-    several = _differing(config)
+    tables: dict[str, dict[str, Any]] = {"frame": _for_pulses(config, settings)}
     for name, value in settings.items():
-        table = SETTINGS[name].table
-        if table == "subgroup" and np.ndim(value):
-            several[name] = value
-        else:
-            several.pop(name, None)
-            document[table][name] = value
-    for name in several:
-        document["subgroup"].pop(name, None)
+        tables.setdefault(SETTINGS[name].table, {})[name] = value
     try:
-        changed = parse_config(document).with_settings(**several)
+        return with_tables(config, tables)
     except InputError as error:
         raise _blaming(error, settings) from None
-    return changed.with_rule(config.sensor.rule)
-
-
-def _differing(config: Config) -> dict[str, Any]:
-    """Return the settings that were written and differ between subgroups: a value for each."""
-    of_subgroups = {name: getattr(config, name) for name in config.written()["subgroup"]}
-    return {name: values for name, values in of_subgroups.items() if np.any(values != values[0])}
 
 
 def _for_pulses(config: Config, settings: dict[str, Any]) -> dict[str, Any]:

@@ -104,6 +104,25 @@ def test_a_changed_setting_keeps_the_photons_and_another_seed_does_not():
     assert alone.config.frames == 1 and np.array_equal(alone.edges.tick, run.frame_edges(1).tick)
 
 
+def test_tables_that_are_legal_together_are_taken_together():
+    """Though the first of them alone is refused; values of subgroups stay."""
+    own = {"gating": True, "gate_start": 50, "threshold": [2, 5, 3]}
+    before = small().but(subgroup=own)
+    changed = before.but(frame={"period": 40}, subgroup={"gate_start": 20}).config
+    own["gate_start"] = 20
+    expected = small().but(frame={"period": 40}).but(subgroup=own).config
+    assert changed.register_writes() == expected.register_writes()
+
+
+def test_without_an_estimator_there_is_no_depth():
+    run = Run(small(estimators=()))
+    assert run["edges"]
+    for ask in (run.depth, lambda: run["wrong_share"]):
+        with pytest.raises(InputError, match="estimators: is empty, so there is no depth"):
+            ask()
+    assert run.depth("maximum").depth_m.shape[2] == 1
+
+
 def test_a_frame_by_an_estimator_is_of_that_estimator():
     """In any order, and again."""
     run = Run(small(klux=20.0, estimators=("matched", "maximum")))
