@@ -146,6 +146,18 @@ def test_what_an_estimator_does_not_find_is_nan_in_all_that_it_tells():
         assert (values[:, :, 0] == value).all() and np.isnan(values[:, :, 1:]).all(), name
 
 
+@pytest.mark.parametrize(
+    ("part", "shape"),
+    [("error_m", SHAPE), ("error_m", (1, 1, 1)), ("slope_m", (*SHAPE, 1)), ("slope_m", (2,))],
+)
+def test_an_estimate_of_another_shape_is_refused(part, shape):
+    run = Run(Setup.of("flat:5,0.4", **SMALL))
+    found = evolve(Depth.of(np.ones(run.scene.truth_m.shape)), **{part: np.zeros(shape)})
+    other = type("Misshapen", (Far,), {"estimate": lambda self, reading: found})()
+    with pytest.raises(coincid.InputError, match=f"far.estimate: {part} has shape"):
+        run.depth(other)
+
+
 def test_an_estimator_that_is_none_is_refused():
     run = Run(Setup.of("flat:5,0.4", **SMALL))
 

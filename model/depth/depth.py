@@ -9,6 +9,7 @@ import numpy as np
 from attrs import evolve, field, frozen
 from numpy.typing import ArrayLike
 
+from ..shared.errors import InputError
 from ..shared.files import FilePath, write_npz
 from .belief import BELIEVED_MIN, SENTENCES, Reason
 
@@ -83,15 +84,22 @@ class Depth:
         """Return the depth of an estimator that gives no reasons; they follow from its confidence.
 
         depth_m: float64[rows, cols] or [rows, cols, returns], NaN = none; confidence: broadcast
-        to it, 0 where there is no depth.
+        to it, 0 where there is no depth. Raises `InputError`.
         """
         distance_m = np.array(depth_m, np.float64)
         if distance_m.ndim == 2:
             distance_m = distance_m[:, :, None]
+        if distance_m.ndim != 3 or not distance_m.shape[2]:
+            raise InputError(
+                f"depth_m: has shape {np.shape(depth_m)}, must be [rows, cols] or [rows, cols, returns]",
+                field="depth_m",
+            )
         sure = np.asarray(confidence, np.float64)
         if sure.ndim == 2:
             sure = sure[:, :, None]
         sure = np.where(np.isnan(distance_m), 0.0, np.broadcast_to(sure, distance_m.shape))
+        if np.any((sure < 0) | (sure > 1)):
+            raise InputError("confidence: must be from 0 to 1 everywhere", field="confidence")
         reason = np.full(distance_m.shape[:2], Reason.FEW_PHOTONS, np.uint8)
         reason[np.isnan(distance_m[:, :, 0])] = Reason.NO_LIGHT
         reason[sure[:, :, 0] >= BELIEVED_MIN] = Reason.BELIEVED
@@ -125,10 +133,12 @@ def _saved(depth: Depth) -> dict[str, np.ndarray]:
 
 def write_depths(path: FilePath, depths: Sequence[Depth], truth_m: ArrayLike | None = None) -> None:
     """Write the depth of several frames as NPZ: the arrays of `Depth.save`, with the frames as
-    first axis. Raises `InputError` for another suffix.
+    first axis. Raises `InputError` for another suffix, and without frames.
 
     truth_m: float64[frames, rows, cols], the true distances; None: unknown.
     """
+    if not depths:
+        raise InputError("depths: is empty, must have a frame at least", field="depths")
     arrays = {
         name: np.stack([getattr(depth, name) for depth in depths]) for name in _saved(depths[0])
     }

@@ -184,6 +184,8 @@ def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
             f"{name}.estimate: depth_m has shape {shape}, must be {pixels} and 1 to {returns} returns"
         )
     images = {"depth_m": (*pixels, *has), "confidence": (*pixels, *has), "reason": pixels}
+    optional = {"error_m": (*pixels, *has), "slope_m": (*pixels, 2)}
+    images |= {part: shape for part, shape in optional.items() if getattr(found, part) is not None}
     for part, shape in images.items():
         if np.shape(getattr(found, part)) != shape:
             raise InputError(

@@ -12,12 +12,13 @@ from coincid.model.contract.pixels import pixel_table
 from coincid.model.depth.arrivals import arrival_ticks, photons_of
 from coincid.model.depth.belief import BELIEVED_MIN, Reason
 from coincid.model.depth.clusters import cluster_events
-from coincid.model.depth.depth import Depth
+from coincid.model.depth.depth import Depth, write_depths
 from coincid.model.depth.estimate import PEAKS, PLANES, RETURNS_MAX, estimate_depth
 from coincid.model.depth.histograms import SOURCES, frame_events, subgroup_histograms
 from coincid.model.depth.peaks import APART_SIGMAS, hit_shares, live_share, pixel_peaks, record_live
 from coincid.model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from coincid.model.golden.frame import golden_result
+from coincid.model.shared.errors import InputError
 
 from ..random_cases import SENSORS, configured, random_edges
 from ..told import Told
@@ -454,6 +455,21 @@ def test_a_depth_stays_as_it_is_when_the_callers_arrays_change():
     confidence[:] = 0.25
     assert (depth.depth_m == 5.0).all()
     assert (depth.confidence == 0.75).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Depth.of(np.zeros(4)), r"depth_m: has shape \(4,\), must be"),
+        (lambda: Depth.of(np.zeros((2, 2, 0))), "depth_m: has shape"),
+        (lambda: Depth.of(np.ones((2, 2)), confidence=5.0), "confidence: must be from 0 to 1"),
+        (lambda: Depth.of(np.ones((2, 2)), confidence=-0.1), "confidence: must be from 0 to 1"),
+        (lambda: write_depths("depths.npz", []), "depths: is empty"),
+    ],
+)
+def test_a_depth_that_is_none_is_refused(make, says):
+    with pytest.raises(InputError, match=says):
+        make()
 
 
 @pytest.mark.parametrize("name", ("wide", "odd"))
