@@ -28,13 +28,15 @@ from ..model.contract.coincidence import rises
 from ..model.contract.config import Config, parse_config
 from ..model.contract.latency import armed_cycle, close_cycle
 from ..model.depth.arrivals import SYSTEM_FWHM_S
+from ..model.depth.gates import open_share
 from ..model.depth.likelihood import DEAD_S
 from ..model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from ..model.depth.quality import OTHER_SURFACE_M
 from ..model.depth.tree import kept_shares
 from ..model.light.light import Light, background_cps, signal_per_pulse
 from ..model.shared.arguments import check_kind
-from ..model.shared.errors import check_integer
+from ..model.shared.constants import SPEED_OF_LIGHT_M_S
+from ..model.shared.errors import InputError, check_integer
 from ..model.shared.pulse import TIME_MAX_S, Pulse, PulseSource, pulse_of
 from ..model.shared.quantities import check_real
 
@@ -57,13 +59,14 @@ class Bound:
     signal_per_pulse, background_cps : float
         Detected light of the pixel.
     photons_mm, bound_mm : float
-        RMS error of one pixel's distance, in millimetres: from all its photons, and from the words
-        of the sensor. It falls with the root of the pulses.
+        RMS error of one pixel's distance, in millimetres: from all its photons, also while its gate
+        is closed, and from the words of the sensor. It falls with the root of the pulses.
     wall_photons_mm, wall_bound_mm : float
-        The same for all pixels of a subgroup together, if they share one distance.
+        The same for all pixels of a subgroup together that are on, if they share one distance.
     gross_share : float
         Share of the frames in which an ideal estimator is off by more than 15 cm, if it sees all
-        photons of one pixel and nothing of its neighbours; estimated from `TRIALS` frames.
+        photons of one pixel and nothing of its neighbours; estimated from `TRIALS` frames. It takes
+        any of several times that are equally likely, such as those of a frame without photons.
     """
 
     signal_per_pulse: float
@@ -91,7 +94,8 @@ def bound(
     Parameters
     ----------
     config : Config or None
-        The sensor, its pulses, threshold and window (those of subgroup 0); None: the defaults.
+        The sensor, its pulses, and the threshold, window, mask and gate of subgroup 0; None: the
+        defaults. With the controller (`auto`), it is the configured threshold that counts, too.
     distance_m, reflectivity, klux : float
         Distance of the wall (from 0.05 m), its reflectivity from 0 to 1, and the ambient light.
     system_fwhm_s : float
@@ -106,7 +110,7 @@ def bound(
     Raises
     ------
     InputError
-        If a value is out of range.
+        If a value is out of range, or subgroup 0 has no events of the wall.
     """
     chosen = check_kind("config", config, Config, NoneType) or parse_config({})
     if "pulses" in settings:
@@ -119,17 +123,60 @@ def bound(
     light = float(signal_per_pulse(distance_m, reflectivity))
     noise_cps = float(background_cps(check_real("klux", klux, 0), reflectivity))
     shape = pulse_ticks(chosen, system_fwhm_s, pulse_of(pulse))
-    words = word_bounds_mm(chosen, light, noise_cps, shape)
+    lit_share = _open_at(chosen, np.array([distance_m]))[0]
+    words = word_bounds_mm(chosen, light, noise_cps, shape, lit_share)
+    _check_events(chosen, distance_m, words, lit_share)
     photons_mm = photon_bound_mm(chosen, light, noise_cps, shape)
     return Bound(
         signal_per_pulse=light,
         background_cps=noise_cps,
         photons_mm=photons_mm,
         bound_mm=words.pixel_mm,
-        wall_photons_mm=photons_mm / math.sqrt(chosen.sensor.pixels),
+        wall_photons_mm=photons_mm / math.sqrt(_live_pixels(chosen)),
         wall_bound_mm=words.wall_mm,
         gross_share=gross_share(chosen, light, noise_cps, shape, trials),
     )
+
+
+def _check_events(config: Config, distance_m: float, words: "WordBounds", lit_share: float) -> None:
+    """Raise `InputError` if subgroup 0 has no events of the light from a distance."""
+    if config.counting:
+        raise InputError(
+            "frame.format = 'counts': has no events, and the bound is that of events",
+            field="frame.format",
+        )
+    if not lit_share:
+        raise InputError(
+            f"subgroup.gate_start: the gate of subgroup 0 is never open for light from {distance_m:g} m",
+            field="subgroup.gate_start",
+        )
+    if math.isinf(words.pixel_mm):
+        raise InputError(
+            "subgroup.mask: no window of subgroup 0 has as many pixels that are on as an event needs",
+            field="subgroup.mask",
+        )
+
+
+def _live_pixels(config: Config) -> int:
+    """Return the number of pixels of subgroup 0 that are on."""
+    return int(np.count_nonzero(config.mask[0]))
+
+
+def _open_at(config: Config, distance_m: np.ndarray) -> np.ndarray:
+    """float64[n]: share of the pulses in which the gate of subgroup 0 is open when the light from
+    distances, float64[n], comes. Without a distance it is 1.
+    """
+    known = np.isfinite(distance_m)
+    tick = 2 * np.where(known, distance_m, 0.0) / SPEED_OF_LIGHT_M_S / config.tick_s
+    cycle = (tick % config.period_ticks // config.sensor.phases).astype(np.int64)
+    share = open_share(config, 0, range(config.pulses))[cycle]
+    return np.where(known, share, 1.0)
+
+
+def _open_of(config: Config, light: Light) -> np.ndarray:
+    """float64[pixels]: the same for the strongest target of each pixel."""
+    strongest = light.signal_per_pulse.argmax(axis=1)
+    return _open_at(config, light.distance_m[np.arange(light.pixels), strongest])
 
 
 def mm_per_tick(config: Config) -> float:
@@ -227,7 +274,7 @@ class Wall(NamedTuple):
     noise: float  # photons per tick
     alive: float
     pulse: PulseTicks
-    pixels: int
+    pixels: int  # that are on
     window: int
     phases: int
     rearm: int
@@ -241,23 +288,32 @@ def word_bounds_mm(
     signal_per_pulse: float,
     noise_cps: float,
     pulse: PulseTicks | None = None,
+    lit_share: float = 1.0,
 ) -> WordBounds:
-    """Return the lowest RMS errors from the sensor's words, with the settings of subgroup 0.
+    """Return the lowest RMS errors from the sensor's words, with the settings of subgroup 0; inf if
+    it has no events.
 
     signal_per_pulse: detected photons of each pixel. noise_cps: detected background of each.
+    lit_share: of the pulses, in which the gate is open for the light.
     """
     wall = subgroup_wall(config, signal_per_pulse, noise_cps, pulse)
+    pulses = config.pulses * lit_share
     return WordBounds(
-        pixel_mm=_lowest_mm(config, wall, of_all=False),
-        wall_mm=_lowest_mm(config, wall, of_all=True),
+        pixel_mm=_lowest_mm(config, wall, pulses, of_all=False),
+        wall_mm=_lowest_mm(config, wall, pulses, of_all=True),
     )
 
 
-def _lowest_mm(config: Config, wall: Wall, *, of_all: bool) -> float:
-    """Return the lowest RMS error of one pixel's time, or of that of all."""
+def _lowest_mm(config: Config, wall: Wall, pulses: float, *, of_all: bool) -> float:
+    """Return the lowest RMS error of one pixel's time, or of that of all; inf without events.
+
+    pulses: in which the gate is open for the light.
+    """
+    if not pulses or np.all(wall.rejected[1:] >= 1):
+        return math.inf
     places = (np.arange(PHASES) + 0.3) * wall.phases / PHASES
     found = [_information(wall, place, of_all=of_all) for place in places]
-    information = config.pulses * _armed_share(wall) * float(np.mean(found))
+    information = pulses * _armed_share(wall) * float(np.mean(found))
     return mm_per_tick(config) / math.sqrt(max(1e-300, information))
 
 
@@ -279,6 +335,13 @@ def median_light(light: Light) -> MedianLight | None:
     )
 
 
+def usual_open_share(config: Config, light: Light) -> float:
+    """Return the median share of the pulses in which the gate of subgroup 0 is open for the light of
+    a pixel, over the pixels that have some.
+    """
+    return float(np.median(_open_of(config, light)[light.total_signal > 0]))
+
+
 def with_usual_threshold(config: Config, threshold: np.ndarray) -> Config:
     """Return a configuration in which every subgroup has the median of their thresholds in a frame."""
     return config.with_settings(threshold=int(np.median(threshold)))
@@ -286,7 +349,7 @@ def with_usual_threshold(config: Config, threshold: np.ndarray) -> Config:
 
 def pixel_bounds_mm(config: Config, light: Light, pulse: Pulse | None = None) -> np.ndarray:
     """float64[pixels]: lowest RMS error of each pixel's distance from the words, in millimetres, as
-    if its neighbours had the same light; NaN without light.
+    if its neighbours had the same light; NaN without light or events.
 
     It is interpolated between `LIGHTS` lights, at the median background of the pixels that have
     some light. The settings are those of subgroup 0. pulse: measured shape of laser pulse and jitter
@@ -297,7 +360,10 @@ def pixel_bounds_mm(config: Config, light: Light, pulse: Pulse | None = None) ->
     usual = median_light(light)
     if usual is None:
         return found
-    lit = total > 0
+    lit_share = _open_of(config, light)
+    lit = (total > 0) & (lit_share > 0)
+    if not lit.any():
+        return found
     lights = np.geomspace(total[lit].min(), total[lit].max(), LIGHTS)
     if lights[0] == lights[-1]:
         lights = lights[:1]
@@ -305,8 +371,11 @@ def pixel_bounds_mm(config: Config, light: Light, pulse: Pulse | None = None) ->
     lowest = []
     for one in lights:
         wall = subgroup_wall(config, float(one), usual.noise_cps, shape)
-        lowest.append(_lowest_mm(config, wall, of_all=False))
+        lowest.append(_lowest_mm(config, wall, config.pulses, of_all=False))
+    if math.isinf(lowest[0]):
+        return found
     found[lit] = np.exp(np.interp(np.log(total[lit]), np.log(lights), np.log(lowest)))
+    found[lit] /= np.sqrt(lit_share[lit])
     return found
 
 
@@ -323,6 +392,7 @@ def subgroup_wall(
     kept = kept_shares(rises(sensor.rule, sensor.subgroup, threshold), sensor.pixels)
     shape = pulse or pulse_ticks(config)
     window = int(config.window[0]) if coincidence else 1
+    pixels = _live_pixels(config)
     reach = _reach(shape)
     before = -(-(reach + window) // sensor.phases)
     return Wall(
@@ -330,11 +400,11 @@ def subgroup_wall(
         noise=_noise_per_tick(config, noise_cps),
         alive=_alive(noise_cps),
         pulse=shape,
-        pixels=sensor.pixels,
+        pixels=pixels,
         window=window,
         phases=sensor.phases,
         rearm=sensor.rearm,
-        rejected=1 - kept[: sensor.pixels + 1],
+        rejected=1 - kept[: pixels + 1],
         start=-before * sensor.phases,
         cycles=before + -(-(sensor.phases + reach) // sensor.phases) + 1,
     )
@@ -479,7 +549,8 @@ def gross_share(
     trials: int = TRIALS,
 ) -> float:
     """Return the share of frames in which the likeliest time is off by more than 15 cm, for all
-    photons of one pixel whose light and background are known; NaN with 0 trials.
+    photons of one pixel whose light and background are known; NaN with 0 trials. Of times that are
+    equally likely, a frame counts with the share of those that are off.
     """
     if not trials:
         return math.nan
@@ -496,7 +567,7 @@ def gross_share(
     far = round(OTHER_SURFACE_M / (mm_per_tick(config) / 1e3))
     middle = ticks // 2
     random = np.random.default_rng(SEED)
-    wrong = 0
+    wrong = 0.0
     for _ in range(trials):
         hits = random.poisson(config.pulses * floor, ticks).astype(np.float64)
         hits[middle - reach : middle + reach + 1] = random.poisson(config.pulses * rate)
@@ -504,5 +575,7 @@ def gross_share(
         chance = np.exp(level - level.max())
         near = np.convolve(chance, np.ones(2 * far + 1), "same")
         best = np.flatnonzero(near > near.max() * (1 - 1e-9))
-        wrong += abs(best[len(best) // 2] - middle) > far
+        if best[-1] - best[0] <= 2 * far:  # all of them have the same peak
+            best = best[len(best) // 2 :][:1]
+        wrong += np.mean(np.abs(best - middle) > far)
     return float(wrong / trials)

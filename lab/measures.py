@@ -4,6 +4,7 @@
 The selection is our choice; `wrong_share` is that of the paper's Fig. 7.
 """
 
+import math
 from collections.abc import Callable
 from typing import Protocol, TypeAlias
 
@@ -26,7 +27,7 @@ from ..model.light.light import Light
 from ..model.scenes.scene import Scene
 from ..model.shared.constants import SUCCESS_TOLERANCE_S
 from ..model.shared.pulse import Pulse
-from .bound import median_light, with_usual_threshold, word_bounds_mm
+from .bound import median_light, usual_open_share, with_usual_threshold, word_bounds_mm
 from .pace import LASER_MEAN_W, frame_s, frames_per_s, pulse_energy_j
 
 Number: TypeAlias = int | float | None
@@ -125,15 +126,17 @@ def _capacity_share(frame: MeasuredFrame) -> float | None:
 
 
 def _bound_mm(frame: MeasuredFrame) -> float | None:
-    """Return the bound of a wall with the median light of the pixels that have some; None without
-    events.
+    """Return the bound of a wall with the median light of the pixels that have some; None if there
+    are no events of it.
     """
     usual = median_light(frame.light)
     if usual is None or frame.config.counting:
         return None
     config = with_usual_threshold(frame.config, frame.threshold)
     pulse = pulse_ticks(config, pulse=frame.run.pulse)
-    return word_bounds_mm(config, *usual, pulse).pixel_mm
+    lit_share = usual_open_share(config, frame.light)
+    lowest_mm = word_bounds_mm(config, *usual, pulse, lit_share).pixel_mm
+    return None if math.isinf(lowest_mm) else lowest_mm
 
 
 def _per_s(counter: str) -> Callable[[MeasuredFrame], float]:

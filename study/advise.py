@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from attrs import frozen
+from attrs import Factory, evolve, field, frozen
 
-from ..lab.bound import median_light, photon_bound_mm, word_bounds_mm
+from ..lab.bound import median_light, photon_bound_mm, usual_open_share, word_bounds_mm
 from ..lab.outcomes import Frame, Run
 from ..lab.pace import frames_per_s, told_pace
 from ..lab.setup import SETTLING, Setup
@@ -27,6 +27,7 @@ from ..model.contract.packet import BEAT_BITS
 from ..model.depth.pulse_ticks import pulse_ticks
 from ..model.golden.frame import Golden
 from ..model.light.photons import edge_chunks
+from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError
 from ..model.shared.files import whole_file, write_csv
 from ..model.shared.quantities import check_real
@@ -125,7 +126,7 @@ class Advice:
     links: links and formats for `chosen`; best: the advised one. klux: the light for which the
     power is told. limit: what a threshold costs in millimetres. useless: sentences about a scene of
     which no setting leaves a useful picture; "" if one does. counts: what counts would do; "" if
-    they were tried as a format.
+    they were tried as a format. advised: the configuration that is written.
     """
 
     settings: list[Tried]
@@ -136,6 +137,7 @@ class Advice:
     limit: str = ""
     useless: str = ""
     counts: str = ""
+    advised: Config = field(default=Factory(lambda self: self.best.config, takes_self=True))
 
     @property
     def tried(self) -> list[Tried]:
@@ -209,6 +211,7 @@ def advise(
     setup.
     """
     scene = setup.seen
+    asked = setup.config
     frames = scene.pictures if scene.later else SETTLING + 1
     setup = setup.but(
         frame={"frames": frames, "format": FORMATS[0], "link_gbps": FIRST_LINK_GBPS},
@@ -261,7 +264,19 @@ def advise(
         limit=_limit(run, best.config),
         useless=useless,
         counts="" if has_counts or counting is None else _with_counts(run, counting),
+        advised=_for_all_pictures(best.config, asked, scene),
     )
+
+
+def _for_all_pictures(advised: Config, asked: Config, scene: Scene) -> Config:
+    """Return an advised configuration with the number of frames that was asked for, if the scene
+    moves; without one, if each picture has a frame.
+    """
+    if not scene.later:
+        return advised
+    if "frame.frames" in asked.given and asked.frames != scene.pictures:
+        return advised.with_frame(frames=asked.frames)
+    return evolve(advised, given=advised.given - {"frame.frames"})
 
 
 def _in_counts(config: Config) -> Config | None:
@@ -286,14 +301,18 @@ def _with_counts(run: Run, config: Config) -> str:
 
 def _limit(run: Run, config: Config) -> str:
     """Return a sentence about the lowest possible errors at the median light, by threshold."""
-    light = median_light(run.light)
+    seen = run.light_of(-1)  # of the frame that is judged
+    light = median_light(seen)
     if light is None:
         return "No pixel has light."
     usual = config.with_settings(coincidence=True, auto=False)
     pulse = pulse_ticks(usual, pulse=run.pulse)
+    lit_share = usual_open_share(usual, seen)
     of_words = []
     for threshold in LIMITED:
-        lowest = word_bounds_mm(usual.with_settings(threshold=threshold), *light, pulse)
+        lowest = word_bounds_mm(usual.with_settings(threshold=threshold), *light, pulse, lit_share)
+        if math.isinf(lowest.pixel_mm):
+            return "Subgroup 0 has no events of this light, so no limit of its words is told."
         of_words.append(f"{lowest.pixel_mm:.1f} mm at threshold {threshold}")
     photons_mm = photon_bound_mm(usual, *light, pulse)
     return (
@@ -386,7 +405,7 @@ def write_advice(out: Path, advice: Advice, heading: str) -> list[Path]:
     write_csv(files[0], [HEADS, *(one.row() for one in advice.tried)])
     _draw(files[1], advice, heading)
     with whole_file(files[2], "w") as file:
-        file.write(config_text(advice.best.config))
+        file.write(config_text(advice.advised))
     return files
 
 

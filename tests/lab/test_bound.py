@@ -128,6 +128,82 @@ def test_gross_errors_of_an_ideal_estimator():
 
 
 @pytest.mark.parametrize(
+    "dark",
+    [
+        {"distance_m": 30.0, "reflectivity": 0.1, "klux": 0, "pulses": 10},
+        {"reflectivity": 0.0, "klux": 50, "pulses": 100},
+    ],
+)
+def test_a_frame_that_tells_nothing_is_as_wrong_as_a_guess(dark):
+    found = coincid.bound(trials=100, **dark)
+    told = 1 - np.exp(-found.signal_per_pulse * dark["pulses"])
+    assert found.gross_share == pytest.approx(1 - told, abs=0.06)
+
+
+WALL = {"distance_m": 8.0, "klux": 50, "threshold": 2, "pulses": 100, "trials": 1}
+LIT_CYCLE = 26  # of the light of `WALL`
+
+
+def test_a_bound_counts_the_pulses_with_an_open_gate():
+    """One that moves by its length covers the light in every fifth pulse."""
+    usual = coincid.bound(**WALL)
+    gate = {"gating": True, "gate_start": LIT_CYCLE, "gate_len": 10}
+    assert coincid.bound(**WALL, **gate) == usual
+    frame = {"gate_every": 1, "gate_step": 10, "gate_steps": 5}
+    moving = coincid.bound(parse_config({"frame": frame}), **WALL, **gate)
+    assert moving.bound_mm == pytest.approx(usual.bound_mm * 5**0.5)
+    assert moving.wall_bound_mm == pytest.approx(usual.wall_bound_mm * 5**0.5)
+    assert moving.photons_mm == usual.photons_mm
+
+
+def test_a_bound_has_the_pixels_that_are_on():
+    """As if the subgroup had no others; so fewer windows become events."""
+    half = coincid.bound(**WALL, mask="ffffffff")
+    small = parse_config({"sensor": {"subgroup": [4, 8]}})
+    assert half == coincid.bound(small, **WALL)
+    assert half.wall_photons_mm == pytest.approx(half.photons_mm / 32**0.5)
+
+
+@pytest.mark.parametrize(
+    ("frame", "subgroup", "says"),
+    [
+        ({}, {"gating": True, "gate_start": LIT_CYCLE + 1}, "subgroup.gate_start: .* never open"),
+        ({}, {"gating": True, "gate_start": 0, "gate_len": LIT_CYCLE}, "subgroup.gate_start"),
+        ({}, {"mask": "0"}, "subgroup.mask: no window"),
+        ({}, {"mask": "1"}, "subgroup.mask: no window"),
+        ({"format": "counts"}, {}, "frame.format = 'counts': has no events"),
+    ],
+)
+def test_where_no_event_tells_of_the_wall_there_is_no_bound(frame, subgroup, says):
+    sensor = {"rows": 8, "cols": 8, "counts": 1}
+    config = parse_config({"sensor": sensor, "frame": frame, "subgroup": subgroup})
+    with pytest.raises(coincid.InputError, match=says):
+        coincid.bound(config, **WALL)
+    setup = Setup.of(
+        f"flat:{WALL['distance_m']}",
+        sensor=sensor,
+        frame=frame | {"pulses": WALL["pulses"]},
+        subgroup=subgroup | {"threshold": WALL["threshold"]},
+    )
+    run = Run(setup)
+    assert run["bound_mm"] is None
+    if not setup.config.counting:
+        assert np.isnan(bounds.pixel_bounds_mm(setup.config, run.light)).all()
+
+
+def test_bounds_of_a_map_count_the_open_gates_of_each_distance():
+    """One gate covers the first pixel, the second one's light comes before it."""
+    light = Light(
+        rows=1, cols=2, distance_m=[[8.0], [2.0]], signal_per_pulse=0.2, background_cps=1e6
+    )
+    usual = parse_config({"sensor": {"rows": 8, "cols": 8}})
+    gated = usual.with_settings(gating=True, gate_start=20)
+    found = bounds.pixel_bounds_mm(gated, light)
+    assert found[0] == bounds.pixel_bounds_mm(usual, light)[0]
+    assert np.isnan(found[1])
+
+
+@pytest.mark.parametrize(
     ("given", "says"),
     [
         ({"distance_m": 0.0}, "distance_m"),

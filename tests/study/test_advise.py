@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from pandas import read_csv
 
-from coincid.lab.setup import Setup
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup, for_pictures
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.scenes.catalogue import load_scene
 from coincid.study.advise import Advice, Tried, advise, cheapest, write_advice
+from coincid.study.advise import _limit as limit
 from coincid.study.explain import meaning, warnings
 from coincid.study.price import (
     MEASURED_MHZ,
@@ -142,6 +144,40 @@ def test_the_settings_that_are_written_are_those_that_were_tried(
     assert read.sensor == config.sensor and read.frame == config.frame
     assert read.register_writes() == config.register_writes()
     assert read.given == config.given - {"frame.capacity"}
+
+
+def test_the_limit_is_that_of_the_picture_that_is_judged():
+    """The last one of a scene that moves."""
+    sensor = {"rows": 8, "cols": 8}
+    pictures_m = np.array([[[3.0]], [[15.0]]]) * np.ones((2, 8, 8))
+    moving = Setup.of(load_scene(pictures_m, 8, 8), sensor=sensor, klux=30.0)
+    last = Setup.of(load_scene(pictures_m[1], 8, 8), sensor=sensor, klux=30.0)
+    assert limit(Run(moving), moving.config) == limit(Run(last), last.config)
+
+
+def test_the_limit_of_a_mask_or_a_gate_is_told():
+    sensor = {"rows": 8, "cols": 8}
+    for subgroup in ({"mask": "0"}, {"gating": True, "gate_start": 100}):
+        setup = Setup.of("flat:3", sensor=sensor, subgroup=subgroup, klux=30.0)
+        assert "no events" in limit(Run(setup), setup.config)
+
+
+@pytest.mark.parametrize(
+    ("frame", "written"),
+    [({}, 3), ({"frames": 3}, 3), ({"frames": 2}, 2)],
+)
+def test_the_advice_for_a_scene_that_moves_plays_its_pictures(
+    tmp_path, monkeypatch, frame, written
+):
+    """As many as it has, or as were asked for."""
+    monkeypatch.setattr("coincid.study.advise._draw", lambda *given: None)
+    pictures_m = np.array([[[3.0]], [[4.0]], [[5.0]]]) * np.ones((3, 8, 8))
+    scene = load_scene(pictures_m, 8, 8)
+    sensor = {"rows": 8, "cols": 8}
+    setup = Setup.of(scene, sensor=sensor, frame=frame | {"pulses": 5}, klux=1.0)
+    advice = advise(setup, klux=1.0)
+    read = load_config(write_advice(tmp_path, advice, "a wall")[-1])
+    assert for_pictures(read, scene).frames == written
 
 
 def test_where_no_setting_helps_the_advice_begins_with_what_would(tmp_path):
