@@ -291,6 +291,7 @@ PRESCRIBED = {
     "eval_pdf": {"ctx"},
     "_terminate": {"number", "frame"},  # of a signal
     "transform_first_chunk": {"finishing"},  # Tornado
+    "counts_csv": {"frame"},  # what the explorer saves
     "events_csv": {"frame"},  # what the explorer saves
     "_library": {"root"},  # a part of the key under which it is kept
     "board_verilog": {"emulator"},  # a board

@@ -8,6 +8,9 @@ from collections.abc import Callable
 import numpy as np
 from attrs import frozen
 
+from ...model.contract.counts import NO_GATE
+from ...model.contract.gate_counts import GATE_BINS
+from ...model.contract.pixels import pixel_table
 from ...model.contract.result import EVENT_COLUMNS, map_numbers
 from ..pictures import Panel, draw_row
 from ..plot_style import figure_bytes
@@ -41,6 +44,32 @@ def events_csv(explored: Explored, frame: int) -> bytes:
     return text.getvalue().encode()
 
 
+def counts_csv(explored: Explored, frame: int) -> bytes:
+    """Return a CSV with one line per gate of a pixel, of all frames. pixel: its number in the
+    subgroup; gate_cycle: the first cycle of the gate, empty if there is none; hits0 and so on: in the
+    order of time; count_pulses: in which the pixel counted.
+    """
+    arrays = explored.run.result
+    minigroup = pixel_table(explored.run.config.sensor).minigroup
+    gate_cycle = arrays["gate_cycle"][:, :, minigroup]
+    hits = arrays["gate_hits"]
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    bins = [f"hits{one}" for one in range(GATE_BINS)]
+    lines.writerow(["frame", "subgroup", "pixel", "gate", "gate_cycle", *bins, "count_pulses"])
+    for place in np.ndindex(gate_cycle.shape):
+        cycle = int(gate_cycle[place])
+        known = "" if cycle == NO_GATE else cycle
+        lines.writerow([*place, known, *hits[place].tolist(), arrays["count_pulses"][place[:3]]])
+    return text.getvalue().encode()
+
+
+def _output_csv(explored: Explored, frame: int) -> bytes:
+    """Return what the sensor sent: events, or in the format `counts` counts."""
+    write = counts_csv if explored.run.config.counting else events_csv
+    return write(explored, frame)
+
+
 def picture_png(explored: Explored, frame: int) -> bytes:
     """Return truth and depth of a frame, as `make sim` draws them."""
     view, settings = explored.view(frame), explored.settings
@@ -58,6 +87,6 @@ SAVES = {
         "application/toml",
         lambda explored, frame: config_toml(explored.settings).encode(),
     ),
-    "csv": Save("events (CSV)", "events.csv", "text/csv", events_csv),
+    "csv": Save("events (CSV)", "events.csv", "text/csv", _output_csv),
     "png": Save("picture (PNG)", "depth.png", "image/png", picture_png),
 }

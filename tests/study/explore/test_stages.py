@@ -13,6 +13,7 @@ import pytest
 from bokeh.document import Document
 
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.counts import NO_GATE
 from coincid.model.contract.result import differences
 from coincid.model.golden.frame import golden_result
 from coincid.study.explore.control_values import check_settings
@@ -123,6 +124,19 @@ def test_what_is_saved():
         parse_config(tomllib.loads(SAVES["toml"].content(explored, 0).decode())).pulses
         == SMALL["pulses"]
     )
+
+
+def test_counts_are_saved_in_place_of_events():
+    explored = Explorer().run(check_settings(SMALL | {"format": "counts", "klux": 80.0}))
+    rows = list(csv.DictReader(SAVES["csv"].content(explored, 0).decode().splitlines()))
+    result = explored.run.result
+    assert len(rows) == 2 * result["count_pulses"].size
+    hits = np.array([[int(row[name]) for name in row if name.startswith("hits")] for row in rows])
+    assert (
+        np.array_equal(hits.reshape(result["gate_hits"].shape), result["gate_hits"]) and hits.any()
+    )
+    opened = {int(row["gate_cycle"]) for row in rows if row["gate_cycle"]}
+    assert opened == set(result["gate_cycle"].ravel().tolist()) - {NO_GATE}
 
 
 def test_the_rtl_sends_the_same_words():
