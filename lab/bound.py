@@ -577,5 +577,5 @@ def gross_share(
         best = np.flatnonzero(near > near.max() * (1 - 1e-9))
         if best[-1] - best[0] <= 2 * far:  # all of them have the same peak
             best = best[len(best) // 2 :][:1]
-        wrong += np.mean(np.abs(best - middle) > far)
+        wrong += float(np.mean(np.abs(best - middle) > far))
     return float(wrong / trials)
