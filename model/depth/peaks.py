@@ -54,11 +54,12 @@ def pixel_peaks(
     hits = np.ones(1) if single else _hits_of_pulse(pulse, sigma_ticks)
     width = hits.sum()
     shape = np.ones((1, bins))
-    gated = is_open is not None and not np.all(is_open == 1.0)
+    open_share = np.ones(bins) if is_open is None else is_open
+    gated = not np.all(open_share == 1.0)
     if live is not None or gated:
         of_group = np.atleast_2d(np.ones(bins) if live is None else live)
         if gated:
-            of_group = of_group * np.maximum(is_open, CLOSED_SHARE)
+            of_group = of_group * np.maximum(open_share, CLOSED_SHARE)
         relative = of_group / of_group.mean(axis=1, keepdims=True)
         # NumPy's own correlation depends on the processor.
         shape = ndimage.correlate1d(relative, hits / width, mode="constant")
@@ -69,7 +70,7 @@ def pixel_peaks(
         seen=np.ones_like(shape) if hit_share is None else np.atleast_2d(hit_share),
         group=np.zeros(len(histogram), np.int64) if group is None else group,
         by_evidence=method == "background",
-        places=float(np.count_nonzero(is_open)) if gated else float(bins),
+        places=float(np.count_nonzero(open_share)),
         near=0 if single else round(NEAR_SIGMAS * sigma_ticks),
         apart=apart,
     )
