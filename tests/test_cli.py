@@ -21,7 +21,7 @@ from typer.main import get_command
 from coincid.cli import Commands, app
 from coincid.flow.lint import findings
 from coincid.flow.register_files import HEADER, JSON, MARKDOWN
-from coincid.flow.release import CELLS_LIST
+from coincid.flow.release import CELLS_LIST, MANIFEST
 from coincid.flow.waivers import CONTROL_FILE, OF_CELLS, OF_SENSOR
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.front_end_views import POLYPHASE
@@ -448,6 +448,8 @@ def exports(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rtl")
     (folder / FILE_LIST).write_text("stale.v\n", encoding="utf-8")
     (folder / "stale.v").write_text("module stale; endmodule\n", encoding="utf-8")
+    earlier = {"name": TOP, "sha256": {FILE_LIST: "", "stale.v": ""}}
+    (folder / MANIFEST).write_text(json.dumps(earlier), encoding="utf-8")
     assert command("verilog", "--out", folder).exit_code == 0
     return {"default": contents(folder), "small": contents(small_releases() / "silicon")}
 

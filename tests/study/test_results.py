@@ -128,7 +128,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
         "a15dc710cfe4356b",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "c4ca990b34fa0a3c"),
+    "interference": (section(interference.interference, **INTERFERENCE), "fa5167892bec2402"),
 }
 
 
