@@ -36,7 +36,7 @@ EXPORTS = {  # name -> tables of the configuration (or a preset), view
     "smallest": ({"sensor": SMALLEST, "frame": {"period": 100}}, POLYPHASE),
     "subgroup": ({"sensor": {"rows": 8, "cols": 8}}, POLYPHASE),
     "lean": ({"sensor": LEAN, "frame": {"period": 100}}, POLYPHASE),
-    "counts": ({"sensor": SMALLEST | {"counts": 1}}, POLYPHASE),
+    "counts": ({"sensor": {"rows": 8, "cols": 8, "counts": 1}}, POLYPHASE),
     "async": ({"sensor": {"rows": 8, "cols": 8}, "frame": {"clock_mhz": 400}}, "async"),
     "fpga": ("fpga", POLYPHASE),
     "silicon": ("silicon", POLYPHASE),

@@ -198,7 +198,7 @@ def test_commands_of_the_readme(smallest, tmp_path, program):
 
 
 @pytest.mark.needs("verilator")
-@pytest.mark.parametrize("name", ("lean", "async"))
+@pytest.mark.parametrize("name", ("lean", "async", "counts"))
 def test_lint_of_the_readme_on_verilator_of_the_system(smallest, tmp_path, name):
     """The waivers work in older versions, too."""
     other = shutil.which("verilator")
