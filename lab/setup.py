@@ -258,8 +258,8 @@ class Setup:
 
     @property
     def _file_of_klux(self) -> Numbers | None:
-        """Content of the file that `klux` names; None for other forms, and if it cannot be read, of
-        which a run tells.
+        """The light of a text, which may name a file whose content changes. None for numbers and
+        arrays, and if it cannot be read, of which a run tells.
         """
         if not isinstance(self.klux, str) or self.scene is None:
             return None

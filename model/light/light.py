@@ -97,9 +97,9 @@ class Arrivals:
     The laser pulse's own shape is added to this. first: int64[pixels + 1]. start_s: float64[n],
     beginning of each bin since the laser trigger, ascending in a pixel (beyond the laser period:
     light of an earlier pulse). photons: float64[n], mean detected photons per pulse. width_s:
-    width of a bin, which is filled evenly. background_cps, span_s: a number or float64[pixels],
-    detected counts per second that are among these photons for so long after the trigger, and that
-    are no signal.
+    width of a bin, which is filled evenly. background_cps: a number or float64[pixels], detected
+    counts per second that are among these photons, and that are no signal; span_s: how long they
+    last from the trigger on.
     """
 
     first: np.ndarray
