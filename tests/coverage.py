@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from coincid.model.contract.config import Config
 from coincid.model.contract.counters import COUNTER_NAMES
-from coincid.model.contract.counts import COUNT_BITS, GATE_CYCLES, NO_GATE
+from coincid.model.contract.counts import COUNT_MOST, GATE_CYCLES, NO_GATE
 from coincid.model.contract.edges import Fate
 from coincid.model.contract.gate_counts import Counts
 from coincid.model.contract.latency import armed_cycle, close_cycle
@@ -137,7 +137,7 @@ def gates(of_frame: Counts, counts: collections.Counter) -> None:
     counts["minigroup without a gate"] += int((first == NO_GATE).sum())
     counts["minigroup with two gates"] += int(both.sum())
     counts["two gates side by side"] += int((both & (abs(second - first) == GATE_CYCLES)).sum())
-    full = of_frame.gate_hits == (1 << COUNT_BITS) - 1
+    full = of_frame.gate_hits == COUNT_MOST
     counts["pixel with a full bin"] += int(full.any(axis=(2, 3)).sum())
 
 

@@ -44,12 +44,6 @@ OPTIONS = {  # that functions pass on
 }
 NO_CALLS = {"Config", "InputError"}  # parse_config makes the one, checks raise the other
 NOT_CHECKED = {  # (function, argument): Python's own error comes out of it
-    ("events_table", "arrays"),
-    ("load_config", "changes"),
-    ("load_edges", "pixels"),
-    ("load_edges", "pulses"),
-    ("load_edges", "period_ticks"),
-    ("write_result", "arrays"),
     ("Run", "setup"),
     ("Run", "cache"),
     ("Run", "workers"),

@@ -22,7 +22,7 @@ from ..shared.files import FilePath
 from . import registers
 from .coincidence import AT_LEAST, Rule
 from .counters import EVENTS_MAX
-from .counts import SEARCH_SHARE, pause_cycles
+from .counts import SEARCH_SHARE, with_pauses
 from .dither import start_cycles
 from .groups import LARGE_PIXELS, PAYLOAD_BITS, group_widths
 from .link import beats_waiting_max, check_link, link_share, takes_beats
@@ -45,12 +45,15 @@ class Config(SubgroupSettings):
 
     `load_config` and `parse_config` make it; `with_sensor`, `with_frame` and `with_settings`
     make changed copies. given: the keys that were written, such as `subgroup.threshold`; all
-    others have their defaults. Raises `InputError` if settings make no sense together.
+    others have their defaults. overridden: bool[subgroups] by setting that was written in an
+    [[override]] only, the subgroups that it named; the others have the default. Raises
+    `InputError` if settings make no sense together.
     """
 
     sensor: Sensor
     frame: FrameSettings
     given: frozenset[str] = field(default=frozenset(), eq=False)  # it changes no result
+    overridden: Mapping[str, np.ndarray] = field(factory=dict, eq=False)
 
     def __attrs_post_init__(self) -> None:
         guard, period = self.sensor.guard, self.period
@@ -244,8 +247,7 @@ class Config(SubgroupSettings):
             self.pulses, self.period, self.frame.dither_bits, self.frame.dither_seed, self.gap
         )
         if self.counting:
-            for step, pause in enumerate(pause_cycles(self.sensor.minigroups), start=1):
-                starts[step * self.search_pulses :] += max(0, pause - self.gap)
+            starts = with_pauses(starts, self.search_pulses, self.sensor.minigroups, self.gap)
         starts[-1] = starts[-2] + self.period
         return starts
 
@@ -282,11 +284,12 @@ class Config(SubgroupSettings):
         """
         frame = evolve(self.frame, **_frame(settings, self.sensor))
         given = self.given | _keys("frame", settings)
-        followers: dict[str, Any] = {
-            name: _column(setting, setting.default_of(self.sensor, frame), self.sensor)
-            for name, setting in SUBGROUP.items()
-            if setting.follows in settings and setting.key not in given
-        }
+        followers: dict[str, Any] = {}
+        for name, setting in SUBGROUP.items():
+            if setting.follows in settings:
+                default = _column(setting, setting.default_of(self.sensor, frame), self.sensor)
+                own = self.overridden.get(name, setting.key in given)
+                followers[name] = np.where(own, getattr(self, name), default)
         return evolve(self, frame=frame, given=given, **followers)
 
     def with_sensor(self, **parameters: Any) -> "Config":
@@ -306,7 +309,7 @@ class Config(SubgroupSettings):
         changed = _blaming(
             _keys("sensor", parameters), lambda: parse_config(document).with_settings(**own)
         )
-        return changed.with_rule(self.sensor.rule)
+        return evolve(changed.with_rule(self.sensor.rule), overridden=self.overridden)
 
     def with_rule(self, rule: Rule) -> "Config":
         """Return a copy whose sensor has another rule of coincidence (docs/extend.md). Raises
@@ -359,7 +362,9 @@ class Config(SubgroupSettings):
                     for s, one in enumerate(value)
                 ]
                 columns[name] = np.array(values)
-        return evolve(self, **columns, given=self.given | _keys("subgroup", settings))
+        given = self.given | _keys("subgroup", settings)
+        overridden = {name: own for name, own in self.overridden.items() if name not in settings}
+        return evolve(self, **columns, given=given, overridden=overridden)
 
     def with_pulses(self, pulses: int) -> "Config":
         """Return a copy with another number of pulses per frame; settings in events per frame
@@ -369,8 +374,8 @@ class Config(SubgroupSettings):
         for name in PER_FRAME:
             events = getattr(self.frame, name)
             if events is not None:
-                most = FRAME[name].limits(self.sensor)[1]
-                scaled[name] = np.minimum(np.multiply(events, pulses) // self.pulses, most)
+                low, high = FRAME[name].limits(self.sensor)
+                scaled[name] = np.clip(np.multiply(events, pulses) // self.pulses, low, high)
         return self.with_frame(pulses=pulses, **scaled)
 
     def register_writes(self) -> list[tuple[int, int]]:
@@ -441,6 +446,9 @@ def load_config(path: FilePath | None = None, changes: Mapping[str, Any] | None 
     if path is not None and not isinstance(path, str | PathLike):
         message = f"config = {type(path).__name__}: must be a TOML file or a preset"
         raise InputError(f"{message}; parse_config takes tables", field="config")
+    if changes is not None and not isinstance(changes, Mapping):
+        message = f"changes = {type(changes).__name__}: must be a dict of values by key"
+        raise InputError(message, field="changes")
     for name in changes or {}:
         if name not in SETTINGS:
             message = f"{name}: unknown setting, must be one of {', '.join(SETTINGS)}"
@@ -550,6 +558,7 @@ def parse_config(document: dict[str, Any]) -> Config:
         for name, setting in SUBGROUP.items()
     }
     given = frozenset().union(*(_keys(table, keys) for table, keys in written.items()))
+    overridden: dict[str, np.ndarray] = {}
     for number, override in enumerate(document.get("override", [])):
         where = f"override[{number}]"
         if not isinstance(override, dict):
@@ -569,8 +578,11 @@ def parse_config(document: dict[str, Any]) -> Config:
             check_integer(f"{where}.subgroups", s, 0, sensor.subgroups - 1)
         for name, value in values.items():
             columns[name][chosen] = SUBGROUP[name].checked(f"{where}.{name}", value, sensor)
+            if name not in written["subgroup"]:
+                own = overridden.setdefault(name, np.zeros(sensor.subgroups, bool))
+                own[chosen] = True
         given |= _keys("subgroup", values)
-    return Config(sensor=sensor, frame=frame, given=given, **columns)
+    return Config(sensor=sensor, frame=frame, given=given, overridden=overridden, **columns)
 
 
 def _known(section: str, given: dict[str, Any], legal: Collection[str]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from attrs import evolve, frozen
 
-from ..shared.errors import InputError
+from ..shared.errors import InputError, check_integer
 from ..shared.files import FilePath, read_npz, write_npz
 
 
@@ -79,6 +79,7 @@ class Edges:
 
 
 NAMES = ("pulse", "pixel", "tick")
+LIMIT_MAX = (1 << 63) - 1  # pulses, pixels and ticks are int64
 OTHER_SUFFIXES = (".csv", ".h5", ".hdf5", ".ptu")  # of edges in formats of other programs
 
 
@@ -92,6 +93,8 @@ def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -
     suffix = Path(path).suffix.lower()
     if suffix in OTHER_SUFFIXES and os.path.exists(path):
         raise InputError(f"{path}: is read as NPZ; coincid edges makes one of a {suffix} file")
+    for name, limit in (("pixels", pixels), ("pulses", pulses), ("period_ticks", period_ticks)):
+        check_integer(name, limit, 1, LIMIT_MAX)
     arrays = read_npz(path, NAMES, optional=("offset_ps",))
     return checked_edges(
         arrays, pixels=pixels, pulses=pulses, period_ticks=period_ticks, source=f"{path}: "

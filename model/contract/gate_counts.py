@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .counts import COUNT_BITS, GATE_CYCLES, GATES, NO_GATE, ROW_BITS, ROWS
+from .counts import COUNT_BITS, COUNT_MOST, GATE_CYCLES, GATES, NO_GATE, ROW_BITS, ROWS
 from .parameters import QUARTERS, Sensor
 from .pixels import pixel_table
 
 GATE_BINS = GATE_CYCLES * QUARTERS  # of a pixel in a gate
 _COUNTS_PER_ROW = ROW_BITS // COUNT_BITS
 _COUNT_LSB = np.arange(_COUNTS_PER_ROW, dtype=np.uint64) * np.uint64(COUNT_BITS)
-_COUNT_MASK = np.uint64((1 << COUNT_BITS) - 1)
+_COUNT_MASK = np.uint64(COUNT_MOST)
 
 
 class Counts(NamedTuple):

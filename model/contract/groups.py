@@ -19,7 +19,7 @@ class Head(NamedTuple):
     """Something for each field before the first event, in their order."""
 
     pulse: int  # number of the laser pulse in the frame
-    number: int  # of events in the group, less one
+    number: int  # of groups before this one in the frame and stream, modulo 256
     stamp_bits: int  # width of the stamps
     with_offsets: int  # 1: the events have coarse offsets
 

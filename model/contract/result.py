@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results as arrays: built from the beats of any engine, compared, written and read."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..shared import pulse
+from ..shared.arguments import check_kind
 from ..shared.arrays import joined
+from ..shared.errors import InputError
 from ..shared.files import FilePath, GrowingNpz, read_npz, write_npz
 from .config import Config
 from .counters import COUNTER_NAMES
 from .gate_counts import Counts
-from .packet import FORMATS
-from .stream import COLUMN, ReceivedFrame, StreamError, decode_frame
+from .packet import COUNTS, FORMATS, GROUP_KIND, packet_fields
+from .parameters import OFFSET_NONE
+from .stream import COLUMN, ReceivedFrame, StreamError, decode_frame, is_counting, is_grouped
 
 EVENT_FIELDS = ("subgroup", "pulse", "stamp", "count", "winner", "overrun")
 EVENT_COLUMNS = (*EVENT_FIELDS, "commit_cycle")  # arrays with one value per event
 RECORD_COLUMNS = ("mg_subgroup", "mg_pulse", "mg_stamp", "mg_map")
+FIRST_WORD = np.array([1])  # the beat behind the frame start
 COMMIT_UNKNOWN = np.int64(-1)  # commit cycle of an event that was received from a chip
 # present only in some formats, engines or lights
 OPTIONAL = ("hits", "mg_offset", *Counts._fields, "fate", *pulse.ARRAYS)
@@ -44,18 +48,24 @@ def frame_rows(
 
     first_pulse: number of the frame's first pulse in the file. Without commit cycles, these are
     `COMMIT_UNKNOWN`, because they cannot be seen outside the chip. Raises `StreamError` if the
-    beats are not a whole frame, and `ValueError` if more or fewer events left than were stored.
+    beats are not a whole frame of this configuration, stream by stream, and `ValueError` if more
+    or fewer events left than were stored.
     """
     sensor = config.sensor
     counters = np.zeros((sensor.subgroups, len(COUNTER_NAMES)), np.int64)
+    if len(beats) != sensor.streams:
+        raise StreamError(f"there are beats of {len(beats)} streams, not of {sensor.streams}")
     frames = []
     for k, stream in enumerate(beats):
         subgroups = sensor.stream_subgroups(k)
         frame = decode_frame(stream, sensor, len(subgroups)).check()
-        if config.counting and frame.counts is None:
-            raise StreamError("the frame has events in place of counts")
+        _check_format(config, stream, frame)
+        _check_stream(config, k, stream, frame)
         counters[subgroups] = frame.counters
         frames.append(frame)
+    numbers = [frame.number for frame in frames]
+    if len(set(numbers)) > 1:
+        raise StreamError(f"the streams have frames of different numbers: {numbers}")
 
     columns = {
         name: joined([frame.events[:, COLUMN[name]] for frame in frames]) for name in EVENT_FIELDS
@@ -77,6 +87,37 @@ def frame_rows(
     if config.counting:
         columns |= _counts(frames)
     return FrameRows(columns, counters)
+
+
+def _check_format(config: Config, stream: np.ndarray, frame: ReceivedFrame) -> None:
+    """Raise `StreamError` if a frame of a stream has other packets than the configuration says."""
+    packet = FORMATS[config.format]
+    counting = is_counting(stream[0])
+    if counting != config.counting:
+        first, second = ("counts", "events") if counting else ("events", "counts")
+        raise StreamError(f"the frame has {first} in place of {second}")
+    code = GROUP_KIND if packet.grouped else packet.code
+    with_offsets = (frame.offsets != OFFSET_NONE).any(axis=1)
+    if (
+        is_grouped(stream[0]) != packet.grouped
+        or np.any(frame.events[:, COLUMN["kind"]] != code)
+        or np.any(with_offsets != packet.has("offsets"))
+    ):
+        raise StreamError(f"the frame has events of another format than {config.format}")
+    if len(frame.records) and not config.frame.minigroup_records:
+        raise StreamError("the frame has minigroup records, which are off in the configuration")
+
+
+def _check_stream(config: Config, number: int, stream: np.ndarray, frame: ReceivedFrame) -> None:
+    """Raise `StreamError` if a frame of a stream has words of subgroups of another stream."""
+    if config.counting:
+        first = packet_fields(stream, FIRST_WORD, config.sensor, COUNTS)
+        found = first["subgroup"][:, 0].astype(np.int64)
+    else:
+        found = np.concatenate([frame.events[:, COLUMN["subgroup"]], frame.records[:, 0]])
+    strange = found[~np.isin(found, config.sensor.stream_subgroups(number))]
+    if len(strange):
+        raise StreamError(f"stream {number} has words of subgroup {strange[0]} of another stream")
 
 
 def _counts(streams: list[ReceivedFrame]) -> dict[str, np.ndarray]:
@@ -177,13 +218,23 @@ class ResultFile(_Collector):
         self._columns.write(path, counter_arrays(self.counters) | others)
 
 
+def check_arrays(arrays: Mapping[str, np.ndarray], *names: str) -> None:
+    """Raise `InputError` if a result lacks one of these arrays, or is none."""
+    check_kind("arrays", arrays, Mapping)
+    for name in names:
+        if name not in arrays:
+            raise InputError(f"arrays: {name} is missing, which a result has", field="arrays")
+
+
 def events_table(arrays: dict[str, np.ndarray]) -> Any:
     """Return one row per event, as a pandas DataFrame if pandas is installed, otherwise as a
     structured array.
 
     The columns are those of `EVENT_COLUMNS`, and `hits` (`map_numbers`) unless the format has no
     map. Row i belongs to row i of the array `mg_offset`, which holds several values per event.
+    Raises `InputError` if an array is missing.
     """
+    check_arrays(arrays, *EVENT_COLUMNS)
     columns = {name: arrays[name] for name in EVENT_COLUMNS}
     if "hits" in arrays:
         columns["hits"] = map_numbers(arrays["hits"])
@@ -216,7 +267,10 @@ def stall(cycles: int) -> np.ndarray:
 
 
 def write_result(path: FilePath, arrays: dict[str, np.ndarray]) -> None:
-    """Write a result file (NPZ), whole or not at all. Raises `InputError` for another suffix."""
+    """Write a result file (NPZ), whole or not at all. Raises `InputError` for another suffix, or if
+    an array is missing.
+    """
+    check_arrays(arrays, *EVENT_COLUMNS, *RECORD_COLUMNS, *COUNTER_NAMES)
     write_npz(path, arrays)
 
 

@@ -15,23 +15,23 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import special
 
 from ..contract.config import Config
-from ..contract.counts import COUNT_BITS, GATES, NO_GATE
+from ..contract.counts import COUNT_MOST, GATES, NO_GATE
 from ..contract.gate_counts import Counts
 from ..contract.pixels import pixel_table
+from ..contract.result import check_arrays
 from ..shared.errors import check_integer
 from ..shared.threads import Threads
 from .belief import REACH_SIGMAS, ByChance, Hits, Lit, Signs, signs_of
 from .count_light import Trials, better_background, first_background, fit_lights, pulse_shares
 from .count_likelihood import NO_TICK, Seen, count_likelihood
 from .gates import open_pulses
-from .histograms import Events, by_subgroup, check_arrays, pixel_image, winner_map
+from .histograms import Events, by_subgroup, pixel_image, winner_map
 from .intensity import Intensity
 from .likelihood import DEAD_S, Grid, Levels
 from .pulse_ticks import PulseTicks
 from .seeds import seed_scores
 from .surfaces import Coarse, Fitter, peak_offset
 
-COUNT_MOST = (1 << COUNT_BITS) - 1  # hits of a bin, with which a pixel stops
 # Of a pixel with its neighbours: a score that accidents of background and dark surfaces reach alike,
 EVEN_SCORE = -4.0
 SCORE_WIDTH = 2.0  # and the change of it that makes odds e times as high

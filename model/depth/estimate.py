@@ -15,6 +15,7 @@ from attrs import evolve
 
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
+from ..contract.result import check_arrays
 from ..shared.arguments import check_kind, check_workers
 from ..shared.constants import SUCCESS_TOLERANCE_S
 from ..shared.errors import InputError, check_integer
@@ -31,7 +32,6 @@ from .depth import Depth
 from .gates import open_share
 from .histograms import (
     Events,
-    check_arrays,
     frame_events,
     frame_records,
     minigroup_step_ticks,

@@ -6,7 +6,7 @@ Ref: paper III-A (stamp, ID map, minigroup stamps), IV (a histogram per pixel). 
 the arrival time (`arrivals.py`).
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import partial
 from types import NoneType
 from typing import NamedTuple
@@ -18,6 +18,7 @@ from ..contract.config import Config
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE, Sensor
 from ..contract.pixels import Pixels, pixel_table
+from ..contract.result import check_arrays
 from ..shared.arguments import check_kind
 from ..shared.compiled import njit, part
 from ..shared.errors import InputError, check_integer
@@ -126,14 +127,6 @@ def _check_events(config: Config) -> None:
             " the arrays gate_cycle, gate_hits and count_pulses of the result",
             field="frame.format",
         )
-
-
-def check_arrays(arrays: Mapping[str, np.ndarray], *names: str) -> None:
-    """Raise `InputError` if a result lacks one of these arrays, or is none."""
-    check_kind("arrays", arrays, Mapping)
-    for name in names:
-        if name not in arrays:
-            raise InputError(f"arrays: {name} is missing, which a result has", field="arrays")
 
 
 def _rows_by_subgroup(

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..contract.config import Config
 from ..contract.counts import (
-    COUNT_BITS,
+    COUNT_MOST,
     CYCLES_MAX,
     GATE_CYCLES,
     NARROW_BITS,
@@ -33,7 +33,6 @@ from ..shared.compiled import njit, part
 from .front_end import cycle_of, fields_of
 
 _BLIND = int(Fate.BLIND)
-_COUNT_MOST = (1 << COUNT_BITS) - 1
 _NARROW_BINS = NARROW_PER_CYCLE * CYCLES_MAX
 _GATE_NARROW_BINS = NARROW_PER_CYCLE * GATE_CYCLES
 _NEVER = np.int64(1) << 62  # behind all cycles of a frame
@@ -208,7 +207,7 @@ def _count_hits(hits: Hits, given: _Given, pulses: _Pulses, memory: _Memory) -> 
                 continue
             here = (tick >> given.phase_bits - 2) - QUARTERS * begins[gate]
             counts.gate_hits[s, inside, gate, here] += 1
-            if counts.gate_hits[s, inside, gate, here] == _COUNT_MOST:
+            if counts.gate_hits[s, inside, gate, here] == COUNT_MOST:
                 memory.full[s, inside] = True
                 counts.count_pulses[s, inside] = pulse - pulses.begin + 1
 

@@ -5,7 +5,7 @@ import numpy as np
 from attrs import frozen
 
 from ..contract.config import Config
-from ..contract.counts import pause_cycles
+from ..contract.counts import with_pauses
 from ..contract.dither import DITHER_BITS_MAX, GAP_MAX, LFSR_BITS, start_cycles
 from ..contract.parameters import CLOCK_MHZ
 from ..shared.constants import SPEED_OF_LIGHT_M_S
@@ -115,8 +115,7 @@ class Timing:
             self.gap_cycles,
         )
         if self.search_pulses:
-            for search, pause in enumerate(pause_cycles(self.search_minigroups), start=1):
-                frame[search * self.search_pulses :] += max(0, pause - self.gap_cycles)
+            frame = with_pauses(frame, self.search_pulses, self.search_minigroups, self.gap_cycles)
         number, pulse = np.divmod(np.arange(pulses + 1), max(1, len(frame) - 1))
         return number * frame[-1] + frame[pulse]
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from numbers import Integral
 
+TOLD_MAX = 100  # characters of a wrong value in a message
 SEED_MAX = (1 << 63) - 1  # highest seed of random numbers: it fits a column of int64
 
 
@@ -54,9 +55,12 @@ def wrong_value(
     name: str, value: object, legal: str, *, low: float | None = None, high: float | None = None
 ) -> InputError:
     """Return the error for the field `name` with an illegal `value`. legal: what it must be, as
-    "an integer from 1 to 8".
+    "an integer from 1 to 8". A long value is told by its first characters.
     """
-    return InputError(f"{name} = {value!r}: must be {legal}", field=name, low=low, high=high)
+    told = repr(value)
+    if len(told) > TOLD_MAX:
+        told = f"{told[:TOLD_MAX]} ..."
+    return InputError(f"{name} = {told}: must be {legal}", field=name, low=low, high=high)
 
 
 def out_of_range(name: str, value: object, low: int, high: int, why: str = "") -> InputError:

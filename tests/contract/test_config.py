@@ -192,6 +192,26 @@ def test_events_of_a_frame_follow_the_pulses():
     same(default, parse_config({"frame": {"pulses": 50}}))
 
 
+def test_with_few_pulses_a_search_has_one():
+    config = parse_config(
+        {"sensor": {"counts": 1}, "frame": {"format": "counts", "search_pulses": 20}}
+    )
+    assert config.with_pulses(4).search_pulses == 1
+
+
+def test_what_follows_the_period_follows_it_beside_an_override():
+    """The subgroups that an override names keep its value, the others have the new period's."""
+    override = {"subgroups": [1, 3], "gate_len": 250}
+    config = parse_config({"override": [override]})
+    written = parse_config({"frame": {"period": 400}, "override": [override]})
+    same(config.with_frame(period=400), written)
+    same(config.with_sensor(rearm=1).with_frame(period=400), written.with_sensor(rearm=1))
+    of_all = config.with_settings(gate_len=config.gate_len)
+    assert (of_all.with_frame(period=400).gate_len == 250).all()
+    table = parse_config({"subgroup": {"gate_len": 20}, "override": [override]})
+    assert (table.with_frame(period=400).gate_len == table.gate_len).all()
+
+
 def test_events_of_a_frame_stay_within_their_limits():
     largest = 2**32 - 1
     bounds = [*range(5), largest]

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from coincid.model.contract.edges import NAMES, Edges, checked_edges
+from coincid.model.contract.edges import NAMES, Edges, checked_edges, load_edges
 from coincid.model.shared.errors import InputError
 
 BOUNDS = {"pulse": 6, "pixel": 5, "tick": 4}
@@ -30,6 +30,19 @@ def test_the_last_legal_number_is_taken_and_the_next_is_not(name):
         told = re.escape(f"{name}[2] = {wrong}: must be an integer from 0 to {last}")
         with pytest.raises(InputError, match=told):
             checked(**{name: np.array([0, 0, wrong])})
+
+
+@pytest.mark.parametrize("name", ["pixels", "pulses", "period_ticks"])
+def test_limits_of_a_file_are_numbers(name, tmp_path):
+    nothing = np.zeros(0, np.int64)
+    path = tmp_path / "edges.npz"
+    Edges(nothing, nothing, nothing).save(path)
+    limits = {"pixels": 4, "pulses": 4, "period_ticks": 4}
+    load_edges(path, **limits)
+    for wrong in (0, 2.5, "4", None):
+        told = re.escape(f"{name} = {wrong!r}: must be an integer from 1 to")
+        with pytest.raises(InputError, match=told):
+            load_edges(path, **limits | {name: wrong})
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.int16, np.uint64])

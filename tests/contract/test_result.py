@@ -5,15 +5,18 @@ import numpy as np
 import pytest
 
 from coincid.model.contract.gate_counts import Counts
+from coincid.model.contract.packet import FORMATS
 from coincid.model.contract.result import (
     ResultBuilder,
     ResultFile,
     differences,
+    events_table,
     read_result,
     write_result,
 )
 from coincid.model.contract.stream import StreamError
 from coincid.model.golden.frame import Golden, golden_result
+from coincid.model.shared.errors import InputError
 
 from ..random_cases import GOLDEN_SENSORS, configured, random_edges
 
@@ -94,8 +97,62 @@ def test_a_file_of_frames_is_the_file_of_their_arrays(config, tmp_path):
             assert whole.arrays()[name].shape[:2] == (config.frames, config.sensor.subgroups)
 
 
-def test_a_frame_of_events_is_none_of_counts():
-    of_events = COUNTS.with_frame(format="id")
-    trace = Golden(COUNTS.sensor).frame(of_events, EDGES[COUNTS].frame(0, COUNTS.pulses)[0])
-    with pytest.raises(StreamError, match="has events in place of counts"):
-        ResultBuilder(COUNTS).add(trace.beats)
+TWO_STREAMS = configured(
+    GOLDEN_SENSORS["default"] | {"streams": 2},
+    {"pulses": 20, "period": 60, "minigroup_records": True},
+    {"threshold": 1},
+)
+
+
+def beats_of(config):
+    edges, _ = EDGES[COUNTS].frame(0, config.pulses)
+    return Golden(config.sensor).frame(config, edges).beats
+
+
+@pytest.mark.parametrize("format", FORMATS)
+@pytest.mark.parametrize("other", FORMATS)
+def test_a_frame_of_another_format_is_refused(format, other):
+    """Its events would lack their map or their offsets, or there would be none."""
+    beats = beats_of(TWO_STREAMS.with_frame(format=format))
+    result = ResultBuilder(TWO_STREAMS.with_frame(format=other))
+    if format == other:
+        result.add(beats)
+        return
+    told = "in place of" if "counts" in (format, other) else f"another format than {other}"
+    with pytest.raises(StreamError, match=told):
+        result.add(beats)
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_streams_in_another_order_are_refused(format):
+    config = TWO_STREAMS.with_frame(format=format)
+    first, second = beats_of(config)
+    result = ResultBuilder(config)
+    with pytest.raises(StreamError, match="stream 0 has words of subgroup 1 of another stream"):
+        result.add([second, first])
+    with pytest.raises(StreamError, match="beats of 1 streams, not of 2"):
+        result.add([first])
+    result.add([first, second])
+
+
+def test_streams_of_different_frames_are_refused():
+    golden = Golden(TWO_STREAMS.sensor)
+    edges, _ = EDGES[COUNTS].frame(0, TWO_STREAMS.pulses)
+    first, later = golden.frame(TWO_STREAMS, edges), golden.frame(TWO_STREAMS, edges)
+    with pytest.raises(StreamError, match=r"frames of different numbers: \[0, 1\]"):
+        ResultBuilder(TWO_STREAMS).add([first.beats[0], later.beats[1]])
+
+
+def test_records_that_are_off_are_refused():
+    with pytest.raises(StreamError, match="minigroup records, which are off"):
+        ResultBuilder(TWO_STREAMS.with_frame(minigroup_records=False)).add(beats_of(TWO_STREAMS))
+
+
+def test_arrays_that_are_no_result_are_neither_a_table_nor_a_file(tmp_path):
+    without = {name: array for name, array in RESULTS[EVENTS].items() if name != "winner"}
+    for use in (events_table, lambda arrays: write_result(tmp_path / "r.npz", arrays)):
+        with pytest.raises(InputError, match="arrays: winner is missing"):
+            use(without)
+        with pytest.raises(InputError, match=r"arrays = \[1, 2\]: must be Mapping"):
+            use([1, 2])
+    assert not list(tmp_path.iterdir())

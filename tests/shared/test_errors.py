@@ -42,12 +42,23 @@ def test_an_error_of_the_configuration_has_its_field_and_range(document, field, 
     [
         (lambda: load_config({"sensor": {}}), "config = dict: must be a TOML file or a preset; p"),
         (lambda: load_config("fpga", {"moon": 3}), "moon: unknown setting, must be one of rows"),
+        (lambda: load_config("fpga", [3]), "changes = list: must be a dict of values by key"),
         (lambda: parse_config("fpga"), "document = str: must be a dict of tables; load_config"),
     ],
 )
 def test_a_configuration_of_another_kind_is_refused(load, words):
     with pytest.raises(InputError, match=words):
         load()
+
+
+def test_a_long_value_is_told_by_its_beginning():
+    mask = [True] * 4096
+    with pytest.raises(InputError) as raised:
+        parse_config({"subgroup": {"mask": mask}})
+    message = str(raised.value)
+    assert message.startswith("subgroup.mask = [True, True,")
+    assert len(message) < 200
+    assert "must be a string of hex digits below 2^64" in message
 
 
 def test_a_change_is_blamed_for_an_error_in_another_field():
