@@ -26,12 +26,11 @@ from ..model.contract.packet import (
     layout,
     parts_of,
 )
-from ..model.contract.parameters import bits_for
+from ..model.contract.parameters import Sensor, bits_for
 from .proof_bench import Bench, proof
-from .sensors import SMALL
+from .sensors import LONG_PARTS, SMALL
 
 WIDTHS = groups.group_widths(SMALL)
-PART_BITS = WIDTHS.part_bits
 LENGTHS = layout(SMALL)
 EVENT_BEATS_MAX = LENGTHS.length(LONGEST)
 RECORD_BEATS = LENGTHS.length(RECORD)
@@ -67,7 +66,19 @@ def packer(b: Bench):
     """Every bit of every part leaves at its place; marks and zeros stand where they should; other
     beats pass; AXI4-Stream.
     """
-    unit = b.place(Packer(SMALL))
+    _packs(b, SMALL)
+
+
+@proof(depth=3, cover=12)
+def packer_of_long_parts(b: Bench):
+    """The same where a part may fill two beats at once: a map of 64 pixels behind 54 bits or more."""
+    unit = _packs(b, LONG_PARTS)
+    b.cover(unit.crowded & unit.m_axis.tready)
+
+
+def _packs(b: Bench, sensor: Sensor) -> Packer:
+    """State the behaviour of the packer of a sensor, and return it."""
+    unit = b.place(Packer(sensor))
     string = _open_string(b, unit)
     _coder_obeys(b, unit, string)
 
@@ -81,6 +92,7 @@ def packer(b: Bench):
     b.cover(string.closed & (b.past(unit.packs, 3)))
     leaves_now = bit.watched & string.leaves & (bit.before < groups.PAYLOAD_BITS)
     b.cover(leaves_now & string.closed)
+    return unit
 
 
 def _open_string(b: Bench, unit: Packer) -> OpenString:
@@ -109,7 +121,7 @@ def _coder_obeys(b: Bench, unit: Packer, string: OpenString) -> None:
     close = unit.close
     passes = unit.passes
     begin = unit.frame_begin
-    legal_bits = (unit.bits <= PART_BITS) & (unit.bits != 0) & (unit.part >> unit.bits == 0)
+    legal_bits = (unit.bits <= len(unit.part)) & (unit.bits != 0) & (unit.part >> unit.bits == 0)
     b.assume(legal_bits, where=offer)
     b.assume(~offer, where=close)
     b.assume(~passes & ~offer & ~close, where=begin)
@@ -122,12 +134,13 @@ def _coder_obeys(b: Bench, unit: Packer, string: OpenString) -> None:
 def _watched_bit(b: Bench, unit: Packer, string: OpenString) -> WatchedBit:
     """Specify how many bits there are before an arbitrary bit of an arbitrary part."""
     m = b.m
-    place_in_part = b.constant(bits_for(PART_BITS - 1))
-    b.assume(place_in_part < PART_BITS)
+    part_bits = len(unit.part)
+    place_in_part = b.constant(bits_for(part_bits - 1))
+    b.assume(place_in_part < part_bits)
     watch = b.same("watch", b.anything(1) & unit.packs & (place_in_part < unit.bits))
     watched = Signal()
     value = Signal()
-    before = Signal(range(groups.PAYLOAD_BITS + PART_BITS))
+    before = Signal(range(groups.PAYLOAD_BITS + part_bits))
     held_after = Mux(string.leaves, string.held - groups.PAYLOAD_BITS, string.held)
     with m.If(watch & ~watched):
         m.d.sync += watched.eq(1)
@@ -183,7 +196,7 @@ def _string_is_in_registers(b: Bench, unit: Packer, string: OpenString, bit: Wat
     held = string.held
     b.always(held == 0, where=~string.is_open)
     b.always(unit.packed >> held == 0)
-    b.always(held < groups.PAYLOAD_BITS + PART_BITS)
+    b.always(held < groups.PAYLOAD_BITS + len(unit.part))
     b.always(unit.ready | (unit.offset < groups.PAYLOAD_BITS))
     b.always(unit.crowded == (unit.offset >= groups.PAYLOAD_BITS))
     b.always(unit.room == (unit.offset <= groups.CHECK_LSB))

@@ -19,5 +19,8 @@ SMALL = Sensor(
     minigroup=(2, 2),
 )
 
+# With maps of 64 pixels, which are longer than the payload of a beat of a group.
+LONG_PARTS = evolve(SMALL, rows=8, cols=16, subgroup=(8, 8))
+
 # With counts, which use the same structures and none of those of events less.
 SMALL_COUNTS = evolve(SMALL, counts=1)
