@@ -58,6 +58,7 @@ def c_driver() -> dict[str, str]:
 
 def _packets_header() -> str:
     kinds = ", ".join(f"{_kind(packet)} = {code}" for code, packet in PACKETS.items())
+    counters = ", ".join(f"COINCID_COUNTER_{name.upper()}" for name in COUNTER_NAMES)
     lines = [
         f"/* {SPDX} */",
         "/* Packets of the stream. The kind is in the highest bits of the first beat; the fields fill the other bits, lowest",
@@ -67,6 +68,7 @@ def _packets_header() -> str:
         "",
         f"#define COINCID_KIND_BITS {KIND_BITS}u",
         f"#define COINCID_COUNTERS {len(COUNTER_NAMES)}u /* of a subgroup, in a frame end */",
+        f"enum {{ {counters} }};",
         f"enum {{ {kinds}, COINCID_GROUP = {GROUP_KIND}, COINCID_DAMAGED = {1 << KIND_BITS} }};",
         *(f"#define COINCID_{name} {value}u" for name, value in _GROUPS.items()),
         "/* Counts in gates. */",

@@ -81,7 +81,7 @@ uint32_t coincid_gate(const coincid_packet *packet, uint32_t gate);
 uint32_t coincid_pulses(const coincid_packet *packet, uint32_t pixel);
 uint32_t coincid_gate_hits(const coincid_packet *packet, uint32_t gate, uint32_t pixel, uint32_t quarter);
 uint32_t coincid_pixel(const coincid_sensor_info *info, const coincid_packet *packet, uint32_t pixel);
-/* Counter `counter` (in the order of the registers) of subgroup `index` of the stream, from a frame end. */
+/* Counter `counter`, such as COINCID_COUNTER_STORED, of subgroup `index` of the stream, from a frame end. */
 uint32_t coincid_counter(const coincid_packet *packet, uint32_t index, uint32_t counter);
 
 #ifdef __cplusplus

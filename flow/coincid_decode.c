@@ -78,27 +78,38 @@ static void print_counts(const coincid_sensor_info *info, const coincid_packet *
     }
 }
 
-/* Print the events or counts of one stream, which carries `subgroups` subgroups. Return 0, or 1 if its beats are no frame. */
+/* Print the events or counts of one stream, which carries `subgroups` subgroups. Return 0, or 1 if its beats are no whole frame. */
 static int print_stream(coincid_sensor_info *info, uint32_t subgroups, const uint64_t *beats, size_t n) {
     size_t at = 0;
+    uint64_t printed = 0;
+    int kind = COINCID_FRAME_END;
     while (at < n) {
         coincid_packet packet;
         const int length = coincid_decode(info, subgroups, beats + at, n - at, &packet);
         if (length <= 0 || packet.kind == COINCID_DAMAGED) return 1;
+        /* A frame start comes first and nowhere else, and nothing comes behind the frame end. */
+        if ((packet.kind == COINCID_FRAME_START) != (at == 0) || (at && kind == COINCID_FRAME_END)) return 1;
         at += (size_t)length;
+        kind = packet.kind;
         if (packet.kind == COINCID_FRAME_START) {
             info->grouped = packet.count;
         } else if (packet.kind == COINCID_GROUP) {
             coincid_group group;
             coincid_group_begin(&packet, &group);
-            while (coincid_group_event(info, &group, &packet)) print_event(info, &packet);
+            for (; coincid_group_event(info, &group, &packet); printed++) print_event(info, &packet);
         } else if (packet.kind == COINCID_GATE_COUNTS) {
             print_counts(info, &packet);
-        } else if (packet.kind != COINCID_RECORD && packet.kind != COINCID_FRAME_END) {
+        } else if (packet.kind == COINCID_FRAME_END) {
+            uint64_t stored = 0;
+            uint32_t index;
+            for (index = 0; index < subgroups; index++) stored += coincid_counter(&packet, index, COINCID_COUNTER_STORED);
+            if (info->grouped != COINCID_WITH_COUNTS && printed < stored) return 1; /* whole groups are lost */
+        } else if (packet.kind != COINCID_RECORD) {
             print_event(info, &packet);
+            printed++;
         }
     }
-    return 0;
+    return !at || kind != COINCID_FRAME_END;
 }
 
 /* Stream s carries the subgroups from `first_subgroup(info, s)` to before `first_subgroup(info, s + 1)`. */
@@ -128,8 +139,12 @@ int main(int arguments, char **argument) {
                 fprintf(stderr, "stream %" PRIu32 ": is no whole frame\n", stream);
                 return 1;
             }
-            stream = of_stream;
+            stream++;
             n = 0;
+            if (more && of_stream != stream) {
+                fprintf(stderr, "stream %" PRIu32 ": is missing\n", stream);
+                return 1;
+            }
         }
         beats = realloc(beats, (n + 1u) * sizeof *beats);
         if (!beats) return 1;
@@ -137,5 +152,9 @@ int main(int arguments, char **argument) {
     }
     free(beats);
     fclose(file);
+    if (stream != COINCID_STREAMS_VALUE) {
+        fprintf(stderr, "stream %" PRIu32 ": is missing\n", stream);
+        return 1;
+    }
     return 0;
 }

@@ -17,7 +17,7 @@ from ..model.contract.edges import NAMES, Edges, checked_edges
 from ..model.contract.result import ResultBuilder
 from ..model.golden.frame import golden_result
 from ..model.shared.arguments import check_kind
-from ..model.shared.errors import InputError, extra
+from ..model.shared.errors import InputError, extra, wrong_value
 from ..model.shared.quantities import check_choice
 from .engines import ENGINES, SIMULATORS
 from .frame_record import FrameJob, Recorded
@@ -161,12 +161,17 @@ def _checked_edges(config: Config, edges: Edges) -> Edges:
 
 
 def _checked_ready(ready: np.ndarray) -> np.ndarray:
-    """Return the levels of `tready` by cycle. Raises `InputError` if they are no row of numbers."""
+    """Return the levels of `tready` by cycle, 0 or 1. Raises `InputError` if they are something
+    else.
+    """
     check_kind("ready", ready, np.ndarray)
     if ready.ndim != 1 or ready.dtype.kind not in "biu":
         raise InputError(
             f"ready: has shape {ready.shape} and dtype {ready.dtype}, must be one row of integers"
         )
+    wrong = np.flatnonzero((ready != 0) & (ready != 1))
+    if len(wrong):
+        raise wrong_value(f"ready[{wrong[0]}]", ready[wrong[0]].item(), "0 or 1", low=0, high=1)
     return ready
 
 

@@ -274,7 +274,7 @@ class Config(SubgroupSettings):
             return receiver
         waiting = 2 * beats_waiting_max(self.sensor)
         ready = takes_beats(share, self.frame_cycles + len(receiver) + int(waiting / share))
-        ready[: len(receiver)] &= receiver
+        ready[: len(receiver)] &= receiver != 0
         return ready
 
     def with_frame(self, **settings: Any) -> "Config":
@@ -309,7 +309,9 @@ class Config(SubgroupSettings):
         changed = _blaming(
             _keys("sensor", parameters), lambda: parse_config(document).with_settings(**own)
         )
-        return evolve(changed.with_rule(self.sensor.rule), overridden=self.overridden)
+        same_number = changed.sensor.subgroups == self.sensor.subgroups
+        overridden = self.overridden if same_number else {}
+        return evolve(changed.with_rule(self.sensor.rule), overridden=overridden)
 
     def with_rule(self, rule: Rule) -> "Config":
         """Return a copy whose sensor has another rule of coincidence (docs/extend.md). Raises

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The link behind the streams: its rate, its even spacing, and that all engines use it."""
 
+import re
 from fractions import Fraction
 
 import numpy as np
@@ -97,3 +98,19 @@ def test_a_receiver_that_stalls_fills_the_fifos_and_engines_agree():
 def test_link_that_makes_no_sense_is_refused(gbps):
     with pytest.raises(InputError, match="frame.link_gbps"):
         configured(link_gbps=gbps)
+
+
+@pytest.mark.parametrize("wrong", [2, -1, 256])
+def test_levels_of_a_receiver_are_0_or_1(wrong):
+    """Another number would be taken for either, by one engine or the other."""
+    config = configured(link_gbps=2.5)
+    edges = trouble(config, seed=5, per_subgroup_period=60)
+    ready = np.array([0, 1, 0, 1], np.int64)
+    assert not differences(
+        replay("golden", config, edges, ready), replay("golden", config, edges, ready > 0)
+    )
+    ready[2] = wrong
+    for engine in ("golden", "sliced"):
+        told = re.escape(f"ready[2] = {wrong}: must be 0 or 1")
+        with pytest.raises(InputError, match=told):
+            replay(engine, config, edges, ready)

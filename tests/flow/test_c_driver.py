@@ -90,6 +90,14 @@ def compiled_driver(sensor) -> ctypes.CDLL:
     return loaded
 
 
+def compile_example(sensor, folder):
+    """Write the driver's files into a folder, and compile the example there as `decode`."""
+    for file, text in (c_driver() | {HEADER: register_files(sensor)[HEADER]}).items():
+        (folder / file).write_text(text, encoding="utf-8")
+    command = ["cc", *FLAGS, "-o", "decode", EXAMPLE, "coincid.c"]
+    subprocess.run(command, cwd=folder, check=True)
+
+
 def test_the_driver_is_also_cpp_without_warnings(tmp_path):
     for file, text in (c_driver() | {HEADER: register_files(SENSOR)[HEADER]}).items():
         (tmp_path / file).write_text(text, encoding="utf-8")
@@ -207,14 +215,7 @@ def test_the_example_prints_every_event_as_captured(tmp_path, table, pixels, une
     sensor = random_cases.built_sensor(table)
     assert sensor.pixels == pixels
     assert (sensor.subgroups % sensor.streams > 0) == uneven
-    files = c_driver() | {HEADER: register_files(sensor)[HEADER]}
-    for file, text in files.items():
-        (tmp_path / file).write_text(text, encoding="utf-8")
-    subprocess.run(
-        ["cc", *FLAGS, "-o", "decode", EXAMPLE, "coincid.c"],
-        cwd=tmp_path,
-        check=True,
-    )
+    compile_example(sensor, tmp_path)
     captured = captured_files(sensor)
     (tmp_path / "captured").mkdir()
     for name, content in captured.items():
@@ -226,6 +227,49 @@ def test_the_example_prints_every_event_as_captured(tmp_path, table, pixels, une
             _, rows = captured[name.replace(".txt", ".csv")].split(b"\n", 1)
             assert len(rows) > 100
             assert printed == rows, name
+
+
+FORMAT_OF_GROUP = f"{GROUP_KIND << 1:x}", f"{(GROUP_KIND << 1) + 1:x}"  # first digits of a beat
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda beats: [], "stream 0: is no whole frame"),
+        (lambda beats: beats[:-1], "stream 2: is no whole frame"),
+        (lambda beats: beats[1:], "stream 0: is no whole frame"),
+        (lambda beats: [one for one in beats if one[0] != "0"], "stream 0: is no whole frame"),
+        (lambda beats: [one for one in beats if one[0] != "1"], "stream 1: is missing"),
+        (lambda beats: [one for one in beats if one[0] != "2"], "stream 2: is missing"),
+        (lambda beats: [beats[0], *beats], "stream 0: is no whole frame"),
+        (lambda beats: [one for one in beats if one[2] not in FORMAT_OF_GROUP], "stream 0: is no"),
+    ],
+    ids=["nothing", "last beat", "start", "stream 0", "stream 1", "stream 2", "starts", "groups"],
+)
+def test_the_example_refuses_what_is_no_whole_frame(tmp_path, damage, told):
+    """A frame without its groups looks whole, except for its counters."""
+    sensor = random_cases.built_sensor(UNEVEN)
+    assert sensor.streams == 3
+    compile_example(sensor, tmp_path)
+    ((name, content),) = [
+        (name, content)
+        for name, content in captured_files(sensor).items()
+        if name.endswith("_compact.txt")
+    ]
+    heading, *beats = content.decode().splitlines()
+    damaged = damage(beats)
+    assert damaged != beats
+    (tmp_path / "damaged.txt").write_text("\n".join([heading, *damaged, ""]), encoding="utf-8")
+    done = subprocess.run(
+        ["./decode", "damaged.txt"],
+        cwd=tmp_path,
+        check=False,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+    )
+    assert done.returncode == 1, name
+    assert told in done.stderr
 
 
 def test_the_driver_drives_and_decodes(library):
