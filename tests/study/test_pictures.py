@@ -4,6 +4,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from coincid.study import animation, pictures
 from coincid.study.pictures import Panel, draw_row, light_row
@@ -43,6 +44,18 @@ def test_wrong_pixels_are_framed_and_pixels_without_a_truth_are_crossed():
     figure, shares = draw_row([Panel("depth", depth_m)], truth_m, tolerance_m=3.0)
     assert shares == [0.0]
     assert not any(one.get_paths() for one in figure.axes[1].collections)
+
+
+def test_each_picture_of_light_has_the_same_room(monkeypatch, tmp_path):
+    widths_in = []
+    monkeypatch.setattr(
+        pictures, "save_figure", lambda figure, _: widths_in.append(figure.get_figwidth())
+    )
+    light = np.full((ROWS, COLS), 0.5)
+    for number in range(4):
+        light_row(tmp_path / "light.png", [("estimate", light)] * number, light)
+    assert np.ptp(np.diff(widths_in)) < 1e-9
+    assert np.diff(widths_in)[0] == pytest.approx(pictures.PANEL_IN)
 
 
 def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path):

@@ -4,9 +4,11 @@ mismatch, waveform views.
 """
 
 import io
+import itertools
 import json
 import re
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -59,6 +61,16 @@ def run(out, document=SMALL, scene="flat:5,0.4", threshold=None, waves=False, **
         setup, out=out, console=console, settling=FRAMES, threshold=threshold, waves=waves
     )
     return report, dict(np.load(out / EVENTS)), console.file.getvalue()
+
+
+@pytest.mark.parametrize("engine", ["golden", "sliced"])
+def test_the_time_of_a_report_is_that_between_two_looks_at_the_clock(engine, tmp_path, monkeypatch):
+    clock = itertools.count(1000.0, 2.0)
+    monkeypatch.setattr(simulate, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    report, _, told = run(tmp_path, engine=engine)
+    assert report["seconds"] == 2.0
+    assert report["cycles_per_s"] == report["cycles"] / 2
+    assert "in 2.0 s" in told
 
 
 def test_report_agrees_with_the_events(tmp_path):
