@@ -68,13 +68,14 @@ class MeasuredFrame(Protocol):
     @property
     def truth_m(self) -> np.ndarray: ...
     def counter(self, name: str) -> np.ndarray: ...
+    def knows(self, name: str) -> bool: ...
     def __getitem__(self, measure: str) -> Number: ...
 
 
 @frozen
 class Measure:
     """A number of one frame. kind: int or float. of: its formula, which returns None where it would
-    divide by 0.
+    divide by 0, or needs a counter that is at its end.
     """
 
     kind: type
@@ -82,18 +83,27 @@ class Measure:
     of: Callable[[MeasuredFrame], Number]
 
 
-def _total(frame: MeasuredFrame, counter: str) -> int:
-    """Return the sum of a counter over all subgroups."""
-    return int(frame.counter(counter).sum())
+def _total(frame: MeasuredFrame, counter: str) -> int | None:
+    """Return the sum of a counter over all subgroups; None if it is not known."""
+    return int(frame.counter(counter).sum()) if frame.knows(counter) else None
 
 
-def _sum(counter: str) -> Callable[[MeasuredFrame], int]:
+def _sum(counter: str) -> Callable[[MeasuredFrame], int | None]:
     return lambda frame: _total(frame, counter)
 
 
-def _dropped_share(frame: MeasuredFrame) -> float | None:
-    committed = _total(frame, "committed")
-    return _total(frame, "dropped") / committed if committed else None
+def _per(
+    counter: str, whole: Callable[[MeasuredFrame], Number]
+) -> Callable[[MeasuredFrame], Number]:
+    """Return the formula of a counter per something of the frame; None if either is not known or
+    there is nothing.
+    """
+
+    def share(frame: MeasuredFrame) -> Number:
+        total, per = _total(frame, counter), whole(frame)
+        return total / per if total is not None and per else None
+
+    return share
 
 
 def _wrong(tolerance_m: float) -> Callable[[MeasuredFrame], float | None]:
@@ -120,11 +130,6 @@ def _not(share: str) -> Callable[[MeasuredFrame], float | None]:
     return rest
 
 
-def _capacity_share(frame: MeasuredFrame) -> float | None:
-    capacity = frame.config.capacity * frame.config.sensor.streams
-    return _total(frame, "committed") / capacity if capacity else None
-
-
 def _bound_mm(frame: MeasuredFrame) -> float | None:
     """Return the bound of a wall with the median light of the pixels that have some; None if there
     are no events of it.
@@ -139,9 +144,10 @@ def _bound_mm(frame: MeasuredFrame) -> float | None:
     return None if math.isinf(lowest_mm) else lowest_mm
 
 
-def _per_s(counter: str) -> Callable[[MeasuredFrame], float]:
+def _per_s(words: str) -> Callable[[MeasuredFrame], float]:
+    """Return the formula of words per second. Their number is always known."""
     return lambda frame: (
-        _total(frame, counter) * frame.config.clock_mhz * 1e6 / frame.config.frame_cycles
+        int(frame.counter(words).sum()) * frame.config.clock_mhz * 1e6 / frame.config.frame_cycles
     )
 
 
@@ -191,9 +197,13 @@ _SWEPT: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
     "commits_per_pulse": (
         float,
         "committed windows of the sensor per laser pulse",
-        lambda frame: _total(frame, "committed") / frame.config.pulses,
+        _per("committed", lambda frame: frame.config.pulses),
     ),
-    "dropped_share": (float, "share of the committed windows that were dropped", _dropped_share),
+    "dropped_share": (
+        float,
+        "share of the committed windows that were dropped",
+        _per("dropped", lambda frame: _total(frame, "committed")),
+    ),
     "beats": (int, "beats of all streams", lambda frame: int(frame.beats.sum())),
     "stream_load": (
         float,
@@ -247,7 +257,7 @@ _OTHERS: dict[str, tuple[type, str, Callable[[MeasuredFrame], Number]]] = {
     "capacity_share": (
         float,
         "committed windows as a share of the controller's capacity, all streams",
-        _capacity_share,
+        _per("committed", lambda frame: frame.config.capacity * frame.config.sensor.streams),
     ),
     "events_per_s": (
         float,

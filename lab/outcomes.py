@@ -17,7 +17,7 @@ from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
 from ..model.contract.gate_counts import Counts
 from ..model.contract.packet import FORMATS
-from ..model.contract.result import ResultBuilder, counter_arrays, frame_rows
+from ..model.contract.result import ResultBuilder, counter_arrays, frame_rows, known_counters
 from ..model.depth.depth import Depth
 from ..model.depth.estimate import estimate_depth
 from ..model.depth.methods import DEFAULT_METHOD, DEFAULT_SOURCE, Estimator, Method
@@ -449,12 +449,26 @@ class Frame:
         return np.flatnonzero(self.result["pulse"] // self.config.pulses == self.number)
 
     def counter(self, name: str) -> np.ndarray:
-        """int64[subgroups]: a counter of the frame; with the golden model it does not need the
-        result.
+        """int64[subgroups]: a counter of the frame, or the least that it may be (`knows`). With the
+        golden model it does not need the result, unless it is at its end.
         """
+        return self._counter(name)[0]
+
+    def knows(self, name: str) -> bool:
+        """Return whether a counter is known in all subgroups (`known_counters`)."""
+        return bool(self._counter(name)[1].all())
+
+    def _counter(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return a counter of the frame, and where it is known."""
         if self.run.setup.engine == "golden" and not self.run.has_result:
-            return self.run.counters(self.number)[:, COUNTER_NAMES.index(name)]
-        return self.run.result[name][self.number]
+            counted = self.run.counters(self.number)[:, COUNTER_NAMES.index(name)]
+        else:
+            counted = self.run.result[name][self.number]
+        known = counted < self.config.sensor.counter_max
+        if known.all() or name == "threshold_used":
+            return counted, np.ones_like(known)
+        counters = known_counters(self.result, self.config)
+        return counters.least[name][self.number], counters.known[name][self.number]
 
     @cached_property
     def beats(self) -> np.ndarray:

@@ -374,7 +374,8 @@ def _tried(run: Run) -> Tried:
         far=1.0 if far is None else far,
         error_mm=math.nan if error_m is None else 1e3 * error_m,
         bits=int(frame["bits"] or 0),
-        dropped=frame["dropped_share"] or 0.0,
+        # a counter of drops that is at its end has counted too many
+        dropped=frame["dropped_share"] or 0.0 if frame.knows("dropped") else 1.0,
         load=frame["link_load"] or 0.0,
     )
 

@@ -275,7 +275,7 @@ def simulate_to_folder(
             results += [out / DEPTHS, out / ANIMATION]
     played.result.write(out / EVENTS, with_pulse({}, run.pulse))
     list(played.frames.values())[-1].first.save(out / DEPTH)
-    notes = [*run.scene.notes, *run.light.notes()]
+    notes = [*run.scene.notes, *run.light.notes(), *_full_counters(played.result)]
     too_many = _too_many_for_page(played.frames)
     if too_many:
         notes.append(too_many)
@@ -439,12 +439,14 @@ def _report(played: Played) -> dict[str, Any]:
     """Return the report with flat keys: totals of all frames, and numbers of a scheme under keys
     that end with its name.
     """
-    dropped = COUNTER_NAMES.index("dropped")
+    counters = np.array(played.result.counters)
+    dropped = counters[:, :, COUNTER_NAMES.index("dropped")]
+    is_known = np.all(dropped < played.result.config.sensor.counter_max)
     report: dict[str, Any] = {
         "cycles": played.cycles,
         "edges": sum(run.edge_count for run in played.runs.values()),
         "events": played.result.events,
-        "dropped": sum(int(of_frame[:, dropped].sum()) for of_frame in played.result.counters),
+        "dropped": int(dropped.sum()) if is_known else None,
         "mismatches": 0,
         "checked": played.checked,
         "cycles_per_s": round(played.cycles / played.seconds, 1),
@@ -461,6 +463,21 @@ def _report(played: Played) -> dict[str, Any]:
             f"threshold_{name}": frame.threshold.tolist(),
         }
     return report
+
+
+def _full_counters(result: ResultFile) -> list[str]:
+    """Return a sentence about the counters that are at their end; nothing if none is."""
+    sensor = result.config.sensor
+    counters = np.array(result.counters)
+    full = [
+        name
+        for i, name in enumerate(COUNTER_NAMES)
+        if name != "threshold_used" and np.any(counters[:, :, i] == sensor.counter_max)
+    ]
+    if not full:
+        return []
+    end = f"{sensor.counter_max:,} (sensor.counter_bits = {sensor.counter_bits})"
+    return [f"note: counters at their end, {end}, have counted more: {', '.join(full)}"]
 
 
 def _write_report(out: Path, report: dict[str, Any]) -> None:
@@ -503,7 +520,7 @@ def _table(titles: dict[str, str], report: dict[str, Any]) -> Table:
             title,
             _span(np.array(report[f"threshold_{name}"])),
             f"{report[f'events_{name}']:,}",
-            f"{report[f'dropped_{name}']:,}",
+            "unknown" if (dropped := report[f"dropped_{name}"]) is None else f"{dropped:,}",
             f"{report[f'stream_load_{name}']:.0%}",
             f"{report[f'load_{name}']:.0%}",
             f"{report[f'wrong_share_{name}']:.1%}",

@@ -226,6 +226,46 @@ def check_arrays(arrays: Mapping[str, np.ndarray], *names: str) -> None:
             raise InputError(f"arrays: {name} is missing, which a result has", field="arrays")
 
 
+class KnownCounters(NamedTuple):
+    """Counters of a result, also where a counter of the sensor is at its end.
+
+    least: int64[frames, subgroups] by name, at least so many; known: bool[frames, subgroups] by
+    name, exactly so many.
+    """
+
+    least: dict[str, np.ndarray]
+    known: dict[str, np.ndarray]
+
+
+def known_counters(arrays: Mapping[str, np.ndarray], config: Config) -> KnownCounters:
+    """Return the counters of a result's frames, as far as they are known.
+
+    A counter stays at its end, 2^`counter_bits` - 1 (docs/contract.md). Words that left the sensor
+    can be counted, and the sums of the contract's *Losses* tell others. arrays: with all events and
+    records of the frames for which counters at their end are to be known.
+    """
+    most = config.sensor.counter_max
+    least = {name: arrays[name] for name in COUNTER_NAMES}
+    known = {name: arrays[name] < most for name in COUNTER_NAMES}
+    known["threshold_used"] = np.ones_like(known["threshold_used"])  # it has its own width
+    if all(one.all() for one in known.values()):
+        return KnownCounters(least, known)
+    for name, of_word in (("stored", ""), ("mg_stored", "mg_")):
+        frame = arrays[f"{of_word}pulse"] // config.pulses
+        words = np.zeros_like(least[name])
+        np.add.at(words, (frame, arrays[f"{of_word}subgroup"]), 1)
+        least[name] = np.maximum(least[name], words)
+        known[name] = np.ones_like(known[name])
+    for whole, parts in (
+        ("committed", ("stored", "dropped")),
+        ("opened", ("committed", "rejected")),
+    ):
+        sum_of_parts = sum(least[part] for part in parts)
+        least[whole] = np.maximum(least[whole], sum_of_parts)
+        known[whole] = known[whole] | np.logical_and.reduce([known[part] for part in parts])
+    return KnownCounters(least, known)
+
+
 def events_table(arrays: dict[str, np.ndarray]) -> Any:
     """Return one row per event, as a pandas DataFrame if pandas is installed, otherwise as a
     structured array.

@@ -15,7 +15,7 @@ from attrs import evolve
 
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
-from ..contract.result import check_arrays
+from ..contract.result import check_arrays, known_counters
 from ..shared.arguments import check_kind, check_workers
 from ..shared.constants import SUCCESS_TOLERANCE_S
 from ..shared.errors import InputError, check_integer
@@ -399,8 +399,9 @@ def _live(
     if source != "minigroup" or not config.frame.minigroup_records:
         return live_share(arrays, events, config, frame).__getitem__, None
     stamp, maps, bounds = frame_records(arrays, config, frame)
+    counters = known_counters(arrays, config).least
     stored, dropped = (
-        arrays[name][slice(frame, frame + 1) if frame is not None else slice(None)]
+        counters[name][slice(frame, frame + 1) if frame is not None else slice(None)]
         for name in ("mg_stored", "mg_dropped")
     )
     lost = (stored + dropped).sum(axis=0) / np.maximum(stored.sum(axis=0), 1)

@@ -18,7 +18,7 @@ from ..contract.config import Config
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE, Sensor
 from ..contract.pixels import Pixels, pixel_table
-from ..contract.result import check_arrays
+from ..contract.result import check_arrays, known_counters
 from ..shared.arguments import check_kind
 from ..shared.compiled import njit, part
 from ..shared.errors import InputError, check_integer
@@ -97,7 +97,8 @@ def frame_events(
     if "mg_offset" in arrays:
         offset = arrays["mg_offset"][row]
     counted = slice(None) if frame is None else slice(frame, frame + 1)
-    opened = arrays["opened"][counted]
+    counters = known_counters(arrays, config).least
+    opened = counters["opened"][counted]
     threshold = arrays["threshold_used"][counted].min(axis=0)
     window = np.where(config.coincidence, config.window, 1)
     return Events(
@@ -115,7 +116,7 @@ def frame_events(
         window=window,
         photon_rate=_photon_rate(opened.mean(axis=0) / config.pulses, window, config),
         opened=opened.sum(axis=0),
-        committed=arrays["committed"][counted].sum(axis=0),
+        committed=counters["committed"][counted].sum(axis=0),
     )
 
 

@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from ..contract.config import Config
 from ..contract.parameters import Sensor
+from ..contract.result import known_counters
 from ..shared.compiled import njit, part
 from . import portable
 from .clusters import armed_ticks
@@ -416,9 +417,10 @@ class _Windows(NamedTuple):
 def _count_windows(arrays: dict[str, np.ndarray], config: Config, frame: int | None) -> _Windows:
     """Count the windows of a frame, or of all frames (None)."""
     frames = slice(None) if frame is None else slice(frame, frame + 1)
-    opened = arrays["opened"][frames].sum(axis=0)
-    committed = arrays["committed"][frames].sum(axis=0)
-    stored = arrays["stored"][frames].sum(axis=0)
+    counters = known_counters(arrays, config).least
+    opened = counters["opened"][frames].sum(axis=0)
+    committed = counters["committed"][frames].sum(axis=0)
+    stored = counters["stored"][frames].sum(axis=0)
     return _Windows(
         periods=config.pulses * len(arrays["opened"][frames]),
         per_stored=committed / np.maximum(1, stored),

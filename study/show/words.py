@@ -42,7 +42,7 @@ def number_rows(*views: FrameView) -> list[list[str]]:
 
 
 def _said(value: float | None, form: _Form) -> str:
-    return "none" if value is None else form(value)
+    return "not known" if value is None else form(value)
 
 
 def object_table(*views: FrameView) -> list[list[str]]:
@@ -80,6 +80,8 @@ def _words_sent(view: FrameView) -> str:
         bits = f"{numbers['bits']:,} bits left the sensor"
         return f"The pixels counted {numbers['counted']:,} hits in their gates; {bits}."
     dropped = ""
+    if any(numbers[name] is None for name in ("opened", "committed", "dropped")):
+        return "The numbers of windows and drops are not known, because counters are at their end."
     if numbers["dropped"]:
         dropped = f", and {numbers['dropped']:,} found the FIFO full and were dropped"
     return (

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.gate_counts import Counts
 from coincid.model.contract.packet import FORMATS
 from coincid.model.contract.result import (
@@ -11,6 +12,7 @@ from coincid.model.contract.result import (
     ResultFile,
     differences,
     events_table,
+    known_counters,
     read_result,
     write_result,
 )
@@ -95,6 +97,29 @@ def test_a_file_of_frames_is_the_file_of_their_arrays(config, tmp_path):
     if config.counting:
         for name in Counts._fields:
             assert whole.arrays()[name].shape[:2] == (config.frames, config.sensor.subgroups)
+
+
+@pytest.mark.parametrize("threshold", [1, 3])
+@pytest.mark.parametrize("link_gbps", [0.0, 2.0])
+def test_counters_at_their_end_follow_from_words_and_sums(threshold, link_gbps):
+    """As far as those of drops and of rejected windows are not at their end, too."""
+    of_frame = {"pulses": 60, "period": 60, "link_gbps": link_gbps}
+    of_frame |= {"minigroup_records": True, "mg_threshold": 1}
+    wide = configured(GOLDEN_SENSORS["default"], of_frame, {"threshold": threshold, "window": 4})
+    edges = random_edges(wide, 40_000, 1)
+    exact = golden_result(wide, edges)
+    narrow = wide.with_sensor(counter_bits=9)
+    found = known_counters(golden_result(narrow, edges), narrow)
+    for name in COUNTER_NAMES:
+        known = found.known[name]
+        assert np.array_equal(found.least[name][known], exact[name][known]), name
+        assert (found.least[name] <= exact[name]).all()
+    assert found.known["stored"].all() and found.known["mg_stored"].all()
+    of_committed = (exact["committed"] < 511) | (exact["dropped"] < 511)
+    assert np.array_equal(found.known["committed"], of_committed)
+    assert np.array_equal(found.known["opened"], of_committed & (exact["rejected"] < 511))
+    assert exact["opened"].min() > 511
+    assert known_counters(exact, wide).known["opened"].all()
 
 
 TWO_STREAMS = configured(

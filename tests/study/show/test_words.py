@@ -33,7 +33,7 @@ TOLD = [
     ("link load", "50.0%"),
     ("mean threshold", "2.50 pixels"),
     ("wrong, above 3.4 cm", "6.2%"),
-    ("wrong, above 15 cm", "none"),
+    ("wrong, above 15 cm", "not known"),
 ]
 
 
