@@ -35,7 +35,6 @@ from ..model.depth.quality import OTHER_SURFACE_M
 from ..model.depth.tree import kept_shares
 from ..model.light.light import Light, background_cps, signal_per_pulse
 from ..model.shared.arguments import check_kind
-from ..model.shared.constants import SPEED_OF_LIGHT_M_S
 from ..model.shared.errors import InputError, check_integer
 from ..model.shared.pulse import TIME_MAX_S, Pulse, PulseSource, pulse_of
 from ..model.shared.quantities import check_real
@@ -167,7 +166,7 @@ def _open_at(config: Config, distance_m: np.ndarray) -> np.ndarray:
     distances, float64[n], comes. Without a distance it is 1.
     """
     known = np.isfinite(distance_m)
-    tick = 2 * np.where(known, distance_m, 0.0) / SPEED_OF_LIGHT_M_S / config.tick_s
+    tick = np.where(known, distance_m, 0.0) / config.tick_m
     cycle = (tick % config.period_ticks // config.sensor.phases).astype(np.int64)
     share = open_share(config, 0, range(config.pulses))[cycle]
     return np.where(known, share, 1.0)

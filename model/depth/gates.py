@@ -36,6 +36,11 @@ def open_share(config: Config, subgroup: int, pulses: range) -> np.ndarray:
     return open_pulses(config, subgroup, pulses.start, np.array(pulses.stop)) / len(pulses)
 
 
+def open_share_by_tick(config: Config, subgroup: int) -> np.ndarray:
+    """float64[ticks]: share of all pulses of a frame in which the gate of a subgroup is open."""
+    return np.repeat(open_share(config, subgroup, range(config.pulses)), config.sensor.phases)
+
+
 def open_pulses(config: Config, subgroup: int, begin: int, end: np.ndarray) -> np.ndarray:
     """int64[..., cycles]: how many pulses of a frame, from `begin` to before `end`, have the gate of
     a subgroup open in each cycle. end: int64[...].

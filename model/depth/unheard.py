@@ -28,7 +28,7 @@ from ..shared.compiled import njit, part
 from . import portable
 from .clusters import armed_ticks
 from .evidence import RARE
-from .gates import open_share
+from .gates import open_share_by_tick
 from .histograms import Events
 from .pulse_ticks import PulseTicks
 from .tree import Tree, kept_shares, light_by_tick, light_scale, unheard_in
@@ -228,7 +228,7 @@ def _ticks_of(
         nearby = np.minimum(1, nearby)
         busy, ready = _busy(stamp, armed, dropped, pulses, sensor.phases)
         gap = _gap(stamp, armed, dropped[stamp] / pulses, ready[:: sensor.phases], sensor.phases)
-    seen = np.repeat(open_share(config, s, range(config.pulses)), sensor.phases)
+    seen = open_share_by_tick(config, s)
     of_ticks = _Ticks(
         committed=np.bincount(stamp, minlength=ticks) * dropped,
         covered=_share_between(stamp, stamp + window, dropped, pulses),

@@ -18,6 +18,7 @@ from ...model.contract.config import Config
 from ...model.contract.counters import COUNTER_NAMES
 from ...model.contract.edges import Edges, Fate
 from ...model.contract.pixels import pixel_table
+from ...model.depth.gates import gate_moved
 from ...model.golden.frame import Trace
 from ...model.shared.errors import check_integer
 
@@ -124,9 +125,7 @@ def gate_of(config: Config, subgroup: int, pulse: int) -> tuple[int, int] | None
     """
     if not config.gating[subgroup]:
         return None
-    frame = config.frame
-    steps = pulse // frame.gate_every % frame.gate_steps if frame.gate_every else 0
-    first = int(config.gate_start[subgroup]) + frame.gate_step * steps
+    first = int(config.gate_start[subgroup] + gate_moved(config, np.array([pulse]))[0])
     return min(first, config.period), min(first + int(config.gate_len[subgroup]), config.period)
 
 
