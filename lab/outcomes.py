@@ -28,7 +28,7 @@ from ..model.scenes.scene import Scene
 from ..model.shared.errors import InputError, check_integer, wrong_value
 from ..model.shared.latest import Latest
 from ..model.shared.pulse import Pulse, with_pulse
-from ..tb.replay import replay
+from ..tb.replay import checked_for, replay
 from .compile_ahead import compile_ahead
 from .long_frames import PlayedFrames, SeenEdges, is_long, play_long_frames
 from .measures import MEASURES, Number, stream_beats
@@ -170,7 +170,7 @@ class Run:
 
     def _generated_edges(self) -> Edges:
         if self.setup.edges is not None:
-            return self.setup.edges
+            return checked_for(self.config, self.setup.edges)
         if self.workers > 1 and DEFAULT_METHOD in self.setup.estimators:
             compile_ahead()  # uses a core that this run does not need yet
         photons = self.setup.photons

@@ -90,7 +90,7 @@ def replay(
         If an argument is illegal, or the tools of the RTL are missing.
     """
     check_kind("config", config, Config)
-    edges = _checked_edges(config, edges)
+    edges = checked_for(config, edges)
     chosen = chosen_view(engine, view, config.clock_mhz)
     ready = np.zeros(0, np.uint8) if ready is None else _checked_ready(ready)
     if chosen is None:
@@ -131,7 +131,7 @@ def replay_together(
 
     chains = []
     for config, given in jobs:
-        edges = _checked_edges(config, given)
+        edges = checked_for(config, given)
         frames = range(config.frames)
         chains.append([FrameJob(config, edges.frame(k, config.pulses)[0]) for k in frames])
     return [
@@ -142,7 +142,7 @@ def replay_together(
     ]
 
 
-def _checked_edges(config: Config, edges: Edges) -> Edges:
+def checked_for(config: Config, edges: Edges) -> Edges:
     """Return the edges if the sensor can have them. Raises `InputError`.
 
     The engines would read beyond their arrays, or disagree.

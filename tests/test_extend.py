@@ -146,6 +146,21 @@ def test_what_an_estimator_does_not_find_is_nan_in_all_that_it_tells():
         assert (values[:, :, 0] == value).all() and np.isnan(values[:, :, 1:]).all(), name
 
 
+@pytest.mark.parametrize("part", ["signal_per_pulse", "signal_error"])
+def test_light_of_another_shape_than_the_distances_is_refused(part):
+    run = Run(Setup.of("flat:5,0.4", **SMALL))
+    right = np.ones((*run.scene.truth_m.shape, 1))
+    parts = {"signal_per_pulse": right, "signal_error": right} | {part: right[:-1]}
+    light = Intensity(signal=parts["signal_per_pulse"], error=parts["signal_error"])
+
+    def estimate(self, reading):
+        return evolve(Depth.of(right), light=light)
+
+    own = type("Lit", (Far,), {"estimate": estimate, "name": "lit"})()
+    with pytest.raises(coincid.InputError, match=f"lit.estimate: {part} has shape"):
+        run.depth(own)
+
+
 @pytest.mark.parametrize(
     ("part", "shape"),
     [("error_m", SHAPE), ("error_m", (1, 1, 1)), ("slope_m", (*SHAPE, 1)), ("slope_m", (2,))],

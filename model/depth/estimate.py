@@ -29,7 +29,7 @@ from .count_likelihood import Seen
 from .counts import GateCounts, count_intensity, count_signs, gate_counts, seen_behind
 from .counts import find_surfaces as find_in_counts
 from .depth import Depth
-from .gates import open_share
+from .gates import open_share_by_tick
 from .histograms import (
     Events,
     frame_events,
@@ -191,6 +191,7 @@ def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
             raise InputError(
                 f"{name}.estimate: {part} has shape {np.shape(getattr(found, part))}, must be {shape}"
             )
+    _check_light(name, found, (*pixels, *has))
     missing = ((0, 0), (0, 0), (0, returns - has[0]))
     padded = partial(np.pad, pad_width=missing, constant_values=np.nan)
     error_m, signal, signal_error = found.error_m, found.signal_per_pulse, found.signal_error
@@ -205,6 +206,18 @@ def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
         slope_m=found.slope_m,
         light=light,
     )
+
+
+def _check_light(name: str, found: Depth, shape: tuple[int, ...]) -> None:
+    """Raise `InputError` if the light that an estimator of a user's own found has another shape than
+    its distances.
+    """
+    for part in ("signal_per_pulse", "signal_error"):
+        light = getattr(found, part)
+        if light is not None and np.shape(light) != shape:
+            raise InputError(
+                f"{name}.estimate: {part} has shape {np.shape(light)}, must be {shape}"
+            )
 
 
 def _light_at(depth_m: np.ndarray, reading: Reading, arrays: dict[str, np.ndarray]) -> Intensity:
@@ -377,7 +390,7 @@ def find_returns(
             shape,
             returns,
             hit_share=hit_share(s) if hit_share else None,
-            is_open=np.repeat(open_share(config, s, range(config.pulses)), config.sensor.phases),
+            is_open=open_share_by_tick(config, s),
             group=group,
             step_ticks=step_ticks,
         )

@@ -7,7 +7,9 @@ import pytest
 from coincid.lab.measures import MEASURES
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
+from coincid.model.contract.edges import Edges
 from coincid.model.scenes.catalogue import load_scene
+from coincid.model.shared.errors import InputError
 
 FRAMES = 3
 SENSOR = {"rows": 8, "cols": 24, "streams": 2, "fifo_depth": 2}
@@ -54,3 +56,22 @@ def test_frames_have_all_edges_and_events_once(run):
         own = run.frame(number).edges
         assert own.pulse.min() >= 0
         assert own.pulse.max() < FRAME["pulses"]
+
+
+@pytest.mark.parametrize("wrong", [{"pulse": 40}, {"pixel": 64}, {"tick": 10_000}])
+def test_edges_of_ones_own_are_checked(wrong):
+    """Also the last ones, which a frame of its own would not have."""
+    edge = {"pulse": 39, "pixel": 63, "tick": 100}
+    setup = Setup.of(
+        sensor={"rows": 8, "cols": 8},
+        frame={"pulses": 20, "frames": 2},
+        edges=one_edge(**edge),
+    )
+    assert Run(setup).frame(1)["edges"] == 1
+    (name,) = wrong
+    with pytest.raises(InputError, match=f"{name}.* must be an integer from 0 to"):
+        _ = Run(setup.but(edges=one_edge(**edge | wrong))).result
+
+
+def one_edge(**numbers):
+    return Edges(**{name: np.array([value], np.int64) for name, value in numbers.items()})
