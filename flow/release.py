@@ -455,7 +455,10 @@ def _contents(config: Config, view: str | View, prefix: str) -> dict[str, bytes]
 
 
 def _other_releases(folder: Path, prefix: str) -> dict[str, bytes]:
-    """Return the files by name of the releases in `folder` that have other prefixes."""
+    """Return the files by name of the releases in `folder` that have other prefixes. Files that are
+    not there any more, as their owner may have deleted them, are left out.
+    """
     releases = _releases(folder)
     releases.pop(f"{prefix}{MANIFEST}", None)
-    return {name: (folder / name).read_bytes() for names in releases.values() for name in names}
+    names = [name for of_release in releases.values() for name in of_release]
+    return {name: (folder / name).read_bytes() for name in names if (folder / name).is_file()}

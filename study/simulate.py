@@ -64,6 +64,8 @@ from .usefulness import is_useful, useless_sentence
 if TYPE_CHECKING:
     from ..hdl.front_end_views import View
 
+# the waveform and its views for GTKWave and Surfer, by the names of `tb/wave_views.py`
+WAVES = f"{TOP}.fst", f"{TOP}.gtkw", f"{TOP}.sucl"
 EVENTS, DEPTH, REPORT, PAGE = "events.npz", "depth.npz", "report.json", "report.html"
 # of a scene that moves: the depth of every frame, as arrays and as an animation
 DEPTHS, ANIMATION = "depth_frames.npz", "depth_frames.gif"
@@ -291,8 +293,8 @@ def simulate_to_folder(
 
         written += [out / played.wave.name, *views(out / played.wave.name)]
     else:
-        for path in out.glob(f"{TOP}.*"):  # from an earlier run
-            path.unlink()
+        for name in WAVES:  # from an earlier run
+            (out / name).unlink(missing_ok=True)
     _tell(console, notes, config, titles, report, written)
     return report
 

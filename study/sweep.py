@@ -100,7 +100,7 @@ class Finished(FinishedFiles):
             raise InputError(
                 f"out = {str(self._out)!r}: cannot be written: {error.strerror}"
             ) from None
-        for path in self.folder.glob(".*"):  # from a sweep that was killed while it wrote
+        for path in self.folder.glob(".*.json.*"):  # from a sweep that was killed while it wrote
             path.unlink()
         return self
 

@@ -774,6 +774,16 @@ def test_another_export_keeps_links_folders_and_manifests_of_others(tmp_path, te
         assert (folder / name).read_text(encoding="utf-8") == content
 
 
+def test_an_export_beside_one_that_lacks_files_leaves_what_is_there(tmp_path):
+    folder = tmp_path / "rtl"
+    smallest = parse_config(EXPORTS["smallest"][0])
+    write_release(folder, smallest)
+    (folder / f"{TOP}.sdc").unlink()
+    written = write_release(folder, smallest, prefix="near_")
+    assert all(path.exists() for path in written)
+    assert (folder / f"{TOP}.v").exists() and not (folder / f"{TOP}.sdc").exists()
+
+
 def test_words_of_the_stream_are_those_that_are_built():
     lean = stream_words(built_sensor({"offsets": 0, "records": 0, "counts": 0}))
     whole = stream_words(built_sensor({"offsets": 1, "records": 1, "counts": 1}))

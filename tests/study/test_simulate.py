@@ -34,6 +34,7 @@ from coincid.study.simulate import (
     PAGE,
     PICTURES,
     REPORT,
+    WAVES,
     settings_of,
     simulate_to_folder,
 )
@@ -265,10 +266,22 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
     assert (out / "sim.log").exists()
 
 
+def test_only_waveforms_of_an_earlier_run_are_deleted(tmp_path):
+    """Not the files of an export, whose names begin like those of a waveform."""
+    exported = [tmp_path / f"{TOP}{suffix}" for suffix in (".v", ".sdc", ".core")]
+    waves = [tmp_path / name for name in WAVES]
+    for path in (*exported, *waves):
+        path.write_text("", encoding="utf-8")
+    run(tmp_path)
+    assert all(path.exists() for path in exported)
+    assert not any(path.exists() for path in waves)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("simulator", ["icarus", "verilator"])
 def test_views_name_signals_of_the_waveform(tmp_path, simulator):
     *_, told = run(tmp_path, SMALL | {"sensor": SMALLEST}, engine=simulator, waves=True)
+    assert {path.name for path in tmp_path.glob(f"{TOP}.*")} == set(WAVES)
     fst = tmp_path / f"{TOP}.fst"
     widths = {variable.full_name: variable.bitwidth for variable in Waveform(str(fst)).all_vars()}
     assert (widths[f"{TOP}.m_axis_tdata"], widths[f"{TOP}.spad_0"], widths[f"{TOP}.laser"]) == (
