@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from ..shared.errors import InputError
+from ..shared.files import FilePath
 from ..shared.quantities import Numbers, check_real, real_array
 from .image_files import centre_crop, check_picture_array, covered_samples, open_picture, read_array
 
@@ -41,6 +42,13 @@ def ambient_klux(source: Ambient, rows: int, cols: int) -> Numbers:
         low, high = (_klux(source, part) for part in source.split("|"))
         return np.broadcast_to(np.where(np.arange(cols) < cols // 2, low, high), (rows, cols))
     return _resampled(_read_klux(source), rows, cols)
+
+
+def picture_share(path: FilePath, rows: int, cols: int) -> np.ndarray:
+    """float64[rows, cols]: 0 (black) to 1 (white) of a grey picture, resampled as the light of
+    `ambient_klux`. Raises `InputError`.
+    """
+    return _resampled(_read_share(path), rows, cols)
 
 
 def told_klux(source: Ambient) -> float | str:
@@ -79,13 +87,17 @@ def _read_klux(source: str) -> np.ndarray:
             else f"klux = {source!r}"
         )
         raise InputError(f"{what}: must be {AMBIENT_FORMS}")
-    white_klux = _klux(source, white)
+    return _klux(source, white) * _read_share(path)
+
+
+def _read_share(path: FilePath) -> np.ndarray:
+    """float64[height, width]: 0 (black) to 1 (white), the samples of a grey picture."""
     with open_picture(path) as picture:
         if picture.mode not in WHITE:
             raise InputError(
                 f"{path}: is a picture of mode {picture.mode}, must be grey of 8 or 16 bits"
             )
-        return np.asarray(picture, np.float64) * (white_klux / WHITE[picture.mode])
+        return np.asarray(picture, np.float64) / WHITE[picture.mode]
 
 
 def _resampled(samples: np.ndarray, rows: int, cols: int) -> np.ndarray:

@@ -376,7 +376,7 @@ def explore(
     changes: Annotated[
         list[str] | None,
         option(
-            "Initial value of a control, or a picture: depth_file, colour_file, sun_file.",
+            "Initial value of a control, or a file: depth_file, colour_file, sun_file, pulse_file.",
             "NAME=VALUE",
             "--set",
         ),

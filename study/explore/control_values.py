@@ -33,7 +33,7 @@ from ...model.shared.errors import InputError, check_integer, out_of_range, wron
 from ...model.shared.pulse import Pulse
 from ...model.shared.quantities import check_choice, check_real
 from .controls import CONTROL, CONTROLS, DEFAULTS, SCENES, UNITS, Control, Value
-from .uploads import KINDS, Uploads
+from .uploads import KINDS, USED_BY, Uploads
 
 PIXEL_PULSES_MAX = 1 << 25  # pixels x pulses x frames: some ten seconds of work
 PERCENT = 100
@@ -117,22 +117,24 @@ class Settings:
             )
         except InputError as error:
             raise InputError(self.uploads.named(str(error)), field="scene") from None
-        pictures = [scene.at(frame) for frame in range(scene.pictures)]
-        nearest_m = min(np.nanmin(one.distance_m) for one in pictures)
-        farthest_m = max(np.nanmax(one.distance_m) for one in pictures)
-        scale = values["scale"]
+        return scene if name == "upload" else self._scaled(scene)
+
+    def _scaled(self, scene: Scene) -> Scene:
+        """Return a built-in scene with its distances times the factor. Raises `InputError`."""
+        nearest_m = np.nanmin(scene.distance_m)
+        farthest_m = np.nanmax(scene.distance_m)
+        scale = self.values["scale"]
         if scale * farthest_m >= self.timing.range_m or scale * nearest_m < NEAREST_M:
             low = max(CONTROL["scale"].low, NEAREST_M / nearest_m)
             high = min(CONTROL["scale"].high, self.timing.range_m / farthest_m)
             raise InputError(
-                f"scale = {values['scale']:g}: must be a number from {low:.3g} to {high:.3g} with this scene"
+                f"scale = {scale:g}: must be a number from {low:.3g} to {high:.3g} with this scene"
                 f" (the laser period holds {self.timing.range_m:.4g} m)",
                 field="scale",
                 low=low,
                 high=high,
             )
-        first, *later = [evolve(one, distance_m=one.distance_m * scale) for one in pictures]
-        return evolve(first, later=tuple(later))
+        return evolve(scene, distance_m=scene.distance_m * scale)
 
     @property
     def _is_archive(self) -> bool:
@@ -148,6 +150,7 @@ class Settings:
         return {
             "unit": None if values["unit"] == UNITS[0] else values["unit"],
             "channel": None if self._is_archive else values["channel"] or None,
+            "scale": values["scale"],
             "missing": values["missing"],
             "fov_deg": values["fov_deg"],
             "z": values["z"],
@@ -169,6 +172,16 @@ class Settings:
             share = self.uploads.sun_share(sensor.rows, sensor.cols)
         klux: np.ndarray = share * values["klux"] + (1 - share) * values["shade_klux"]
         return klux
+
+    def told_klux(self) -> str:
+        """Return the light of sun and shade in words."""
+        values = self.values
+        sun, shade = f"{values['klux']:g} klux", f"{values['shade_klux']:g} klux"
+        if values["sun"] == "left half":
+            return f"{sun} on the left half, {shade} on the right"
+        if values["sun"] == "picture" and self.uploads.sun is not None:
+            return f"{sun} where {self.uploads.sun.name} is white, {shade} where it is black"
+        return sun
 
     def pulse(self) -> Pulse | None:
         """Return the measured pulse; None: a Gaussian. Raises `InputError`."""
@@ -301,11 +314,14 @@ def config_toml(settings: Settings) -> str:
 
 
 def command(settings: Settings) -> str:
-    """Return the command that opens the explorer with these settings; uploads appear under their
-    file names.
+    """Return the command that opens the explorer with these settings; uploads that they use appear
+    under their file names.
     """
     given = [f"{name}={value}" for name, value in settings.changed.items()]
-    given += [f"{name}_file={Path(path).name}" for name, path in settings.uploads.files().items()]
+    for kind, path in settings.uploads.files().items():
+        control, asking = USED_BY[kind]
+        if settings.values[control] == asking:
+            given.append(f"{kind}_file={path.name}")
     return " ".join(["coincid explore", *(f"--set {_quoted(text)}" for text in given)])
 
 
@@ -320,7 +336,7 @@ def query(settings: Settings) -> str:
 
 def given_settings(given: list[str]) -> Settings:
     """Return `Settings` from texts NAME=VALUE; NAME is a control, or the kind of an upload with
-    `_file`. Raises `InputError`.
+    `_file`. A file is used unless its control is given, too. Raises `InputError`.
     """
     text: dict[str, str] = {}
     uploads = Uploads()
@@ -332,7 +348,8 @@ def given_settings(given: list[str]) -> Settings:
             uploads = uploads.with_path(name.removesuffix("_file"), Path(value))
         else:
             text[name] = value
-    return check_settings(values_of_text(text), uploads)
+    using = dict(USED_BY[kind] for kind in uploads.files())
+    return check_settings(values_of_text(using | text), uploads)
 
 
 def values_of_link(given: dict[str, str]) -> tuple[dict[str, Any], str]:

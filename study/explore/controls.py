@@ -47,15 +47,18 @@ PULSE_SHAPES = ("Gaussian", "file")
 SLIDERS = {"klux": 100, "threshold": 16, "window": 64}  # control: upper end of its slider
 PULSES_MAX, FRAMES_MAX, KLUX_MAX = 10_000, 64, 200
 _OWN = ("flat", "two-targets", "two-returns")  # scenes whose surfaces have controls
-_CONTROLLED: "Needs" = ({"coincidence": (True,), "auto": (True,)},)
+_EVENTS: "Need" = {"format": WITH_MAP}  # there are none in the format `counts`
+_COINCIDENT: "Needs" = (_EVENTS | {"coincidence": (True,)},)
+_CONTROLLED: "Needs" = (_EVENTS | {"coincidence": (True,), "auto": (True,)},)
 _GATED: "Needs" = ({"gating": (True,)},)
-_STEPPED: "Needs" = ({"gating": (True,), "gate_every": None},)
-_RECORDS: "Needs" = ({"minigroup_records": (True,)},)
-_STAMPED: "Needs" = (*_RECORDS, {"format": ("full", "compact-full")})
+_RECORDS: "Needs" = (_EVENTS | {"minigroup_records": (True,)},)
 NEEDS: dict[str, "Needs"] = {  # conditions under which a control has an effect
-    "auto": ({"coincidence": (True,)},),
-    "threshold": ({"coincidence": (True,), "auto": (False,)},),
-    "window": ({"coincidence": (True,)},),
+    "coincidence": (_EVENTS,),
+    "auto": _COINCIDENT,
+    "threshold": _COINCIDENT,  # also of the controller, which begins with it
+    "window": _COINCIDENT,
+    "minigroup_records": (_EVENTS,),
+    "search_pulses": ({"format": ("counts",)},),
     "threshold_floor": _CONTROLLED,
     "capacity": _CONTROLLED,
     "near_m": ({"scene": _OWN},),
@@ -73,12 +76,12 @@ NEEDS: dict[str, "Needs"] = {  # conditions under which a control has an effect
     "gate_len": _GATED,
     "spad_gate": _GATED,
     "gate_every": _GATED,
-    "gate_step": _STEPPED,
-    "gate_steps": _STEPPED,
-    "dither_seed": ({"dither_bits": None},),
+    "gate_step": ({"gating": (True,), "gate_every": 0, "gate_steps": 1},),
+    "gate_steps": ({"gating": (True,), "gate_every": 0},),
+    "dither_seed": ({"dither_bits": 0},),
     "mg_threshold": _RECORDS,
     "mg_window": _RECORDS,
-    "offset_phases": _STAMPED,
+    "offset_phases": ({"format": ("full", "compact-full")},),
 }
 FURTHER = "Further"  # group of the settings that are not described here
 FURTHER_LABELS = {  # of those whose key is not a label
@@ -99,8 +102,9 @@ FURTHER_LABELS = {  # of those whose key is not a label
 }
 
 Value: TypeAlias = int | float | str | bool
-# Alternatives. Each gives values of other controls that must all hold; None: any value except 0.
-Needs: TypeAlias = "tuple[dict[str, tuple[Value, ...] | None], ...]"
+# Legal values of other controls, which must all hold; a number: every value above it.
+Need: TypeAlias = "dict[str, tuple[Value, ...] | int]"
+Needs: TypeAlias = "tuple[Need, ...]"  # alternatives
 
 
 @frozen(kw_only=True)
@@ -127,7 +131,7 @@ class Control:
         return f"{low:.10g} to {high:.10g} {self.unit}".strip()
 
     @property
-    def needs(self) -> list[dict[str, list[str] | None]]:
+    def needs(self) -> list[dict[str, list[str] | int]]:
         """Return its `NEEDS` with the texts of the page's fields; empty: it always has an
         effect.
         """
@@ -146,10 +150,10 @@ def _told(name: str) -> str:
     return OPTIONS[name].doc
 
 
-def _texts(values: tuple[Value, ...] | None) -> list[str] | None:
+def _texts(values: tuple[Value, ...] | int) -> list[str] | int:
     """Return values as texts of a field."""
-    if values is None:
-        return None
+    if isinstance(values, int):
+        return values
     return [str(value).lower() if isinstance(value, bool) else str(value) for value in values]
 
 

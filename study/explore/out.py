@@ -73,7 +73,7 @@ def _output_csv(explored: Explored, frame: int) -> bytes:
 def picture_png(explored: Explored, frame: int) -> bytes:
     """Return truth and depth of a frame, as `make sim` draws them."""
     view, settings = explored.view(frame), explored.settings
-    heading = f"{explored.run.scene.name}, {settings.values['klux']:g} klux"
+    heading = f"{explored.run.scene.name}, {settings.told_klux()}"
     figure, _ = draw_row(
         [Panel(settings.values["method"], view.depth_m, view.reason)], view.truth_m, heading
     )

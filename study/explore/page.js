@@ -21,7 +21,7 @@ function write(name, value) {
 // Fields without an effect under the present settings are disabled; their values stay.
 function settle() {
   for (const control of all("[data-needs]")) {
-    const met = ([name, legal]) => legal ? legal.includes(read(field(name))) : !["", "0"].includes(read(field(name)));
+    const met = ([name, legal]) => Array.isArray(legal) ? legal.includes(read(field(name))) : Number(read(field(name))) > legal;
     const off = !JSON.parse(control.dataset.needs).some((one) => Object.entries(one).every(met));
     control.classList.toggle("dormant", off);
     control.querySelectorAll("input, select").forEach((input) => { input.disabled = off; });

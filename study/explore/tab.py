@@ -43,7 +43,7 @@ from .control_values import (
 from .controls import CONTROL, CONTROLS, DEFAULTS, GROUPS
 from .messages import LookedAt, Words, sent
 from .stages import Explored, Explorer, Runner, check_on_rtl
-from .uploads import Kept, Uploads, parts_of
+from .uploads import USED_BY, Kept, Uploads, parts_of
 
 UPLOADS = "uploads"  # in the address of a page: number of its uploads (`Kept`)
 FIRST_LOOK = LookedAt(row=14, col=10, pulse=0, frame=0, which="B")
@@ -167,12 +167,7 @@ class Page:
 
     def _check_uploads(self, values: dict[str, str]) -> None:
         """Raise `InputError` if `values` need a file that was refused."""
-        for kind, control, asking in (
-            ("depth", "scene", "upload"),
-            ("colour", "scene", "upload"),
-            ("sun", "sun", "picture"),
-            ("pulse", "pulse", "file"),
-        ):
+        for kind, (control, asking) in USED_BY.items():
             if kind in self.bad_uploads and values[control] == asking:
                 raise InputError(self.bad_uploads[kind], field=control)
 

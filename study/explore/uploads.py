@@ -11,6 +11,7 @@ import numpy as np
 from attrs import evolve, frozen
 from PIL import Image
 
+from ...model.scenes.ambient import picture_share
 from ...model.scenes.archives import shapes_in_archive
 from ...model.scenes.conventions import ARCHIVES, ARRAYS, DEPTH_FILES
 from ...model.scenes.image_files import COLOUR_FILES, picture_shape, read_channels
@@ -28,6 +29,13 @@ KINDS = {
     "colour": COLOUR_FILES,
     "sun": COLOUR_FILES,
     "pulse": PULSE_FILES,
+}
+# control that uses a file of a kind, and its value that does so
+USED_BY = {
+    "depth": ("scene", "upload"),
+    "colour": ("scene", "upload"),
+    "sun": ("sun", "picture"),
+    "pulse": ("pulse", "file"),
 }
 TOLD = {"depth": "depth file", "pulse": "table of a pulse"}  # kinds that are no pictures
 
@@ -84,16 +92,12 @@ class Uploads:
         return evolve(self, **{kind: path})
 
     def sun_share(self, rows: int, cols: int) -> np.ndarray:
-        """float64[rows, cols]: 0 (shade) to 1 (sun), the mean brightness of the picture over each
-        pixel.
-        """
+        """float64[rows, cols]: 0 (shade) to 1 (sun). Raises `InputError`."""
         assert self.sun is not None
         try:
-            with Image.open(self.sun, formats=FORMATS) as picture:
-                grey = picture.convert("L").resize((cols, rows), Image.Resampling.BOX)
-        except Exception as error:
-            raise _unreadable(self.sun, error) from None
-        return np.asarray(grey, np.float64) / 255
+            return picture_share(self.sun, rows, cols)
+        except InputError as error:
+            raise InputError(self.named(str(error)), field="sun") from None
 
 
 def parts_of(path: Path | None) -> list[str]:

@@ -389,17 +389,20 @@ def test_settings_without_an_effect_are_disabled(tabs, address):
         return [tab.locator(f"#controls [name={name}]").is_enabled() for name in names]
 
     assert enabled("threshold", "gate_start", "far_m", "shade_klux") == [True, False, False, False]
-    put(tab, "auto", True)
-    assert (
-        enabled("threshold") == [False] and not tab.locator("[data-slides=threshold]").is_enabled()
-    )
     for name, value in (("gating", True), ("scene", "two-returns"), ("sun", "left half")):
         put(tab, name, value)
     assert enabled("gate_start", "far_m", "shade_klux", "gate_step") == [True, True, True, False]
     put(tab, "gate_every", 5)
-    assert enabled("gate_step", "auto", "window") == [True, True, True]
+    assert enabled("gate_step", "gate_steps") == [False, True]
+    put(tab, "gate_steps", 2)
+    put(tab, "auto", True)
+    assert enabled("gate_step", "threshold", "window") == [True, True, True]
     put(tab, "coincidence", False)
-    assert enabled("auto", "window") == [False, False]
+    assert enabled("auto", "threshold", "window") == [False, False, False]
+    assert not tab.locator("[data-slides=threshold]").is_enabled()
+    assert enabled("coincidence", "search_pulses") == [True, False]
+    put(tab, "format", "counts")
+    assert enabled("coincidence", "search_pulses") == [False, True]
     shown(tab)
 
 

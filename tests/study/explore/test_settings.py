@@ -14,6 +14,8 @@ from PIL import Image
 
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.parameters import Sensor
+from coincid.model.scenes.ambient import ambient_klux
+from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.errors import InputError
 from coincid.study.explore.control_values import (
     check_settings,
@@ -27,6 +29,7 @@ from coincid.study.explore.control_values import (
 from coincid.study.explore.controls import CONTROL, CONTROLS
 from coincid.study.explore.uploads import BYTES_MAX, NAME_MAX, Uploads
 
+ORIENTATION = 274  # tag of EXIF
 OTHER = dict(
     scene="two-targets",
     rows=16,
@@ -220,6 +223,79 @@ def test_an_uploaded_picture_is_the_sun(tmp_path, rows):
     background = settings.light(settings.scene()).background_cps.reshape(rows, 32)
     assert np.all(background[: rows // 2] == background.max())
     assert np.all(background[rows // 2 :] == background.min())
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(16, 16), (8, 32), (16, 8)])
+@pytest.mark.parametrize(
+    ("name", "grey"),
+    [
+        ("8 bit.png", np.uint8(np.arange(48 * 64).reshape(48, 64) % 251)),
+        ("16 bit.png", np.uint16(np.arange(48 * 64).reshape(48, 64) * 21)),
+        ("turned.png", np.uint8(np.arange(48 * 64).reshape(48, 64) % 251)),
+    ],
+)
+def test_a_picture_of_the_sun_gives_the_light_of_the_command_line(tmp_path, name, grey, rows, cols):
+    path = tmp_path / name
+    exif = Image.Exif()
+    if name == "turned.png":
+        exif[ORIENTATION] = 6
+    Image.fromarray(grey).save(path, exif=exif)
+    size = [f"rows={rows}", f"cols={cols}"]
+    settings = given_settings([f"sun_file={path}", "klux=80", "shade_klux=0", *size])
+    assert settings.klux() == pytest.approx(ambient_klux(f"{path},80", rows, cols))
+    assert np.ptp(settings.klux()) > 0
+
+
+def test_a_picture_of_the_sun_in_colour_is_refused_by_its_name(tmp_path):
+    colour = Image.new("RGB", (32, 32))
+    settings = check_settings({"sun": "picture"}, uploaded(tmp_path, "sun", "sun.png", colour))
+    with pytest.raises(InputError, match="^sun.png: is a picture of mode RGB, must be grey"):
+        settings.klux()
+
+
+def test_an_uploaded_scene_is_scaled_before_its_limits(tmp_path):
+    """Both ends would lie outside of them without the factor, or with it applied later."""
+    far_m, near_m = np.linspace(5.0, 140.0, 64), np.linspace(0.02, 3.0, 64)
+    for sample_m, scale in ((far_m, 0.5), (near_m, 10.0)):
+        path = tmp_path / "d.npy"
+        np.save(path, np.tile(sample_m, (64, 1)))
+        scene = given_settings([f"depth_file={path}", f"scale={scale}"]).scene()
+        of_command = load_scene(str(path), 32, 32, scale=scale)
+        assert np.array_equal(scene.distance_m, of_command.distance_m)
+        assert not np.isnan(scene.distance_m).any()
+
+
+@pytest.mark.parametrize(
+    ("kind", "control", "using", "other"),
+    [
+        ("depth", "scene", "upload", "flat"),
+        ("sun", "sun", "picture", "left half"),
+        ("pulse", "pulse", "file", "Gaussian"),
+    ],
+)
+def test_a_file_that_is_given_is_used_unless_its_control_says_otherwise(
+    tmp_path, kind, control, using, other
+):
+    path = tmp_path / ("a.csv" if kind == "pulse" else "a.png")
+    if kind == "pulse":
+        path.write_text("time_ps,density\n0,0\n250,1\n500,0\n", encoding="utf-8")
+    else:
+        Image.fromarray(np.full((48, 64), 4000, np.uint16)).save(path)
+    file = f"{kind}_file={path}"
+    used = given_settings([file])
+    assert used.values[control] == using and command(used).endswith(f"{kind}_file={path.name}")
+    unused = given_settings([file, f"{control}={other}"])
+    assert unused.values[control] == other and "_file" not in command(unused)
+
+
+def test_the_light_is_told_with_the_part_that_it_is_of(tmp_path):
+    light = {"klux": 80.0, "shade_klux": 3.0}
+    assert check_settings(light).told_klux() == "80 klux"
+    half = check_settings(light | {"sun": "left half"})
+    assert half.told_klux() == "80 klux on the left half, 3 klux on the right"
+    uploads = uploaded(tmp_path, "sun", "sun.png", Image.new("L", (32, 32)))
+    picture = check_settings(light | {"sun": "picture"}, uploads)
+    assert picture.told_klux() == "80 klux where sun.png is white, 3 klux where it is black"
 
 
 BAD = [
