@@ -7,8 +7,10 @@ The RTL runs behind its pins as a library.
 
 import itertools
 import re
+import sys
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -24,7 +26,7 @@ from coincid.board.parameters import (
     own_address,
 )
 from coincid.board.run import Session
-from coincid.board.serial_link import ESCAPE, FLAG, FLIP, WRITE_WORDS_MAX, Answer, Operation
+from coincid.board.serial_link import BAUD, ESCAPE, FLAG, FLIP, WRITE_WORDS_MAX, Answer, Operation
 from coincid.board.serial_transport import Deframer, SerialTransport, frame
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.board.source_model import SourceSettings, source_edges
@@ -426,3 +428,15 @@ def test_blocks_of_the_page_run(tmp_path, monkeypatch):
     names: dict = {}
     exec(compile(drive, "board.md", "exec"), names)
     assert len(names["beats"]) > 0
+
+
+def test_a_port_is_opened_as_it_is_asked_for(monkeypatch):
+    """Device and rate; the line's own rate is that of a port without one."""
+    opened = []
+    module = ModuleType("serial")
+    module.SerialException = OSError
+    module.Serial = lambda device, baud, **options: opened.append((device, baud))
+    monkeypatch.setitem(sys.modules, "serial", module)
+    serial_transport.SerialPort("/dev/ttyUSB3")
+    serial_transport.SerialPort("/dev/ttyUSB4", 115_200)
+    assert opened == [("/dev/ttyUSB3", BAUD), ("/dev/ttyUSB4", 115_200)]

@@ -365,3 +365,17 @@ def test_pixels_without_a_truth_are_in_no_share():
     run = Run(setup.but(estimators=(Told(9.0),)))
     for measure in ("off_surface_share", "wrong_share", "wrong_share_15cm"):
         assert run[measure] == 1.0, measure
+
+
+def test_progress_of_several_campaigns_is_that_of_all():
+    """Setups and other tasks count alike, and nothing is done more often than there is to do."""
+    told = []
+    with Processes(1, lambda done, total: told.append((done, total))) as workers:
+        campaign({seed: small(seed=seed) for seed in (1, 2)}, counted_edges, workers)
+        workers.map(abs, [-1, -2, -3])
+        campaign({3: small(seed=3)}, counted_edges, workers)
+    assert told == [(1, 2), (2, 2), (3, 5), (4, 5), (5, 5), (6, 6)]
+
+
+def counted_edges(run):
+    return run["edges"]

@@ -735,3 +735,22 @@ def test_a_divider_of_the_header_out_of_range(tmp_path, divider):
 def test_a_divider_of_0_in_the_header_is_none(tmp_path):
     path = ptu(tmp_path / "a.ptu", [t2(1, 0, 5), t2(0, 3, 9)], HWSync_Divider=0)
     assert read_recording(path).divider == 1
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Sync,Channel,Time_ps",
+        "SYNC,CHANNEL,TIME_PS",
+        '"sync","channel","time_ps"',
+        " sync , channel , time_ps ",
+        "# Sync,Channel,Time_ps",
+    ],
+)
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_names_of_columns_as_programs_write_them(tmp_path, head, separator):
+    """In capitals, in quotes, with spaces, as a comment."""
+    path = tmp_path / "a.csv"
+    lines = [head, "3,3,250031.25"]
+    path.write_text("\n".join(lines).replace(",", separator) + "\n", encoding="utf-8")
+    assert edges_of(path) == ([(3, 3, 4000)], {})

@@ -189,3 +189,23 @@ def test_depth_comes_out_as_a_sequence(tmp_path):
             assert animation.info["duration"] == 250  # milliseconds
     with pytest.raises(InputError, match=r"d.mp4: must end with .gif or .png"):
         run.animate(tmp_path / "d.mp4")
+
+
+def test_what_is_written_of_all_frames_is_of_the_chosen_estimator(tmp_path, monkeypatch):
+    """Depths and animation, frame by frame."""
+    run = simulate(CONFIG, pictures(), klux=0)
+    drawn = []
+    monkeypatch.setattr(
+        "coincid.study.animation.write_animation",
+        lambda path, frames, heading: drawn.append(frames),
+    )
+    of_methods = {}
+    for method in ("maximum", "planes"):
+        run.save_depths(tmp_path / f"{method}.npz", method)
+        run.animate(tmp_path / "d.gif", method)
+        of_methods[method] = np.load(tmp_path / f"{method}.npz")["depth_m"]
+        for number, frame in enumerate(drawn[-1]):
+            expected_m = run.depth(frame=number, method=method).depth_m
+            assert np.array_equal(of_methods[method][number], expected_m, equal_nan=True)
+            assert np.array_equal(frame.first.depth_m, expected_m, equal_nan=True)
+    assert not np.array_equal(*of_methods.values(), equal_nan=True)

@@ -5,6 +5,8 @@ kind of word.
 
 import platform
 import random
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from pywellen import Waveform
 
 from coincid.hdl.to_verilog import to_verilog
 from coincid.slices.emit import DarkInput
-from coincid.slices.library import LANES, PROCESSOR
+from coincid.slices.library import LANES, PLAIN, PROCESSOR, library
 from coincid.slices.netlist import NetlistError
 from coincid.slices.slices import Slices
 from coincid.slices.synthesis import Design
@@ -306,3 +308,37 @@ def test_what_slices_cannot_play_is_said():
     )
     with pytest.raises(NetlistError, match="an output leads to an input without a register"):
         Design("through", {"through.v": through}, "through", ["inner"])
+
+
+class _Folder(NamedTuple):
+    """A design as `library` sees it."""
+
+    folder: Path
+
+
+def test_no_library_is_taken_for_another(monkeypatch, tmp_path):
+    """Everything from which one is compiled is in the name of its folder."""
+    monkeypatch.setattr("coincid.slices.library.compile_once", lambda directory, make: directory)
+    program = tmp_path / "plain.cpp"
+    program.write_text("// as the usual one", encoding="utf-8")
+    usual = {
+        "design": _Folder(tmp_path / "a"),
+        "lanes": 64,
+        "program": PLAIN,
+        "header": "",
+        "include": (),
+        "objects": (),
+        "flag": PROCESSOR,
+    }
+    others = {
+        "design": _Folder(tmp_path / "b"),
+        "lanes": 128,
+        "program": program,
+        "header": "#define WIRES 1",
+        "include": (tmp_path,),
+        "objects": (tmp_path / "own.o",),
+    }
+    if platform.machine() == "x86_64":
+        others["flag"] = "-march=x86-64"
+    found = [library(**usual), *(library(**usual | {name: others[name]}) for name in others)]
+    assert len(set(found)) == len(found)

@@ -489,3 +489,13 @@ def test_prices_are_those_of_the_pages():
         if line.startswith("| uW per pixel |")
     )
     assert list(map(float, row.split("|")[2:6])) == list(UW_PER_PIXEL[1])
+
+
+def test_what_helps_most_is_told_first(monkeypatch):
+    shares = {"pulses": 0.7, "light": 0.2, "distance": 0.5}
+    wrong = iter(shares.values())
+    monkeypatch.setattr("coincid.study.usefulness._least_wrong", lambda *given: next(wrong))
+    setup = Setup.of("flat:9,0.05", sensor={"rows": 8, "cols": 8}, frame={"pulses": 5}, klux=1.0)
+    told = useless_sentence(0.9, setup, window=32)
+    assert [float(share) for share in re.findall(r"\((\d+\.\d)% wrong\)", told)] == [20, 50, 70]
+    assert told.index("ambient light") < told.index("half the distance") < told.index("pulses per")

@@ -17,6 +17,7 @@ import coincid
 from coincid.model.contract.result import EVENT_COLUMNS, differences, map_numbers
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.histograms import subgroup_histograms
+from coincid.model.depth.intensity import Intensity
 from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.light.link_budget import Optics
 from coincid.model.scenes.catalogue import load_scene
@@ -423,3 +424,22 @@ def test_a_first_run_says_that_it_compiles(compiled, told, monkeypatch, capsys):
     monkeypatch.setattr("coincid.study.run.is_compiled", lambda module: compiled)
     coincid.simulate(None, "flat:5", rows=8, cols=8, pulses=3)
     assert capsys.readouterr() == ("", told)
+
+
+def test_every_point_has_the_numbers_of_its_return():
+    """Each field of a point is another one of the depth, and each return has its own."""
+    shape = (2, 3, 2)
+    number = np.arange(1, 13, dtype=float).reshape(shape)
+    depth = Depth(
+        number,
+        number / 100,
+        np.arange(6, dtype=np.uint8).reshape(2, 3),
+        light=Intensity(number + 20, number + 40),
+    )
+    points = coincid.point_cloud(depth)
+    metres = np.sqrt(sum(points[name].astype(float) ** 2 for name in ("x", "y", "z")))
+    assert metres == pytest.approx(number.ravel(), rel=1e-6)
+    assert points["confidence"] == pytest.approx(metres / 100, rel=1e-6)
+    assert points["signal"] == pytest.approx(metres + 20, rel=1e-6)
+    assert points["signal_error"] == pytest.approx(metres + 40, rel=1e-6)
+    assert points["reason"].tolist() == np.repeat(np.arange(6), 2).tolist()

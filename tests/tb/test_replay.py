@@ -54,3 +54,11 @@ def test_offsets_are_one_for_each_edge():
     zero = np.zeros(2, np.int64)
     with pytest.raises(InputError, match="edges: offset_ps: holds .* must hold 2 numbers"):
         by_golden(Edges(zero, zero, zero, np.zeros(3)))
+
+
+def test_progress_ends_with_the_cycles_of_all_frames():
+    """And not with their number: bars have the cycles as their total."""
+    told = []
+    replay("golden", CONFIG, edges_with("tick", 0), progress=told.append)
+    assert told == sorted(told)
+    assert told[-1] >= FRAMES * CONFIG.frame_cycles

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Views of a waveform name its signals as their programs do, and begin with the first laser pulse."""
+
+from typing import Any, NamedTuple
+
+import pytest
+
+from coincid.model.contract.parameters import TOP
+from coincid.tb import wave_views
+
+BLOCKS = (
+    ("first", "", "laser word none"),
+    ("second part", "part", "bit word"),
+    ("none", "no", "x"),
+)
+
+
+class Variable(NamedTuple):
+    """A signal, as of `pywellen`."""
+
+    full_name: str
+    bitwidth: int
+    tv: Any = ()
+
+
+@pytest.fixture
+def written(monkeypatch, tmp_path):
+    """Return the lines of both views of a waveform."""
+    variables = [
+        Variable(f"bench.{TOP}.laser", 1, [(0, 0), (70, 1), (80, 0), (90, 1)]),
+        Variable(f"bench.{TOP}.word", 16),
+        Variable(f"bench.{TOP}.part.bit", 1),
+        Variable(f"bench.{TOP}.part.word", 2),
+    ]
+
+    class Waveform:
+        def __init__(self, path):
+            pass
+
+        def all_vars(self):
+            return variables
+
+    monkeypatch.setattr(wave_views, "Waveform", Waveform)
+    paths = wave_views.views(tmp_path / "a.fst", BLOCKS)
+    assert [path.name for path in paths] == ["a.gtkw", "a.sucl"]
+    return [path.read_text(encoding="utf-8").splitlines() for path in paths]
+
+
+def test_gtkwave_finds_every_signal(written):
+    """A bus is known with its bits, and a bit without."""
+    assert written[0][:2] == ['[dumpfile] "a.fst"', "[timestart] 70"]
+    assert written[0][3:] == [
+        "@200",
+        "-first",
+        "@28",
+        f"bench.{TOP}.laser",
+        "@22",
+        f"bench.{TOP}.word[15:0]",
+        "@200",
+        "-second part",
+        "@28",
+        f"bench.{TOP}.part.bit",
+        "@22",
+        f"bench.{TOP}.part.word[1:0]",
+    ]
+
+
+def test_surfer_finds_every_signal(written):
+    assert written[1] == [
+        "divider_add first",
+        f"variable_add bench.{TOP}.laser",
+        f"variable_add bench.{TOP}.word",
+        "divider_add second_part",
+        f"variable_add bench.{TOP}.part.bit",
+        f"variable_add bench.{TOP}.part.word",
+        "zoom_fit",
+    ]
