@@ -312,23 +312,18 @@ def with_tables(config: Config, tables: Mapping[str, Mapping[str, Any]]) -> Conf
     if not any(tables.values()):
         return config
     document = config.written()
-    several = _differing(config)
+    own = set(config.own_settings())
+    several = {}
     for table, settings in tables.items():
         for name, value in settings.items():
+            own.discard(name)
             if table == "subgroup" and np.ndim(value):
                 several[name] = value
             else:
-                several.pop(name, None)
                 document[table][name] = value
-    for name in several:
+    for name in (*own, *several):
         document["subgroup"].pop(name, None)
-    return parse_config(document).with_settings(**several).with_rule(config.sensor.rule)
-
-
-def _differing(config: Config) -> dict[str, Any]:
-    """Return the settings that were written and differ between subgroups: a value for each."""
-    of_subgroups = {name: getattr(config, name) for name in config.written()["subgroup"]}
-    return {name: values for name, values in of_subgroups.items() if np.any(values != values[0])}
+    return parse_config(document).keeping(config, own, **several)
 
 
 def seeded(setup: Setup, seeds: int) -> list[Setup]:

@@ -301,17 +301,12 @@ class Config(SubgroupSettings):
         """
         document = self.written()
         document["sensor"] |= _known("sensor", parameters, SENSOR)
-        own = {
-            name: document["subgroup"].pop(name)
-            for name, one in SUBGROUP.items()
-            if self._differs(name)
-        }
-        changed = _blaming(
-            _keys("sensor", parameters), lambda: parse_config(document).with_settings(**own)
+        own = self.own_settings()
+        for name in own:
+            del document["subgroup"][name]
+        return _blaming(
+            _keys("sensor", parameters), lambda: parse_config(document).keeping(self, own)
         )
-        same_number = changed.sensor.subgroups == self.sensor.subgroups
-        overridden = self.overridden if same_number else {}
-        return evolve(changed.with_rule(self.sensor.rule), overridden=overridden)
 
     def with_rule(self, rule: Rule) -> "Config":
         """Return a copy whose sensor has another rule of coincidence (docs/extend.md). Raises
@@ -319,10 +314,34 @@ class Config(SubgroupSettings):
         """
         return evolve(self, sensor=evolve(self.sensor, rule=rule))
 
+    def own_settings(self) -> list[str]:
+        """Return the settings that were written of some subgroups only, or with different values."""
+        return [name for name in SUBGROUP if self._differs(name)]
+
+    def keeping(self, old: "Config", own: Collection[str], **given: Any) -> "Config":
+        """Return a copy with some settings of the subgroups of `old`, its rule of coincidence, and
+        other settings, as in `with_settings`.
+
+        own: names of `own_settings`. Where an override left a subgroup at its default, it gets the
+        default of this configuration. Raises `InputError`.
+        """
+        settings = {name: getattr(old, name) for name in own} | given
+        overridden = {}
+        if self.sensor.subgroups == old.sensor.subgroups:
+            overridden = {name: named for name, named in old.overridden.items() if name in own}
+        for name, named in overridden.items():
+            settings[name] = getattr(self, name).copy()
+            settings[name][named] = getattr(old, name)[named]
+        changed = self.with_settings(**settings).with_rule(old.sensor.rule)
+        return evolve(changed, overridden=overridden)
+
     def _differs(self, name: str) -> bool:
-        """Return whether the subgroups have different values of a setting that was written."""
+        """Return whether the subgroups have different values of a setting that was written, or
+        an override was written of some.
+        """
         values = getattr(self, name)
-        return SUBGROUP[name].key in self.given and bool(np.any(values != values[0]))
+        differs = name in self.overridden or bool(np.any(values != values[0]))
+        return SUBGROUP[name].key in self.given and differs
 
     def written(self) -> dict[str, dict[str, Any]]:
         """Return the tables of a configuration file with the keys that were written; lists where

@@ -206,8 +206,8 @@ def test_what_follows_the_period_follows_it_beside_an_override():
     written = parse_config({"frame": {"period": 400}, "override": [override]})
     same(config.with_frame(period=400), written)
     same(config.with_sensor(rearm=1).with_frame(period=400), written.with_sensor(rearm=1))
-    smaller = parse_config({"override": [{"subgroups": [0], "gate_len": 250}]}).with_sensor(rows=16)
-    assert smaller.with_frame(period=300).gate_len.tolist() == [250] * 8
+    with pytest.raises(InputError, match=r"subgroup\.gate_len: has 16 values, must have one or 8"):
+        config.with_sensor(rows=16)
     of_all = config.with_settings(gate_len=config.gate_len)
     assert (of_all.with_frame(period=400).gate_len == 250).all()
     table = parse_config({"subgroup": {"gate_len": 20}, "override": [override]})

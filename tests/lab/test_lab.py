@@ -19,6 +19,7 @@ from coincid.lab.dask_workers import Dask
 from coincid.lab.measures import MEASURES
 from coincid.lab.outcomes import Run, StageCache
 from coincid.lab.setup import Setup, fingerprint, seeded
+from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.packet import FORMATS, RECORD, layout
 from coincid.model.depth.estimate import estimate_depth
@@ -379,3 +380,15 @@ def test_progress_of_several_campaigns_is_that_of_all():
 
 def counted_edges(run):
     return run["edges"]
+
+
+def test_what_follows_the_period_follows_it_in_setups_beside_an_override():
+    override = {"subgroups": [1], "gate_len": 20}
+    config = parse_config({"sensor": {"rows": 8, "cols": 24}, "override": [override]})
+    setup = Setup.of("flat:5,0.4", config)
+    longer = setup.but(frame={"period": 400})
+    for changed in (longer, setup.but(frame={"pulses": 9}).but(frame={"period": 400})):
+        assert changed.config.gate_len.tolist() == [400, 20, 400]
+    own = setup.but(frame={"period": 400}, subgroup={"gate_len": [1, 2, 3]})
+    assert own.config.gate_len.tolist() == [1, 2, 3]
+    assert longer.but(subgroup={"gate_len": 7}).config.gate_len.tolist() == [7, 7, 7]
