@@ -64,10 +64,10 @@ def _read(path: FilePath, sync_channel: int | None) -> Recording:
     names, read = {".npz": _npz, ".csv": _csv}.get(suffix, _hdf5)(path)
     if set(NAMES) <= set(names):
         if OFFSET not in names:
-            return _of_syncs(path, NAMES, read(NAMES), "edges", sync_channel)
+            return _of_syncs(path, NAMES, read(NAMES), "table of edges", sync_channel)
         *of_edges, offset_ps = read((*NAMES, OFFSET))
         not_negative(path, OFFSET, offset_ps)
-        found = _of_syncs(path, NAMES, of_edges, "edges", sync_channel)
+        found = _of_syncs(path, NAMES, of_edges, "table of edges", sync_channel)
         return evolve(found, offset_ps=offset_ps.astype(np.float64))
     unit = next((name for name in UNITS_PS if name in names), None)
     if unit is None or "channel" not in names:

@@ -312,6 +312,21 @@ def test_damaged_files(tmp_path, suffix):
         edges_of(path)
 
 
+@pytest.mark.parametrize(
+    ("columns", "kind"),
+    [
+        ("pulse,pixel,tick\n0,0,1\n", "table of edges"),
+        ("pulse,pixel,tick,offset_ps\n0,0,1,5\n", "table of edges"),
+        ("sync,channel,time_ps\n0,0,1\n", "table of syncs"),
+    ],
+)
+def test_tables_without_triggers_are_told_by_their_kind(tmp_path, columns, kind):
+    path = tmp_path / "a.csv"
+    path.write_text(columns, encoding="utf-8")
+    with pytest.raises(InputError, match=f"is a {kind}, which has no triggers"):
+        edges_of(path, sync_channel=9)
+
+
 def test_bad_ptu(tmp_path):
     path = ptu(tmp_path / "a.ptu", [t2(0, 3, 5), t2(0, 4, 5)])
     with pytest.raises(InputError, match="no events on the sync input.*events: 3, 4"):
