@@ -118,7 +118,7 @@ def histogram_scene(
 
 
 def _checked(path: str, counts: np.ndarray, rows: int, cols: int) -> np.ndarray:
-    """float64[rows, cols, bins]: the counts of a file. Raises `InputError`."""
+    """float64[rows, cols, bins]: counts of a file, 0 where masked. Raises `InputError`."""
     if counts.ndim != 3 or counts.dtype.kind not in "iuf" or not counts.size:
         raise InputError(
             f"{path}: holds {counts.dtype}{list(counts.shape)}, must hold numbers in three dimensions"
@@ -130,7 +130,7 @@ def _checked(path: str, counts: np.ndarray, rows: int, cols: int) -> np.ndarray:
             f"{path}: has {high} x {wide} histograms, must have {rows} x {cols}, one for each pixel;"
             f" --set rows={high} --set cols={wide} makes the sensor fit"
         )
-    return real_array(f"{path}: counts", counts, counts.shape, 0)
+    return real_array(f"{path}: counts", np.ma.filled(counts, 0), counts.shape, 0)
 
 
 def _peaks(counts: np.ndarray, bin_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

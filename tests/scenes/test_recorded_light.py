@@ -71,6 +71,17 @@ def test_the_truth_is_the_peak_of_each_histogram(tmp_path, source):
     assert scene.truth_m == pytest.approx(WALL_M, abs=0.01)
 
 
+def test_masked_counts_are_none():
+    """Such as those of a bin that always fires."""
+    hidden = np.zeros((*SHAPE, BINS), bool)
+    hidden[:, :, 300] = True
+    hot = np.ma.masked_array(np.where(hidden, np.nan, counts()), hidden)
+    hot.data[0, 0, 300] = 1e4
+    scene = load_scene(hot, *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES)
+    assert scene.truth_m == pytest.approx(WALL_M, abs=0.01)
+    assert np.all(scene.transient.photons[:, :, 300] == 0)
+
+
 def test_the_photons_are_those_of_the_histograms():
     """As many per pulse, and the sensor measures the same distances."""
     run = simulate(CONFIG, counts(), bin_ps=BIN_PS, recorded_pulses=PULSES, seed=2)
