@@ -264,19 +264,24 @@ def advise(
         limit=_limit(run, best.config),
         useless=useless,
         counts="" if has_counts or counting is None else _with_counts(run, counting),
-        advised=_for_all_pictures(best.config, asked, scene),
+        advised=_with_asked_frames(best.config, asked, scene),
     )
 
 
-def _for_all_pictures(advised: Config, asked: Config, scene: Scene) -> Config:
-    """Return an advised configuration with the number of frames that was asked for, if the scene
-    moves; without one, if each picture has a frame.
+def _with_asked_frames(advised: Config, asked: Config, scene: Scene) -> Config:
+    """Return an advised configuration with the number of frames that was asked for, else without
+    one: those that were played say nothing about the user's.
+
+    A scene that moves has a frame for each picture anyway. A controller keeps the frames in which
+    it has settled.
     """
-    if not scene.later:
-        return advised
-    if "frame.frames" in asked.given and asked.frames != scene.pictures:
+    has_own = scene.later and asked.frames == scene.pictures
+    if "frame.frames" in asked.given and not has_own:
         return advised.with_frame(frames=asked.frames)
-    return evolve(advised, given=advised.given - {"frame.frames"})
+    if advised.auto.any() and not scene.later:
+        return advised
+    without = advised.with_frame(frames=asked.frames)
+    return evolve(without, given=without.given - {"frame.frames"})
 
 
 def _in_counts(config: Config) -> Config | None:

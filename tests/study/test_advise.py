@@ -180,6 +180,32 @@ def test_the_advice_for_a_scene_that_moves_plays_its_pictures(
     assert for_pictures(read, scene).frames == written
 
 
+@pytest.mark.parametrize(
+    ("asked", "auto", "written"),
+    [
+        ({"frames": 3}, False, "frames = 3"),
+        ({"frames": 1}, False, "frames = 1"),
+        ({}, False, None),
+        ({"frames": 3}, True, "frames = 3"),
+        ({}, True, "frames = 7"),  # in which the controller has settled
+    ],
+)
+def test_advice_writes_the_frames_that_were_asked_for(tmp_path, monkeypatch, asked, auto, written):
+    """Of a scene that does not move, and not those that the advice played."""
+    monkeypatch.setattr("coincid.study.advise._draw", lambda *given: None)
+    monkeypatch.setattr("coincid.study.advise._limit", lambda *given: "")
+    monkeypatch.setattr("coincid.study.advise._settings", lambda *given: iter([best]))
+    monkeypatch.setattr("coincid.study.advise._links", lambda *given: iter([best]))
+    sensor = {"rows": 8, "cols": 8}
+    setup = Setup.of("flat:4", sensor=sensor, frame=asked | {"pulses": 5}, klux=1.0)
+    config = setup.config.with_frame(frames=7 if auto else 1).with_settings(auto=auto)
+    best = Tried(config=config, wrong=0.1, far=0.0, error_mm=9.0, bits=10, dropped=0.0, load=0.1)
+    file = write_advice(tmp_path, advise(setup, klux=1.0), "a wall")[-1]
+    lines = file.read_text(encoding="utf-8").splitlines()
+    found = [line for line in lines if re.match(r"frames\s*=", line)]
+    assert found == ([] if written is None else [written])
+
+
 def test_where_no_setting_helps_the_advice_begins_with_what_would(tmp_path):
     given = "--klux 100 --set rows=8 --set cols=8 --set pulses=5"
     done = command(f"advise flat:9,0.05 {given} --out {tmp_path}/out")
