@@ -4,8 +4,33 @@
 import json
 
 import pytest
+from attrs import evolve
 
-from coincid.flow.pnr import Placement, fastest
+from coincid.flow.pnr import (
+    ASYNCHRONOUS,
+    BITSTREAM,
+    Board,
+    Placement,
+    fastest,
+    missed,
+    skewed,
+    write_placement_page,
+)
+
+BOARD = Board(
+    title="Placement",
+    page="page.md",
+    command="coincid pnr",
+    what="a design",
+    chip="ECP5",
+    top="top",
+    files={},
+    pins="",
+    device=(),
+    goal_mhz=100.0,
+    sampled="spad",
+    tick_ns=1.5,
+)
 
 
 @pytest.fixture
@@ -29,3 +54,115 @@ def test_the_fastest_placement_is_that_whose_slowest_clock_is_the_fastest(placed
     slow = placed(3, bus=99, sensor=99)
     assert fastest([uneven, even, slow]) is even
     assert fastest([slow, uneven]) is slow
+
+
+@pytest.fixture
+def routed(tmp_path):
+    """Return a placement with these paths, used resources and nets in nextpnr's report."""
+
+    def routed(seed, paths, fmax_mhz, nets=()):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        report = {
+            "fmax": {net: {"achieved": mhz} for net, mhz in fmax_mhz.items()},
+            "critical_paths": paths,
+            "utilization": {
+                "TRELLIS_COMB": {"used": 31, "available": 47},
+                "DCCA": {"used": 3, "available": 5},
+                "DP16KD": {"used": 7, "available": 11},
+            },
+            "detailed_net_timings": list(nets),
+        }
+        (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
+        (folder / BITSTREAM).write_bytes(bytes(100 + seed))
+        return Placement(seed, folder)
+
+    return routed
+
+
+def path(clock, to, *delays_ns):
+    """Return a path through cells `CLOCK_0`, `CLOCK_1`, ... with a wire behind the first."""
+    hops = [
+        {
+            "type": "routing" if n == 1 else "logic",
+            "delay": delay_ns,
+            "from": {"cell": f"{clock}_{n}"},
+            "to": {"cell": f"{clock}_{n + 1}"},
+        }
+        for n, delay_ns in enumerate(delays_ns)
+    ]
+    return {"from": clock, "to": to, "path": hops}
+
+
+def net(driver, event, *delays_ns):
+    """Return a net with two delays at each of its ends."""
+    ends = [{"delay": list(pair)} for pair in zip(delays_ns[::2], delays_ns[1::2], strict=True)]
+    return {"driver": driver, "event": event, "endpoints": ends}
+
+
+NETS = (
+    net("spad[0]$tr_io", ASYNCHRONOUS, 2.0, 2.2, 2.7, 2.5),
+    net("spad[1]$tr_io", ASYNCHRONOUS, 4.5, 3.0, 3.5, 3.25),
+    net("spad[2]$tr_io", "posedge clk", 1.0, 9.0),
+    net("other[0]$tr_io", ASYNCHRONOUS, 1.0, 8.0),
+)
+
+
+def test_the_longest_path_is_one_between_registers_of_one_clock(routed):
+    """Not a path between two clocks, nor that with the most hops."""
+    paths = [path("a", "a", 1.5, 2.25), path("b", "b", 1, 1, 1), path("a", "b", 9.0)]
+    assert routed(1, paths, {}).longest == paths[0]
+    assert routed(2, [paths[1], paths[2]], {}).longest == paths[1]
+
+
+def test_clocks_have_their_names_in_the_verilog(routed):
+    placed = routed(1, [], {"$glbnet$clk": 101.0, "$glbnet$bus$TRELLIS": 55.0, "sampler": 77.0})
+    assert placed.fmax_mhz == {"clk": 101.0, "bus$TRELLIS": 55.0, "sampler": 77.0}
+
+
+def test_the_skew_of_a_line_is_that_of_all_its_samplers(routed):
+    """Not of lines of other ports, nor of a net with a clock."""
+    assert routed(1, [], {}, NETS).skews_ns("spad") == pytest.approx(
+        {"spad[0]": 0.7, "spad[1]": 1.5}
+    )
+
+
+def test_a_goal_that_is_just_reached_is_not_missed(routed):
+    """A line to its samplers, however, must arrive less than a tick apart."""
+    placements = [
+        routed(4, [], {"clk": 100.0, "bus": 99.94}, NETS),
+        routed(6, [], {"clk": 80.0, "bus": 130.0}),
+    ]
+    assert missed(BOARD, placements) == [
+        "seed 4: bus reaches 99.9 MHz, must be 100",
+        "seed 6: clk reaches 80.0 MHz, must be 100",
+    ]
+    complaint = "the delays of spad[1] to its samplers differ by 1.50 ns, must be less than 1.5"
+    assert skewed(BOARD, placements) == [f"seed 4: {complaint}"]
+    assert skewed(evolve(BOARD, sampled=""), placements) == []
+
+
+def test_the_page_tells_the_longest_path_of_all_seeds(routed, tmp_path):
+    placements = [
+        routed(4, [path("a", "a", 1.5, 2.25)], {"clk": 101.0, "bus": 131.0}, NETS),
+        routed(6, [path("b", "b", 2.0, 1.0, 0.75, 0.5)], {"clk": 102.0, "bus": 132.0}, NETS[:1]),
+    ]
+    page = tmp_path / "page.md"
+    write_placement_page(BOARD, placements, page)
+    text = page.read_text(encoding="utf-8")
+    told = " ".join(text.split())
+    assert "places a design on an ECP5. It places one netlist with 2 seeds" in told
+    assert "must reach 100 MHz with each seed. The bitstream has 104 bytes." in told
+    longest = "takes 4.25 ns, with seed 6. It passes 3 cells from `b_0` to `b_4`."
+    assert f"The longest path {longest}" in told
+    assert "of `spad` to its samplers differ by at most 1.50 ns" in told
+    assert "for 1 of 3 lines, by a tick (1.5 ns) or more" in told
+    tables = [line for line in text.splitlines() if line.startswith("| ")]
+    assert [line for line in tables if "---" not in line] == [
+        "| Fmax in MHz of | seed 4 | seed 6 |",
+        "| bus | 131.0 | 132.0 |",
+        "| clk | 101.0 | 102.0 |",
+        "| resource | used | of |",
+        "| TRELLIS_COMB | 31 | 47 |",
+        "| DP16KD | 7 | 11 |",
+    ]

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 from coincid.flow.liberty import Cell, Energies, Pin, read_cells, supply_v
-from coincid.flow.power import Design, Instance, clock_tree_mw, power, transitions
+from coincid.flow.power import (
+    Design,
+    Instance,
+    Power,
+    clock_tree_mw,
+    power,
+    power_at_rest,
+    transitions,
+)
 from coincid.flow.yosys import CLOCK_BUFFER, LIBERTY, cells_folder
 from coincid.tools.build import ToolchainError
 from docs.studies.power_against_light import group_of
@@ -162,6 +170,36 @@ def test_a_gated_flip_flop_by_hand():
     assert of["flop"].total == of["flop"].clock == pytest.approx(PER_FJ * (4 * 3.0 + 4 * 2.0 * 1.0))
     assert of["flop"].idle == pytest.approx(of["flop"].clock / 2)
     assert of["gate"].idle == 0
+
+
+def test_at_rest_only_the_clock_moves():
+    """Twice in a cycle: not the nets behind a closed gate, nor data. Leakage stays."""
+    library = {
+        "GATE": Cell(
+            500.0,
+            {"CK": Pin(False, 4.0, always(2.0), True), "GCK": Pin(True, 0.0, always(5.0), True)},
+        ),
+        "DFF": Cell(300.0, {"CK": CLOCK, "Q": Pin(True, 0.0, always(7.0), False)}),
+    }
+    instances = [
+        Instance("gate", "GATE", {"CK": 2, "GCK": 3}),
+        Instance("gated", "DFF", {"CK": 3, "Q": 4}),
+        Instance("free", "DFF", {"CK": 2, "Q": 5}),
+    ]
+    names = {4: [("q", 0)], 3: [("gated", 0)], 2: [("root", 0), ("clk", 0)], 5: [("clk", 1)]}
+    of = power_at_rest(Design([""], instances, names, library, 3.0), 100.0, wire_ff=0.5)
+    fj_mhz = 1e-6 * 100.0  # mW, of one cycle at 100 MHz
+    assert of["gate"].clock == pytest.approx(fj_mhz * 2 * (2.0 + 4.5 * 4.5))
+    assert of["free"].clock == of["free"].idle == pytest.approx(fj_mhz * 2 * (3.0 + 4.5 * 1.5))
+    assert of["gated"] == Power(leakage=pytest.approx(300e-6))
+    assert of["gate"].total - of["gate"].clock == pytest.approx(500e-6)
+
+
+def test_powers_add_part_by_part():
+    """The idle part belongs to the clock's, so it does not count twice."""
+    added = Power(1.0, 2.0, 4.0, 8.0, 0.5) + Power(16.0, 32.0, 64.0, 128.0, 0.25)
+    assert added == Power(17.0, 34.0, 68.0, 136.0, 0.75)
+    assert added.total == 255.0
 
 
 def test_a_clock_tree_by_hand():
