@@ -3,7 +3,7 @@
 
 import pytest
 
-from coincid.flow.liberty import read_cells
+from coincid.flow.liberty import cell_areas, read_cells, supply_v
 
 # pin: (its other values, energies in fJ by condition, energy that counts)
 PINS = {
@@ -42,3 +42,52 @@ def test_the_energy_of_a_pin_is_that_of_its_condition(what, tmp_path):
     )
     pin = read_cells(path, {"TOY"})["TOY"].pins[name]
     assert pin.energies.at(1.0) == pytest.approx(expected_fj)
+
+
+def of_tables(path, *tables):
+    """Return the energies of a pin with these tables of a rise."""
+    powers = "".join(f"internal_power () {{ rise_power (one) {{ {text} }} }}\n" for text in tables)
+    path.write_text(
+        f"cell (TOY) {{\n cell_leakage_power : 1;\n pin (Z) {{ direction : output;\n{powers} }}\n}}\n",
+        encoding="utf-8",
+    )
+    return read_cells(path, {"TOY"})["TOY"].pins["Z"].energies
+
+
+def test_an_edge_that_does_not_occur_has_no_part_in_the_mean(tmp_path):
+    path = tmp_path / "toy.lib"
+    assert of_tables(path, 'values ("0.0");', 'values ("3.0");').at(1.0) == 3.0
+    assert of_tables(path, 'values ("0.0");') is None
+
+
+def test_the_mean_of_tables_with_different_loads(tmp_path):
+    """A table with one load holds for all. Rows are slews, columns loads."""
+    rows = 'index_1 ("0.0,0.08"); index_2 ("1.0,2.0,4.0"); values ("1,2,4", "9,14,32");'
+    found = of_tables(tmp_path / "toy.lib", rows, 'values ("7.0");')
+    assert found.loads_ff.tolist() == [1.0, 2.0, 4.0]
+    # a quarter of the way between the slews, before the mean with 7
+    assert found.fj == pytest.approx([(3 + 7) / 2, (5 + 7) / 2, (11 + 7) / 2])
+    assert found.at(3.0) == pytest.approx(7.5)
+
+
+def test_areas_of_all_cells():
+    text = """\
+  cell (ONE) {
+    drive : 2;
+    area : 1.25;
+    pin (A) { capacitance : 9.5; }
+  }
+  cell (TWO) {
+    area : 3.5;
+  }
+"""
+    assert cell_areas(text) == {"ONE": 1.25, "TWO": 3.5}
+
+
+def test_the_supply_of_a_library(tmp_path):
+    path = tmp_path / "toy.lib"
+    path.write_text("nom_process : 1.5;\nnom_voltage : 0.95;\n", encoding="utf-8")
+    assert supply_v(path) == 0.95
+    path.write_text("", encoding="utf-8")
+    with pytest.raises(ValueError, match="toy.lib: no nom_voltage"):
+        supply_v(path)
