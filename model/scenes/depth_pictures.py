@@ -61,6 +61,7 @@ class Pictures:
 def pictures_of(source: FilePath | np.ndarray, meaning: Meaning) -> Pictures:
     """Return the depth pictures of a file, a sequence or an array. Raises `InputError`."""
     if isinstance(source, np.ndarray):
+        _check_no_channel(meaning)
         return _in_array(ARRAY, source, is_file=False)
     path = str(source)
     files = picture_files(path, DEPTH_FILES)
@@ -72,6 +73,7 @@ def pictures_of(source: FilePath | np.ndarray, meaning: Meaning) -> Pictures:
         return Pictures(name=Path(path).name, count=len(files), read=read, moves=True)
     samples = array_in_file(path)
     if samples is not None:
+        _check_no_channel(meaning)
         _check_bits(path, samples, meaning)
         return _in_array(path, samples, is_file=True)
 
@@ -153,6 +155,15 @@ def _in_array(path: str, samples: np.ndarray, *, is_file: bool) -> Pictures:
         )
 
     return Pictures(name=Path(path).name, count=count, read=read, moves=moves)
+
+
+def _check_no_channel(meaning: Meaning) -> None:
+    """Raise `InputError` for a channel of something that is no picture."""
+    if meaning.channel is not None:
+        raise InputError(
+            f"channel = {meaning.channel!r}: goes with pictures; FILE:NAME names an array of a file",
+            field="channel",
+        )
 
 
 def _check_bits(path: str, numbers: np.ndarray, meaning: Meaning) -> None:

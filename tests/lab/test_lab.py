@@ -384,8 +384,8 @@ def counted_edges(run):
 
 def test_what_follows_the_period_follows_it_in_setups_beside_an_override():
     override = {"subgroups": [1], "gate_len": 20}
-    config = parse_config({"sensor": {"rows": 8, "cols": 24}, "override": [override]})
-    setup = Setup.of("flat:5,0.4", config)
+    tables = {"sensor": SMALL["sensor"], "override": [override]}
+    setup = Setup(config=parse_config(tables), scene=small().scene)
     longer = setup.but(frame={"period": 400})
     for changed in (longer, setup.but(frame={"pulses": 9}).but(frame={"period": 400})):
         assert changed.config.gate_len.tolist() == [400, 20, 400]

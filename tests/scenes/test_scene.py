@@ -417,3 +417,15 @@ def test_distances_as_an_array():
 def test_scenes_that_are_none(source, options, words):
     with pytest.raises(InputError, match=re.escape(words)):
         load_scene(source, 4, 4, **options)
+
+
+@pytest.mark.parametrize("source", ["array", "wall.npy", "walls.npz", "walls.npz:near"])
+def test_a_channel_goes_with_pictures_only(source, tmp_path):
+    """An array of a file is named behind the file's name."""
+    near_m = np.full((8, 8), 4.0)
+    np.save(tmp_path / "wall.npy", near_m)
+    np.savez(tmp_path / "walls.npz", near=near_m)
+    given = near_m if source == "array" else str(tmp_path / source)
+    assert load_scene(given, 8, 8).distance_m[0, 0] == 4
+    with pytest.raises(InputError, match="channel = 'near': goes with pictures; FILE:NAME names"):
+        load_scene(given, 8, 8, channel="near")
