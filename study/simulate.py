@@ -277,7 +277,7 @@ def simulate_to_folder(
             results += [out / DEPTHS, out / ANIMATION]
     played.result.write(out / EVENTS, with_pulse({}, run.pulse))
     list(played.frames.values())[-1].first.save(out / DEPTH)
-    notes = [*run.scene.notes, *run.light.notes(), *_full_counters(played.result)]
+    notes = [*run.scene.notes, *run.light.notes(), *_told_full(played.result)]
     too_many = _too_many_for_page(played.frames)
     if too_many:
         notes.append(too_many)
@@ -441,14 +441,15 @@ def _report(played: Played) -> dict[str, Any]:
     """Return the report with flat keys: totals of all frames, and numbers of a scheme under keys
     that end with its name.
     """
-    counters = np.array(played.result.counters)
-    dropped = counters[:, :, COUNTER_NAMES.index("dropped")]
-    is_known = np.all(dropped < played.result.config.sensor.counter_max)
+    is_known = "dropped" not in _full_counters(played.result)
+    dropped = COUNTER_NAMES.index("dropped")
     report: dict[str, Any] = {
         "cycles": played.cycles,
         "edges": sum(run.edge_count for run in played.runs.values()),
         "events": played.result.events,
-        "dropped": int(dropped.sum()) if is_known else None,
+        "dropped": sum(int(of_frame[:, dropped].sum()) for of_frame in played.result.counters)
+        if is_known
+        else None,
         "mismatches": 0,
         "checked": played.checked,
         "cycles_per_s": round(played.cycles / played.seconds, 1),
@@ -468,16 +469,21 @@ def _report(played: Played) -> dict[str, Any]:
 
 
 def _full_counters(result: ResultFile) -> list[str]:
-    """Return a sentence about the counters that are at their end; nothing if none is."""
-    sensor = result.config.sensor
-    counters = np.array(result.counters)
-    full = [
+    """Return the names of the counters that are at their end in some frame and subgroup."""
+    most = np.max(result.counters, axis=(0, 1))
+    return [
         name
-        for i, name in enumerate(COUNTER_NAMES)
-        if name != "threshold_used" and np.any(counters[:, :, i] == sensor.counter_max)
+        for name, value in zip(COUNTER_NAMES, most, strict=True)
+        if name != "threshold_used" and value == result.config.sensor.counter_max
     ]
+
+
+def _told_full(result: ResultFile) -> list[str]:
+    """Return a sentence about the counters that are at their end; nothing if none is."""
+    full = _full_counters(result)
     if not full:
         return []
+    sensor = result.config.sensor
     end = f"{sensor.counter_max:,} (sensor.counter_bits = {sensor.counter_bits})"
     return [f"note: counters at their end, {end}, have counted more: {', '.join(full)}"]
 

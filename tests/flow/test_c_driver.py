@@ -229,7 +229,7 @@ def test_the_example_prints_every_event_as_captured(tmp_path, table, pixels, une
             assert printed == rows, name
 
 
-FORMAT_OF_GROUP = f"{GROUP_KIND << 1:x}", f"{(GROUP_KIND << 1) + 1:x}"  # first digits of a beat
+DIGITS_OF_GROUP = f"{GROUP_KIND << 1:x}", f"{(GROUP_KIND << 1) + 1:x}"  # first digits of a beat
 
 
 @pytest.mark.parametrize(
@@ -242,7 +242,7 @@ FORMAT_OF_GROUP = f"{GROUP_KIND << 1:x}", f"{(GROUP_KIND << 1) + 1:x}"  # first 
         (lambda beats: [one for one in beats if one[0] != "1"], "stream 1: is missing"),
         (lambda beats: [one for one in beats if one[0] != "2"], "stream 2: is missing"),
         (lambda beats: [beats[0], *beats], "stream 0: is no whole frame"),
-        (lambda beats: [one for one in beats if one[2] not in FORMAT_OF_GROUP], "stream 0: is no"),
+        (lambda beats: [one for one in beats if one[2] not in DIGITS_OF_GROUP], "stream 0: is no"),
     ],
     ids=["nothing", "last beat", "start", "stream 0", "stream 1", "stream 2", "starts", "groups"],
 )

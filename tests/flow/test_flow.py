@@ -17,22 +17,12 @@ from coincid.flow.smoke import SMOKE, smoke_test
 from coincid.flow.synth import CELLS, ECP5, GATES, Block, Netlist, scan_chain, synthesize
 from coincid.flow.yosys import LIBERTY, cells_folder
 from coincid.hdl.silicon.circuit import Circuit
-from coincid.model.contract.parameters import Sensor
 from coincid.tools.build import ToolchainError
 from coincid.tools.wheels import run_yosys
 
 from ..command import command
+from .sensors import SMALL
 
-SMALL = Sensor(
-    rows=4,
-    cols=4,
-    subgroup=(4, 4),
-    minigroup=(2, 2),
-    phases=4,
-    window_max=8,
-    fifo_depth=1,
-    coarse_bits=6,
-)
 LEAN_SMALL = evolve(SMALL, offsets=0, records=0, controller=0, counter_bits=9, held=0)
 TOY = """
 module leaf(input clk, input [7:0] a, output reg q);

@@ -7,18 +7,9 @@ import pytest
 
 from coincid.flow import gls
 from coincid.flow.synth import CELLS, GATES
-from coincid.model.contract.parameters import Sensor
 
-SMALL = Sensor(
-    rows=4,
-    cols=4,
-    subgroup=(4, 4),
-    minigroup=(2, 2),
-    phases=4,
-    window_max=8,
-    fifo_depth=1,
-    coarse_bits=6,
-)
+from .sensors import SMALL
+
 PLAIN = """\
 module kept (input A, output Y);
 endmodule
