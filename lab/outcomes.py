@@ -17,7 +17,13 @@ from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.edges import Edges
 from ..model.contract.gate_counts import Counts
 from ..model.contract.packet import FORMATS
-from ..model.contract.result import ResultBuilder, counter_arrays, frame_rows, known_counters
+from ..model.contract.result import (
+    ResultBuilder,
+    at_end,
+    counter_arrays,
+    frame_rows,
+    known_counters,
+)
 from ..model.depth.depth import Depth
 from ..model.depth.estimate import estimate_depth
 from ..model.depth.methods import DEFAULT_METHOD, DEFAULT_SOURCE, Estimator, Method
@@ -464,9 +470,9 @@ class Frame:
             counted = self.run.counters(self.number)[:, COUNTER_NAMES.index(name)]
         else:
             counted = self.run.result[name][self.number]
-        known = counted < self.config.sensor.counter_max
-        if known.all() or name == "threshold_used":
-            return counted, np.ones_like(known)
+        known = ~at_end(name, counted, self.config.sensor)
+        if known.all():
+            return counted, known
         counters = known_counters(self.result, self.config)
         return counters.least[name][self.number], counters.known[name][self.number]
 

@@ -31,7 +31,7 @@ from ..model.contract.counters import COUNTER_NAMES
 from ..model.contract.packet import BEAT_BITS
 from ..model.contract.parameters import TOP, Sensor
 from ..model.contract.pixels import subgroup_image
-from ..model.contract.result import ResultFile
+from ..model.contract.result import ResultFile, at_end, counter_arrays
 from ..model.contract.settings import SUBGROUP
 from ..model.depth.depth import write_depths
 from ..model.depth.estimate import estimate_depth
@@ -470,12 +470,9 @@ def _report(played: Played) -> dict[str, Any]:
 
 def _full_counters(result: ResultFile) -> list[str]:
     """Return the names of the counters that are at their end in some frame and subgroup."""
-    most = np.max(result.counters, axis=(0, 1))
-    return [
-        name
-        for name, value in zip(COUNTER_NAMES, most, strict=True)
-        if name != "threshold_used" and value == result.config.sensor.counter_max
-    ]
+    sensor = result.config.sensor
+    counters = counter_arrays(result.counters)
+    return [name for name, counted in counters.items() if at_end(name, counted, sensor).any()]
 
 
 def _told_full(result: ResultFile) -> list[str]:

@@ -15,7 +15,7 @@ from .config import Config
 from .counters import COUNTER_NAMES
 from .gate_counts import Counts
 from .packet import COUNTS, FORMATS, GROUP_KIND, packet_fields
-from .parameters import OFFSET_NONE
+from .parameters import OFFSET_NONE, Sensor
 from .stream import COLUMN, ReceivedFrame, StreamError, decode_frame, is_counting, is_grouped
 
 EVENT_FIELDS = ("subgroup", "pulse", "stamp", "count", "winner", "overrun")
@@ -237,6 +237,15 @@ class KnownCounters(NamedTuple):
     known: dict[str, np.ndarray]
 
 
+def at_end(name: str, counted: np.ndarray, sensor: Sensor) -> np.ndarray:
+    """Return where a counter is at its end, so that it may have counted more; bool, shape of
+    `counted`.
+    """
+    if name == "threshold_used":  # it has its own width
+        return np.zeros(counted.shape, bool)
+    return counted >= sensor.counter_max
+
+
 def known_counters(arrays: Mapping[str, np.ndarray], config: Config) -> KnownCounters:
     """Return the counters of a result's frames, as far as they are known.
 
@@ -244,10 +253,8 @@ def known_counters(arrays: Mapping[str, np.ndarray], config: Config) -> KnownCou
     can be counted, and the sums of the contract's *Losses* tell others. arrays: with all events and
     records of the frames for which counters at their end are to be known.
     """
-    most = config.sensor.counter_max
     least = {name: arrays[name] for name in COUNTER_NAMES}
-    known = {name: arrays[name] < most for name in COUNTER_NAMES}
-    known["threshold_used"] = np.ones_like(known["threshold_used"])  # it has its own width
+    known = {name: ~at_end(name, arrays[name], config.sensor) for name in COUNTER_NAMES}
     if all(one.all() for one in known.values()):
         return KnownCounters(least, known)
     for name, of_word in (("stored", ""), ("mg_stored", "mg_")):

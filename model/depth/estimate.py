@@ -184,14 +184,14 @@ def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
             f"{name}.estimate: depth_m has shape {shape}, must be {pixels} and 1 to {returns} returns"
         )
     images = {"depth_m": (*pixels, *has), "confidence": (*pixels, *has), "reason": pixels}
-    optional = {"error_m": (*pixels, *has), "slope_m": (*pixels, 2)}
+    optional = {"slope_m": (*pixels, 2)}
+    optional |= dict.fromkeys(("error_m", "signal_per_pulse", "signal_error"), (*pixels, *has))
     images |= {part: shape for part, shape in optional.items() if getattr(found, part) is not None}
     for part, shape in images.items():
         if np.shape(getattr(found, part)) != shape:
             raise InputError(
                 f"{name}.estimate: {part} has shape {np.shape(getattr(found, part))}, must be {shape}"
             )
-    _check_light(name, found, (*pixels, *has))
     missing = ((0, 0), (0, 0), (0, returns - has[0]))
     padded = partial(np.pad, pad_width=missing, constant_values=np.nan)
     error_m, signal, signal_error = found.error_m, found.signal_per_pulse, found.signal_error
@@ -206,18 +206,6 @@ def _filled(name: str, found: Depth, config: Config, returns: int) -> Depth:
         slope_m=found.slope_m,
         light=light,
     )
-
-
-def _check_light(name: str, found: Depth, shape: tuple[int, ...]) -> None:
-    """Raise `InputError` if the light that an estimator of a user's own found has another shape than
-    its distances.
-    """
-    for part in ("signal_per_pulse", "signal_error"):
-        light = getattr(found, part)
-        if light is not None and np.shape(light) != shape:
-            raise InputError(
-                f"{name}.estimate: {part} has shape {np.shape(light)}, must be {shape}"
-            )
 
 
 def _light_at(depth_m: np.ndarray, reading: Reading, arrays: dict[str, np.ndarray]) -> Intensity:

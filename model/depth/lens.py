@@ -5,11 +5,12 @@ Behind a lens, the distances on a plane do not change evenly from pixel to pixel
 faces the sensor is farther away at the edges of the view. With the distance d of a pixel that is
 (x, y) pixels from the centre of the view,
 
-    sqrt(1 + tangent (x^2 + y^2)) / d
+    sqrt(1 + right x^2 + down y^2) / d
 
-changes evenly, where `tangent` is the square of the tangent of a pixel's angle. A depth picture may
-have been made in another way, so that d itself changes evenly on its planes. So both laws are tried
-on three peaks in a line, with several views, and that one is taken that they fit best.
+changes evenly, where `right` and `down` are the squares of the tangents of a pixel's angles. Pixels may
+be square, or the view may be as wide as it is high, whatever the array is. A depth picture may
+have been made in another way, so that d itself changes evenly on its planes. So all these laws are
+tried on three peaks in a line, with several views, and that one is taken that they fit best.
 """
 
 import math
@@ -31,14 +32,15 @@ class Lens(NamedTuple):
     """A lens in front of the pixels."""
 
     there: bool  # False: distances change evenly on planes
-    tangent: float  # squared tangent of a pixel's angle
+    down: float  # squared tangent of a pixel's angle from row to row
+    right: float  # and from column to column
     row: float  # centre of the view
     col: float
 
 
 def no_lens(rows: int, cols: int) -> Lens:
     """Return that an array has none."""
-    return Lens(there=False, tangent=0.0, row=(rows - 1) / 2, col=(cols - 1) / 2)
+    return Lens(there=False, down=0.0, right=0.0, row=(rows - 1) / 2, col=(cols - 1) / 2)
 
 
 def find_lens(time: np.ndarray, weight: np.ndarray) -> Lens:
@@ -48,15 +50,30 @@ def find_lens(time: np.ndarray, weight: np.ndarray) -> Lens:
     """
     rows, cols = time.shape
     none = no_lens(rows, cols)
-    pixels = max(rows, cols) / 2
+    longer = max(rows, cols)
+    sides = dict.fromkeys(((longer, longer), (rows, cols)))  # in pixels, that have the same view
+    tried = [_closest(time, weight, none, *pixels) for pixels in sides]
+    lens, cost = min(tried, key=lambda one: one[1])
+    if _misses(time, weight, none) - cost < GAIN_MIN:
+        return none
+    return lens
+
+
+def _closest(
+    time: np.ndarray, weight: np.ndarray, none: Lens, high: int, wide: int
+) -> tuple[Lens, float]:
+    """Return the lens that peaks fit best, of those that see so many rows and columns under the same
+    angle, and its sum of squared errors.
+    """
 
     def with_view(half: float) -> Lens:
-        return none._replace(there=True, tangent=float(half) / pixels**2)
+        down, right = (half / (side / 2) ** 2 for side in (high, wide))
+        return none._replace(there=True, down=down, right=right)
 
     def cost_of(half: float) -> float:
         return float(_misses(time, weight, with_view(half)))
 
-    costs = [cost_of(half) for half in HALF_VIEWS]
+    costs = [cost_of(half) for half in HALF_VIEWS.tolist()]
     lowest = min(costs)
     best = float(HALF_VIEWS[costs.index(lowest)])
     factor = 2.0
@@ -67,9 +84,7 @@ def find_lens(time: np.ndarray, weight: np.ndarray) -> Lens:
             if cost < lowest:
                 lowest = cost
                 best = half
-    if _misses(time, weight, none) - lowest < GAIN_MIN:
-        return none
-    return with_view(best)
+    return with_view(best), lowest
 
 
 @njit
@@ -117,7 +132,7 @@ def _stretch(lens: Lens, r: int, c: int) -> float:
     """Return the distance of a pixel's point of a wall that faces the sensor, over its lowest."""
     y = r - lens.row
     x = c - lens.col
-    return np.sqrt(1 + lens.tangent * (x * x + y * y))
+    return np.sqrt(1 + (lens.right * x * x + lens.down * y * y))
 
 
 @part
@@ -136,7 +151,7 @@ def seen_at(
     time: ticks at the pixel. slope_down, slope_right: ticks per pixel there.
     """
     stretch = _stretch(lens, r, c)
-    by_view = lens.tangent / stretch * ((r - lens.row) * down + (c - lens.col) * right)
+    by_view = lens.down * (r - lens.row) * down + lens.right * (c - lens.col) * right
     inverse = stretch / time
-    change = by_view / time - inverse / time * (slope_down * down + slope_right * right)
+    change = by_view / stretch / time - inverse / time * (slope_down * down + slope_right * right)
     return _stretch(lens, r + down, c + right) / max(LOWEST * inverse, inverse + change)
