@@ -1,9 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `coincid sim` adds to a configuration."""
+"""What `coincid sim` adds to a configuration, and the runs of its schemes."""
 
+import numpy as np
 import pytest
+from rich.console import Console
 
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
+from coincid.model.scenes.catalogue import load_scene
+from coincid.study.progress import Bar
+from coincid.study.schemes import best_threshold, long_scheme_runs, scheme_runs
 from coincid.study.simulate import LINK_FORMAT, LINK_GBPS, with_link
 
 
@@ -25,3 +32,43 @@ def test_the_link_is_the_one_that_was_asked_for(of_the_configuration, asked, tak
     assert (config.frame.link_gbps, config.format) == (taken, LINK_FORMAT)
     chosen = parse_config({"frame": frame | {"format": "full"}})
     assert with_link(chosen, asked).format == "full"
+
+
+def moving_run(controller):
+    """Return a run of a wall that comes nearer, with a hole in its last picture only."""
+    walls_m = np.stack([np.full((4, 8), wall_m) for wall_m in (9.0, 6.0, 3.0)])
+    walls_m[-1, 0, 0] = np.nan
+    sensor = {
+        "rows": 4,
+        "cols": 8,
+        "subgroup": [4, 4],
+        "phases": 8,
+        "window_max": 32,
+        "controller": controller,
+    }
+    frame = {"frames": 3, "pulses": 12, "period": 80}
+    setup = Setup.of("flat:5", sensor=sensor, frame=frame, klux=20.0)
+    return Run(setup.but(scene=load_scene(walls_m, 4, 8)))
+
+
+@pytest.mark.parametrize("threshold", [None, 2])
+@pytest.mark.parametrize("controller", [0, 1])
+def test_schemes_of_a_long_run_see_the_pictures_of_their_frames(controller, threshold):
+    """As those of a run that keeps its edges: the last picture, or all of them."""
+    run = moving_run(controller)
+    given = None if threshold is None else np.full_like(run.config.threshold, threshold)
+    fixed = np.full_like(run.config.threshold, best_threshold(run)) if given is None else given
+    usual = scheme_runs(run, fixed)
+    with Bar(Console(quiet=True)) as bar:
+        long, found = long_scheme_runs(run, given, bar)
+    assert found.tolist() == fixed.tolist()
+    assert list(long) == list(usual)
+    for name, one in long.items():
+        other = usual[name]
+        assert one.config.frames == other.config.frames, name
+        for number in range(one.config.frames):
+            frame, expected = one.frame(number), other.frame(number)
+            np.testing.assert_array_equal(frame.truth_m, expected.truth_m, err_msg=name)
+            np.testing.assert_array_equal(frame.depth_m, expected.depth_m, err_msg=name)
+            np.testing.assert_array_equal(frame.threshold, expected.threshold, err_msg=name)
+            assert frame["edges"] == expected["edges"]

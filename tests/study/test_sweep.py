@@ -275,6 +275,30 @@ def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, monkeypatc
         assert len(axis.lines) == len(axis.collections) == 3
 
 
+def test_the_plot_names_what_is_across_what_the_lines_are_and_what_the_bands_span(
+    tmp_path, monkeypatch
+):
+    """With units. Values of lines stand in the legend, each once."""
+    drawn = []
+    monkeypatch.setattr("coincid.study.sweep_plot.save_figure", lambda one, path: drawn.append(one))
+    axes = ("klux = [5, 50]", "subgroup.window = [10, 20, 30]", "frame.clock_mhz = [400.0, 500.0]")
+    text = "scene = 'flat:5'\n" + "\n".join(f"[[axis]]\n{axis}" for axis in axes)
+    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
+    spec = read_spec(tmp_path / "s.toml")
+    found = {point.key: dict.fromkeys(PANELS, 1.0) for point in spec.points}
+    write_plot(tmp_path / "s.png", "a sweep", spec, found)
+    (figure,) = drawn
+    lowest = max(axis.get_subplotspec().rowspan.start for axis in figure.axes)
+    for axis in figure.axes:
+        is_lowest = axis.get_subplotspec().rowspan.start == lowest
+        assert axis.get_xlabel() == ("background light in klux" if is_lowest else "")
+        assert [label.get_text() for label in axis.get_xticklabels()] in (["5", "50"], ["", ""], [])
+    (legend,) = figure.legends
+    assert legend.get_title().get_text() == "subgroup.window in ticks"
+    assert [label.get_text() for label in legend.get_texts()] == ["10", "20", "30"]
+    assert figure.get_suptitle() == "a sweep; mean and span over system clock in MHz"
+
+
 @pytest.mark.parametrize(
     ("values", "scale"),
     [([1, 10, 19], "linear"), ([1, 10, 20], "log"), ([0, 10, 100], "linear")],
