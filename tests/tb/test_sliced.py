@@ -74,6 +74,19 @@ def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
             assert check(frame.config.sensor, frame.expected, other, number) == one.checked
 
 
+def test_the_told_cycles_are_in_the_end_those_of_all_frames():
+    """Summed over the sensors and their frames, which differ in length."""
+    told = []
+    chains = []
+    for number in range(3):
+        golden = Golden(random_cases.built_sensor(ODD))
+        config = random_cases.configured(ODD, {"period": 60 + 7 * number, "pulses": 3})
+        chains.append([job(golden, config, 3 * number + k) for k in range(1 + number)])
+    records = play_side_by_side(chains, told.append, threads=1)
+    assert told == sorted(told)
+    assert told[-1] == sum(record.cycles for chain in records for record in chain)
+
+
 def test_frames_follow_each_other_where_some_subgroups_have_the_controller():
     """Its thresholds are those of the frame before; those of the other subgroups stay."""
     subgroups = random_cases.built_sensor(ODD).subgroups
