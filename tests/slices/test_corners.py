@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Corners of netlists in slices: constants at the ports of units, memories written beside a copy,
+and what a design is kept by.
+"""
+
+from coincid.slices import synthesis
+from coincid.slices.emit import DarkInput
+from coincid.slices.slices import Slices
+from coincid.slices.synthesis import Design
+
+LANES = 64
+
+UNITS = """
+module unit(input clk, input rst, input on, input [2:0] step, input [2:0] add, output reg [5:0] value, output odd);
+  assign odd = value[0];
+  initial value = 5;
+  always @(posedge clk) if (rst) value <= 5; else if (on) value <= value + step + add;
+endmodule
+
+module units(input clk, input rst, input on, input [2:0] add, output [23:0] out, output [1:0] odd);
+  wire unused_0, unused_1;
+  unit unit_0(.clk(clk), .rst(rst), .on(1'b1), .step(3'd6), .add(add), .value(out[5:0]), .odd(odd[0]));
+  unit unit_1(.clk(clk), .rst(rst), .on(on), .step(3'd1), .add(3'd0), .value(out[11:6]), .odd(unused_0));
+  unit unit_2(.clk(clk), .rst(1'b0), .on(1'b0), .step(3'd7), .add(3'd7), .value(out[17:12]), .odd(odd[1]));
+  unit unit_3(.clk(clk), .rst(rst), .on(on), .step(add), .add(3'd7), .value(out[23:18]), .odd(unused_1));
+endmodule
+"""
+
+
+def units_by_hand(given):
+    """Yield the outputs before each edge of (rst, on, add)."""
+    values = [5] * 4
+    for rst, on, add in given:
+        out = sum(value << 6 * k for k, value in enumerate(values))
+        yield out, (values[0] & 1) | (values[2] & 1) << 1
+        steps = [(rst, 1, 6 + add), (rst, on, 1), (0, 0, 14), (rst, on, add + 7)]
+        values = [
+            5 if reset else value + step & 63 if enable else value
+            for value, (reset, enable, step) in zip(values, steps, strict=True)
+        ]
+
+
+def inputs(lane, cycle):
+    """Return (rst, on, add) of a lane in a cycle."""
+    number = 7 * lane + 5 * cycle
+    return int(number % 11 == 0), number >> 1 & 1, number * 3 % 8
+
+
+def test_inputs_of_units_that_are_tied_to_a_constant():
+    """To 1 and to 0, of some instances only; outputs may be open."""
+    design = Design("units", {"units.v": UNITS}, "units", ["unit"])
+    given = [[inputs(lane, cycle) for lane in range(LANES)] for cycle in range(24)]
+    seen = []
+    with Slices(design, LANES) as slices:
+        for cycle in given:
+            for k, port in enumerate(("rst", "on", "add")):
+                slices.set(port, [lane[k] for lane in cycle])
+            slices.step(0)
+            seen.append((slices.get("out"), slices.get("odd")))
+            slices.step()
+    for lane in range(LANES):
+        expected = list(units_by_hand([cycle[lane] for cycle in given]))
+        assert [(out[lane], odd[lane]) for out, odd in seen] == expected, lane
+
+
+# A memory stores a register of a unit beside logic of the same unit, which is there only when the
+# unit has been called.
+ROWS = """
+module unit(input clk, input rst, input [4:0] d, output reg [4:0] value, output [4:0] changed);
+  initial value = 3;
+  assign changed = value ^ d;
+  always @(posedge clk) if (rst) value <= 3; else value <= value + d;
+endmodule
+
+module rows(input clk, input rst, input put, input [1:0] to, input [1:0] from, input [4:0] d,
+            output [9:0] shown, output [4:0] value);
+  reg [9:0] row [0:3];
+  wire [4:0] changed;
+  integer k;
+  initial for (k = 0; k < 4; k = k + 1) row[k] = 2 * k;
+  unit unit_0(.clk(clk), .rst(rst), .d(d), .value(value), .changed(changed));
+  assign shown = row[from];
+  always @(posedge clk) if (put) row[to] <= {value, changed};
+endmodule
+"""
+
+
+def drawn(lane, cycle):
+    """Return (put, to, from, d) of a lane in a cycle."""
+    number = 13 * lane + 29 * cycle
+    return int(number % 3 != 0), number >> 2 & 3, number >> 4 & 3, number * 7 & 31
+
+
+def rows_by_hand(given):
+    """Yield the outputs before each edge."""
+    rows, value = [0, 2, 4, 6], 3
+    for put, to, source, d in given:
+        yield rows[source], value
+        if put:
+            rows[to] = value << 5 | value ^ d
+        value = value + d & 31
+
+
+def test_a_row_stores_what_was_there_before_the_edge():
+    design = Design("rows_of_units", {"rows.v": ROWS}, "rows", ["unit"])
+    cycles = [[drawn(lane, cycle) for lane in range(LANES)] for cycle in range(20)]
+    seen = []
+    with Slices(design, LANES) as slices:
+        for cycle in cycles:
+            for k, port in enumerate(("put", "to", "from", "d")):
+                slices.set(port, [lane[k] for lane in cycle])
+            slices.step(0)
+            seen.append((slices.get("shown"), slices.get("value")))
+            slices.step()
+    for lane in range(LANES):
+        expected = list(rows_by_hand([cycle[lane] for cycle in cycles]))
+        assert [(shown[lane], value[lane]) for shown, value in seen] == expected, lane
+
+
+def test_no_design_is_taken_for_another(monkeypatch, tmp_path):
+    """Everything from which its C++ is made is among what it is kept by."""
+    asked = []
+
+    def once(folder, files, script, state=(), then=None):
+        asked.append((sorted(files.items()), list(script), list(state)))
+        return tmp_path
+
+    monkeypatch.setattr(synthesis, "yosys_once", once)
+    monkeypatch.setattr(synthesis, "sources_digest", lambda *rooms: f"sources of {rooms}")
+    usual = {
+        "name": "design",
+        "sources": {"a.v": "module a; endmodule"},
+        "top": "a",
+        "units": ["one"],
+        "dark_inputs": [DarkInput("one", "edges", 4)],
+        "before": ["opt"],
+    }
+    others = [
+        {"sources": {"a.v": "module a(); endmodule"}},
+        {"top": "b"},
+        {"units": ["two"]},
+        {"units": []},
+        {"dark_inputs": []},
+        {"dark_inputs": [DarkInput("one", "edges", 8)]},
+        {"dark_inputs": [DarkInput("one", "other", 4)]},
+        {"before": []},
+    ]
+    for changed in ({}, *others):
+        Design(**usual | changed)
+    monkeypatch.setattr(synthesis, "sources_digest", lambda *rooms: "sources of later")
+    Design(**usual)
+    assert len({repr(one) for one in asked}) == len(asked) == 2 + len(others)
