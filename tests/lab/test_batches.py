@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Setups of a campaign in batches, and the told progress of long frames."""
+
+from itertools import chain
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from coincid.lab.campaign import TOGETHER_MAX, batches
+from coincid.lab.long_frames import play_last_frame, play_long_frames
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.edges import Edges
+from coincid.model.golden.frame import Golden
+
+SENSORS = [parse_config({"sensor": {"rows": rows, "cols": 8}}).sensor for rows in (8, 16)]
+CONFIG = parse_config(
+    {"sensor": {"rows": 8, "cols": 8}, "frame": {"frames": 3, "pulses": 5, "period": 60}}
+)
+
+
+def setups(engine, *numbers):
+    """Return setups of an engine, so many of each sensor, in turn."""
+    queue = [[sensor] * number for sensor, number in zip(SENSORS, numbers, strict=False)]
+    mixed = [of.pop() for _ in range(max(numbers)) for of in queue if of]
+    return [SimpleNamespace(engine=engine, config=SimpleNamespace(sensor=one)) for one in mixed]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3, 4, 7])
+@pytest.mark.parametrize("numbers", [(1,), (2,), (5,), (7,), (16, 3), (9, 9)])
+def test_setups_are_spread_over_the_workers(numbers, workers):
+    """Each once, in batches of one sensor. No worker gets a second batch while a batch has room."""
+    given = setups("sliced", *numbers)
+    found = batches(given, workers)
+    assert sorted(chain(*found)) == list(range(len(given)))
+    for batch in found:
+        assert 0 < len(batch) <= TOGETHER_MAX
+        assert len({id(given[k].config.sensor) for k in batch}) == 1
+    for sensor, number in zip(SENSORS, numbers, strict=False):
+        of_sensor = [one for one in found if given[one[0]].config.sensor is sensor]
+        assert len(of_sensor) <= max(workers, -(-number // TOGETHER_MAX))
+        assert len(of_sensor) >= min(workers, number) / 2
+
+
+@pytest.mark.parametrize("engine", ["golden", "verilator"])
+def test_other_engines_play_one_setup_at_a_time(engine):
+    assert batches(setups(engine, 3, 2), 2) == [[0], [1], [2], [3], [4]]
+
+
+def chunks():
+    """Yield a frame and a half, the rest up to the last pulse, and nothing more."""
+    pulse = np.repeat(np.arange(15), 2)
+    edges = Edges(pulse, np.arange(30) % 64, np.arange(30) * 7)
+    yield edges.take(edges.pulse < 8)
+    yield edges.take(edges.pulse >= 8)
+
+
+TOLD = [(5 / 15, 10), (8 / 15, 16), (10 / 15, 20), (15 / 15, 30)]
+
+
+def test_the_told_share_of_a_long_run_ends_with_all():
+    """It is that of the pulses that are done, beside the edges so far."""
+    told = []
+    golden = Golden(CONFIG.sensor)
+    play_long_frames(golden, CONFIG, chunks(), lambda *done: told.append(done))
+    assert told == [pytest.approx(one) for one in TOLD]
+    told.clear()
+    players = [(golden, CONFIG.with_frame(frames=1))]
+    play_last_frame(players, 3, chunks(), progress=lambda *done: told.append(done))
+    assert told == [pytest.approx(one) for one in TOLD]
