@@ -220,6 +220,31 @@ def test_whole_blocks_are_shown_by_pixel_at_the_clock_of_the_preset(monkeypatch)
     assert ["readout_1", "-0.25"] in rows
 
 
+LIBRARY = "".join(
+    f"  cell ({name}) {{\n    area : {area};\n  }}\n"
+    for name, area in (
+        ("DFF_X1", 4.0),
+        ("SDFF_X1", 5.5),
+        ("CLKGATE_X8", 7.0),
+        ("CLKGATETST_X8", 9.25),
+        ("NAND2_X1", 1.0),
+    )
+)
+
+
+def test_a_scan_chain_goes_through_all_instances(monkeypatch):
+    """Flip-flops and clock gates have another cell; their numbers add over blocks."""
+    monkeypatch.setattr(synth, "library_files", lambda: {LIBERTY: LIBRARY})
+    blocks = {
+        "top": Block("top", 1, {"DFF_X1": 2, "NAND2_X1": 100}, area_um2=200.0),
+        "a": Block("a", 10, {"DFF_X1": 3, "CLKGATE_X8": 4}, area_um2=100.0),
+    }
+    told = synth.scan_chain(Netlist(CELLS, Path(), [], blocks))
+    assert "(40 CLKGATE_X8 by CLKGATETST_X8, 32 DFF_X1 by SDFF_X1)" in told
+    more_um2 = 32 * 1.5 + 40 * 2.25
+    assert f" {round(more_um2)} um2 more, {more_um2 / 1200:.1%} of the area" in told
+
+
 ENDS = """\
 Warning 1: line 3, module coincid_delay not found. Creating black box for it.
 Warning 2: clock taps has no source.

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from coincid.study.show.words import number_rows, story
+from coincid.study.show.words import number_rows, object_table, story, where_to_look
 
 NUMBERS = {
     "edges": 12_345,
@@ -51,3 +51,47 @@ def test_the_pace_is_told_where_there_are_gaps(gap):
     view = SimpleNamespace(numbers=numbers, objects=[], config=SimpleNamespace(gap=gap))
     pace = "At 30 frames per second, the busiest link carries 12.5 Mbit/s in the mean."
     assert (pace in story(view)) == bool(gap)
+
+
+def seen(name, signal, wrong_share, middle):
+    return SimpleNamespace(
+        name=name,
+        signal=signal,
+        wrong_share=wrong_share,
+        middle=middle,
+        reflectivity=0.1,
+        distance_m=4.56,
+    )
+
+
+OBJECTS = [
+    seen("wall", 0.125, 0.5, (3, 17)),
+    seen("floor", 0.25, 0.25, (9, 1)),
+    seen("lamp", 2.5, 0.0625, (5, 6)),
+]
+
+
+def test_the_darkest_part_is_where_to_look():
+    """And the brightest is told beside it."""
+    told = where_to_look(SimpleNamespace(objects=OBJECTS))
+    assert told == "The darkest part, wall, is around row 3, column 17."
+    assert where_to_look(SimpleNamespace(objects=OBJECTS[:1])) == ""
+    numbers = NUMBERS | {"committed": 1_700, "mean_gbps": None}
+    view = SimpleNamespace(numbers=numbers, objects=OBJECTS, config=SimpleNamespace(gap=0))
+    assert (
+        "In the darkest part, wall (0.12 photons per pixel and pulse), 50% of the pixels are wrong;"
+        " in the brightest, lamp (2.50), 6%."
+    ) in story(view)
+    assert story(view).startswith(
+        "Of 2,000 windows 1,700 met their threshold, and 100 found the FIFO full and were dropped."
+        " 12% of the events contain only sunlight."
+    )
+
+
+def test_objects_of_compared_views_are_matched_by_name():
+    """An object that another view lacks has no share there."""
+    other = SimpleNamespace(objects=[seen("lamp", 9.0, 0.75, (0, 0))])
+    rows = object_table(SimpleNamespace(objects=OBJECTS), other)
+    assert rows[0] == ["wall", "10%", "4.6 m", "0.12", "50.0%", "not known"]
+    assert rows[2] == ["lamp", "10%", "4.6 m", "2.50", "6.2%", "75.0%"]
+    assert len(rows) == 3

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Views of a pixel's histogram and of a laser period: everything on one axis, in its unit."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from attrs import evolve
+
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.edges import Fate
+from coincid.model.contract.pixels import pixel_table
+from coincid.study.show.figures import (
+    CHOSEN,
+    FATES,
+    OTHER,
+    VERDICTS,
+    HistogramFigure,
+    light_columns,
+    period_columns,
+)
+from coincid.study.show.frame_content import HISTOGRAM_BIN_M
+from coincid.study.show.timeline import Period, Verdict, Windows
+
+CONFIG = parse_config(
+    {
+        "sensor": {"rows": 4, "cols": 8, "subgroup": [4, 4], "phases": 8, "window_max": 16},
+        "frame": {"period": 50, "clock_mhz": 400},
+    }
+)
+CYCLE_NS, TICK_NS = 2.5, 2.5 / 8
+WINDOWS = Windows(
+    start=np.array([16, 80, 160]),
+    end=np.array([24, 88, 176]),
+    count=np.array([3, 1, 5]),
+    verdict=np.array([Verdict.COMMITTED, Verdict.REJECTED, Verdict.DROPPED], np.uint8),
+    commit=np.array([12, 20, 32]),
+)
+PERIOD = Period(
+    tick=np.array([16, 18, 80]),
+    pixel=np.array([0, 15, 7]),
+    fate=np.array([Fate.OPENING, Fate.COUNTED, Fate.BLIND], np.uint8),
+    windows=WINDOWS,
+    fill_cycle=np.array([0, 12, 40]),
+    fill=np.array([2, 3, 1]),
+    gate_cycles=(6, 44),
+    threshold=2,
+)
+VIEW = SimpleNamespace(config=CONFIG)
+
+
+def test_edges_windows_gate_and_fill_have_one_axis_in_ns():
+    """Edges are in the middle of their ticks; the gate is what is closed."""
+    edges, windows, gate, fill = period_columns(VIEW, PERIOD)
+    assert edges["x"].tolist() == pytest.approx([16.5 * TICK_NS, 18.5 * TICK_NS, 80.5 * TICK_NS])
+    assert edges["y"].tolist() == [0, 15, 7]
+    assert windows["left"].tolist() == pytest.approx([5.0, 25.0, 50.0])
+    assert windows["right"].tolist() == pytest.approx([7.5, 27.5, 55.0])
+    assert windows["middle"].tolist() == pytest.approx([6.25, 26.25, 52.5])
+    assert windows["commit"].tolist() == pytest.approx([30.0, 50.0, 80.0])
+    assert (windows["commit"] > windows["right"]).all()
+    assert windows["count"].tolist() == [3, 1, 5]
+    assert gate == {"left": [0, 44 * CYCLE_NS], "right": [6 * CYCLE_NS, 50 * CYCLE_NS]}
+    assert fill["x"].tolist() == pytest.approx([0.0, 30.0, 100.0, 125.0])
+    assert fill["fill"].tolist() == [2, 3, 1, 1]
+
+
+def test_fates_and_verdicts_have_their_own_marks():
+    edges, windows, _, _ = period_columns(VIEW, PERIOD)
+    fates = [FATES[fate] for fate in (Fate.OPENING, Fate.COUNTED, Fate.BLIND)]
+    assert list(zip(edges["colour"], edges["marker"], edges["fate"], strict=True)) == fates
+    shown = list(zip(windows["colour"], windows["hatch"], windows["verdict"], strict=True))
+    assert shown == [VERDICTS[verdict] for verdict in Verdict]
+    assert len(set(windows["commit_mark"])) == 3
+    assert windows["commit_mark"][2] == "x"
+
+
+def test_without_gating_nothing_is_closed():
+    _, _, gate, _ = period_columns(VIEW, evolve(PERIOD, gate_cycles=None))
+    assert gate == {"left": [], "right": []}
+
+
+def test_light_of_a_pixel_arrives_there_and_back():
+    """15 m away, 100 ns later, in the rows of the subgroup's pixels with a truth."""
+    truth_m = np.full((4, 8), 14.9896229)
+    truth_m[1, 5] = np.nan
+    view = SimpleNamespace(config=CONFIG, truth_m=truth_m)
+    table = pixel_table(CONFIG.sensor)
+    for subgroup, number in ((0, 16), (1, 15)):
+        columns = light_columns(view, subgroup)
+        assert columns["x"].tolist() == pytest.approx([100.0] * number)
+        own = set(range(16)) - ({int(table.inside[8 + 5])} if subgroup else set())
+        assert set(columns["y"].tolist()) == own
+
+
+def pixel_view(truth_m=9.0, far_m=12.0, range_m=20.0):
+    """Return a view of a pixel with two returns, in a picture up to `far_m`."""
+    truths_m = np.full((4, 8), far_m)
+    truths_m[2, 3] = truth_m
+    candidates_m = np.full((4, 8, 3), np.nan)
+    candidates_m[2, 3, :2] = 8.5, 3.5
+    bins = round(range_m / HISTOGRAM_BIN_M)
+    of_pixel, of_subgroup = np.zeros(bins, int), np.zeros(bins, int)
+    of_pixel[4], of_subgroup[4], of_subgroup[6] = 10, 50, 200
+    return SimpleNamespace(
+        config=CONFIG,
+        truth_m=truths_m,
+        depth_m=candidates_m[:, :, 0],
+        candidate_m=candidates_m,
+        candidate_confidence=np.full((4, 8, 3), 0.25),
+        range_m=range_m,
+        histogram=lambda row, col: (of_pixel, of_subgroup),
+    )
+
+
+def test_both_histograms_of_a_pixel_fill_their_own_scale():
+    drawn = HistogramFigure()
+    drawn.show(pixel_view(), 2, 3)
+    for span, most in ((drawn.figure.y_range, 10), (drawn.subgroup_range, 200)):
+        assert most < span.end < 1.3 * most
+        assert -0.3 * most < span.start < 0
+        assert span.start / span.end == pytest.approx(
+            drawn.figure.y_range.start / drawn.figure.y_range.end
+        )
+    bars = drawn.bars.data
+    assert bars["left"][4] == pytest.approx(4 * HISTOGRAM_BIN_M)
+    assert (bars["right"] - bars["left"]).tolist() == pytest.approx(
+        [HISTOGRAM_BIN_M] * len(bars["left"])
+    )
+    assert (bars["pixel"][4], bars["subgroup"][6]) == (10, 200)
+
+
+def test_the_histogram_tells_the_returns_and_the_truth():
+    drawn = HistogramFigure()
+    drawn.show(pixel_view(), 2, 3)
+    returns = drawn.returns.data
+    assert returns["x"].tolist() == [8.5, 3.5]
+    assert returns["what"] == ["chosen", "also possible"]
+    assert returns["colour"] == [CHOSEN, OTHER]
+    assert drawn.truth.data == {"x": [9.0]}
+    assert drawn.figure.title.text == "row 2, column 3: truth 9.00 m, depth 8.50 m"
+    drawn.show(pixel_view(truth_m=np.nan), 2, 3)
+    assert drawn.truth.data == {"x": []}
+    assert "no truth" in drawn.figure.title.text
+
+
+@pytest.mark.parametrize(("far_m", "shown_m"), [(12.0, 18.0), (16.0, 20.0), (np.nan, 20.0)])
+def test_the_histogram_shows_the_scene_and_no_more_than_the_range(far_m, shown_m):
+    drawn = HistogramFigure()
+    drawn.show(pixel_view(truth_m=far_m, far_m=far_m), 2, 3)
+    assert drawn.figure.x_range.end == pytest.approx(shown_m)
+    assert drawn.figure.x_range.reset_end == 20.0
