@@ -9,12 +9,15 @@ import pytest
 from attrs import evolve
 
 from coincid.board import netlist, place
-from coincid.board.parameters import Emulator
+from coincid.board.parameters import DEAD_MAX, Emulator
 from coincid.board.place import ulx3s
 from coincid.board.release import TOPS, emulator_release
 from coincid.board.rtl.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, board_files, board_pins
+from coincid.board.run import source_settings
+from coincid.lab.setup import scene_of
 from coincid.model.contract.config import load_config
 from coincid.model.contract.parameters import Sensor
+from coincid.model.light.spad import Spad
 
 from ..random_cases import configured
 
@@ -128,3 +131,14 @@ def test_the_netlist_is_that_of_the_emulator_it_is_returned_with(files, monkeypa
     assert (emulator.buffer_beats, emulator.clocks_per_bit) == (128, 7)
     assert files == [emulator] and boards[0].options == "-nobram"
     assert library.parent == tmp_path
+
+
+@pytest.mark.parametrize("clock_mhz", [50, 80, 125, 233, 400, 1000])
+def test_a_pixel_of_the_source_is_dead_for_at_least_its_dead_time(clock_mhz):
+    """In whole cycles, at least one and at most as many as the source can count."""
+    seconds = Spad().dead_time_s
+    legal = [n for n in range(1, DEAD_MAX + 1) if n * 1e-6 / clock_mhz >= seconds * (1 - 1e-9)]
+    expected = legal[0] if legal else DEAD_MAX
+    of = config(clock_mhz)
+    settings = source_settings(of, scene_of(of, "flat:3,0.4"), 5.0)
+    assert settings.dead_cycles == expected
