@@ -52,7 +52,7 @@ def files(monkeypatch):
     return asked
 
 
-def reals(text):
+def pll_parameters(text):
     """Return the parameters of the PLL in the board's Verilog."""
     return {name: int(value) for name, value in re.findall(r"\.(CLK\w+)\((\d+)\)", text)}
 
@@ -61,7 +61,7 @@ def reals(text):
 def test_the_pll_makes_the_clock_in_step_with_its_input(clock_mhz, files):
     """Its output has no shift if its coarse phase is the last cycle of its divider."""
     verilog = board_files(Emulator(sensor=SENSOR), clock_mhz)[f"{BOARD_TOP}.v"]
-    of = reals(verilog)
+    of = pll_parameters(verilog)
     assert OSCILLATOR_MHZ * of["CLKFB_DIV"] / of["CLKI_DIV"] == clock_mhz
     assert 400 <= clock_mhz * of["CLKOP_DIV"] <= 800
     assert of["CLKOP_CPHASE"] == of["CLKOP_DIV"] - 1
@@ -110,7 +110,7 @@ def test_the_placed_emulator_is_that_of_the_preset(files, monkeypatch):
 def test_every_kind_of_release_has_the_buffer_that_is_asked_for(kind, beats, files):
     """The line's rate follows the clock where there is a line."""
     released = emulator_release(config(80), kind, beats)
-    ((emulator,),) = [files]
+    (emulator,) = files
     assert emulator.sensor == SENSOR and emulator.buffer_beats == beats
     assert released["emulator.v"] == f"{beats} {kind != 'axi'}"
     if kind != "axi":
