@@ -56,6 +56,7 @@ class Dpcu(Unit):
     pulse : out, the period's number in the frame (stage 8)
     counters : out, in the order of the register table; settled a few cycles after the last window
     controlled : out, the threshold controller sets the threshold
+    test_enable : in, opens the clock gate for a test of the chip
 
     Reset clears the counters. A gate stops the clock while no operation, strobe, window or loss
     comes.

@@ -31,6 +31,7 @@ class SubgroupRegisters(Unit):
         named another subgroup, so the data of all subgroups can be ORed
     gate_late : out, gating is programmed on, and gate_start is not below the period
     upset : out, the parity of a programmed word differs from the one that was written with it
+    test_enable : in, opens the clock gate for a test of the chip
 
     Reset loads the reset values of the table. A gate stops the clock two cycles after an operation
     of the bus; `period` changes only together with one.
@@ -52,6 +53,10 @@ class SubgroupRegisters(Unit):
             test_enable=In(1),
         )
         self.programmed = Signal(bus.settings_layout(sensor), init=_reset(sensor))  # the settings
+        # Bits of the mask's last word that stand for no pixel. They are kept like the others, so
+        # that a word reads as it was written, and its parity is that of the write.
+        beyond = sensor.mask_words * sensor.mask_word_max.bit_length() - sensor.pixels
+        self.beyond_mask = [Signal(beyond, name="beyond_mask", init=-1)] if beyond else []
         # One bit per word, so that no decoder is in the path of a read.
         self.named = Signal(sum(1 for _ in registers.words(registers.SUBGROUP, sensor)))
         self.shown: dict[int, Any] = {}  # number of a word -> value that a read returns
@@ -103,7 +108,8 @@ class SubgroupRegisters(Unit):
             bits = settings.as_value()
             return bits[: register.high(self.sensor).bit_length()]
         if register.name == "mask":
-            return settings.mask[index * MASK_BITS : (index + 1) * MASK_BITS]
+            mask = Cat(settings.mask, *self.beyond_mask)
+            return mask[index * MASK_BITS : (index + 1) * MASK_BITS]
         return settings[register.name]
 
 

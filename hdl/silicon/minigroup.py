@@ -27,6 +27,7 @@ class AsyncMinigroup(Recorder):
     blind : out, an edge outside a window (stage 4)
     frame, may_open, wrap : in; latched, entry : out, as in `Minigroup` (stage 3); coarse : in
         (stage 4)
+    test_enable : in, opens the latches for a test of the chip
     """
 
     unit_name = "coincid_async_minigroup"

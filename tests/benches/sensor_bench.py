@@ -148,6 +148,15 @@ async def settings_keep_what_is_written_and_refuse_the_rest(dut):
 
 
 @cocotb.test()
+async def the_values_of_a_reset_make_a_frame(dut):
+    bench = await fresh(dut)
+    await check_reset_values(bench)
+    await bench.write("control", 1)
+    await laser_fires(dut)
+    await reset_cycle(bench)
+
+
+@cocotb.test()
 async def addresses_that_are_not_there(dut):
     bench = await fresh(dut)
     last = registers.SUBGROUP_BASE + registers.SUBGROUP_STRIDE * bench.sensor.subgroups

@@ -11,6 +11,9 @@ from coincid.tb.play import build_sensor
 from ..benches import bench_environment
 from ..random_cases import LEAN, SMALL
 
+# whose masks end within a word, and have an odd number of ones there
+PART_OF_A_WORD = dict(rows=5, cols=14, subgroup=[5, 7], minigroup=[5, 1], phases=4, window_max=8)
+
 
 @pytest.mark.parametrize(
     ("bench", "simulator", "table", "only"),
@@ -18,9 +21,10 @@ from ..random_cases import LEAN, SMALL
         ("sensor_bench", "icarus", SMALL, ""),
         ("sensor_bench", "verilator", {"rows": 8, "cols": 16}, ""),
         ("sensor_bench", "icarus", LEAN, "only_what_is_built"),
+        ("sensor_bench", "icarus", PART_OF_A_WORD, "what_is_written|values_of_a_reset"),
         ("fault_bench", "icarus", SMALL, ""),
     ],
-    ids=("icarus", "verilator", "lean", "faults"),
+    ids=("icarus", "verilator", "lean", "masks", "faults"),
 )
 def test_ports(bench, simulator, table, only, tmp_path):
     sensor = parse_config({"sensor": table}).sensor
