@@ -20,9 +20,10 @@ def checked_columns(path: FilePath, arrays: dict[str, np.ndarray]) -> Columns:
     `InputError`.
     """
     for name, array in arrays.items():
-        if np.ndim(array) != 1 or array.dtype.kind not in "iuf":
+        held = np.asarray(array)  # HDF5 has datasets without any array
+        if held.ndim != 1 or held.dtype.kind not in "iuf":
             raise InputError(
-                f"{path}: {name}: holds {np.asarray(array).dtype}{list(np.shape(array))}, must hold numbers in one dimension"
+                f"{path}: {name}: holds {held.dtype}{list(held.shape)}, must hold numbers in one dimension"
             )
     lengths = {name: len(array) for name, array in arrays.items()}
     if len(set(lengths.values())) > 1:

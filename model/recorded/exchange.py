@@ -75,9 +75,9 @@ def _read(path: FilePath, sync_channel: int | None) -> Recording:
             f"{path}: has the columns {', '.join(names) or 'none'}; must have {EXPECTED}"
         )
     if "sync" in names:
-        sync, channel, time = read(("sync", "channel", unit))
-        columns = sync, channel, time * float(UNITS_PS[unit])
-        return _of_syncs(path, ("sync", "channel", "time"), columns, "table of syncs", sync_channel)
+        of_photons = ("sync", "channel", unit)
+        found = _of_syncs(path, of_photons, read(of_photons), "table of syncs", sync_channel)
+        return evolve(found, time_ps=found.time_ps * float(UNITS_PS[unit]))
     channel, time = read(("channel", unit))
     channel = integers(path, "channel", channel)
     if sync_channel is None:
@@ -177,15 +177,15 @@ def parse_channels(text: str) -> dict[int, int]:
 def _of_syncs(
     path: FilePath, names: tuple[str, ...], columns: Columns, kind: str, sync_channel: int | None
 ) -> Recording:
-    """Return the photons of a table with syncs, or of edges, whose times are ticks. names: of
-    the columns, in messages.
+    """Return the photons of a table with syncs, whose times are in the unit of their column, or of
+    edges, whose times are ticks. names: of the columns, in messages.
     """
     if sync_channel is not None:
         raise InputError(
             f"sync-channel = {sync_channel}: {path} is a {kind}, which has no triggers among its events"
         )
     whole = [
-        values if name == "time" else integers(path, name, values)
+        values if name in UNITS_PS else integers(path, name, values)
         for name, values in zip(names, columns, strict=True)
     ]
     for name, values in zip(names, whole, strict=True):
@@ -227,6 +227,9 @@ def _csv(path: FilePath) -> tuple[list[str], Read]:
     def read(chosen: tuple[str, ...]) -> Columns:
         form: dict[str, Any] = {"delimiter": separator, "skiprows": lines, "encoding": "utf-8-sig"}
         columns = []
+        for name in chosen:
+            if names.count(name) > 1:
+                raise InputError(f"{path}: has {names.count(name)} columns {name}, must have one")
         try:
             with warnings.catch_warnings(
                 category=UserWarning, action="ignore"

@@ -98,4 +98,6 @@ def given(value: ArrayLike) -> np.ndarray:
 
 
 def _range(low: float, high: float) -> str:
-    return f"from {low:g} to {high:g}" if isfinite(high) else f"of at least {low:g}"
+    if isfinite(high):
+        return f"from {low:g} to {high:g}"
+    return f"of at least {low:g}" if isfinite(low) else "that is finite"

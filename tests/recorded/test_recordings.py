@@ -267,10 +267,15 @@ BAD_TABLES = {
     ),
     "negative time": (
         "sync,channel,time_ps\n1,2,-3\n",
-        r"time\[0\] = -3.0: must be a number of at least 0",
+        r"time_ps\[0\] = -3: must be a number of at least 0",
     ),
+    "negative time in its unit": (
+        "sync,channel,time_us\n1,2,3\n1,2,-4\n",
+        r"time_us\[1\] = -4: must be a number of at least 0",
+    ),
+    "column twice": ("sync,channel,time_ps,sync\n1,2,3,4\n", "has 2 columns sync, must have one"),
     "negative sync": ("sync,channel,time_ps\n-1,2,3\n", r"sync\[0\] = -1"),
-    "no number": ("sync,channel,time_ps\n1,2,nan\n", r"time\[0\] = nan"),
+    "no number": ("sync,channel,time_ps\n1,2,nan\n", r"time_ps\[0\] = nan"),
     "huge": ("sync,channel,time_ps\n1e300,2,1\n", r"sync\[0\] = 1e\+300"),
     "no sync": ("channel,time_ps\n1,5\n", "--sync-channel must name"),
     "nothing": ("sync,channel,time_ps\n", "holds no photons"),
@@ -657,6 +662,14 @@ def test_photon_hdf5_that_cannot_be_used(tmp_path):
         read_recording(photon_hdf5(tmp_path / "c.h5", **SYNCED), 3)
 
 
+@pytest.mark.parametrize("delay_ps", [float("nan"), float("-inf")])
+def test_a_delay_that_is_not_finite(tmp_path, delay_ps):
+    path = tmp_path / "a.csv"
+    path.write_text("pulse,pixel,tick\n0,3,100\n", encoding="utf-8")
+    with pytest.raises(InputError, match=f"delay-ps = {delay_ps}: must be a number that is finite"):
+        edges_of(path, delay_ps=delay_ps)
+
+
 def test_a_delay_is_subtracted_from_ticks_too(tmp_path):
     """A table of edges has ticks already; the delay is in picoseconds."""
     path = tmp_path / "a.csv"
@@ -666,6 +679,15 @@ def test_a_delay_is_subtracted_from_ticks_too(tmp_path):
     found, lost = edges_of(path, delay_ps=2 * tick_ps)
     assert found == [(0, 3, 98)]
     assert lost == {"before the trigger, by the delay": 1}
+
+
+def test_a_dataset_of_hdf5_without_numbers(tmp_path):
+    """A kind of its own, which is no array, not even one of length 0."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["channel"] = file["time_ps"] = h5py.Empty("f8")
+    with pytest.raises(InputError, match=r"channel: holds .*, must hold numbers in one dimension"):
+        read_recording(path, sync_channel=1)
 
 
 DAMAGED_PHOTONS = {
