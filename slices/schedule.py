@@ -121,12 +121,12 @@ Op: TypeAlias = Copy | Evaluate | Write | Put | Call | Guard
 
 @define(eq=False)
 class _Group:
-    """Registers that are updated together: flip-flops, a port of a memory, or all instances of a
+    """Registers that are updated together: flip-flops, the rows of a memory, or all instances of a
     unit.
     """
 
     flops: Sequence[Flop] = ()
-    put: tuple[Memory, Store] | None = None
+    memory: Memory | None = None
     instances: Sequence[Instance] = ()
     guarded: bool = False
     own: list[Node] = field(factory=list)  # nodes that nothing else reads, in order
@@ -279,15 +279,13 @@ class Schedule:
                 groups += [_Group([flop]) for flop in flops]
             else:
                 groups.append(_Group(flops, guarded=True))
-        groups += [
-            _Group(put=(memory, store)) for memory in self.block.memories for store in memory.stores
-        ]
+        groups += [_Group(memory=memory) for memory in self.block.memories if memory.stores]
         return groups + [_Group(instances=instances) for instances in _by_unit(self.block).values()]
 
     def _inputs(self, group: _Group) -> list[int]:
         """Return what a group's registers read."""
-        if group.put:
-            return list(group.put[1].inputs)
+        if group.memory:
+            return [net for store in group.memory.stores for net in store.inputs]
         if group.instances:
             return _read_by(group.instances, self.units)
         return [net for flop in group.flops for net in flop.inputs]
@@ -343,7 +341,7 @@ class Schedule:
         return owner
 
     def _consumers(self, live: Sequence[Node]) -> Iterable[Iterable[int]]:
-        """Return what each consumer reads: nodes, flip-flops, guards, ports of memories, calls."""
+        """Return what each consumer reads: nodes, flip-flops, guards, memories, calls."""
         yield self._shown
         yield from (node.inputs for node in live)
         for group in self._groups:
@@ -428,8 +426,8 @@ class Schedule:
             for call in self._calls.values():
                 self._update(call)
         self._done.add(group)
-        if group.put:
-            self._put(*group.put)
+        if group.memory:
+            self._put(group)
         elif group.instances:
             self._call(group)
         elif group.guarded:
@@ -446,15 +444,19 @@ class Schedule:
             self._copy(flop.output, into)
         into.append(Write(flop, names))
 
-    def _put(self, memory: Memory, store: Store) -> None:
+    def _put(self, group: _Group) -> None:
+        """Write the rows of a memory, after they are read; of two stores in a row, the later wins."""
+        memory = group.memory
+        assert memory is not None
         for read in memory.reads:
             if read in self._owner:
                 self._update(self._owner[read])
             elif read.outputs[0] in self._producer and read not in self._done:
                 self._need(read.outputs[:1], self.ops)
-        self._need(store.inputs, self.ops)
-        self._read(store.inputs)
-        self.ops.append(Put(memory, store, self._named(store.inputs)))
+        inputs = self._inputs(group)
+        self._need(inputs, self.ops)
+        self._read(inputs)
+        self.ops += [Put(memory, store, self._named(store.inputs)) for store in memory.stores]
 
     def _call(self, group: _Group) -> None:
         inputs = self._inputs(group)

@@ -295,6 +295,43 @@ def test_waveform_of_a_lane_is_what_amaranth_shows(tmp_path):
         assert shown == (wanted or [cycle[port] for cycle in expected(name, given, lane)]), port
 
 
+SEVERAL_WRITES = """
+module several(input clk, input [2:0] at_0, at_1, at_2, shown, input [3:0] data_0, data_1, data_2,
+               input write_0, write_1, write_2, output [3:0] row);
+  reg [3:0] rows [0:7];
+  always @(posedge clk) begin
+    if (write_0) rows[at_0] <= data_0;
+    if (write_1) rows[at_1] <= data_1;
+    if (write_2) rows[at_2] <= data_2;
+  end
+  assign row = rows[shown];
+endmodule
+"""
+WRITES = range(3)
+
+
+def test_of_several_writes_to_a_row_the_last_one_stays():
+    widths = {"shown": 3}
+    for k in WRITES:
+        widths |= {f"at_{k}": 3, f"data_{k}": 4, f"write_{k}": 1}
+    rng = random.Random(2)
+    rows = [[0] * 8 for _ in range(64)]
+    with Slices(Design("several", {"several.v": SEVERAL_WRITES}, "several"), 64) as slices:
+        for _ in range(CYCLES):
+            given = {port: [rng.getrandbits(width) for _ in rows] for port, width in widths.items()}
+            for port, values in given.items():
+                slices.set(port, values)
+            slices.step(0)
+            assert slices.get("row") == [
+                of[at] for of, at in zip(rows, given["shown"], strict=True)
+            ]
+            slices.step()
+            for lane, of in enumerate(rows):
+                for k in WRITES:
+                    if given[f"write_{k}"][lane]:
+                        of[given[f"at_{k}"][lane]] = given[f"data_{k}"][lane]
+
+
 def test_what_slices_cannot_play_is_said():
     two = "module two(input clk, input other, input d, output reg q); always @(posedge other) q <= d; endmodule\n"
     with pytest.raises(NetlistError, match="a clock other than its port clk"):
