@@ -289,6 +289,7 @@ def _only_writes_abort_and_clear(b: Bench, unit: Registers) -> None:
     """State that only a write to `control` aborts a frame; a sticky bit is cleared by itself."""
     writes = unit.machine.ongoing("write")
     aborts = _asks(unit, "control", CONTROL.bit("abort"))
+    aborts &= ~_asks(unit, "control", CONTROL.bit("start"))
     b.always(b.past(writes & aborts), where=unit.abort_frame)
     for bits in STATUS.bits:
         if bits.clears:

@@ -494,7 +494,9 @@ class Registers(Unit):
                     with m.If(value[bits.lsb]):
                         m.d.sync += self.flag[bits.name].eq(0)
         with m.If(self.named["control", 0]):
-            m.d.sync += self.abort_frame.eq(value[CONTROL.bit("abort")])
+            # A start that is refused must not end the frame that runs.
+            aborts = value[CONTROL.bit("abort")] & ~value[CONTROL.bit("start")]
+            m.d.sync += self.abort_frame.eq(aborts)
             with m.If(value[CONTROL.bit("reset")]):
                 m.d.comb += self.asks_reset.eq(1)
             with m.Elif(value[CONTROL.bit("start")]):

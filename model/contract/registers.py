@@ -154,7 +154,8 @@ GLOBAL: tuple[Register, ...] = (
             Bits(
                 "abort",
                 1,
-                "Makes the running period the last of the frame; in a gap, ends the frame.",
+                "Makes the running period the last of the frame; in a gap, ends the frame. Ignored"
+                " beside start.",
             ),
             Bits(
                 "reset",
