@@ -23,6 +23,8 @@ from ..model.golden.frame import Trace
 from .frame_record import Recorded
 from .rtl_errors import Mismatch
 
+NO_COUNTER = "what follows the last counter"  # half a beat, if their number is odd
+
 
 def locate(beats: np.ndarray, index: int, sensor: Sensor) -> tuple[int, int]:
     """Return (first beat of the packet with beat `index` of a frame, its kind); counters belong
@@ -158,10 +160,11 @@ class Scoreboard:
             word, high = divmod(beat - 1, counter_beats)
             low_part = (data ^ expected) & ((1 << COUNTER_BITS) - 1)
             shift = 0 if low_part else COUNTER_BITS
-            name = COUNTER_NAMES[2 * high + (shift > 0)]
+            number = 2 * high + (shift > 0)
+            name = f"counter {COUNTER_NAMES[number]}" if number < len(COUNTER_NAMES) else NO_COUNTER
             subgroup = self.sensor.stream_subgroups(stream)[word]
             got, want = (value >> shift & ((1 << COUNTER_BITS) - 1) for value in (data, expected))
-            differing = f"counter {name} of subgroup {subgroup} is {got}, golden model {want}"
+            differing = f"{name} of subgroup {subgroup} is {got}, golden model {want}"
         elif kind == GROUP_KIND:
             differing = f"{data:#018x}, golden model {expected:#018x}"
         else:

@@ -124,6 +124,15 @@ def test_a_wrong_counter_is_named_with_its_subgroup(stream, trace, record):
             check(CONFIG.sensor, trace, evolve(record, beats=beats))
 
 
+def test_bits_behind_the_last_counter_are_told(trace, record):
+    """They fill the last beat, and are 0."""
+    assert len(COUNTER_NAMES) % 2
+    last = CONFIG.sensor.stream_subgroups(1)[-1]
+    record.beats[1][-1] ^= np.uint64(1 << 33)
+    with pytest.raises(Mismatch, match=f"follows the last counter of subgroup {last} is 2, golden"):
+        check(CONFIG.sensor, trace, record)
+
+
 def test_a_frame_that_stops(trace):
     board = Scoreboard(CONFIG.sensor, trace)
     with pytest.raises(Mismatch, match="0 beats, golden model"):
