@@ -46,8 +46,7 @@ class Controller(Unit):
     done : in, strobe: the frame has been delivered, at least `SETTLED` cycles after its last
         counters
     budget, limit : out, events up to which a subgroup lowers its threshold, and beyond which it
-        raises it; they change with
-    `done`. Before the first frame they equal the share
+        raises it; they change with `done`. Before the first frame they equal the share
 
     Reset clears budget and limit.
     """

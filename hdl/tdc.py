@@ -23,8 +23,7 @@ def line_signature(sensor: Sensor) -> Signature:
     """Return a sampling line, seen from the subgroup.
 
     root : out, phases, the sampled root of the tree (stage 1). any : in, an edge in the cycle;
-        phase : in, its first
-    phase; coarse : in, number of the cycle in its period (all stage 2).
+        phase : in, its first phase; coarse : in, number of the cycle in its period (all stage 2).
     """
     return Signature(
         {

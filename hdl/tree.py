@@ -117,7 +117,7 @@ class CoincidenceTree(FrontEnd):
     accepted, quarters : out, of all pixels, in the order of minigroups, if counts are built (stage 2)
     closed : out, a window has closed, and `window` holds it (stage 7); offsets : out, its
         minigroups' offsets (stage 8)
-    blind : out, a cycle with an edge while the tree was not armed (stage 5)
+    blind : out, a cycle with an accepted edge outside of the window (stage 5)
     record_due : out, a period has ended; latched, entries : out, its minigroups' records (stage 3)
     test_enable : in, opens clock gates and latches for a test of the chip
 
