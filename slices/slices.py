@@ -5,11 +5,14 @@ registers of its own.
 
 import ctypes
 from collections.abc import Sequence
+from numbers import Integral
 
 import numpy as np
 
+from ..model.shared.errors import InputError, check_integer
+from ..model.shared.quantities import check_choice
 from ..tools.libraries import Functions, array_at, load
-from .library import PROCESSOR, library
+from .library import LANES, PROCESSOR, library
 from .probe import Probe, numbers
 from .synthesis import Design
 
@@ -18,11 +21,12 @@ class Slices:
     """Lanes of a design, from power-up. Registers have their initial values, inputs are 0. A
     context manager.
 
-    lanes: 64, 128, 256 or 512. flag: g++'s choice of a processor.
+    lanes: 64, 128, 256 or 512. flag: g++'s choice of a processor. Raises `InputError` for another
+    number of lanes, for a name that the design does not have, and for a number that does not fit.
     """
 
     def __init__(self, design: Design, lanes: int = 64, flag: str = PROCESSOR):
-        self.lanes = lanes
+        self.lanes = check_choice("lanes", lanes, LANES)
         self.probe = Probe(design.emission())
         self._layout = self.probe.layout
         pointer, i64 = ctypes.c_void_p, ctypes.c_int64
@@ -53,7 +57,8 @@ class Slices:
 
     def set(self, port: str, values: Sequence[int] | int) -> None:
         """Set an input. values: a number for every lane, or one for all of them."""
-        self._put(self._layout.inputs[port], values)
+        check_choice("port", port, tuple(self._layout.inputs))
+        self._put(port, self._layout.inputs[port], values)
         for word, flags in zip(
             self._layout.inputs[port], self._layout.flags_of.get(port, ()), strict=False
         ):
@@ -61,6 +66,7 @@ class Slices:
 
     def get(self, port: str) -> list[int]:
         """Return an output's number in every lane."""
+        check_choice("port", port, tuple(self._layout.outputs))
         return numbers(self.words[self._layout.outputs[port]])
 
     def peek(self, name: str) -> list[int]:
@@ -69,7 +75,7 @@ class Slices:
 
     def poke(self, name: str, values: Sequence[int] | int) -> None:
         """Set a register. values: a number for every lane, or one for all of them."""
-        self._put(self.probe.words(name), values)
+        self._put(name, self.probe.words(name), values)
 
     def step(self, edges: int = 1) -> None:
         """Run some clock edges. Afterwards the outputs follow from registers and inputs."""
@@ -83,11 +89,15 @@ class Slices:
         self._library.slice_record(self._slice, lane, edges, samples.ctypes.data)
         return samples
 
-    def _put(self, words: Sequence[int], values: Sequence[int] | int) -> None:
-        each = [values] * self.lanes if isinstance(values, int) else list(values)
+    def _put(self, name: str, words: Sequence[int], values: Sequence[int] | int) -> None:
+        each = [values] * self.lanes if isinstance(values, Integral) else list(values)
+        if len(each) != self.lanes:
+            raise InputError(f"{name}: has {len(each)} numbers, must have one, or {self.lanes}")
+        most = (1 << len(words)) - 1
         size = -(-len(words) // 8)
         data = np.frombuffer(
-            b"".join(int(value).to_bytes(size, "little") for value in each), np.uint8
+            b"".join(check_integer(name, value, 0, most).to_bytes(size, "little") for value in each),
+            np.uint8,
         )
         bits = np.unpackbits(data.reshape(self.lanes, size), axis=1, bitorder="little")[
             :, : len(words)
