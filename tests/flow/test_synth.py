@@ -2,10 +2,15 @@
 """Counts, areas and depths of blocks from Yosys's files, for a made-up hierarchy."""
 
 import json
+from pathlib import Path
 
 import pytest
 
-from coincid.flow.synth import Block, Netlist, _blocks, _mapped
+from coincid.flow import synth
+from coincid.flow.mapped import Mapped
+from coincid.flow.synth import CELLS, GATES, Block, Netlist, _blocks, _mapped
+from coincid.flow.yosys import LIBERTY
+from coincid.model.contract.config import load_config
 
 
 def module(cells, area):
@@ -112,3 +117,125 @@ def test_what_the_table_shows_of_a_block_in_a_target():
     assert _mapped(block, fpga=False) == [63, 100]
     assert block.count("LUT4", "OTHER", "NONE") == 33
     assert block.flops == 16
+
+
+def tables(text):
+    """Return the cells of the rows of all tables of a page."""
+    rows = [line[2:-2].split(" | ") for line in text.splitlines() if line.startswith("| ")]
+    return [row for row in rows if "---:" not in row]
+
+
+IN_GATES = {
+    "coincid_sensor": Block("sensor", 1, {"$_NAND_": 5, "$_DFF_P_": 3}, levels=4),
+    "coincid_a": Block("a", 2, {"$_NAND_": 70, "$_DFF_P_": 11}, levels=9),
+    "coincid_c": Block("c", 3, {"$_NAND_": 100}, levels=0),
+    "coincid_d": Block("d", 1, {"$_NAND_": 1}),
+}
+ON_AN_FPGA = {
+    "coincid_top": Block("top", 1, {"LUT4": 2, "TRELLIS_FF": 6}),
+    "coincid_a": Block("a", 2, {"LUT4": 20, "CCU2C": 3, "DP16KD": 1, "TRELLIS_FF": 30}),
+}
+IN_CELLS = {
+    "coincid_sensor": Block("sensor", 1, {"NAND2_X1": 6, "DFF_X1": 2}, 20.6),
+    "coincid_a": Block("a", 2, {"NAND2_X1": 30, "CLKGATE_X8": 1}, 100.2),
+}
+
+
+@pytest.fixture
+def made_up(monkeypatch):
+    """Synthesis answers with the blocks above, timing with slacks that tell the blocks apart."""
+    blocks = {GATES: IN_GATES, CELLS: IN_CELLS, synth.ECP5: ON_AN_FPGA}
+    areas = {"DFF_X1": 4.0, "SDFF_X1": 6.0, "CLKGATE_X8": 8.0, "CLKGATETST_X8": 9.0}
+    liberty = "".join(f"cell ({name}) {{\n area : {area};\n}}\n" for name, area in areas.items())
+    module = synth.SensorModule(load_config("silicon").sensor, 2).unit_name
+
+    def synthesize(sensor, target, top=synth.TOP):
+        assert (top == synth.FPGA_TOP) == (target == synth.ECP5)
+        return Netlist(target, Path("sensor"), ["coincid_readout", module], blocks[target])
+
+    def map_block(unit, view):
+        cells = {"DFF_X1": 40, "DLH_X1": 20, "CLKGATE_X1": 3, "NAND2_X1": 7}
+        folder = Path(view.name)
+        return Mapped(
+            unit.unit_name, folder, cells, {"coincid_delay": 4, "coincid_mutex": 5}, 900.4
+        )
+
+    def slacks_ns(folder, block, clock_ns):
+        assert clock_ns == 2.0
+        if folder == Path("sensor"):
+            return {"FLOPS": 0.25, "LATCHES": 0.5}
+        return {"FLOPS": -0.125, "ENABLES": 0.75} if block.endswith("subgroup") else {"FLOPS": 1.0}
+
+    monkeypatch.setattr(synth, "synthesize", synthesize)
+    monkeypatch.setattr(synth, "map_block", map_block)
+    monkeypatch.setattr(synth, "slacks_ns", slacks_ns)
+    monkeypatch.setattr(synth, "library_files", lambda: {LIBERTY: liberty})
+
+
+def test_the_cost_on_an_fpga_has_the_gates_beside_the_cells(made_up):
+    """A block of only one of the two has empty cells. The sum counts each instance."""
+    head, *rows = tables(synth.report("fpga", load_config("fpga")))
+    assert head == "block instances gates flip-flops levels LUT4 carry RAM".split() + [
+        "flip-flops (ECP5)"
+    ]
+    assert rows == [
+        ["top", "1", "", "", "", "2", "0", "0", "6"],
+        ["a", "2", "70", "11", "9", "20", "3", "1", "30"],
+        ["sensor", "1", "5", "3", "4", "", "", "", ""],
+        ["c", "3", "100", "0", "0", "", "", "", ""],
+        ["d", "1", "1", "0", "", "", "", "", ""],
+        ["**sensor**", "", "446", "25", "9", "42", "6", "2", "66"],
+    ]
+
+
+def test_the_cost_in_standard_cells_has_area_and_whole_blocks_of_both_views(made_up):
+    """Area of a pixel and its pitch are those of the block's pixels. The module is no row of the
+    blocks outside the modules.
+    """
+    text = synth.report("silicon", load_config("silicon"))
+    assert text.startswith("## silicon: 32 x 32, 32 phases, 500 MHz\n\n|")
+    assert "a cycle of 2 ns" in " ".join(text.split())
+    rows = tables(text)
+    assert rows[:5] == [
+        ["block", "instances", "gates", "flip-flops", "levels", "cells", "area um2"],
+        ["sensor", "1", "5", "3", "4", "8", "21"],
+        ["a", "2", "70", "11", "9", "31", "100"],
+        ["c", "3", "100", "0", "0", "", ""],
+        ["d", "1", "1", "0", "", "", ""],
+    ]
+    assert rows[5] == ["**sensor**", "", "446", "25", "9", "70", "221"]
+    assert rows[6] == ["block", "cells", "flip-flops", "latches", "clock gates", "macros"] + [
+        "area um2",
+        "um2 per pixel",
+        "pitch um",
+        "slack ns",
+        "of enables ns",
+    ]
+    counts = ["70", "40", "20", "3", "9", "900"]
+    of_pixels = {4: ["225", "15.0"], 64: ["14", "3.8"], 128: ["7", "2.7"]}
+    assert rows[7:15] == [
+        [name, *counts, *of_pixels[pixels], *slacks]
+        for name, pixels, slacks in [
+            ("minigroup", 4, ["+1.00", ""]),
+            ("tree", 64, ["+1.00", ""]),
+            ("subgroup", 64, ["-0.12", "+0.75"]),
+            ("module", 128, ["+1.00", ""]),
+            ("async_minigroup", 4, ["+1.00", ""]),
+            ("async_front", 64, ["+1.00", ""]),
+            ("async_subgroup", 64, ["-0.12", "+0.75"]),
+            ("async_module", 128, ["+1.00", ""]),
+        ]
+    ]
+    assert rows[15:] == [["block", "slack ns"], ["readout", "+0.25"]]
+    assert "(2 CLKGATE_X8 by CLKGATETST_X8, 2 DFF_X1 by SDFF_X1): 6 um2 more, 2.7% of" in text
+
+
+def test_the_page_of_costs_has_both_presets_and_the_version_of_yosys(made_up, tmp_path):
+    page = tmp_path / "page.md"
+    synth.write_synthesis_page(page)
+    text = page.read_text(encoding="utf-8")
+    assert f"(Yosys {synth.version(synth.YOSYS)})" in text
+    assert [line.split(":")[0] for line in text.splitlines() if line.startswith("## ")] == [
+        "## silicon",
+        "## fpga",
+    ]
