@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is read from OpenSTA's reports and written into its netlists, for made-up blocks."""
 
+import json
 from pathlib import Path
 
 import pytest
 
+from coincid.flow import mapped
 from coincid.flow.mapped import FLOP, GATE, LATCH, Mapped, least_slacks_ns, without_parameters
+from coincid.flow.yosys import LIBERTY
+from coincid.hdl.clock_gate import ClockGate
+from coincid.hdl.front_end_views import VIEWS
+from coincid.tools.build import ToolchainError
 
 # Of latches: a path's slack is what it has not borrowed of the most that it may borrow.
 REPORT = """\
@@ -52,3 +58,84 @@ def test_numbers_of_cells_by_the_beginning_of_their_names():
     cells |= {"CLKGATE_X1": 32, "CLKGATETST_X1": 64, "NAND2_X1": 128, "XDFF": 256}
     block = Mapped("block", Path(), cells, {}, 1.0)
     assert [block.count(kind) for kind in (FLOP, LATCH, GATE)] == [3, 28, 96]
+
+
+@pytest.fixture
+def asked(monkeypatch, tmp_path):
+    """Return the block that is mapped, and the files and commands that Yosys gets for it."""
+    unit = ClockGate()
+    counted = {
+        "NAND2_X1": 7,
+        "$scopeinfo": 9,
+        "coincid_mutex": 2,
+        "$paramod\\coincid_delay\\FS=7": 3,
+        "$paramod\\coincid_delay\\FS=9": 4,
+        "coincid_delayed": 5,
+    }
+    statistics = {f"\\{unit.unit_name}": {"num_cells_by_type": counted, "area": "12.5"}}
+    text = json.dumps({"modules": statistics})
+    (tmp_path / "stat.json").write_text(text, encoding="utf-8")
+
+    def asked(**options):
+        got = []
+
+        def yosys_once(place, files, script):
+            got.append((files, script))
+            return tmp_path
+
+        monkeypatch.setattr(mapped, "yosys_once", yosys_once)
+        block = mapped.map_block(unit, **options)
+        assert block.folder == tmp_path
+        return block, *got[0]
+
+    monkeypatch.setattr(mapped, "library_files", lambda: {LIBERTY: "cells"})
+    return asked
+
+
+def test_macros_count_apart_from_cells(asked):
+    """One name for all their parameters; what Yosys notes about scopes is neither."""
+    block, _, _ = asked()
+    assert block.name == "coincid_clock_gate" and block.area_um2 == 12.5
+    assert block.cells == {"NAND2_X1": 7, "coincid_delayed": 5}
+    assert block.macros == {"coincid_mutex": 2, "coincid_delay": 7}
+
+
+def test_a_block_is_mapped_with_clock_gates_of_the_library_unless_without(asked):
+    _, files, script = asked()
+    assert list(files)[-1] == LIBERTY and "CLKGATE_X8 gate" in files["coincid_clock_gate.v"]
+    assert script[:2] == [
+        f"read_liberty -lib {LIBERTY}",
+        "read_verilog -sv coincid_clock_gate.v",
+    ]
+    assert script[-2:] == [
+        f"tee -q -o stat.json stat -json -liberty {LIBERTY}",
+        "write_verilog -simple-lhs -noexpr -noattr netlist.v",
+    ]
+    assert "synth -flatten -noabc -top coincid_clock_gate" in script
+    assert any(line.startswith("clockgate ") for line in script)
+    _, files, script = asked(gated=False)
+    assert "CLKGATE" not in files["coincid_clock_gate.v"]
+    assert not any(line.startswith("clockgate ") for line in script)
+
+
+def test_a_changed_file_takes_the_place_of_that_of_the_view(asked):
+    view = VIEWS["async"]
+    name = view.macros[0].name
+    _, files, script = asked(view=view, changed={name: "changed", "more.v": "more"})
+    assert (files[name], files["more.v"]) == ("changed", "more")
+    for path in (*view.cells, *view.macros[1:]):
+        assert files[path.name] == path.read_text(encoding="utf-8")
+    assert set(script[1].split()[2:]) == files.keys() - {LIBERTY}
+
+
+@pytest.mark.parametrize("answer", ["Error: no pin a\nError: no pin b\n", "No paths found.\n"])
+def test_what_a_timing_tool_cannot_tell_is_an_error(monkeypatch, tmp_path, answer):
+    """The first complaint, or that there is no path."""
+    (tmp_path / "netlist.v").write_text("module b;\nendmodule\n", encoding="utf-8")
+    monkeypatch.setattr(mapped, "run_program", lambda *_: answer)
+    expected = "sta: Error: no pin a$" if "Error" in answer else "sta: no path in b$"
+    with pytest.raises(ToolchainError, match=expected):
+        mapped.slacks_ns(tmp_path, "b", 2.0)
+    script = (tmp_path / "b.tcl").read_text(encoding="utf-8")
+    assert "create_clock -name clk -period 2 [get_ports clk]" in script
+    assert "read_verilog b.timed.v" in script

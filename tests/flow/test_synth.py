@@ -12,6 +12,8 @@ from coincid.flow.synth import CELLS, GATES, Block, Netlist, _blocks, _mapped
 from coincid.flow.yosys import LIBERTY
 from coincid.model.contract.config import load_config
 
+from .sensors import SMALL
+
 
 def module(cells, area):
     return {"num_cells_by_type": cells, "area": area}
@@ -239,3 +241,96 @@ def test_the_page_of_costs_has_both_presets_and_the_version_of_yosys(made_up, tm
         "## silicon",
         "## fpga",
     ]
+
+
+@pytest.fixture
+def asked(monkeypatch, folder):
+    """Return the files and commands that Yosys gets for a target; its answer is made up."""
+
+    def files_of(sensor, cells=False):
+        memory = "of latches" if cells else "of flip-flops"
+        names = [synth.FILE_LIST, f"{synth.TOP}.v", "coincid_a.v", "coincid_clock_gate.v"]
+        return dict.fromkeys(names, memory)
+
+    def asked(target, top=synth.TOP):
+        got = []
+
+        def yosys_once(place, files, script):
+            got.append((files, script))
+            return folder
+
+        statistics = {f"\\{top}": {"num_cells_by_type": {"INV": 1, "coincid_a": 1}}}
+        statistics["\\coincid_a"] = {"num_cells_by_type": {}}
+        if target == CELLS:
+            statistics[f"\\{top}"]["area"] = "3.0"
+        hierarchy = {top: chain(1), "coincid_a": {"cells": {}}}
+        alone = {"coincid_a": chain(2)}
+        for name, modules in (("stat", statistics), ("netlist", hierarchy), ("coincid_a", alone)):
+            text = json.dumps({"modules": modules})
+            (folder / f"{name}.json").write_text(text, encoding="utf-8")
+        monkeypatch.setattr(synth, "yosys_once", yosys_once)
+        found = synth.synthesize(SMALL, target, top)
+        assert found.folder == folder and found.units == ["coincid_a"]
+        levels = [block.levels for block in found.blocks.values()]
+        assert levels == ([1, 2] if target == GATES else [None, None])
+        areas = [block.area_um2 for block in found.blocks.values()]
+        assert areas == ([3.0, 0.0] if target == CELLS else [0.0, 0.0])
+        return got[0]
+
+    monkeypatch.setattr(synth, "verilog_files", files_of)
+    monkeypatch.setattr(synth, "fpga_files", lambda sensor: {"coincid_fpga.v": "samplers"})
+    monkeypatch.setattr(synth, "instantiated", lambda unit: ["coincid_a"])
+    monkeypatch.setattr(synth, "library_files", lambda: {LIBERTY: "cells"})
+    return asked
+
+
+BLOCKS = ["coincid_sensor.v", "coincid_a.v", "coincid_clock_gate.v"]
+
+
+def test_gates_know_no_cells_and_every_block_is_also_measured_alone(asked):
+    files, script = asked(GATES)
+    assert list(files) == BLOCKS and set(files.values()) == {"of flip-flops"}
+    assert script[0] == f"read_verilog -sv {' '.join(BLOCKS)}"
+    assert "liberty" not in " ".join(script)
+    mapped = script.index(f"abc -g gates -script {synth.SPEED}")
+    assert script.index("hierarchy -check -top coincid_sensor") < mapped
+    assert script[mapped - 1 : mapped + 4] == [
+        "dfflegalize -cell $_DFF_P_ x",
+        script[mapped],
+        "opt_clean",
+        "tee -q -o stat.json stat -json",
+        "write_verilog -simple-lhs -noexpr -noattr netlist.v",
+    ]
+    alone = ["design -load whole", "hierarchy -top coincid_a", "flatten", "opt_clean"]
+    written = ["write_json netlist.json", "design -save whole"]
+    assert script[-7:] == [*written, *alone, "write_json coincid_a.json"]
+
+
+def test_standard_cells_have_latches_and_the_area_of_their_library(asked):
+    files, script = asked(CELLS)
+    assert list(files) == [*BLOCKS, LIBERTY]
+    assert files["coincid_a.v"] == "of latches"
+    assert "CLKGATE_X8 gate" in files["coincid_clock_gate.v"]
+    assert script[:2] == [f"read_liberty -lib {LIBERTY}", f"read_verilog -sv {' '.join(BLOCKS)}"]
+    assert f"dfflibmap -liberty {LIBERTY}" in script
+    assert script[-3:] == [
+        f"tee -q -o stat.json stat -json -liberty {LIBERTY}",
+        "write_verilog -simple-lhs -noexpr -noattr netlist.v",
+        "write_json netlist.json",
+    ]
+
+
+def test_the_top_of_an_fpga_takes_the_place_of_the_sensor(asked):
+    files, script = asked(synth.ECP5, synth.FPGA_TOP)
+    names = ["coincid_a.v", "coincid_clock_gate.v", "coincid_fpga.v"]
+    assert list(files) == names and files["coincid_a.v"] == "of flip-flops"
+    steps = f"synth_lattice -family ecp5 -noflatten -top {synth.FPGA_TOP} -run"
+    assert script[:6] == [
+        f"read_verilog -sv {' '.join(names)}",
+        f"hierarchy -check -top {synth.FPGA_TOP}",
+        f"{steps} begin:map_luts",
+        "abc -lut 4 -dress",
+        "clean",
+        f"{steps} map_cells:",
+    ]
+    assert script[6] == "tee -q -o stat.json stat -json" and "read_liberty" not in script[0]
