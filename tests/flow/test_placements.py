@@ -6,6 +6,7 @@ import json
 import pytest
 from attrs import evolve
 
+from coincid.flow import pnr
 from coincid.flow.pnr import (
     ASYNCHRONOUS,
     BITSTREAM,
@@ -166,3 +167,57 @@ def test_the_page_tells_the_longest_path_of_all_seeds(routed, tmp_path):
         "| TRELLIS_COMB | 31 | 47 |",
         "| DP16KD | 7 | 11 |",
     ]
+
+
+def test_a_design_is_synthesized_with_its_options_and_its_modules_apart(monkeypatch, tmp_path):
+    got = []
+    monkeypatch.setattr(pnr, "yosys_once", lambda *given: got.append(given) or tmp_path)
+    files = {"a.v": "module a;", "b.v": "module b;"}
+    board = evolve(BOARD, files=files, options="-noccu2", apart=("a", "b"))
+    assert pnr.synthesize(board) == tmp_path
+    (_, given, script) = got[0]
+    assert given == files
+    steps = "synth_lattice -family ecp5 -noccu2 -top top -run"
+    keep = "setattr -mod -set keep_hierarchy 1"
+    assert script == [
+        "read_verilog a.v b.v",
+        f"{keep} a",
+        f"{keep} b",
+        f"{steps} begin:map_luts",
+        "abc9 -W 900",
+        "clean",
+        f"{steps} map_cells:",
+        "write_json netlist.json",
+        "write_verilog -noattr netlist.v",
+    ]
+
+
+def test_every_seed_places_the_same_netlist_for_the_goal(monkeypatch, tmp_path):
+    """With a folder of its own, in which are pins, log and bitstream."""
+    netlist = tmp_path / "netlist"
+    netlist.mkdir()
+    (netlist / pnr.NETLIST).write_text("cells", encoding="utf-8")
+
+    def run_wheel(wheel, name, options, folder):
+        (folder / name).write_text(" ".join(options), encoding="utf-8")
+        return f"log of {name}"
+
+    monkeypatch.setattr(pnr, "synthesize", lambda board: netlist)
+    monkeypatch.setattr(pnr, "run_wheel", run_wheel)
+    board = evolve(BOARD, pins="LOCATE", device=("--85k", "--package", "CABGA"))
+    placements = pnr.place(board)
+    assert [placement.seed for placement in placements] == [1, 2, 3, 4, 5]
+    assert len({placement.folder for placement in placements}) == 5
+    for placement in placements:
+        folder = placement.folder
+        options = (folder / "run_nextpnr_ecp5").read_text(encoding="utf-8")
+        assert options.startswith(f"--85k --package CABGA --seed {placement.seed} --freq 100 ")
+        assert "--timing-allow-fail --lpf-allow-unconstrained" in options
+        assert "--json netlist.json --lpf board.lpf --report report.json" in options
+        assert options.endswith("--detailed-timing-report --textcfg board.config")
+        packed = (folder / "run_ecppack").read_text(encoding="utf-8")
+        assert packed == f"board.config {BITSTREAM}"
+        assert (folder / pnr.PINS).read_text(encoding="utf-8") == "LOCATE"
+        assert (folder / pnr.NETLIST).read_text(encoding="utf-8") == "cells"
+        told = (folder / "nextpnr.log").read_text(encoding="utf-8")
+        assert told == "log of run_nextpnr_ecp5"

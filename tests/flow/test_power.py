@@ -3,11 +3,14 @@
 by hand.
 """
 
+import json
 from io import BytesIO
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from coincid.flow import power as power_of
 from coincid.flow.liberty import Cell, Energies, Pin, read_cells, supply_v
 from coincid.flow.power import (
     Design,
@@ -18,9 +21,13 @@ from coincid.flow.power import (
     power_at_rest,
     transitions,
 )
+from coincid.flow.synth import CELLS
 from coincid.flow.yosys import CLOCK_BUFFER, LIBERTY, cells_folder
+from coincid.model.contract.config import load_config
 from coincid.tools.build import ToolchainError
 from docs.studies.power_against_light import group_of
+
+from .sensors import SMALL
 
 LIBRARY = """
 library (toy) {
@@ -220,6 +227,88 @@ def test_blocks_of_the_table():
     assert {name: group_of(f"module_0.subgroup_0.{name}") for name in rows} == rows
     assert group_of("module_0.subgroup_0") == "ports' registers"
     assert group_of("module_0.tdc") is group_of("readout_0") is None
+
+
+class Synthesized:
+    """A made-up netlist, whose folder holds what `synthesize` leaves there."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+
+def flattened(cells, nets):
+    """Return a flattened module as Yosys writes it. cells: name -> type and nets of its pins."""
+    made = {name: {"type": kind, "connections": pins} for name, (kind, pins) in cells.items()}
+    named = {name: {"bits": bits} for name, bits in nets.items()}
+    return {"modules": {power_of.TOP: {"cells": made, "netnames": named}}}
+
+
+@pytest.fixture
+def netlist(monkeypatch, tmp_path):
+    """Yosys answers with a made-up flat netlist: a buffer in `a.b`, a scope without cells, a pin
+    at a constant and one that is open.
+    """
+    cells = {
+        "a.b.first": ("BUF", {"A": [2], "Z": [3]}),
+        "second": ("BUF", {"A": ["1"], "Z": []}),
+        "a.c": ("$scopeinfo", {}),
+    }
+    flat = flattened(cells, {"clk": [2], "a.b.in": [2], "bus": ["0", 3]})
+    sensor, made = tmp_path / "sensor", tmp_path / "flat"
+    for folder in (sensor, made):
+        folder.mkdir()
+    library = LIBRARY.replace("(OTHER)", f"({CLOCK_BUFFER})")
+    for path in (sensor / LIBERTY, made / LIBERTY):
+        path.write_text(library, encoding="utf-8")
+    (sensor / "netlist.v").write_text("module m;", encoding="utf-8")
+    (made / power_of.FLAT).write_text(json.dumps(flat), encoding="utf-8")
+    got = []
+    monkeypatch.setattr(power_of, "synthesize", lambda sensor_, target: Synthesized(sensor))
+    monkeypatch.setattr(power_of, "yosys_once", lambda *given: got.append(given) or made)
+    return got
+
+
+def test_a_netlist_is_read_with_its_scopes_its_pins_and_all_names_of_its_nets(netlist):
+    of = power_of.design(SMALL)
+    assert of.scopes == ["", "a.b", "a.c"]
+    assert of.instances == [
+        Instance("a.b", "BUF", {"A": 2, "Z": 3}),
+        Instance("", "BUF", {}),
+    ]
+    assert of.names == {2: [("clk", 0), ("a.b.in", 0)], 3: [("bus", 1)]}
+    assert of.library.keys() == {"BUF", CLOCK_BUFFER} and of.supply_v == 1.0
+    (_, files, script) = netlist[0]
+    assert files == {LIBERTY: files[LIBERTY], "netlist.v": "module m;"}
+    assert script[:2] == (f"read_liberty -lib {LIBERTY}", "read_verilog netlist.v")
+    assert script[-2:] == ("flatten", f"write_json {power_of.FLAT}")
+
+
+def test_frames_are_played_with_every_scope_dumped_and_counted_by_their_cycles(
+    netlist, monkeypatch, tmp_path
+):
+    """Each frame has its own number of cycles; the time of a cycle is that of the clock."""
+    compiled, counted = [], []
+    config = load_config().with_sensor(rows=8, cols=8).with_frame(period=100, pulses=3)
+    longer = config.with_frame(gap=7)
+
+    def play_in(build, frames, out):
+        out.mkdir(parents=True)
+        (out / f"{power_of.TOP}.vcd").write_bytes(b"dump")
+
+    def transitions(vcd, pulses, cycles, cycle_ps):
+        counted.append((vcd.read(), pulses, cycles, cycle_ps))
+        return {}
+
+    monkeypatch.setattr(power_of, "build_root", lambda: tmp_path / "build")
+    monkeypatch.setattr(power_of, "netlist_build", lambda *given: compiled.append(given))
+    monkeypatch.setattr(power_of, "play_in", play_in)
+    monkeypatch.setattr(power_of, "transitions", transitions)
+    frames = [SimpleNamespace(config=one) for one in (config, longer)]
+    assert power_of.count_toggles(config.sensor, frames) == {}
+    scopes = [power_of.TOP, f"{power_of.TOP}.a.b", f"{power_of.TOP}.a.c"]
+    assert compiled == [(config.sensor, CELLS, scopes)]
+    cycle_ps = round(1e6 / config.clock_mhz)
+    assert counted == [(b"dump", 3, [300, 314], cycle_ps)]
 
 
 @pytest.mark.needs("cells")
