@@ -42,6 +42,7 @@ ROOMS = {
     "model/depth": ["tests/depth"],
     "lab": ["tests/lab", "tests/study/test_sweep.py"],
     "host": ["tests/host", "tests/board"],
+    "board": ["tests/board"],
     "flow": ["tests/flow"],
     "study": ["tests/study"],
     "tb": ["tests/tb"],
