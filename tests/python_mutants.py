@@ -24,6 +24,7 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
+import pytest
 from attrs import frozen
 
 from coincid.tb.toolchain import build_root
@@ -32,7 +33,8 @@ from .fates import EQUAL, Fate, count
 from .golden_mutants import Mutator
 from .planted import ROOT
 
-# Room -> its tests and those of its users, the quickest first: the first that fails decides.
+# Room -> its tests and those of its users, the quickest first: the first that fails decides, and
+# those behind it are not played.
 ROOMS = {
     "model/shared": ["tests/shared", "tests/scenes/test_ambient.py"],
     "model/contract": ["tests/contract", "tests/golden/test_golden.py", "tests/host"],
@@ -63,6 +65,7 @@ ROOMS = {
 NUMBER = 8  # mutants of a room
 SLACK_S = 60.0  # a mutant may take so much longer than the room without mutation,
 SLOWER = 3  # and so many times as long
+NO_TESTS = pytest.ExitCode.NO_TESTS_COLLECTED  # all tests of a file are `long`
 LEFT_OUT = {"__init__.py"}
 EXCUSES = Path(__file__).with_name("python_excuses.toml")
 LARGE = shutil.ignore_patterns(".git", ".venv", "build", "__pycache__")  # of a checkout
@@ -143,21 +146,27 @@ def sample_of(room: str, number: int, seed: int) -> list[PythonMutant]:
 
 
 def files_of(room: str, file: str = "") -> list[str]:
-    """Return the files of tests of a room and its users, those first that import a mutated file."""
+    """Return the files of tests of a room and its users. For a mutated file, those that have its
+    name come first, and then those that import it.
+    """
     paths: list[Path] = []
     for name in ROOMS[room]:
         path = ROOT / name
         paths += sorted(path.rglob("test_*.py")) if path.is_dir() else [path]
-    module = re.compile(rf"\b{Path(file).stem} import |import {Path(file).stem}\b")
-    near = {path: bool(file and module.search(path.read_text(encoding="utf-8"))) for path in paths}
-    ordered = sorted(paths, key=lambda path: not near[path])
-    return [str(path.relative_to(ROOT)) for path in ordered]
+    stem = Path(file).stem
+    module = re.compile(rf"\b{stem} import |import {stem}\b")
+
+    def far(path: Path) -> tuple[bool, bool]:
+        imports = bool(file and module.search(path.read_text(encoding="utf-8")))
+        return path.stem != f"test_{stem}", not imports
+
+    return [str(path.relative_to(ROOT)) for path in sorted(paths, key=far)]
 
 
-def passes(room: str, folder: Path, seconds: float | None = None, file: str = "") -> bool:
-    """Return whether the tests of a room and its users pass in a copy of the sources.
+def passes(test: str, folder: Path, seconds: float | None = None) -> bool:
+    """Return whether a file of tests passes in a copy of the sources.
 
-    One that takes longer than `seconds` does not. file: that is mutated.
+    One that takes longer than `seconds` does not.
     """
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(folder / "src"), str(folder)]),
@@ -168,7 +177,7 @@ def passes(room: str, folder: Path, seconds: float | None = None, file: str = ""
     command += ["-p", "no:randomly"]
     try:
         done = subprocess.run(
-            [*command, *files_of(room, file)],
+            [*command, test],
             cwd=folder,
             env=environment,
             timeout=seconds,
@@ -177,7 +186,40 @@ def passes(room: str, folder: Path, seconds: float | None = None, file: str = ""
         )
     except subprocess.TimeoutExpired:
         return False
-    return done.returncode == 0
+    return done.returncode in (0, NO_TESTS)
+
+
+class Copy:
+    """A copy of the sources, in which one mutant after the other is played."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        shutil.copytree(ROOT, folder, symlinks=True, ignore=LARGE, dirs_exist_ok=True)
+        self._seconds: dict[str, float] = {}
+
+    def limit_s(self, test: str) -> float:
+        """Return the time that a file of tests may take. Raises `SystemExit` if it fails without
+        mutation.
+        """
+        if test not in self._seconds:
+            began = time.monotonic()
+            if not passes(test, self.folder):
+                raise SystemExit(f"{test} fails without mutation")
+            self._seconds[test] = time.monotonic() - began
+        return SLACK_S + SLOWER * self._seconds[test]
+
+    def killer(self, mutant: PythonMutant, tests: list[str]) -> str:
+        """Return the first file of tests that notices a mutant, '' if there is none."""
+        mutated = self.folder / mutant.file
+        original = mutated.read_bytes()
+        for test in tests:
+            limit_s = self.limit_s(test)
+            mutated.write_text(source_of(mutant), encoding="utf-8")
+            passed = passes(test, self.folder, limit_s)
+            mutated.write_bytes(original)
+            if not passed:
+                return test
+        return ""
 
 
 class Fates:
@@ -213,7 +255,7 @@ def key_of(room: str, mutant: PythonMutant) -> str:
 
 
 def judge_room(room: str, mutants: list[PythonMutant], fates: Fates) -> list[Fate]:
-    """Return the fates of a room's mutants. Raises `SystemExit` if the room itself fails."""
+    """Return the fates of a room's mutants. Raises `SystemExit` if its tests fail without them."""
     found = []
     excused = excuses()
     known = {}
@@ -225,18 +267,10 @@ def judge_room(room: str, mutants: list[PythonMutant], fates: Fates) -> list[Fat
             found.append(Fate(room, str(mutant), f"{EQUAL}: {excuse.reason}"))
     if any(fates.get(key) is None for key in known):
         with tempfile.TemporaryDirectory(prefix="coincid-mutants-") as name:
-            folder = Path(name)
-            shutil.copytree(ROOT, folder, symlinks=True, ignore=LARGE, dirs_exist_ok=True)
-            began = time.monotonic()
-            if not passes(room, folder):
-                raise SystemExit(f"{room} without mutation fails")
-            limit_s = SLACK_S + SLOWER * (time.monotonic() - began)
+            copy = Copy(Path(name))
             for key, mutant in known.items():
                 if fates.get(key) is None:
-                    original = (folder / mutant.file).read_bytes()
-                    (folder / mutant.file).write_text(source_of(mutant), encoding="utf-8")
-                    fates.keep(key, "" if passes(room, folder, limit_s, mutant.file) else "tests")
-                    (folder / mutant.file).write_bytes(original)
+                    fates.keep(key, copy.killer(mutant, files_of(room, mutant.file)))
                     print(f"{room}: {fates.get(key) or 'SURVIVED'}: {mutant}", flush=True)
     for key, mutant in known.items():
         found.append(Fate(room, str(mutant), fates.get(key) or ""))
