@@ -96,3 +96,93 @@ def test_light_is_told_as_its_share_of_the_truth(monkeypatch, tmp_path):
         shown = np.ma.filled(axis.images[0].get_array(), np.nan)
         bright = truth > 0.1
         assert np.allclose(shown[bright], light[bright], equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("panels", "blocks", "heading", "across", "down"),
+    [(1, False, "", 2, 1), (4, False, "", 5, 1), (4, True, "light", 5, 2), (8, True, "", 5, 2)],
+)
+def test_pictures_stand_side_by_side_at_most_five_in_a_row(panels, blocks, heading, across, down):
+    """Places that are left over are empty. Each row has the height of the array and its labels."""
+    truth_m = np.full((ROWS, COLS), 5.0)
+    given = [Panel(f"depth {number}", truth_m) for number in range(panels)]
+    of_blocks = ("thresholds", np.ones((1, 3), int)) if blocks else None
+    figure, _ = draw_row(given, truth_m, heading, blocks=of_blocks)
+    axes = figure.axes[: across * down]
+    assert [axis.get_subplotspec().rowspan.start for axis in axes] == [
+        row for row in range(down) for _ in range(across)
+    ]
+    places = 1 + panels + blocks
+    assert [axis.get_visible() for axis in axes] == [k < places for k in range(len(axes))]
+    assert [bool(axis.get_ylabel()) for axis in axes] == [k % across == 0 for k in range(len(axes))]
+    assert [axis.get_xlabel() for axis in axes[:places]] == ["column"] * places
+    titles = [f"depth {number}\n0.0% of pixels wrong" for number in range(panels)]
+    assert [axis.get_title() for axis in axes] == (
+        ["truth", *titles] + ["thresholds"] * blocks + [""] * (len(axes) - places)
+    )
+    width_in, height_in = figure.get_size_inches()
+    assert width_in == pytest.approx(pictures.PANEL_IN * across + 0.9)
+    row_in = pictures.PANEL_IN * ROWS / COLS + 0.75
+    assert height_in == pytest.approx(row_in * down + (0.6 if heading else 0.35))
+    assert figure.get_suptitle() == heading
+
+
+def test_all_depths_have_one_scale_that_is_a_little_wider_than_the_truth():
+    """By a share of it, at least by the tolerance, so that a wrong depth has another colour."""
+    truth_m = np.linspace(2.0, 12.0, ROWS * COLS).reshape(ROWS, COLS)
+    panels = [Panel("near", truth_m - 1), Panel("far", truth_m + 100)]
+    margin_m = pictures.SCALE_MARGIN * 10.0
+    assert margin_m > 0.1
+    for options, limits_m in (
+        ({"tolerance_m": 0.1}, (2.0 - margin_m, 12.0 + margin_m)),
+        ({"tolerance_m": 3.0}, (-1.0, 15.0)),
+        ({"tolerance_m": 0.1, "span_m": (1.0, 1.0)}, (0.9, 1.1)),
+    ):
+        figure, _ = draw_row(panels, truth_m, **options)
+        for axis in figure.axes[:3]:
+            assert axis.images[0].get_clim() == pytest.approx(limits_m)
+            assert axis.images[0].cmap.get_bad().tolist() == pytest.approx(
+                pictures.matplotlib.colors.to_rgba(pictures.NO_VALUE)
+            )
+
+
+def test_the_notes_tell_the_marks_that_are_there():
+    truth_m = np.full((ROWS, COLS), 5.0)
+    unsure = np.zeros((ROWS, COLS), np.uint8)
+    figure, _ = draw_row([Panel("depth", truth_m)], truth_m, tolerance_m=0.125)
+    assert figure.get_supxlabel() == "red frames: wrong, |error| > 12.5 cm"
+    assert not figure.legends
+    truth_m[2, 3] = np.nan
+    figure, _ = draw_row([Panel("depth", truth_m, unsure)], truth_m, tolerance_m=0.125)
+    notes = "red frames: wrong, |error| > 12.5 cm; crosses: no truth, not counted"
+    assert figure.get_supxlabel() == notes
+    reason = next(iter(pictures.REASONS))
+    unsure[1, 4] = reason
+    figure, _ = draw_row([Panel("depth", truth_m, unsure)], truth_m, tolerance_m=0.125)
+    (legend,) = figure.legends
+    assert legend.get_title().get_text() == f"{notes}; dots: depth that is not to be believed"
+    (dots,) = [line for line in figure.axes[1].lines if line.get_marker() == "o"]
+    assert dots.get_xydata().tolist() == [[4.0, 1.0]]
+    assert dots.get_label() == pictures.SENTENCES[reason].partition(":")[0]
+
+
+def test_grey_levels_of_light_span_the_truth_but_no_more_than_can_be_told_apart(
+    monkeypatch, tmp_path
+):
+    drawn = []
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, path: drawn.append(figure))
+    of_truth = {
+        "narrow": (np.geomspace(0.2, 0.8, 6), 0.2, 0.8),
+        "wide": (np.geomspace(1e-12, 0.5, 6), 0.5 / pictures.LIGHT_SPAN, 0.5),
+        "dark": (np.zeros(6), 1.0, 1.0),
+    }
+    for light, darkest, brightest in of_truth.values():
+        truth = light.reshape(2, 3)
+        light_row(tmp_path / "light.png", [("estimate", truth * 0)], truth)
+        first, second = drawn.pop().axes[:2]
+        limits = darkest / pictures.LIGHT_MARGIN, brightest * pictures.LIGHT_MARGIN
+        assert first.images[0].get_clim() == pytest.approx(limits)
+        # Light that an estimate has not seen is as dark as the scale goes.
+        assert second.images[0].get_array().max() == pytest.approx(limits[0])
+        assert (first.get_ylabel(), second.get_ylabel()) == ("row", "")
+        assert first.get_xlabel() == second.get_xlabel() == "column"
