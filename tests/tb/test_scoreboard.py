@@ -8,7 +8,7 @@ import pytest
 from attrs import evolve
 
 from coincid.model.contract.counters import COUNTER_NAMES
-from coincid.model.contract.packet import layout
+from coincid.model.contract.packet import PACKETS, layout, packet_fields
 from coincid.model.golden.frame import Golden
 from coincid.tb.frame_record import Recorded, cycle_limit
 from coincid.tb.rtl_errors import Mismatch
@@ -161,3 +161,84 @@ def test_a_frame_on_a_slow_link_is_no_frame_that_hangs(link_gbps):
     assert last < cycle_limit(config, 0)
     if link_gbps < 1:
         assert last > config.frame_cycles + 1000
+
+
+def told_of(trace, stream, index, change):
+    """Return what is said about a beat that is changed by some bits."""
+    board = Scoreboard(CONFIG.sensor, trace, frame=3)
+    beats, cycles = trace.beats[stream], trace.beat_cycle[stream]
+    for k in range(index):
+        board.beat(stream, int(cycles[k]), int(beats[k]), False)
+    assert board.checked == board.beats[stream] == index
+    with pytest.raises(Mismatch) as told:
+        board.beat(stream, int(cycles[index]), int(beats[index]) ^ change, False)
+    return str(told.value)
+
+
+def test_a_wrong_field_is_told_with_its_packet_and_the_beat_of_it(trace):
+    """The start of the frame has one beat; the first event behind it has its header and its map."""
+    stream, cycles = 1, trace.beat_cycle[1]
+    frame = f"frame 3, stream {stream}"
+    start = f"{frame}, all subgroups, cycle {cycles[0]}, frame_start packet, beat 0 of it"
+    assert told_of(trace, stream, 0, 1 << 32) == f"{start}: pulse is 1, golden model 0"
+    fields = packet_fields(trace.beats[stream], np.array([1]), CONFIG.sensor, PACKETS[2])
+    known = {name: int(values[0, 0]) for name, values in fields.items()}
+    event = f"{frame}, subgroup {known['subgroup']}, pulse {known['pulse']}, cycle"
+    winner = known["winner"]
+    assert told_of(trace, stream, 1, 3 << 15) == (
+        f"{event} {cycles[1]}, event_id packet, beat 0 of it:"
+        f" winner is {winner ^ 3}, golden model {winner}"
+    )
+    stamp, count = known["stamp"], known["count"]
+    both = told_of(trace, stream, 1, 1 | 1 << 23)
+    assert f"count is {count ^ 1}, golden model {count}" in both
+    assert f"stamp is {stamp ^ 1}, golden model {stamp}" in both
+    second = told_of(trace, stream, 2, 1 << 40)
+    bits = int(trace.beats[stream][2])
+    assert second == (
+        f"{event} {cycles[2]}, event_id packet, beat 1 of it:"
+        f" map is {bits ^ 1 << 40:#018x}, golden model {bits:#018x}"
+    )
+
+
+def test_a_wrong_kind_is_told_as_such(trace):
+    assert "kind is 7, golden model 6" in told_of(trace, 0, 0, 1 << 61)
+
+
+def test_a_beat_after_the_end_is_told_with_its_word(trace):
+    board = Scoreboard(CONFIG.sensor, trace, frame=2)
+    beats, cycles = trace.beats[0], trace.beat_cycle[0]
+    for k, (beat, cycle) in enumerate(zip(beats.tolist(), cycles.tolist(), strict=True)):
+        board.beat(0, cycle, beat, k == len(beats) - 1)
+    late = int(cycles[-1]) + 5
+    words = f"frame 2, stream 0, cycle {late}: beat {len(beats)} after the frame's end: 0x{7:016x}"
+    with pytest.raises(Mismatch, match=f"^{words}$"):
+        board.beat(0, late, 7, False)
+
+
+def test_stored_events_are_told_with_the_cycle_in_which_they_are_due(trace):
+    """Or that there is none; and the number of those that are missing."""
+    board = Scoreboard(CONFIG.sensor, trace, frame=1)
+    due = trace.commit_cycle[trace.commit_subgroup == 1].tolist()
+    board.commit(1, due[0])
+    words = f"frame 1, subgroup 1, event 1: stored in cycle {due[1] + 2}, golden model in cycle"
+    with pytest.raises(Mismatch, match=f"^{words} {due[1]}$"):
+        board.commit(1, due[1] + 2)
+    for cycle in due[1:]:
+        board.commit(1, cycle)
+    assert board.checked == len(due)
+    number = len(due)
+    with pytest.raises(Mismatch, match=f"event {number}: .* 9, golden model stores none$"):
+        board.commit(1, 9)
+
+
+def test_in_a_group_of_events_a_beat_is_told_by_its_number():
+    config = CONFIG.with_frame(format="compact")
+    grouped = Golden(config.sensor).frame(config, trouble(config, 1, 4.0))
+    beat, cycle = int(grouped.beats[0][1]), int(grouped.beat_cycle[0][1])
+    board = Scoreboard(config.sensor, grouped)
+    board.beat(0, int(grouped.beat_cycle[0][0]), int(grouped.beats[0][0]), False)
+    where = f"frame 0, stream 0, cycle {cycle}, beat 1 of the frame, in a group of events"
+    told = f"^{where}: {beat ^ 1:#018x}, golden model {beat:#018x}$"
+    with pytest.raises(Mismatch, match=told):
+        board.beat(0, cycle, beat ^ 1, False)
