@@ -222,3 +222,19 @@ def test_pnr_names_the_seed_that_misses(monkeypatch, tmp_path):
         told = " ".join(page.split())
         assert f"differ by at most {max(skew, 0.9):.2f} ns" in told
         assert f"for {int(skew > 1)} of 10 lines" in told
+
+
+def test_a_constant_is_no_level():
+    """Gates count from the inputs and registers on, also where one of their own is a constant."""
+    gate = {"type": "$_AND_", "port_directions": {"A": "input", "B": "input", "Y": "output"}}
+    plain = {"type": "$_NOT_", "port_directions": {"A": "input", "Y": "output"}}
+    cells = {
+        "g": gate | {"connections": {"A": [2], "B": ["1"], "Y": [3]}},
+        "h": gate | {"connections": {"A": ["0"], "B": ["x"], "Y": [4]}},
+        "n": plain | {"connections": {"A": [4], "Y": [5]}},
+    }
+    ports = {
+        "a": {"direction": "input", "bits": [2]},
+        "y": {"direction": "output", "bits": [3, 5, "1"]},
+    }
+    assert depths({"cells": cells, "ports": ports}) == {"": 1}

@@ -5,11 +5,16 @@ import re
 
 import numpy as np
 import pytest
+from attrs import evolve
 
+from coincid.hdl.front_end_views import VIEWS
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges
+from coincid.model.contract.parameters import Sensor
 from coincid.model.shared.errors import InputError
-from coincid.tb.replay import replay, replay_together
+from coincid.tb.engines import SIMULATORS
+from coincid.tb.replay import chosen_view, replay, replay_together
+from coincid.tb.rtl import sensor_key
 
 PULSES, FRAMES, PERIOD, PIXELS = 3, 2, 40, 64
 CONFIG = parse_config(
@@ -62,3 +67,58 @@ def test_progress_ends_with_the_cycles_of_all_frames():
     replay("golden", CONFIG, edges_with("tick", 0), progress=told.append)
     assert told == sorted(told)
     assert told[-1] >= FRAMES * CONFIG.frame_cycles
+
+
+@pytest.mark.parametrize(
+    ("ready", "told"),
+    [
+        (
+            np.ones((2, 2), np.uint8),
+            r"ready: has shape \(2, 2\) and dtype uint8, must be one row of",
+        ),
+        (np.ones(2), "ready: has shape .* and dtype float64, must be one row of integers"),
+        (np.array([0, 1, 3, 2]), r"ready\[2\] = 3: must be 0 or 1"),
+        (np.array([1, -1]), r"ready\[1\] = -1: must be 0 or 1"),
+    ],
+)
+def test_what_is_no_row_of_levels_is_refused(ready, told):
+    with pytest.raises(InputError, match=told) as refused:
+        replay("golden", CONFIG, edges_with("tick", 0), ready)
+    if "0 or 1" in told:
+        assert (refused.value.low, refused.value.high) == (0, 1)
+
+
+def test_levels_of_truth_are_levels():
+    edges = edges_with("tick", 5)
+    stalled = np.zeros(30, bool)
+    late = replay("golden", CONFIG, edges, stalled)
+    assert np.array_equal(late["stored"], replay("golden", CONFIG, edges)["stored"])
+
+
+def test_which_engine_runs_which_view():
+    """Waveforms and circuits of the asynchronous view are those of a simulator of the whole RTL."""
+    clock_mhz = CONFIG.clock_mhz
+    assert chosen_view("golden", "polyphase", clock_mhz) is None
+    assert chosen_view("golden", VIEWS["polyphase"], clock_mhz) is None
+    for engine in ("sliced", *SIMULATORS):
+        assert chosen_view(engine, "polyphase", clock_mhz).is_default
+    for simulator in SIMULATORS:
+        assert chosen_view(simulator, "async", clock_mhz).name == "async"
+        assert chosen_view(simulator, "polyphase", clock_mhz, waves=True).is_default
+    for engine in ("golden", "sliced"):
+        with pytest.raises(InputError, match="engine of the view async = .*: must be one of"):
+            chosen_view(engine, "async", clock_mhz)
+        with pytest.raises(InputError, match=f"engine = '{engine}': has no waveform"):
+            chosen_view(engine, "polyphase", clock_mhz, waves=True)
+    with pytest.raises(InputError, match="view"):
+        chosen_view("golden", "other", clock_mhz)
+
+
+def test_builds_have_the_name_of_what_differs_from_the_default():
+    default = Sensor()
+    size = f"{default.rows}x{default.cols}"
+    assert sensor_key(default) == size
+    assert sensor_key(evolve(default, rows=8, cols=24)) == "8x24"
+    other = evolve(default, phases=16, minigroup=(4, 2), records=0)
+    assert sensor_key(other) == f"{size}-phases16-minigroup4x2-records0"
+    assert sensor_key(default, VIEWS["async"]) == f"{size}-async"

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Views of a waveform name its signals as their programs do, and begin with the first laser pulse."""
 
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
@@ -75,3 +76,14 @@ def test_surfer_finds_every_signal(written):
         f"variable_add bench.{TOP}.part.word",
         "zoom_fit",
     ]
+
+
+@pytest.mark.parametrize("changes", [None, [], [(0, 0)]])
+def test_a_waveform_without_a_laser_pulse_is_shown_from_its_beginning(
+    changes, monkeypatch, tmp_path
+):
+    lasers = [] if changes is None else [Variable(f"bench.{TOP}.laser", 1, changes)]
+    waveform = SimpleNamespace(all_vars=lambda: [Variable(f"bench.{TOP}.word", 16), *lasers])
+    monkeypatch.setattr(wave_views, "Waveform", lambda path: waveform)
+    gtkwave, _ = wave_views.views(tmp_path / "a.fst", BLOCKS)
+    assert "[timestart] 0" in gtkwave.read_text(encoding="utf-8").splitlines()
