@@ -26,7 +26,16 @@ from coincid.board.parameters import (
     own_address,
 )
 from coincid.board.run import Session
-from coincid.board.serial_link import BAUD, ESCAPE, FLAG, FLIP, WRITE_WORDS_MAX, Answer, Operation
+from coincid.board.serial_link import (
+    BAUD,
+    ESCAPE,
+    FLAG,
+    FLIP,
+    READ_WORDS_MAX,
+    WRITE_WORDS_MAX,
+    Answer,
+    Operation,
+)
 from coincid.board.serial_transport import Deframer, SerialTransport, frame
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.board.source_model import SourceSettings, source_edges
@@ -440,3 +449,66 @@ def test_a_port_is_opened_as_it_is_asked_for(monkeypatch):
     serial_transport.SerialPort("/dev/ttyUSB3")
     serial_transport.SerialPort("/dev/ttyUSB4", 115_200)
     assert opened == [("/dev/ttyUSB3", BAUD), ("/dev/ttyUSB4", 115_200)]
+
+
+class Counting:
+    """A port to a device that gives each word its address; it loses the answers to some requests.
+
+    asked: operation, number of words and address of every request.
+    """
+
+    def __init__(self, lost=()):
+        self.lost, self.asked, self.time, self.answers = set(lost), [], 0.0, []
+
+    def write(self, data):
+        (body,) = Deframer().add(data)
+        number, operation, words = body[:3]
+        address = int.from_bytes(body[3:6], "little")
+        self.asked.append((Operation(operation), words, address))
+        if len(self.asked) - 1 in self.lost:
+            return
+        content = b""
+        if operation == Operation.READ:
+            content = b"".join((address + 4 * k).to_bytes(4, "little") for k in range(words))
+        self.answers.append(frame(bytes([number]) + content + bytes([Answer.OKAY])))
+
+    def read(self):
+        self.time += 0.25
+        return self.answers.pop(0) if self.answers else b""
+
+    def now(self):
+        return self.time
+
+
+def test_reads_are_shorter_on_a_bad_line_and_grow_again_on_a_good_one():
+    """Half as many words in each further try, twice as many after each answer at once."""
+    line = Counting(lost=[2, 3])
+    transport = SerialTransport(line, tries=3, patience_s=1.0)
+    words = 3 * READ_WORDS_MAX
+    assert transport.read_block(0x100, words) == list(range(0x100, 0x100 + 4 * words, 4))
+    assert line.asked[0] == (Operation.HELLO, 0, 0)
+    reads = [count for _, count, _ in line.asked[1:]]
+    most = READ_WORDS_MAX
+    assert reads[:4] == [most, most, most // 2, most // 4]
+    assert reads[4:6] == [most // 4, 2 * (most // 4)] and max(reads[6:]) <= most
+    assert transport.repeats == 2
+    answered = [asked for k, asked in enumerate(line.asked) if k not in (0, 2, 3)]
+    assert sum(count for _, count, _ in answered) == words
+
+
+def test_requests_have_numbers_of_one_byte():
+    line = Counting()
+    transport = SerialTransport(line, patience_s=1.0)
+    assert [transport.read(4 * k) for k in range(300)] == [4 * k for k in range(300)]
+    assert transport.repeats == 0 and len(line.asked) == 301
+
+
+def test_a_line_that_goes_dead_is_an_error_and_greeted_anew():
+    line = Counting(lost=range(2, 5))
+    transport = SerialTransport(line, tries=3, patience_s=1.0)
+    assert transport.read(8) == 8
+    with pytest.raises(LinkError, match="no right answer in 3 tries"):
+        transport.read(12)
+    assert transport.repeats == 2 and transport.read(16) == 16
+    operations = [operation for operation, _, _ in line.asked]
+    assert operations == [Operation.HELLO, *[Operation.READ] * 4, Operation.HELLO, Operation.READ]

@@ -14,7 +14,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from coincid.lab.campaign import FinishedFiles, Processes, campaign, grouped, read_measures
-from coincid.lab.compile_ahead import estimate_anything
+from coincid.lab.compile_ahead import estimate_anything, made_up
 from coincid.lab.dask_workers import Dask
 from coincid.lab.measures import MEASURES
 from coincid.lab.outcomes import Run, StageCache
@@ -392,3 +392,41 @@ def test_what_follows_the_period_follows_it_in_setups_beside_an_override():
     own = setup.but(frame={"period": 400}, subgroup={"gate_len": [1, 2, 3]})
     assert own.config.gate_len.tolist() == [1, 2, 3]
     assert longer.but(subgroup={"gate_len": 7}).config.gate_len.tolist() == [7, 7, 7]
+
+
+def test_klux_of_maps_among_numbers_are_texts_in_a_table():
+    """A column has one type; other settings keep theirs."""
+    from coincid.lab.outcome_table import to_table
+
+    found = [{"photons": 1}, {"photons": 2}]
+    varied = [{"klux": 0.5, "threshold": 1}, {"klux": "map.npy", "threshold": 2}]
+    table = to_table(varied, found, error=("what went wrong", ["", "no"]))
+    assert table.to_pydict() == {
+        "klux": ["0.5", "map.npy"],
+        "threshold": [1, 2],
+        "photons": [1, 2],
+        "error": ["", "no"],
+    }
+    told = [table.schema.field(name).metadata[b"meaning"].decode() for name in table.column_names]
+    assert told[:2] == ["swept", "swept"] and told[3] == "what went wrong"
+    assert told[2] == MEASURES["photons"].meaning
+    assert to_table([], []).num_columns == 0
+
+
+def test_a_made_up_frame_has_an_event_of_each_subgroup_in_every_fourth_pulse():
+    config = parse_config({"sensor": {"rows": 16, "cols": 16}, "frame": {"pulses": 20}})
+    arrays = made_up(config)
+    places = sorted(zip(arrays["subgroup"].tolist(), arrays["pulse"].tolist(), strict=True))
+    assert places == [(s, pulse) for s in range(4) for pulse in range(0, 20, 4)]
+    assert set(arrays["count"].tolist()) == {2}
+    assert arrays["hits"].tolist() == [[3]] * len(places)
+    assert set(arrays["stamp"].tolist()) == {config.period_ticks // 2}
+    assert arrays["threshold_used"].tolist() == [[1] * 4]
+    assert arrays["opened"].tolist() == [[20] * 4]
+
+
+def test_copies_of_a_setup_have_the_seeds_from_1_on():
+    setup = small(klux=20.0)
+    copies = seeded(setup, 3)
+    assert [one.seed for one in copies] == [1, 2, 3]
+    assert all(one.config is setup.config and one.scene is setup.scene for one in copies)

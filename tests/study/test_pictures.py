@@ -8,6 +8,7 @@ import pytest
 
 from coincid.study import animation, pictures
 from coincid.study.pictures import Panel, draw_row, light_row
+from coincid.study.plot_style import legend_below, new_figure, share_axis
 
 ROWS, COLS = 8, 24
 
@@ -186,3 +187,35 @@ def test_grey_levels_of_light_span_the_truth_but_no_more_than_can_be_told_apart(
         assert second.images[0].get_array().max() == pytest.approx(limits[0])
         assert (first.get_ylabel(), second.get_ylabel()) == ("row", "")
         assert first.get_xlabel() == second.get_xlabel() == "column"
+
+
+def test_shares_are_drawn_linear_below_a_thousandth_and_in_decades_above():
+    """So that no wrong pixel has a place, too."""
+    axis = new_figure(3, 3).subplots()
+    share_axis(axis, title="wrong")
+    assert axis.get_ylim() == (0, 1) and axis.get_title() == "wrong"
+    ticks = zip(axis.get_yticks().tolist(), axis.get_yticklabels(), strict=True)
+    assert {at: label.get_text() for at, label in ticks} == {
+        0.0: "0",
+        0.001: "0.1 %",
+        0.01: "1 %",
+        0.1: "10 %",
+        1.0: "100 %",
+    }
+    heights = axis.transData.transform([(0, share) for share in (0, 5e-4, 1e-3, 1e-2, 0.1, 1)])
+    steps = np.diff(heights[:, 1])
+    assert steps[0] == pytest.approx(steps[1])
+    assert steps[2:] == pytest.approx(steps[2])
+
+
+def test_a_legend_has_each_label_once_in_as_many_columns_as_there_are():
+    figure = new_figure(4, 3)
+    first, second = figure.subplots(1, 2)
+    for axis, names in ((first, "ab"), (second, "bc")):
+        for name in names:
+            axis.plot([0, 1], [0, 1], label=name)
+    legend_below(figure)
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b", "c"]
+    assert legend._ncols == 3
+    assert legend.legend_handles[1].get_color() == first.lines[1].get_color()
