@@ -72,13 +72,6 @@ def files(folder):
 
 
 PHYSICAL = ".//ipxact:physicalPort/ipxact:name"
-# Verilog with names of the generator, and with plain ones.
-PLAIN_NAMES = [
-    (r"wire \$1 ;", "wire net_1;"),
-    (r"assign \a.b  = a_b & \a[b] ;", "assign a_b_ = a_b & a_b__;"),
-    (r"input \end ; reg \m.end ;", r"input \end ; reg m_end;"),
-    ("  (* init = 4'h0 *)\n  wire a;", "  wire a;"),
-]
 
 
 def line_of_readme(folder, pattern):
@@ -627,11 +620,6 @@ def test_names_in_the_verilog_are_plain(releases, preset):
 
 def preset_view(preset):
     return "async" if preset == "async" else "polyphase"
-
-
-@pytest.mark.parametrize(("text", "plain"), PLAIN_NAMES)
-def test_plain_names_are_of_one_thing_each(text, plain):
-    assert plain_verilog({"a.v": text}) == {"a.v": plain}
 
 
 def test_the_folder_has_licence_and_rule_of_groups(releases):
