@@ -20,6 +20,8 @@ from coincid.board.driver import EmulatorDriver
 from coincid.board.parameters import (
     BUFFER_BASE,
     DEAD_MAX,
+    EMULATOR_ID,
+    EMULATOR_VERSION,
     Emulator,
     background_address,
     echo_address,
@@ -512,3 +514,37 @@ def test_a_line_that_goes_dead_is_an_error_and_greeted_anew():
     assert transport.repeats == 2 and transport.read(16) == 16
     operations = [operation for operation, _, _ in line.asked]
     assert operations == [Operation.HELLO, *[Operation.READ] * 4, Operation.HELLO, Operation.READ]
+
+
+class Words(dict):
+    """A transport whose words are given by address."""
+
+    def read(self, address):
+        return self[address]
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [
+        ({"emulator_id": 0x1234}, "no emulator: its ID is 0x00001234, must be 0x454d554c"),
+        (
+            {"emulator_version": EMULATOR_VERSION + (2 << 16)},
+            "emulator's registers of version 3: this driver knows 1",
+        ),
+    ],
+)
+def test_what_is_no_emulator_that_the_driver_knows_is_refused(found, told):
+    """Before anything else of it is read."""
+    known = {"emulator_id": EMULATOR_ID, "emulator_version": EMULATOR_VERSION}
+    words = {own_address(name): value for name, value in (known | found).items()}
+    with pytest.raises(HostError, match=f"^{told}$"):
+        EmulatorDriver(Words(words))
+
+
+def test_a_later_map_of_the_same_version_is_known():
+    sensor_left_out = {
+        own_address("emulator_id"): EMULATOR_ID,
+        own_address("emulator_version"): EMULATOR_VERSION + 5,
+        own_address("buffer_beats"): 512,
+    }
+    assert EmulatorDriver(Words(sensor_left_out), SENSOR).buffer_beats == 512

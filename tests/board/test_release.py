@@ -122,7 +122,7 @@ def test_the_presets_are_what_a_board_needs():
     assert load_config("emulator-axi").sensor.subgroups > of.sensor.subgroups
 
 
-@pytest.mark.parametrize(("clock_mhz", "clocks"), [(80, 27), (100, 33), (125, 42)])
+@pytest.mark.parametrize(("clock_mhz", "clocks"), [(12, 4), (80, 27), (100, 33), (125, 42)])
 def test_the_line_has_the_nearest_rate_that_the_clock_makes(clock_mhz, clocks):
     assert Emulator.of(config(clock_mhz=clock_mhz)).clocks_per_bit == clocks
 
@@ -140,3 +140,12 @@ def test_every_port_of_the_board_has_its_pin():
     assert {bit for bit, _ in located} == bits and len({site for _, site in located}) == len(
         bits
     ) == 13
+
+
+@pytest.mark.parametrize("clock_mhz", [10.5, 11.7, 20])
+def test_a_clock_that_makes_no_line_is_refused(clock_mhz):
+    """A bit has four clocks at least, and its rate is right to 2 %."""
+    told = f"frame.clock_mhz = {clock_mhz:g}: does not make 3000000 baud to 2%"
+    with pytest.raises(InputError, match=told):
+        Emulator.of(config(clock_mhz=clock_mhz))
+    assert Emulator.of(config(clock_mhz=36.7)).clocks_per_bit == 12
