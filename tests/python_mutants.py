@@ -17,7 +17,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
 import tomllib
 from hashlib import sha256
@@ -26,6 +25,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from attrs import frozen
+from filelock import FileLock
 
 from coincid.tb.toolchain import build_root
 
@@ -194,7 +194,8 @@ class Copy:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        shutil.copytree(ROOT, folder, symlinks=True, ignore=LARGE, dirs_exist_ok=True)
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(ROOT, folder, symlinks=True, ignore=LARGE)
         self._seconds: dict[str, float] = {}
 
     def limit_s(self, test: str) -> float:
@@ -211,12 +212,13 @@ class Copy:
     def killer(self, mutant: PythonMutant, tests: list[str]) -> str:
         """Return the first file of tests that notices a mutant, '' if there is none."""
         mutated = self.folder / mutant.file
-        original = mutated.read_bytes()
+        original, stat = mutated.read_bytes(), mutated.stat()
         for test in tests:
             limit_s = self.limit_s(test)
             mutated.write_text(source_of(mutant), encoding="utf-8")
             passed = passes(test, self.folder, limit_s)
             mutated.write_bytes(original)
+            os.utime(mutated, ns=(stat.st_atime_ns, stat.st_mtime_ns))
             if not passed:
                 return test
         return ""
@@ -266,8 +268,11 @@ def judge_room(room: str, mutants: list[PythonMutant], fates: Fates) -> list[Fat
         else:
             found.append(Fate(room, str(mutant), f"{EQUAL}: {excuse.reason}"))
     if any(fates.get(key) is None for key in known):
-        with tempfile.TemporaryDirectory(prefix="coincid-mutants-") as name:
-            copy = Copy(Path(name))
+        # Always in the same folder, of which Numba knows the code that it has compiled.
+        folder = build_root() / "mutants" / "sources"
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with FileLock(f"{folder}.lock"):
+            copy = Copy(folder)
             for key, mutant in known.items():
                 if fates.get(key) is None:
                     fates.keep(key, copy.killer(mutant, files_of(room, mutant.file)))
