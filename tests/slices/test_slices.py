@@ -6,6 +6,7 @@ kind of word.
 import platform
 import random
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from pywellen import Waveform
 
 from coincid.hdl.to_verilog import to_verilog
 from coincid.slices.emit import DarkInput
-from coincid.slices.library import LANES, PLAIN, PROCESSOR, library
+from coincid.slices.library import LANES, PLAIN, PROCESSOR, library, widest
 from coincid.slices.netlist import NetlistError
 from coincid.slices.slices import Slices
 from coincid.slices.synthesis import Design
@@ -379,3 +380,40 @@ def test_no_library_is_taken_for_another(monkeypatch, tmp_path):
         others["flag"] = "-march=x86-64"
     found = [library(**usual), *(library(**usual | {name: others[name]}) for name in others)]
     assert len(set(found)) == len(found)
+
+
+@pytest.mark.parametrize(
+    ("macros", "bits"),
+    [
+        ("#define __SSE2__ 1\n", 128),
+        ("#define __AVX__ 1\n#define __AVX2__ 1\n", 256),
+        ("#define __AVX2__ 1\n#define __AVX512F__ 1\n", 256),
+        ("#define __AVX2__ 1\n#define __AVX512VL__ 1\n", 512),
+    ],
+)
+def test_the_longest_word_is_that_of_the_processor(macros, bits, monkeypatch):
+    """And one that slices can have."""
+    asked = []
+
+    def run(command, **_):
+        asked.append(command)
+        return SimpleNamespace(stdout=macros)
+
+    monkeypatch.setattr("coincid.slices.library.subprocess", SimpleNamespace(run=run))
+    flag = f"-march={bits}-of-{len(macros)}"  # one that has not been asked for before
+    assert widest(flag) == widest(flag) == bits and bits in LANES
+    assert asked == [["g++", flag, "-dM", "-E", "-x", "c++", "/dev/null"]]
+
+
+def test_edges_that_are_recorded_together_are_those_one_after_the_other():
+    """A sample is the lane's state before an edge."""
+    name, lane, edges = "fifo", 9, 5
+    (cycle,) = stimulus(name, 64, 3)[:1]
+    with Slices(sliced(name)) as one, Slices(sliced(name)) as other:
+        for slices in (one, other):
+            for port, values in cycle.items():
+                slices.set(port, values)
+        together = one.record(lane, edges)
+        assert together.shape[0] == edges
+        assert np.array_equal(together, np.concatenate([other.record(lane) for _ in range(edges)]))
+        assert np.array_equal(one.words, other.words)
