@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bounds of a distance: against numbers of another program, and against simulated words."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from coincid.lab import bound as bounds
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.latency import armed_cycle, close_cycle
 from coincid.model.depth.arrivals import SYSTEM_FWHM_S
 from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.light.light import Light
@@ -248,3 +251,121 @@ def test_bounds_of_a_map_are_those_of_its_light():
             expected = bounds.word_bounds_mm(config, signal, 1e6, shape).pixel_mm
             assert found[pixel] == pytest.approx(expected, rel=1e-9)
         assert np.isnan(found[1])
+
+
+def tiny(window, rearm):
+    """Return three pixels before a wall whose light is as wide as some ticks; of two pixels half of
+    the windows are rejected, of one all.
+    """
+    return bounds.Wall(
+        signal=0.9,
+        noise=0.05,
+        alive=0.75,
+        pulse=pulse_ticks(parse_config({}), 3e-10),
+        pixels=3,
+        window=window,
+        phases=2,
+        rearm=rearm,
+        rejected=np.array([1.0, 1.0, 0.5, 0.0]),
+        start=-4,
+        cycles=4,
+    )
+
+
+def fired(wall, place, first, last):
+    """Return the chance that a pixel fires in some ticks, both included."""
+    shares = wall.pulse.share_before(wall.start + np.array([first, last + 1]) - place)
+    photons = wall.signal * (shares[1] - shares[0]) + wall.noise * (last + 1 - first)
+    return 1 - np.exp(-wall.alive * photons)
+
+
+def counted_windows(wall, place, shift, of_all):
+    """Return for each tick the chance of an event with each number of pixels, of one with the first
+    pixel and of one without, and of a rejected window: from what each pixel does by itself.
+    """
+    found = []
+    for tick in range(wall.cycles * wall.phases):
+        places = [place + shift * (of_all or k == 0) for k in range(wall.pixels)]
+        cycle, end = tick // wall.phases * wall.phases, tick + wall.window - 1
+        silent = 1.0
+        states = []  # of each pixel: chances to fire at once, only later, not at all
+        for own in places:
+            silent *= 1 - fired(wall, own, cycle, tick - 1)
+            at_once, never = fired(wall, own, tick, tick), 1 - fired(wall, own, tick, end)
+            states.append((at_once, 1 - at_once - never, never))
+        numbers, with_first, without, rejected = np.zeros(wall.pixels), 0.0, 0.0, 0.0
+        for chosen in product(range(3), repeat=wall.pixels):
+            if 0 not in chosen:
+                continue  # no window
+            chance = silent * np.prod([of[k] for of, k in zip(states, chosen, strict=True)])
+            count = sum(k < 2 for k in chosen)
+            kept = chance * (1 - wall.rejected[count])
+            numbers[count - 1] += kept
+            with_first += kept * (chosen[0] < 2)
+            without += kept * (chosen[0] == 2)
+            rejected += chance - kept
+        found.append((numbers, with_first, without, rejected))
+    return found
+
+
+@pytest.mark.parametrize("shift", (0.0, 0.4))
+@pytest.mark.parametrize("window", (1, 2, 3))
+def test_chances_of_windows_are_those_of_their_pixels(window, shift):
+    wall, place = tiny(window, 0), 0.7
+    together = bounds.windows(wall, place, shift, of_all=True)
+    alone = bounds.windows(wall, place, shift, of_all=False)
+    counted = counted_windows(wall, place, shift, of_all=True)
+    assert np.allclose(together.told, [numbers for numbers, *_ in counted], rtol=1e-9)
+    assert np.allclose(together.rejected, [one[3] for one in counted], rtol=1e-9)
+    counted = counted_windows(wall, place, shift, of_all=False)
+    wins, others_win, outside = alone.told.T
+    assert np.allclose(wins + others_win, [one[1] for one in counted], rtol=1e-9)
+    assert np.allclose(outside, [one[2] for one in counted], rtol=1e-9)
+    assert np.allclose(alone.rejected, [one[3] for one in counted], rtol=1e-9)
+
+
+def told_by_all_sequences(wall, of_shifts):
+    """Return Fisher's information of all sequences of events that a pulse may have.
+
+    of_shifts: the windows now, and with a time that is later and earlier by `SHIFT_TICKS`.
+    """
+
+    def follow(c, weights):
+        """weights: of each shift, chance to be armed in each cycle, with the events so far."""
+        if c == wall.cycles:
+            now, later, earlier = (sum(of.values()) for of in weights)
+            return (later - earlier) ** 2 / (2 * bounds.SHIFT_TICKS) ** 2 / now if now else 0.0
+        ticks = range(c * wall.phases, (c + 1) * wall.phases)
+        again = [armed_cycle(close_cycle(t, wall.window, wall.phases), wall.rearm) for t in ticks]
+        silent, total = [], 0.0
+        for of, one in zip(weights, of_shifts, strict=True):
+            none = {cycle: weight for cycle, weight in of.items() if cycle != c}
+            armed = of.get(c, 0.0)
+            for t, cycle in zip(ticks, again, strict=True):
+                none[cycle] = none.get(cycle, 0.0) + armed * one.rejected[t]
+            stays = 1 - one.told[ticks].sum() - one.rejected[ticks].sum()
+            none[c + 1] = none.get(c + 1, 0.0) + armed * stays
+            silent.append(none)
+        total += follow(c + 1, silent)
+        if any(of.get(c) for of in weights):
+            for t, cycle in zip(ticks, again, strict=True):
+                for kind in range(of_shifts[0].told.shape[1]):
+                    chances = [
+                        of.get(c, 0.0) * one.told[t, kind]
+                        for of, one in zip(weights, of_shifts, strict=True)
+                    ]
+                    total += follow(c + 1, [{cycle: chance} for chance in chances])
+        return total
+
+    return follow(0, [{0: 1.0}] * 3)
+
+
+@pytest.mark.parametrize("of_all", (True, False))
+@pytest.mark.parametrize(("window", "rearm"), [(1, 0), (2, 0), (2, 1), (3, 2)])
+def test_what_a_pulse_tells_is_what_all_sequences_of_events_tell(window, rearm, of_all):
+    """Rejected windows are hidden, and close the tree until it is armed again."""
+    wall, place = tiny(window, rearm), 0.7
+    shifts = 0.0, bounds.SHIFT_TICKS, -bounds.SHIFT_TICKS
+    of_shifts = [bounds.windows(wall, place, shift, of_all=of_all) for shift in shifts]
+    expected = told_by_all_sequences(wall, of_shifts)
+    assert bounds._information(wall, place, of_all=of_all) == pytest.approx(expected, rel=1e-4)
