@@ -369,3 +369,14 @@ def test_what_a_pulse_tells_is_what_all_sequences_of_events_tell(window, rearm, 
     of_shifts = [bounds.windows(wall, place, shift, of_all=of_all) for shift in shifts]
     expected = told_by_all_sequences(wall, of_shifts)
     assert bounds._information(wall, place, of_all=of_all) == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_tree_that_background_opens_is_armed_less_often():
+    """Background opens a window in half of the cycles in which the tree is armed, and each window
+    takes three further cycles: of five cycles, the tree is armed in two.
+    """
+    wall = tiny(window=5, rearm=1)
+    noise = np.log(2) / (wall.pixels * wall.alive * wall.phases)
+    assert bounds._armed_share(wall._replace(noise=noise)) == pytest.approx(2 / 5)
+    assert bounds._armed_share(wall._replace(noise=0.0)) == 1
+    assert bounds._armed_share(wall._replace(window=1, rearm=0)) == 1
