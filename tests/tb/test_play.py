@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from attrs import evolve
 
+from coincid.hdl.front_end_views import POLYPHASE, VIEWS
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.packet import FRAME_END, FRAME_START, PACKETS, header_field, layout
+from coincid.model.contract.parameters import TOP, Sensor
 from coincid.model.golden.frame import Golden
 from coincid.tb import cosim, play, toolchain
 from coincid.tb.frame_record import (
@@ -282,3 +284,30 @@ def test_no_compiled_design_is_taken_for_another(simulator, monkeypatch, tmp_pat
     monkeypatch.setattr(toolchain, "_first_line", lambda *command: "tool 2")
     found.append(toolchain.build(simulator, **usual).directory)
     assert len(set(found)) == len(found)
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_only_a_view_of_words_is_built_without_delays(name, monkeypatch):
+    """Its modules are compiled once for all instances; the time in the others is seen by tests."""
+    asked = []
+    monkeypatch.setattr(play, "rtl", lambda sensor, view: ["a.v"])
+    monkeypatch.setattr(
+        play.toolchain, "build", lambda *given, **named: asked.append((given, named))
+    )
+    view = VIEWS[name].at(500.0)
+    play.build_sensor(Sensor(), "icarus", True, view)
+    ((given, named),) = asked
+    assert given == ("icarus", ["a.v"], TOP) and named["waves"]
+    words = view == POLYPHASE
+    assert named["delays"] == (not words) == (len(named["blocks"]) == 0)
+    assert named["public"] == [f"{TOP}.stored_of_*", *([] if words else [f"{TOP}.timing"])]
+
+
+@pytest.mark.parametrize("engine", ("sliced", "icarus"))
+def test_an_engine_is_prepared_by_its_own_build(engine, monkeypatch):
+    built = []
+    monkeypatch.setattr(play, "build_library", lambda *given: built.append(("sliced", *given)))
+    monkeypatch.setattr(play, "build_sensor", lambda *given: built.append(given))
+    play.prepare(engine, Sensor(), True, POLYPHASE)
+    own = ("sliced", Sensor()) if engine == "sliced" else (Sensor(), "icarus", True, POLYPHASE)
+    assert built == [own]
