@@ -48,15 +48,19 @@ def test_wrong_pixels_are_framed_and_pixels_without_a_truth_are_crossed():
 
 
 def test_each_picture_of_light_has_the_same_room(monkeypatch, tmp_path):
-    widths_in = []
-    monkeypatch.setattr(
-        pictures, "save_figure", lambda figure, _: widths_in.append(figure.get_figwidth())
-    )
+    widths_in, heights_in = [], []
+
+    def measured(figure, _):
+        widths_in.append(figure.get_figwidth())
+        heights_in.append(figure.get_figheight())
+
+    monkeypatch.setattr(pictures, "save_figure", measured)
     light = np.full((ROWS, COLS), 0.5)
     for number in range(4):
         light_row(tmp_path / "light.png", [("estimate", light)] * number, light)
     assert np.ptp(np.diff(widths_in)) < 1e-9
     assert np.diff(widths_in)[0] == pytest.approx(pictures.PANEL_IN)
+    assert heights_in == pytest.approx([pictures.PANEL_IN * ROWS / COLS + 1.1] * 4)
 
 
 def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path):
