@@ -5,7 +5,6 @@ registers of its own.
 
 import ctypes
 from collections.abc import Sequence
-from numbers import Integral
 
 import numpy as np
 
@@ -22,7 +21,7 @@ class Slices:
     context manager.
 
     lanes: 64, 128, 256 or 512. flag: g++'s choice of a processor. Raises `InputError` for another
-    number of lanes, for a name that the design does not have, and for a number that does not fit.
+    number of lanes, a port that the design does not have, and a number that does not fit.
     """
 
     def __init__(self, design: Design, lanes: int = 64, flag: str = PROCESSOR):
@@ -90,13 +89,18 @@ class Slices:
         return samples
 
     def _put(self, name: str, words: Sequence[int], values: Sequence[int] | int) -> None:
-        each = [values] * self.lanes if isinstance(values, Integral) else list(values)
+        if isinstance(values, Sequence | np.ndarray):
+            each = list(values)
+        else:
+            each = [values] * self.lanes
         if len(each) != self.lanes:
             raise InputError(f"{name}: has {len(each)} numbers, must have one, or {self.lanes}")
         most = (1 << len(words)) - 1
         size = -(-len(words) // 8)
         data = np.frombuffer(
-            b"".join(check_integer(name, value, 0, most).to_bytes(size, "little") for value in each),
+            b"".join(
+                check_integer(name, value, 0, most).to_bytes(size, "little") for value in each
+            ),
             np.uint8,
         )
         bits = np.unpackbits(data.reshape(self.lanes, size), axis=1, bitorder="little")[

@@ -8,9 +8,8 @@ import numpy as np
 
 from ..shared.errors import InputError
 from ..shared.files import FilePath
-from .recordings import SYNC_MAX
+from .recordings import INTEGER_MAX, SYNC_MAX
 
-INTEGER_MAX = (1 << 63) - 1
 # int64 where all numbers are written as integers, else float64; of one length
 Columns: TypeAlias = Sequence[np.ndarray]
 

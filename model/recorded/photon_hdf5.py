@@ -14,7 +14,7 @@ import numpy as np
 from ..shared.errors import InputError
 from ..shared.files import FilePath, reading
 from .columns import checked_columns, integers, not_negative
-from .recordings import PS_PER_S, Recording, since_sync
+from .recordings import DIVIDER_MAX, PS_PER_S, Recording, since_sync
 
 GROUP = "photon_data"
 TIMES = "timestamps"
@@ -65,6 +65,11 @@ def read_photon_hdf5(path: FilePath, sync_channel: int | None = None) -> Recordi
     pulses = 1.0  # of the laser, in a unit of the timestamps
     if LASER_RATE in found:
         pulses = _above_zero(path, LASER_RATE, found[LASER_RATE]) * unit_ps / PS_PER_S
+        if pulses > DIVIDER_MAX:
+            raise InputError(
+                f"{path}: {GROUP}/{LASER_RATE}: is {pulses:g} pulses in a unit of the timestamps,"
+                f" must be at most {DIVIDER_MAX}"
+            )
     divider = max(1, round(pulses))
     kind = f"Photon-HDF5, bins of {bin_ps:.6g} ps"
     if abs(pulses - divider) > WHOLE * divider:

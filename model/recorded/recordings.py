@@ -17,6 +17,7 @@ NO_SYNC = -1  # sync of a photon that belongs to no laser pulse
 FRACTION = 1e-6  # of a tick: tolerance for rounding errors at the border of a tick
 SAME_PERIOD = 1e-3  # relative difference of laser periods up to which there is no note
 DIVIDER_MAX = 1 << 16
+INTEGER_MAX = (1 << 63) - 1
 SYNC_MAX = 1 << 53  # float64 is exact for integers up to this
 
 
@@ -72,6 +73,12 @@ def undivided(recording: Recording, divider: int) -> Recording:
         raise InputError(
             f"sync-divider = {divider}: goes with T2, T3, Photon-HDF5 and absolute times, whose period"
             " of triggers is known"
+        )
+    last = int(recording.sync.max(initial=0))
+    most = INTEGER_MAX // divider - 1  # the photons of a trigger belong to pulses up to the next
+    if last > most:
+        raise InputError(
+            f"sync-divider = {divider}: sync {last} is too large, must be at most {most}"
         )
     triggers = np.where(recording.sync == NO_SYNC, NO_SYNC, recording.sync * divider)
     return folded(

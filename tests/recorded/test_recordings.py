@@ -637,6 +637,19 @@ def test_photon_hdf5_of_a_laser_with_another_rate(tmp_path):
     assert slow.sync.tolist() == [1, 1, 1] and slow.period_ps == pytest.approx(100_000)
 
 
+def test_pulses_that_cannot_be_counted_are_refused(tmp_path):
+    """Their numbers would wrap, to negative syncs or to small ones."""
+    rate = "measurement_specs__laser_repetition_rate"
+    fast = photon_hdf5(tmp_path / "a.h5", **SYNCED, **{rate: 40e6 * 70_000})
+    with pytest.raises(InputError, match="laser_repetition_rate: is 70000 .* at most 65536"):
+        read_recording(fast)
+    late = SYNCED | {"timestamps": np.array([4, 5, 1 << 48])}
+    path = photon_hdf5(tmp_path / "b.h5", **late)
+    assert read_recording(path, sync_divider=1 << 14).sync.max() >> 14 == 1 << 48
+    with pytest.raises(InputError, match=r"sync-divider = 32768: sync 281474976710656 .*710654$"):
+        read_recording(path, sync_divider=1 << 15)
+
+
 def test_photon_hdf5_without_nanotimes(tmp_path):
     absolute = {
         "timestamps": np.r_[DIVIDED_PS, PHOTONS_PS],

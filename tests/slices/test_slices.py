@@ -19,6 +19,7 @@ from amaranth.sim import Simulator
 from pywellen import Waveform
 
 from coincid.hdl.to_verilog import to_verilog
+from coincid.model.shared.errors import InputError
 from coincid.slices.emit import DarkInput
 from coincid.slices.library import LANES, PLAIN, PROCESSOR, library, widest
 from coincid.slices.netlist import NetlistError
@@ -256,6 +257,24 @@ def test_registers_can_be_read_and_written():
         assert slices.peek("odd") == [lane % 2 ^ 1 for lane in range(64)]
         with pytest.raises(KeyError):
             slices.poke("no such register", 0)
+
+
+def test_numbers_and_names_that_do_not_fit_are_refused():
+    """Bits that a port does not have would vanish."""
+    with Slices(sliced("counters")) as slices:
+        for act, name, bits in ((slices.set, "enable", 1), (slices.poke, "kept", 24)):
+            most = (1 << bits) - 1
+            for wrong in (most + 1, -1, 2.5):
+                with pytest.raises(InputError, match=f"{name} = .*0 to {most}"):
+                    act(name, wrong)
+            with pytest.raises(InputError, match=f"{name}: has 63 numbers"):
+                act(name, [0] * 63)
+            act(name, np.full(64, most))
+        for act in (slices.get, lambda port: slices.set(port, 0)):
+            with pytest.raises(InputError, match="port = 'nothing'"):
+                act("nothing")
+    with pytest.raises(InputError, match="lanes = 100: must be one of 64, 128"):
+        Slices(sliced("counters"), 100)
 
 
 def test_registers_with_a_reset_value_and_no_first_one_are_reset_in_all_lanes():
