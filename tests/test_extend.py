@@ -190,6 +190,14 @@ def test_an_estimator_that_is_none_is_refused():
         register_estimator(3)
 
 
+@pytest.mark.parametrize("source", ["minigroup", "subgroup"])
+def test_an_estimator_of_a_users_own_has_no_source_in_a_setup_either(source):
+    register_estimator(Far())
+    assert Setup.of("flat:5,0.4", **SMALL, estimators=("far/map",)).estimators[0].name == "far"
+    with pytest.raises(coincid.InputError, match=f"source = '{source}': must be left out, because"):
+        Setup.of("flat:5,0.4", **SMALL, estimators=(f"far/{source}",))
+
+
 def test_a_kept_point_is_not_taken_for_another_version(tmp_path):
     """Neither by object nor by name, here and in a sweep's SPEC; and another worker needs no registration."""
     finished = FinishedFiles(tmp_path, ["seen"])

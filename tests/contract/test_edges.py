@@ -28,8 +28,10 @@ def test_the_last_legal_number_is_taken_and_the_next_is_not(name):
     assert getattr(checked(**{name: np.array([0, last, 0])}), name).max() == last
     for wrong in (-1, BOUNDS[name]):
         told = re.escape(f"{name}[2] = {wrong}: must be an integer from 0 to {last}")
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=told) as refused:
             checked(**{name: np.array([0, 0, wrong])})
+        error = refused.value
+        assert (error.field, error.low, error.high) == (name, 0, last)
 
 
 @pytest.mark.parametrize("name", ["pixels", "pulses", "period_ticks"])

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coincid.model.contract.config import parse_config
-from coincid.model.contract.link import SHARE_MIN, link_share, next_taken
+from coincid.model.contract.link import SHARE_MIN, beats_waiting_max, link_share, next_taken
+from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.result import differences
 from coincid.model.golden.receiver import receiver_of
 from coincid.model.shared.errors import InputError
@@ -114,3 +115,18 @@ def test_levels_of_a_receiver_are_0_or_1(wrong):
         told = re.escape(f"ready[2] = {wrong}: must be 0 or 1")
         with pytest.raises(InputError, match=told):
             replay(engine, config, edges, ready)
+
+
+SMALLEST = {"rows": 8, "cols": 16, "fifo_depth": 4, "counter_bits": 32}
+
+
+@pytest.mark.parametrize(
+    "sensor, beats",
+    [
+        ({}, 2 * ((4 + 2) * 6 + 6)),  # none is longer than the counters, 11 x 32 bits
+        ({"fifo_depth": 9}, 2 * ((9 + 2) * 6 + 6)),
+        ({"counts": 1, "fifo_depth": 1}, 2 * (16 * 10 + 6)),  # a packet of every minigroup
+    ],
+)
+def test_beats_that_wait_at_the_end_are_those_of_all_places_or_minigroups(sensor, beats):
+    assert beats_waiting_max(Sensor(**SMALLEST | sensor)) == beats

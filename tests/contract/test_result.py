@@ -13,6 +13,7 @@ from coincid.model.contract.result import (
     differences,
     events_table,
     known_counters,
+    map_numbers,
     read_result,
     write_result,
 )
@@ -181,3 +182,40 @@ def test_arrays_that_are_no_result_are_neither_a_table_nor_a_file(tmp_path):
         with pytest.raises(InputError, match=r"arrays = \[1, 2\]: must be Mapping"):
             use([1, 2])
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("dropped, opened_known", [(0, True), (511, False)])
+def test_a_sum_is_known_if_the_sums_that_it_holds_are(dropped, opened_known):
+    """Counters of 9 bits at their end, in two frames of 20 pulses."""
+    narrow = configured(
+        GOLDEN_SENSORS["default"] | {"rows": 8, "cols": 16, "counter_bits": 9},
+        {"pulses": 20, "frames": 2},
+    )
+    arrays = {name: np.zeros((2, 2), np.int64) for name in COUNTER_NAMES}
+    for name in ("opened", "committed", "stored"):
+        arrays[name] += 511
+    arrays["dropped"] += dropped
+    arrays["rejected"] += 3
+    stored = np.array([[520, 530], [540, 550]])
+    frame, subgroup = (index.ravel() for index in np.indices(stored.shape))
+    arrays["pulse"] = np.repeat(20 * frame + 7, stored.ravel())
+    arrays["subgroup"] = np.repeat(subgroup, stored.ravel())
+    arrays["mg_pulse"], arrays["mg_subgroup"] = np.array([39]), np.array([1])
+    found = known_counters(arrays, narrow)
+    np.testing.assert_array_equal(found.least["stored"], stored)
+    np.testing.assert_array_equal(found.least["committed"], stored + dropped)
+    np.testing.assert_array_equal(found.least["opened"], stored + dropped + 3)
+    assert found.known["opened"].all() == found.known["committed"].all() == opened_known
+    assert found.least["mg_stored"].tolist() == [[0, 0], [0, 1]]
+
+
+@pytest.mark.parametrize("words", [1, 2, 4])
+def test_a_map_is_one_number_whose_bits_are_the_pixels(words):
+    hits = np.zeros((3, words), np.uint64)
+    pixels = [0], [64 * words - 1, 5], range(0, 64 * words, 3)
+    for row, of_event in zip(hits, pixels, strict=True):
+        for pixel in of_event:
+            row[pixel // 64] |= np.uint64(1) << np.uint64(pixel % 64)
+    assert [int(number) for number in map_numbers(hits)] == [
+        sum(1 << pixel for pixel in of_event) for of_event in pixels
+    ]

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import ptufile
 import pytest
+from attrs import evolve
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -742,9 +743,10 @@ PLACED = Edges(np.array([1, 0]), np.array([4, 3]), np.array([7, 100]), np.array(
 def test_offsets_come_back(tmp_path, suffix):
     """In the order of their edges, to the last digit."""
     path = tmp_path / f"edges{suffix}"
-    write_edges(path, PLACED, TIMING)
+    offset_ps = np.array([62.5, 100 / 3])
+    write_edges(path, evolve(PLACED, offset_ps=offset_ps), TIMING)
     found, _ = recorded_edges(read_recording(path), CONFIG, TIMING)
-    assert found.tick.tolist() == [100, 7] and found.offset_ps.tolist() == [0.1, 62.5]
+    assert found.tick.tolist() == [100, 7] and found.offset_ps.tolist() == [*offset_ps[::-1]]
 
 
 def test_a_delay_moves_offsets(tmp_path):

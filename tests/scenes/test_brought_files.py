@@ -272,6 +272,7 @@ HINTS = {  # samples, options, unit of the hint; "": none
     "millimetres, with the unit of TUM": (of_a_room(4000), {"unit": "tum"}, "mm"),
     "millimetres of 1 m, with that of SUN RGB-D": (of_a_room(1100), {"unit": "sun-rgbd"}, "mm"),
     "a wall, which is a multiple of 5 by accident": (np.full((64, 64), 4000, np.uint16), {}, ""),
+    "centimetres of a street, as they are given": (of_a_room(3000), {"unit": "cm"}, ""),
 }
 
 

@@ -96,3 +96,16 @@ def test_an_error_comes_back_from_another_process():
     back = pickle.loads(pickle.dumps(raised.value))
     assert str(back) == str(raised.value)
     assert (back.field, back.low, back.high) == ("frame.pulses", 1, 1 << 16)
+
+
+def test_an_error_keeps_its_field_and_range_behind_the_name_of_its_file(tmp_path):
+    path = tmp_path / "my.toml"
+    path.write_text("[frame]\npulses = 0\n", encoding="utf-8")
+    with pytest.raises(InputError) as alone:
+        parse_config({"frame": {"pulses": 0}})
+    with pytest.raises(InputError) as in_file:
+        load_config(path)
+    assert str(in_file.value) == f"{path}: {alone.value}"
+    for name in ("field", "low", "high"):
+        of_both = [getattr(one.value, name) for one in (alone, in_file)]
+        assert of_both[0] is not None and of_both[0] == of_both[1]

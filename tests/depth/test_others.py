@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the counts of windows say about the times of their winners."""
+
+import numpy as np
+import pytest
+
+from coincid.model.depth.others import ALONE, MOST, OwnWindows, moves_with_others
+from coincid.model.depth.pulse_ticks import PulseTicks
+
+PIXELS = 8
+GUESS_TICK = 100.0
+LATER_TICKS = np.arange(-4, 5)
+AT_GUESS = 4  # of these
+
+
+def ratios(stamp, winner, others, *, time=None, mask=None):
+    """float64[pixels, bins]: log likelihood ratios if the surfaces of all pixels move together."""
+    known = np.full(PIXELS, GUESS_TICK) if time is None else time
+    move = moves_with_others(
+        OwnWindows(*map(np.asarray, (stamp, winner, others))),
+        window=6,
+        pulse=PulseTicks(4.0),
+        noise=1e-4,
+        alive=1.0,
+        mask=np.ones(PIXELS, bool) if mask is None else mask,
+        time=known,
+        light=np.full(PIXELS, 0.5),
+        times=np.broadcast_to(GUESS_TICK + LATER_TICKS, (PIXELS, len(LATER_TICKS))),
+    )
+    together = (np.exp(move.astype(np.float64)) - ALONE) / (1 - ALONE)
+    return np.log(np.maximum(together, 1e-9))
+
+
+def test_windows_that_are_alike_count_as_often_as_they_come():
+    once = ratios([98], [2], [1])
+    assert 0.01 < np.abs(once[2]).max() < MOST / 3
+    np.testing.assert_allclose(ratios([98] * 3, [2] * 3, [1] * 3), 3 * once, atol=1e-5)
+    other = ratios([95], [2], [3])
+    np.testing.assert_allclose(ratios([98, 95], [2, 2], [1, 3]), once + other, atol=1e-5)
+    elsewhere = ratios([98, 95], [2, 5], [1, 3])
+    np.testing.assert_allclose(elsewhere[2], once[2], atol=1e-5)
+    assert np.abs(elsewhere[5]).max() > 0.01
+
+
+def test_windows_say_nothing_of_the_guess_itself_nor_of_pixels_that_win_none():
+    found = ratios([98, 95], [2, 5], [1, 3])
+    np.testing.assert_allclose(found[:, AT_GUESS], 0, atol=1e-6)
+    np.testing.assert_allclose(np.delete(found, [2, 5], axis=0), 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("others, sign", [(0, -1), (7, 1)])
+def test_many_others_make_later_surfaces_likelier(others, sign):
+    found = ratios([98], [2], [others])[2]
+    assert sign * found[AT_GUESS + 1] > 0 > sign * found[AT_GUESS - 1]
+
+
+def test_no_ratio_is_above_the_most():
+    found = ratios([98] * 500, [2] * 500, [7] * 500)
+    assert found.max() == pytest.approx(MOST, abs=1e-3)
+
+
+def test_a_pixel_without_a_guess_has_no_ratio_and_masked_ones_do_not_fire():
+    time = np.full(PIXELS, GUESS_TICK)
+    time[2] = np.nan
+    np.testing.assert_allclose(ratios([98], [2], [1], time=time), 0, atol=1e-6)
+    masked = np.arange(PIXELS) < 4
+    fewer = ratios([98], [2], [2], mask=masked)[2]
+    more = ratios([98], [2], [2])[2]
+    assert fewer[AT_GUESS + 1] > more[AT_GUESS + 1]
