@@ -440,6 +440,35 @@ def test_budget_for_programs_and_people():
     assert all(key in text for key in wanted)
 
 
+@pytest.mark.parametrize(
+    "words, engine, pulses, settling, waves",
+    [
+        ("", "sliced", 100, None, False),
+        ("--waves", "verilator", 100, None, True),
+        ("--waves --engine icarus", "icarus", 100, None, True),
+        ("--pulses 7 --frames 3", "sliced", 7, 3, False),
+        ("--view async", "icarus", 4, 1, False),
+        ("--view async --pulses 7 --frames 3 --engine verilator", "verilator", 7, 3, False),
+    ],
+)
+def test_engine_pulses_and_frames_of_sim_are_those_of_the_view(
+    monkeypatch, tmp_path, words, engine, pulses, settling, waves
+):
+    """Unless they are given: the asynchronous view takes long."""
+    asked = []
+
+    def simulated(setup, **options):
+        asked.append((setup, options))
+
+    monkeypatch.setattr("coincid.study.simulate.simulate_to_folder", simulated)
+    result = command(f"sim --scene flat:5,0.4 --out {tmp_path / 'out'} {words}")
+    assert result.exit_code == 0, result.output
+    ((setup, options),) = asked
+    assert (setup.engine, setup.config.pulses) == (engine, pulses)
+    assert (options["settling"], options["waves"]) == (settling, waves)
+    assert setup.view == ("async" if "async" in words else "polyphase")
+
+
 @pytest.fixture(scope="session")
 def exports(tmp_path_factory):
     """Exports of the default sensor over an earlier export, and of 8 x 16 pixels: name -> {file:

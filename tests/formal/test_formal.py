@@ -7,7 +7,7 @@ import re
 from functools import partial
 
 import pytest
-from amaranth.hdl import Signal
+from amaranth.hdl import Mux, Signal
 
 from coincid.formal.proof_bench import PROOFS, Bench, Proof
 from coincid.formal.prove import prove
@@ -38,6 +38,22 @@ def test_verdicts(monkeypatch, highest, reached, complaint):
     (verdict,) = prove([name])
     assert (verdict.statements, verdict.situations) == (1, 1)
     assert complaint in verdict.reason if complaint else not verdict.reason
+
+
+def _never_twelve():
+    """Return a module with a counter of 0 to 9, and what is stated of a number beyond."""
+    b, count = Bench(), Signal(4)
+    b.m.d.sync += count.eq(Mux(count == 9, 0, count + 1))
+    b.always(count != 12)
+    b.cover(count == 3)
+    return b.m
+
+
+def test_a_statement_that_holds_but_lacks_an_invariant_is_told_as_such(monkeypatch):
+    """Only its induction fails: 11 would lead to 12, and no state that is reached to 11."""
+    monkeypatch.setitem(PROOFS, "twelve", Proof("twelve", "A counter.", _never_twelve, 2, 14))
+    (verdict,) = prove(["twelve"])
+    assert verdict.reason.startswith("induction: Assert failed")
 
 
 def _stated(state):
