@@ -16,26 +16,11 @@ from coincid.board.rtl.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, board_files, boar
 from coincid.board.run import source_settings
 from coincid.lab.setup import scene_of
 from coincid.model.contract.config import load_config
-from coincid.model.contract.parameters import Sensor
 from coincid.model.light.spad import Spad
 
-from ..random_cases import configured
+from .sensors import SENSOR, config
 
-SENSOR = Sensor(
-    rows=4,
-    cols=4,
-    phases=4,
-    window_max=4,
-    coarse_bits=6,
-    fifo_depth=4,
-    subgroup=(4, 4),
-    minigroup=(4, 4),
-)
 BEATS = 64, 128
-
-
-def config(clock_mhz=100):
-    return configured(SENSOR, {"period": 24, "pulses": 2, "clock_mhz": clock_mhz, "format": "id"})
 
 
 @pytest.fixture
@@ -71,7 +56,7 @@ def test_the_pll_makes_the_clock_in_step_with_its_input(clock_mhz, files):
 @pytest.mark.parametrize("clock_mhz", [80, 100])
 def test_the_router_aims_higher_than_the_clock_that_is_checked(clock_mhz, files):
     """By some percent. A user's constraints have the oscillator's own frequency."""
-    board = ulx3s(config(clock_mhz), options="-nobram")
+    board = ulx3s(config(clock_mhz=clock_mhz), options="-nobram")
     assert board.goal_mhz == clock_mhz
     assert board.options == "-nobram"
 
@@ -109,12 +94,12 @@ def test_the_placed_emulator_is_that_of_the_preset(files, monkeypatch):
 @pytest.mark.parametrize("beats", BEATS)
 def test_every_kind_of_release_has_the_buffer_that_is_asked_for(kind, beats, files):
     """The line's rate follows the clock where there is a line."""
-    released = emulator_release(config(80), kind, beats)
+    released = emulator_release(config(clock_mhz=80), kind, beats)
     (emulator,) = files
     assert emulator.sensor == SENSOR and emulator.buffer_beats == beats
     assert released["emulator.v"] == f"{beats} {kind != 'axi'}"
     if kind != "axi":
-        assert emulator == evolve(Emulator.of(config(80)), buffer_beats=beats)
+        assert emulator == evolve(Emulator.of(config(clock_mhz=80)), buffer_beats=beats)
 
 
 def test_the_netlist_is_that_of_the_emulator_it_is_returned_with(files, monkeypatch, tmp_path):
@@ -139,6 +124,6 @@ def test_a_pixel_of_the_source_is_dead_for_at_least_its_dead_time(clock_mhz):
     seconds = Spad().dead_time_s
     legal = [n for n in range(1, DEAD_MAX + 1) if n * 1e-6 / clock_mhz >= seconds * (1 - 1e-9)]
     expected = legal[0] if legal else DEAD_MAX
-    of = config(clock_mhz)
+    of = config(clock_mhz=clock_mhz)
     settings = source_settings(of, scene_of(of, "flat:3,0.4"), 5.0)
     assert settings.dead_cycles == expected

@@ -22,29 +22,9 @@ from coincid.board.serial_transport import SerialTransport
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.board.source_model import SourceSettings
 from coincid.model.contract.config import load_config
-from coincid.model.contract.parameters import Sensor
 from coincid.model.shared.errors import InputError
 
-from ..random_cases import configured
-
-SENSOR = Sensor(
-    rows=4,
-    cols=4,
-    phases=4,
-    window_max=4,
-    coarse_bits=6,
-    fifo_depth=4,
-    subgroup=(4, 4),
-    minigroup=(4, 4),
-)
-
-
-def config(**frame):
-    return configured(
-        SENSOR,
-        {"period": 24, "pulses": 2, "clock_mhz": 100, "format": "id"} | frame,
-        {"threshold": 2, "window": 4},
-    )
+from .sensors import SENSOR, config
 
 
 @pytest.mark.long

@@ -20,7 +20,7 @@ PULSE = PulseTicks(3.0)
 
 
 def written(config, **columns):
-    """Return a result without events and records but for these columns."""
+    """Return a result without events and records except these columns."""
     frames, subgroups = config.frames, config.sensor.subgroups
     arrays = {name: np.zeros((frames, subgroups), np.int64) for name in COUNTER_NAMES}
     names = "pulse", "subgroup", "stamp", "count", "winner"

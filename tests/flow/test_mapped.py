@@ -2,6 +2,7 @@
 """What is read from OpenSTA's reports and written into its netlists, for made-up blocks."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -139,3 +140,27 @@ def test_what_a_timing_tool_cannot_tell_is_an_error(monkeypatch, tmp_path, answe
     script = (tmp_path / "b.tcl").read_text(encoding="utf-8")
     assert "create_clock -name clk -period 2 [get_ports clk]" in script
     assert "read_verilog b.timed.v" in script
+
+
+def test_slacks_are_those_at_the_clock_asked_for(monkeypatch, tmp_path):
+    asked = []
+
+    def run(command, folder, name):
+        asked.append((folder / command[-1]).read_text(encoding="utf-8"))
+        return answer
+
+    monkeypatch.setattr(mapped, "run_program", run)
+    (tmp_path / mapped.NETLIST).write_text("a #(\n    .N(1)\n  ) b (c);\n", encoding="utf-8")
+    answer = "FLOPS\n  0.50   slack (MET)\nLATCHES\nOPENING\nENABLES\n  0.25   slack (MET)\n"
+    assert mapped.slacks_ns(tmp_path, "block", 2.5) == {"FLOPS": 0.5, "ENABLES": 0.25}
+    (script,) = asked
+    assert "create_clock -name clk -period 2.5 [get_ports clk]" in script
+    assert "link_design block" in script
+    netlist = tmp_path / re.search(r"read_verilog (\S+)", script)[1]
+    assert netlist.read_text(encoding="utf-8") == "a b (c);\n"
+    answer = "Warning 1: odd\nError: no such cell\nFLOPS\n"
+    with pytest.raises(ToolchainError, match="sta: Error: no such cell"):
+        mapped.slacks_ns(tmp_path, "block", 2.5)
+    answer = "FLOPS\nNo paths found.\nLATCHES\nOPENING\nENABLES\n"
+    with pytest.raises(ToolchainError, match="no path in block"):
+        mapped.slacks_ns(tmp_path, "block", 2.5)

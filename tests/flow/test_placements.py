@@ -221,3 +221,39 @@ def test_every_seed_places_the_same_netlist_for_the_goal(monkeypatch, tmp_path):
         assert (folder / pnr.NETLIST).read_text(encoding="utf-8") == "cells"
         told = (folder / "nextpnr.log").read_text(encoding="utf-8")
         assert told == "log of run_nextpnr_ecp5"
+
+
+def test_no_placement_is_taken_for_another(monkeypatch, tmp_path):
+    """Whatever changes the placement makes a new one, also a netlist of the same design."""
+    runs = []
+
+    def run(package, function, options, folder):
+        runs.append((function, list(options), sorted(path.name for path in folder.iterdir())))
+        return "log"
+
+    monkeypatch.setattr(pnr, "run_wheel", run)
+    netlists = [tmp_path / name for name in ("top-1", "top-2")]
+    for folder in netlists:
+        folder.mkdir()
+        (folder / pnr.NETLIST).write_text(folder.name, encoding="utf-8")
+    board = evolve(BOARD, pins="LOCATE", device=("--85k",), goal_mhz=80.0)
+    usual = (board, netlists[0], 3)
+    others = [
+        (board, netlists[1], 3),
+        (board, netlists[0], 4),
+        (evolve(board, pins="OTHER"), netlists[0], 3),
+        (evolve(board, device=("--45k",)), netlists[0], 3),
+        (evolve(board, goal_mhz=80.5), netlists[0], 3),
+    ]
+    placed = [pnr.place_and_route(*case) for case in (usual, *others)]
+    assert len({one.folder for one in placed}) == len(placed)
+    assert [one.seed for one in placed] == [3, 3, 4, 3, 3, 3]
+    assert pnr.place_and_route(*usual).folder == placed[0].folder
+    assert (placed[1].folder / pnr.NETLIST).read_text(encoding="utf-8") == "top-2"
+    assert (placed[3].folder / pnr.PINS).read_text(encoding="utf-8") == "OTHER"
+    (function, options, there), (packer, _, _) = runs[:2]
+    assert (function, packer, len(runs)) == ("run_nextpnr_ecp5", "run_ecppack", 2 * len(placed))
+    assert there == sorted((pnr.PINS, pnr.NETLIST))
+    assert options[0] == "--85k"
+    assert options[options.index("--seed") + 1] == "3"
+    assert options[options.index("--freq") + 1] == "80"

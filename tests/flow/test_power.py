@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from attrs import evolve
 
 from coincid.flow import power as power_of
 from coincid.flow.liberty import Cell, Energies, Pin, read_cells, supply_v
@@ -24,6 +25,7 @@ from coincid.flow.power import (
 from coincid.flow.synth import CELLS
 from coincid.flow.yosys import CLOCK_BUFFER, LIBERTY, cells_folder
 from coincid.model.contract.config import load_config
+from coincid.tb.frame_record import FrameJob
 from coincid.tools.build import ToolchainError
 from docs.studies.power_against_light import group_of
 
@@ -309,6 +311,45 @@ def test_frames_are_played_with_every_scope_dumped_and_counted_by_their_cycles(
     assert compiled == [(config.sensor, CELLS, scopes)]
     cycle_ps = round(1e6 / config.clock_mhz)
     assert counted == [(b"dump", 3, [300, 314], cycle_ps)]
+
+
+def test_transitions_are_counted_in_all_blocks_over_the_cycles_of_the_clock(
+    netlist, monkeypatch, tmp_path
+):
+    """The clock's cycle is 2.5 ns, and the frame ends with the last cycle of its last period."""
+    config = evolve(load_config("silicon"), sensor=SMALL)
+    config = config.with_frame(clock_mhz=400.0, period=60, pulses=1, frames=1)
+    dumped = []
+
+    def build(sensor, target, scopes):
+        dumped.append((target, list(scopes)))
+
+    def play(build, frames, out):
+        out.mkdir(parents=True)
+        end_ps = 5000 + config.frame_cycles * 2500
+        lines = [
+            f"$scope module {power_of.TOP} $end $var wire 1 ! laser $end $var wire 1 $ rst $end",
+            "$var wire 1 # net $end $upscope $end $enddefinitions $end",
+            "#0 0! 1$ 0#",
+            "#2500 0$",
+            "#5000 1! 1#",
+            "#7500 0! 0#",
+            f"#{end_ps - 1} 1#",
+            f"#{end_ps} 0#",
+        ]
+        (out / f"{power_of.TOP}.vcd").write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+    monkeypatch.setattr(power_of, "netlist_build", build)
+    monkeypatch.setattr(power_of, "play_in", play)
+    monkeypatch.setattr(power_of, "build_root", lambda: tmp_path / "root")
+    toggles = power_of.count_toggles(SMALL, [FrameJob(config, None)])
+    assert dumped == [(CELLS, [power_of.TOP, f"{power_of.TOP}.a.b", f"{power_of.TOP}.a.c"])]
+    assert {name: int(counts.sum()) for name, counts in toggles.items()} == {
+        "laser": 2,
+        "rst": 0,
+        "net": 3,
+    }
+    assert all(isinstance(counts, np.ndarray) for counts in toggles.values())
 
 
 @pytest.mark.needs("cells")

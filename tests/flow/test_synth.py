@@ -2,9 +2,11 @@
 """Counts, areas and depths of blocks from Yosys's files, for a made-up hierarchy."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
+from attrs import evolve
 
 from coincid.flow import synth
 from coincid.flow.mapped import Mapped
@@ -334,3 +336,36 @@ def test_the_top_of_an_fpga_takes_the_place_of_the_sensor(asked):
         f"{steps} map_cells:",
     ]
     assert script[6] == "tee -q -o stat.json stat -json" and "read_liberty" not in script[0]
+
+
+def test_whole_blocks_are_shown_by_pixel_at_the_clock_of_the_preset(monkeypatch):
+    """The pitch is the side of a square of a pixel's area; the slack is the least of all kinds."""
+    config = evolve(load_config("silicon"), sensor=SMALL).with_frame(clock_mhz=400.0)
+    clocks_ns = []
+    cells = {"DFF_X1": 2, "DLH_X1": 3, "CLKGATE_X1": 5, "NAND2_X1": 7}
+
+    def slacks(folder, block, clock_ns):
+        clocks_ns.append(clock_ns)
+        return {"FLOPS": 0.5, "LATCHES": -0.25, "ENABLES": 0.75}
+
+    def block_of(unit, view):
+        return Mapped(unit.unit_name, Path(), cells, {"coincid_delay": 11}, 1600.0)
+
+    monkeypatch.setattr(synth, "map_block", block_of)
+    monkeypatch.setattr(synth, "slacks_ns", slacks)
+    monkeypatch.setattr(synth, "scan_chain", lambda netlist: "A scan chain.")
+    netlist = Netlist(CELLS, Path(), ["coincid_readout_1"], {})
+    lines = synth.whole_blocks(config, netlist)
+    assert set(clocks_ns) == {2.5}
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in lines
+        if line.startswith("| ")
+    ]
+    of_block = {row[0]: row[1:] for row in rows if len(row) == 11 and row[1].isdigit()}
+    pixels = {"minigroup": SMALL.minigroup_pixels, "subgroup": SMALL.pixels}
+    for name, number in pixels.items():
+        share = 1600 / number
+        shown = [f"{share:.0f}", f"{math.sqrt(share):.1f}", "-0.25", "+0.75"]
+        assert of_block[name] == ["17", "2", "3", "5", "11", "1600", *shown]
+    assert ["readout_1", "-0.25"] in rows

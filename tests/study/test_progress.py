@@ -4,20 +4,25 @@
 import io
 import re
 
+import pytest
 from rich.console import Console
 
 from coincid.study.progress import Bar
 
 
-def shown(*steps):
-    """Return what a terminal last shows of a bar behind these calls, (method, arguments)."""
+def all_shown(*steps, lines=False):
+    """Return the lines that a terminal shows of a bar behind these calls, (method, arguments)."""
     text = io.StringIO()
-    console = Console(file=text, force_terminal=True, width=100)
-    with Bar(console) as bar:
+    with Bar(Console(file=text, force_terminal=True, width=100), lines=lines) as bar:
         for method, arguments in steps:
             getattr(bar, method)(*arguments)
-    lines = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text.getvalue()).replace("\r", "\n").split("\n")
-    return [line for line in lines if "%" in line][-1]
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text.getvalue())
+    return [line for line in re.split(r"[\r\n]", plain) if line.strip()]
+
+
+def shown(*steps):
+    """Return the last of these lines with a share."""
+    return [line for line in all_shown(*steps) if "%" in line][-1]
 
 
 def share(line):
@@ -38,3 +43,23 @@ def test_a_total_may_change_and_a_new_stage_begins_at_nothing():
     steps = [("stage", ("golden", 50)), ("done", (20, 200))]
     assert share(shown(*steps)) == ("golden", "10")
     assert share(shown(*steps, ("stage", ("depth", 9)))) == ("depth", "0")
+
+
+@pytest.mark.parametrize("lines", (False, True))
+def test_a_terminal_shows_the_share_of_the_stage_that_runs(lines):
+    """And no line beside it, nor the stages before."""
+    begun = ("at", ("photons", 0, 8)), ("at", ("photons", 4, 8))
+    last = all_shown(*begun, lines=lines)[-1]
+    assert "photons" in last and " 50 %" in last
+    every = all_shown(("at", ("photons", 3, 8)), ("at", ("depth", 1, 4)), lines=lines)
+    assert "depth" in every[-1] and " 25 %" in every[-1] and "photons" not in every[-1]
+    assert not any("photons: " in line for line in every)
+
+
+def test_without_a_terminal_nothing_is_shown_unless_lines_are_asked_for():
+    for lines, told in ((False, ""), (True, "photons\ndepth\n")):
+        text = io.StringIO()
+        with Bar(Console(file=text), lines=lines) as bar:
+            for stage in (("photons", 0, 8), ("photons", 8, 8), ("depth", 0, 2)):
+                bar.at(*stage)
+        assert text.getvalue() == told

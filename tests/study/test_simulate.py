@@ -341,33 +341,3 @@ def test_the_configuration_in_a_report_repeats_the_run(sensor):
         again = again.with_settings(**told["subgroup"])
         assert again.sensor == config.sensor and again.frame == config.frame
         assert again.register_writes() == config.register_writes()
-
-
-def last_shown(stages, **of_bar):
-    """Return what a terminal shows at the end of some work, and all that was written to it."""
-    text = io.StringIO()
-    with progress.Bar(Console(file=text, force_terminal=True, width=100), **of_bar) as bar:
-        for stage in stages:
-            bar.at(*stage)
-    shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text.getvalue())
-    frames = [frame for frame in re.split(r"[\r\n]", shown) if frame.strip()]
-    return frames[-1], shown
-
-
-@pytest.mark.parametrize("lines", (False, True))
-def test_a_terminal_shows_the_share_of_the_stage_that_runs(lines):
-    """And no line beside it, nor the stages before."""
-    last, shown = last_shown([("photons", 0, 8), ("photons", 4, 8)], lines=lines)
-    assert "photons" in last and " 50 %" in last
-    last, shown = last_shown([("photons", 3, 8), ("depth", 1, 4)], lines=lines)
-    assert "depth" in last and " 25 %" in last and "photons" not in last
-    assert "photons: " not in shown
-
-
-def test_without_a_terminal_nothing_is_shown_unless_lines_are_asked_for():
-    for lines, told in ((False, ""), (True, "photons\ndepth\n")):
-        text = io.StringIO()
-        with progress.Bar(Console(file=text), lines=lines) as bar:
-            for stage in (("photons", 0, 8), ("photons", 8, 8), ("depth", 0, 2)):
-                bar.at(*stage)
-        assert text.getvalue() == told

@@ -241,17 +241,24 @@ def test_scenes_of_a_sweep_reach_as_far_as_its_laser_period(tmp_path):
     assert np.all(grid(tmp_path, far).points[0].setup.scene.truth_m == 110.0)
 
 
-def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, monkeypatch):
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures that would be saved."""
+    figures = []
+    monkeypatch.setattr(
+        "coincid.study.sweep_plot.save_figure", lambda one, path: figures.append(one)
+    )
+    return figures
+
+
+def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, drawn):
     """Across is the first axis, a line each value of the second; bands span the third.
 
     Every point and every measure has a value of its own, and those of a band are skewed.
     """
-    drawn = []
-    monkeypatch.setattr("coincid.study.sweep_plot.save_figure", lambda one, path: drawn.append(one))
     axes = ("klux = [5, 50]", "subgroup.threshold = [1, 2, 3]", "seed = [1, 2, 3, 4]")
     text = "scene = 'flat:5'\n" + "\n".join(f"[[axis]]\n{axis}" for axis in axes)
-    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
-    spec = read_spec(tmp_path / "s.toml")
+    spec = grid(tmp_path, text)
     values = 1e-4 * np.arange(len(spec.points)).reshape(2, 3, 4) ** 2  # klux, threshold, seed
     found = {}
     for point in spec.points:
@@ -275,16 +282,11 @@ def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, monkeypatc
         assert len(axis.lines) == len(axis.collections) == 3
 
 
-def test_the_plot_names_what_is_across_what_the_lines_are_and_what_the_bands_span(
-    tmp_path, monkeypatch
-):
+def test_the_plot_names_what_is_across_what_the_lines_are_and_what_the_bands_span(tmp_path, drawn):
     """With units. Values of lines stand in the legend, each once."""
-    drawn = []
-    monkeypatch.setattr("coincid.study.sweep_plot.save_figure", lambda one, path: drawn.append(one))
     axes = ("klux = [5, 50]", "subgroup.window = [10, 20, 30]", "frame.clock_mhz = [400.0, 500.0]")
     text = "scene = 'flat:5'\n" + "\n".join(f"[[axis]]\n{axis}" for axis in axes)
-    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
-    spec = read_spec(tmp_path / "s.toml")
+    spec = grid(tmp_path, text)
     found = {point.key: dict.fromkeys(PANELS, 1.0) for point in spec.points}
     write_plot(tmp_path / "s.png", "a sweep", spec, found)
     (figure,) = drawn
@@ -304,13 +306,10 @@ def test_the_plot_names_what_is_across_what_the_lines_are_and_what_the_bands_spa
     [([1, 10, 19], "linear"), ([1, 10, 20], "log"), ([0, 10, 100], "linear")],
 )
 def test_the_plot_is_logarithmic_where_values_span_much_and_shows_all(
-    tmp_path, monkeypatch, values, scale
+    tmp_path, drawn, values, scale
 ):
-    drawn = []
-    monkeypatch.setattr("coincid.study.sweep_plot.save_figure", lambda one, path: drawn.append(one))
     text = f"scene = 'flat:5'\n[[axis]]\nklux = {values}\n"
-    (tmp_path / "s.toml").write_text(text, encoding="utf-8")
-    spec = read_spec(tmp_path / "s.toml")
+    spec = grid(tmp_path, text)
     write_plot(
         tmp_path / "s.png",
         "a sweep",

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What Yosys is asked for where standard cells are used: clock gates and the goal of the logic."""
+
+import re
+
+from coincid.flow.yosys import bound, cells_script
+from coincid.hdl.clock_gate import ClockGate
+from coincid.hdl.export import units_files
+from coincid.model.contract.config import load_config
+
+LARGE_GATE, SMALL_GATE = ClockGate(), ClockGate(small=True)
+
+
+def gate_drive(text):
+    """Return the drive of the cell in the Verilog of a clock gate."""
+    return int(
+        re.search(r"CLKGATE_X(\d+) gate \(\.CK\(clk\), \.E\(enable\), \.GCK\(gated\)", text)[1]
+    )
+
+
+def test_the_clock_gate_of_more_registers_is_the_stronger_cell():
+    files = units_files([LARGE_GATE, SMALL_GATE]) | {"other.v": "module other; endmodule"}
+    cells = bound(files)
+    assert cells.keys() == files.keys() and cells["other.v"] == files["other.v"]
+    large, small = (gate_drive(cells[f"{one.unit_name}.v"]) for one in (LARGE_GATE, SMALL_GATE))
+    assert large > small
+    assert "other.v" in bound({"other.v": ""}) and len(bound({"other.v": ""})) == 1
+
+
+def test_without_clock_gates_none_are_left():
+    """Also where the files had those of cells already."""
+    plain = units_files([LARGE_GATE, SMALL_GATE])
+    assert bound(bound(plain), gated=False) == plain
+    assert any("clockgate" in line for line in cells_script("top"))
+    assert not any("clockgate" in line for line in cells_script("top", gated=False))
+
+
+def test_logic_is_mapped_for_a_part_of_the_cycle():
+    """The goal of abc is in picoseconds: less than the cycle of the preset, and more than half."""
+    cycle_ps = 1e6 / load_config("silicon").clock_mhz
+    (line,) = [line for line in cells_script("top") if line.startswith("abc ")]
+    goal_ps = float(re.search(r" -D (\S+)", line)[1])
+    assert cycle_ps / 2 < goal_ps < cycle_ps
