@@ -113,8 +113,7 @@ def _of_subgroup(
     earliest = np.maximum(_gate_opens(pulse, s, config), previous)
     cycle = stamp // sensor.phases * sensor.phases
     known = np.minimum(stamp, np.maximum(earliest, cycle))
-    # No window that opened before ends later.
-    quiet_from = cycle - sensor.rearm * sensor.phases - window + 1
+    quiet_from = quiet_ticks(cycle, window, sensor.phases, sensor.rearm)
     quiet = np.minimum(known, np.maximum(earliest, quiet_from))
     joins = (previous >= 0) & (quiet <= previous + 2 * reach)
     since = np.where(joins, np.minimum(previous, quiet), NEVER)
@@ -182,6 +181,14 @@ def _gate_opens(pulse: np.ndarray, s: int, config: Config) -> np.ndarray:
         return np.zeros_like(pulse)
     in_frame = pulse % config.pulses
     return (config.gate_start[s] + gate_moved(config, in_frame)) * config.sensor.phases
+
+
+def quiet_ticks(cycle: np.ndarray, window: int, phases: int, rearm: int) -> np.ndarray:
+    """int64[n]: tick before which a window had to open, so that the tree is armed at `cycle`.
+
+    cycle: int64[n], ticks at which cycles begin.
+    """
+    return cycle - rearm * phases - window + 1
 
 
 def armed_ticks(stamp: np.ndarray, window: int | np.ndarray, config: Config) -> np.ndarray:

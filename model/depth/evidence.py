@@ -15,63 +15,28 @@ The events of a pulse constrain the firing time of each pixel of the subgroup:
   too; one with a higher number than the winner's also in the tick of the stamp.
 - Without an event nearby, it did not fire, or it left no trace (`unheard.py`).
 
-A pixel that sees a surface at time t with `light` photons per pulse fires at the first of them and
-is dead from then on. So the probability that it has fired by time u is
-
-    F(u) = 1 - exp(-light * S(u - t)),
-
-where S is the share of the pulse before a time (`pulse_ticks.py`).
+When a pixel fires, `law.py` says.
 """
 
 import math
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ..contract.parameters import OFFSET_NONE
 from ..shared.compiled import njit, part
 from ..shared.interpolation import interpolated
-from . import portable
 from .clusters import NEVER, SubgroupEvents
+from .heard import EVER, add_heard
 from .histograms import is_hit
-from .pulse_ticks import PulseTicks
+from .law import RARE, Law, by_tick, reached
 from .vector_math import fast_log
 
-RARE = 1e-6  # lowest probability: effects that the law does not include happen, too
 WON = 0  # how an event hit a pixel: it won,
 LOWER = 1  # or its number is lower than the winner's,
 HIGHER = 2  # or higher
 WAYS = 3
-KEPT = 32  # tables of F, at most: those of the next frame are mostly the same
 ALIKE = 0.2  # pixels of a minigroup are treated alike if their shares differ by less
-
-
-class Law(NamedTuple):
-    """What holds for all events of a subgroup; times in ticks.
-
-    The times of the grid are numbered from `origin`. In kernels, k0 and k1 are such numbers: the
-    first time, and the one after the last. Arrays over times and lights are flat, by time.
-    """
-
-    window: int
-    mapped: bool  # events have maps; if not, only their winners are known
-    phases: int  # ticks per cycle
-    offset: int  # ticks per step of an offset
-    reach: int  # from the centre of a pulse to its beginning and end
-    step: int  # between times of the grid
-    origin: int  # number of the first time that some pixel wants
-    lights: int  # number of lights
-    noise: float  # background photons per tick and pixel
-    alive: np.float32  # share of the pulses in which background has not fired the pixel yet
-    pulses: int
-    # Chances, float32[kinds, ...]; kind 1 is while dropping.
-    heard: np.ndarray  # [times * lights], a photon of a surface at a time makes an event
-    # [2, cycles], a photon of the cycle before, or before that one, would make the stamp of an event
-    # earlier
-    sharp: np.ndarray
-    margin: int  # of `fired_table`
-    fired: np.ndarray  # of `fired_table`
 
 
 class Pixels(NamedTuple):
@@ -101,6 +66,7 @@ class _Rows(NamedTuple):
 
     lost: np.ndarray  # probability that a photon was noticed outside the pixel's hits
     before: np.ndarray  # the same, before the present event
+    alone: np.ndarray  # the same, in an event of its own between the two
     unseen: np.ndarray  # log likelihood of no hit
     logs: np.ndarray  # log likelihood of a hit, relative to that of no hit
 
@@ -128,7 +94,7 @@ def add_events(law: Law, events: SubgroupEvents, pixels: Pixels) -> np.ndarray:
     What they say about hits is added to `pixels`. In each cluster of events, a pixel's first hit
     counts.
     """
-    length = law.heard.shape[1]
+    length = law.heard.mean.shape[1]
     times = length // law.lights
     wanted = np.zeros(times + 1, np.int64)
     silent = np.zeros((2, times + 1), np.int64)
@@ -136,6 +102,7 @@ def add_events(law: Law, events: SubgroupEvents, pixels: Pixels) -> np.ndarray:
     rows = _Rows(
         lost=np.empty(length, np.float32),
         before=np.empty(length, np.float32),
+        alone=np.empty(length, np.float32),
         unseen=np.empty(length, np.float32),
         logs=np.empty(length, np.float32),
     )
@@ -197,15 +164,15 @@ def _add_silent(law: Law, silent: np.ndarray, numbers: np.ndarray, common: np.nd
     """
     lights = law.lights
     times = silent.shape[1] - 1
-    fired = law.fired[_by_tick(law, -NEVER, 0, times)]
-    for dropping in range(len(law.heard)):
+    fired = law.fired[by_tick(law, -NEVER, 0, times)]
+    for dropping in range(len(law.heard.mean)):
         number = 0
         for k in range(times):
             number += silent[dropping, k]
             for j in range(k * lights, (k + 1) * lights):
                 numbers[j] = number
         for j in range(len(common)):
-            unheard = np.float32(1) - law.heard[dropping, j] * fired[j]
+            unheard = np.float32(1) - law.heard.mean[dropping, j] * fired[j]
             common[j] += numbers[j] * fast_log(max(np.float32(RARE), unheard))
 
 
@@ -237,7 +204,7 @@ def _add_cluster(
         _lose(law, events, e, rows.lost, k0, k1)
     following = min(end, len(events.pulse) - 1)  # after the last event, its own `overrun` counts
     if not events.overrun[following]:
-        _lose_after(law, events.armed[end - 1], rows.lost, k0, k1)
+        add_heard(law, events.armed[end - 1], EVER, rows.lost, k0, k1)
     _not_lost(rows.lost[here], np.float32(len(alike)), rows.unseen[here], common[here])
     cluster = _Cluster(begin, end, alike)
     for e in range(begin, end):
@@ -267,22 +234,28 @@ def _lose(law: Law, events: SubgroupEvents, e: int, lost: np.ndarray, k0: int, k
     have fired after the stamp's tick.
     """
     here = slice(k0 * law.lights, k1 * law.lights)
-    stored = np.float32(not events.overrun[e])
     alive = law.alive
-    heard = law.heard[0, here]
     late, early, between = _sharp_before(law, events, e)
-    since = law.fired[_by_tick(law, events.since[e], k0, k1)]
-    quiet = law.fired[_by_tick(law, events.quiet[e], k0, k1)]
-    known = law.fired[_by_tick(law, events.known[e], k0, k1)]
-    middle = law.fired[_by_tick(law, between, k0, k1)]
+    quiet = law.fired[by_tick(law, events.quiet[e], k0, k1)]
+    known = law.fired[by_tick(law, events.known[e], k0, k1)]
+    middle = law.fired[by_tick(law, between, k0, k1)]
     told_until = events.stamp[e] + (law.window if law.mapped else 1)
-    told = law.fired[_by_tick(law, told_until, k0, k1)]
-    lost = lost[here]
-    for j in range(len(lost)):
+    told = law.fired[by_tick(law, told_until, k0, k1)]
+    total = lost[here]
+    for j in range(len(total)):
         in_window = alive * (told[j] - known[j])
         earlier = late * (known[j] - middle[j]) + early * (middle[j] - quiet[j])
-        alone = stored * heard[j] * (quiet[j] - since[j])
-        lost[j] += in_window + earlier + alone
+        total[j] += in_window + earlier
+    _lose_alone(law, events, e, lost, k0, k1)
+
+
+@part
+def _lose_alone(
+    law: Law, events: SubgroupEvents, e: int, lost: np.ndarray, k0: int, k1: int
+) -> None:
+    """Add to `lost` the photons that would have made an event of their own before event e."""
+    if not events.overrun[e]:
+        add_heard(law, events.since[e], events.quiet[e], lost, k0, k1)
 
 
 @part
@@ -294,21 +267,6 @@ def _sharp_before(law: Law, events: SubgroupEvents, e: int) -> tuple[np.float32,
     dropping = np.int64(events.overrun[e])
     between = max(events.quiet[e], min(events.known[e], (cycle - 1) * law.phases))
     return law.sharp[dropping, 0, cycle], law.sharp[dropping, 1, cycle], between
-
-
-@part
-def _lose_after(law: Law, armed: int, lost: np.ndarray, k0: int, k1: int) -> None:
-    """Add the silence after the last event of a pulse to `lost`.
-
-    armed: tick from which on the tree is.
-    """
-    here = slice(k0 * law.lights, k1 * law.lights)
-    heard = law.heard[0, here]
-    by_then = law.fired[_by_tick(law, armed, k0, k1)]
-    ever = law.fired[_by_tick(law, -NEVER, k0, k1)]
-    lost = lost[here]
-    for j in range(len(lost)):
-        lost[j] += heard[j] * (ever[j] - by_then[j])
 
 
 @part
@@ -339,6 +297,8 @@ def _add_hits(
     first_hit = reached(law, events.known[e], events.stamp[e] + law.window, k1)[0]
     k0 = max(k0, first_hit)  # for earlier surfaces, a hit is like none
     hit_pixels = _count(events, e, cluster.alike, pixels)
+    rows.alone[k0 * law.lights : k1 * law.lights] = 0
+    _lose_alone(law, events, e, rows.alone, k0, k1)
     groups = 1
     if len(events.shares):
         groups = events.offset.shape[1]
@@ -394,8 +354,8 @@ def _add_others(
         for i in range(events.winner[x] + 1, len(number)):
             number[i] += 1
     here = slice(k0 * law.lights, k1 * law.lights)
-    begin = law.fired[_by_tick(law, events.stamp[e], k0, k1)]
-    until = law.fired[_by_tick(law, events.stamp[e] + 1, k0, k1)]
+    begin = law.fired[by_tick(law, events.stamp[e], k0, k1)]
+    until = law.fired[by_tick(law, events.stamp[e] + 1, k0, k1)]
     lost = rows.lost[here]
     unseen = rows.unseen[here]
     logs = rows.logs[here]
@@ -481,18 +441,16 @@ def _row(
     likelihood of no hit, which all pixels get. What precedes the hit is as in `_lose`.
     """
     here = slice(k0 * law.lights, k1 * law.lights)
-    stored = np.float32(not events.overrun[e])
     alive = law.alive
-    heard = law.heard[0, here]
     late, early, between = _sharp_before(law, events, e)
-    since = law.fired[_by_tick(law, events.since[e], k0, k1)]
-    quiet = law.fired[_by_tick(law, events.quiet[e], k0, k1)]
-    known = law.fired[_by_tick(law, events.known[e], k0, k1)]
-    middle = law.fired[_by_tick(law, between, k0, k1)]
-    begin = law.fired[_by_tick(law, hit.begin, k0, k1)]
-    own = law.fired[_by_tick(law, hit.own, k0, k1)]
-    until = law.fired[_by_tick(law, hit.until, k0, k1)]
+    quiet = law.fired[by_tick(law, events.quiet[e], k0, k1)]
+    known = law.fired[by_tick(law, events.known[e], k0, k1)]
+    middle = law.fired[by_tick(law, between, k0, k1)]
+    begin = law.fired[by_tick(law, hit.begin, k0, k1)]
+    own = law.fired[by_tick(law, hit.own, k0, k1)]
+    until = law.fired[by_tick(law, hit.until, k0, k1)]
     before = rows.before[here]
+    alone = rows.alone[here]
     unseen = rows.unseen[here]
     logs = rows.logs[here]
     ticks = share * (hit.own - hit.begin) + (1 - share) * (hit.until - hit.begin)
@@ -501,9 +459,8 @@ def _row(
     for j in range(len(logs)):
         in_window = alive * (begin[j] - known[j])
         earlier = late * (known[j] - middle[j]) + early * (middle[j] - quiet[j])
-        alone = stored * heard[j] * (quiet[j] - since[j])
-        lost = in_window + earlier + alone
-        unnoticed = max(np.float32(RARE), np.float32(1) - before[j] - lost)
+        lost = before[j] + in_window + earlier + alone[j]
+        unnoticed = max(np.float32(RARE), np.float32(1) - lost)
         inside = until[j] + share * (own[j] - until[j]) - begin[j]
         logs[j] = fast_log(weight * inside + unnoticed) - unseen[j]
 
@@ -592,71 +549,3 @@ def _unfired(distance: float, light: float, shape: Shape) -> float:
     if len(shape.times):
         return math.exp(-light * interpolated(distance, shape.times, shape.shares))
     return math.exp(-light * 0.5 * math.erfc(-distance / shape.sigma * math.sqrt(0.5)))
-
-
-@lru_cache(KEPT)
-def fired_table(
-    pulse: PulseTicks, reach: int, step: int, span: int, lights: tuple[float, ...]
-) -> tuple[int, np.ndarray]:
-    """Return a margin, and F for ticks u and times t of a grid: float32[step * columns * lights].
-
-    It is ordered by row and column. Row r is for ticks u with (u + reach) % step = r. Then F for
-    consecutive times is a contiguous part of the row: its column is `margin`, less the number of
-    steps from t to u + reach. `margin` columns to both sides are enough for `span` times.
-    """
-    distance = np.arange(-2 * reach, 2 * reach + 1) / 2
-    reached_by = pulse.share_before(distance)[:, None]
-    fired = -portable.expm1(-reached_by * np.array(lights)).astype(np.float32)
-    margin = span + 2 * reach // step + 2
-    columns = margin - np.arange(2 * margin + span)
-    half_ticks = 2 * np.arange(step)[:, None] + step * (2 * columns - 1)
-    return margin, fired[np.clip(half_ticks, 0, 4 * reach)].ravel()
-
-
-@njit(error_model="numpy")
-def chances_to_be_heard(law: Law, silent: np.ndarray, every: int, span: int) -> np.ndarray:
-    """float32[kinds, span * lights]: `Law.heard`: means over the times at which a pixel fires.
-
-    silent: float32[kinds, points], as in `Unheard`, a point for every `every` ticks. span: number
-    of times.
-    """
-    heard = np.zeros((len(silent), span * law.lights), np.float32)
-    fired = np.zeros(span * law.lights, np.float32)
-    points = silent.shape[1]
-    for p in range(points):
-        begin = p * every
-        k0, k1 = reached(law, begin, begin + every, span)
-        if k0 >= k1:
-            continue
-        by_begin = law.fired[_by_tick(law, begin if p else NEVER, k0, k1)]
-        by_end = law.fired[_by_tick(law, begin + every if p < points - 1 else -NEVER, k0, k1)]
-        here = fired[k0 * law.lights : k1 * law.lights]
-        for j in range(len(here)):
-            here[j] += by_end[j] - by_begin[j]
-        for kind in range(len(silent)):
-            chance = np.float32(1) - silent[kind, p]
-            line = heard[kind, k0 * law.lights : k1 * law.lights]
-            for j in range(len(line)):
-                line[j] += chance * (by_end[j] - by_begin[j])
-    for kind in range(len(silent)):
-        for j in range(len(fired)):
-            heard[kind, j] *= law.alive / max(fired[j], np.float32(RARE))
-    return heard
-
-
-@part
-def reached(law: Law, begin: int, end: int, times: int) -> tuple[Any, Any]:
-    """Return the times, of so many, of surfaces whose photons come between two ticks: k0 and k1."""
-    k0 = (begin - law.reach) // law.step - law.origin
-    k1 = (end + law.reach) // law.step + 1 - law.origin
-    return min(times, max(0, k0)), min(times, max(0, k1))
-
-
-@part
-def _by_tick(law: Law, tick: int, k0: int, k1: int) -> slice:
-    """Return where `law.fired` has F at a tick, for surfaces at times k0 to k1 and all lights."""
-    steps = (tick + law.reach) // law.step
-    column = min(max(law.margin - steps + law.origin + k0, 0), 2 * law.margin)
-    row = tick + law.reach - steps * law.step
-    begin = row * (len(law.fired) // law.step) + column * law.lights
-    return slice(begin, begin + (k1 - k0) * law.lights)

@@ -14,6 +14,7 @@ from .evidence import Pixels
 from .vector_math import fast_exp, fast_log, top_of
 
 LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
+BESIDE_SHARE = 0.25  # of the share of a light, that the one before and the one after it get each
 LEARNING_ROUNDS = 30  # in which the shares of the lights converge, from each pixel alone,
 ROUNDS_ON_SURFACES = 60  # and from pixels that see one surface
 OFF_SIGMAS = 0.9  # of a pulse: standard deviation of what surfaces are off with such a prior,
@@ -40,14 +41,15 @@ def lights_near(known: np.ndarray, lights: np.ndarray) -> slice:
     return slice(max(0, low - 1), min(len(lights), high + 1))
 
 
-def prior_of_met(prior: np.ndarray) -> np.ndarray:
-    """Return the prior for windows that met a threshold above 1: no light counts as rarer than a
-    brighter one.
+def prior_in_doubt(prior: np.ndarray, doubt: float) -> np.ndarray:
+    """Return the prior for windows that met a threshold above 1, if their law is in doubt: no light
+    counts as rarer than a brighter one.
 
-    Among these windows, dark pixels are hit more often than the law says, and look brighter than
-    they are.
+    If such windows are rejected less often than the law says, pixels look brighter than they are.
+    doubt: from 0, where the prior stays as it is, to 1.
     """
-    return np.maximum.accumulate(prior[::-1])[::-1]
+    met = np.maximum.accumulate(prior[::-1])[::-1]
+    return prior + np.float32(doubt) * (met - prior)
 
 
 def learned_prior(chance: np.ndarray) -> np.ndarray:
@@ -82,8 +84,19 @@ def _likeliest_prior(
     share = np.full(lights, 1 / lights)
     for _ in range(rounds if number else 0):
         share = share * _gain(chance, bounds, weight, share) / number
-    share += LIGHT_FLOOR
+    share = _between_steps(share) + LIGHT_FLOOR
     return portable.log(share / share.sum()).astype(np.float32)
+
+
+def _between_steps(share: np.ndarray) -> np.ndarray:
+    """Return the shares of the lights, float64[lights], for pixels whose light is between two steps.
+
+    Most shares go to the step that is nearest to the lights of the pixels. Without their neighbours,
+    a pixel between two steps would be taken for darker or brighter than it is, and so for nearer or
+    farther away.
+    """
+    beside = np.pad(share, 1, mode="edge")
+    return BESIDE_SHARE * (beside[:-2] + beside[2:]) + (1 - 2 * BESIDE_SHARE) * share
 
 
 def measured_prior(signal: np.ndarray, error: np.ndarray, lights: np.ndarray) -> np.ndarray:

@@ -6,8 +6,10 @@ All of this is our own choice; the paper (IV) takes the peak of every pixel's hi
 likelihoods are relative to a pixel that sees no surface, whose hits are background. The stages are:
 
 1. cut the events of each subgroup into clusters (`clusters.py`);
-2. compute how often a pixel that fires leaves no trace (`unheard.py`);
-3. add up what the events say about each time and light of a pixel (`evidence.py`);
+2. compute how often a pixel that fires leaves no trace (`unheard.py`), and from it the chance that a
+   photon of a surface makes an event (`heard.py`);
+3. with the law of a subgroup (`law.py`), add up what the events say about each time and light of a
+   pixel (`evidence.py`);
 4. learn how bright the pixels of the frame are, and average over the lights (`lights.py`).
 """
 
@@ -21,17 +23,10 @@ from ..contract.config import Config
 from ..contract.pixels import pixel_table
 from . import portable
 from .clusters import SubgroupEvents, cluster_events
-from .evidence import (
-    WAYS,
-    Law,
-    Pixels,
-    Shape,
-    add_events,
-    chances_to_be_heard,
-    fired_table,
-    first_shares,
-)
+from .evidence import WAYS, Pixels, Shape, add_events, first_shares
+from .heard import heard_in, nothing_heard
 from .histograms import Events, by_subgroup
+from .law import Law, fired_table
 from .lights import (
     OFFSETS_SIGMAS,
     add_chances_on_surfaces,
@@ -39,7 +34,7 @@ from .lights import (
     learned_prior,
     lights_near,
     mean_over_lights,
-    prior_of_met,
+    prior_in_doubt,
     prior_on_surfaces,
 )
 from .others import OwnWindows, moves_with_others
@@ -175,7 +170,7 @@ def log_likelihood(
     def average(s: int, prior: np.ndarray, evidence: _Evidence) -> None:
         own_prior = prior
         if events.mapped and events.threshold[s] > 1:
-            own_prior = prior_of_met(prior)
+            own_prior = prior_in_doubt(prior, never.doubt[s])
         own_prior = np.ascontiguousarray(own_prior[lights[s]])
         lightest = lights[s].start
         common, pixels = evidence
@@ -243,7 +238,6 @@ def _law(frame: _Frame, s: int) -> Law:
     alive = np.float32(frame.alive[s])
     kinds = 1 + int(frame.clusters[s].overrun.any())
 
-    none = np.empty((0, 0), np.float32)
     law = Law(
         window=window,
         mapped=events.mapped,
@@ -256,13 +250,13 @@ def _law(frame: _Frame, s: int) -> Law:
         noise=float(frame.noise[s]),
         alive=alive,
         pulses=frame.pulses,
-        heard=none,
-        sharp=none,
+        heard=nothing_heard(),
+        sharp=np.empty((0, 0, 0), np.float32),
         margin=margin,
         fired=fired,
     )
     return law._replace(
-        heard=chances_to_be_heard(law, never.missed[:kinds, s], never.every, span),
+        heard=heard_in(law, never.missed[:kinds, s], never.every, span, config),
         sharp=law.alive * (1 - _blind_before(never.blind[:kinds, s], never.every, window, config)),
     )
 

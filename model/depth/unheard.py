@@ -27,9 +27,9 @@ from ..contract.config import Config
 from ..shared.compiled import njit, part
 from . import portable
 from .clusters import armed_ticks
-from .evidence import RARE
 from .gates import open_share_by_tick
 from .histograms import Events
+from .law import RARE
 from .pulse_ticks import PulseTicks
 from .tree import Tree, kept_shares, light_by_tick, light_scale, unheard_in
 from .vector_math import fast_log
@@ -56,6 +56,7 @@ class Unheard(NamedTuple):
     missed: np.ndarray  # its window misses the threshold, finds the tree not armed, or is dropped
     blind: np.ndarray  # it finds the tree not armed, when a window would have been noticed
     every: int  # ticks from point to point
+    doubt: np.ndarray  # float64[subgroups], of the light that they follow from, from 0 to 1
 
 
 class Guess(NamedTuple):
@@ -159,6 +160,7 @@ def unheard_in_light(
                 _leave_no_trace_dropping(
                     of_ticks, kept, unarmed, near, none, never.every, missed[1], blind[1]
                 )
+        never.doubt[s] = min(1.0, (1 - trust) / (1 - TRUST_MAX))
         if trust < TRUST_MAX:
             share = np.float32(trust)
             missed[:kinds] = _mixed(rough.missed[:kinds, s], missed[:kinds], share)
@@ -187,7 +189,12 @@ def _none_yet(config: Config, pulse: PulseTicks) -> Unheard:
     """Return probabilities to be filled."""
     every = max(1, int(pulse.sigma))
     shape = 2, config.sensor.subgroups, -(-config.period_ticks // every)
-    return Unheard(np.empty(shape, np.float32), np.empty(shape, np.float32), every)
+    return Unheard(
+        missed=np.empty(shape, np.float32),
+        blind=np.empty(shape, np.float32),
+        every=every,
+        doubt=np.ones(config.sensor.subgroups),
+    )
 
 
 def _mixed(rough: np.ndarray, lit: np.ndarray, share: np.float32) -> np.ndarray:

@@ -12,7 +12,7 @@ from coincid.model.depth.lights import (
     OFFSETS_SIGMAS,
     learned_prior,
     lights_near,
-    prior_of_met,
+    prior_in_doubt,
     prior_on_surfaces,
 )
 
@@ -20,11 +20,25 @@ LIGHTS = np.geomspace(1e-3, 10.0, 20)
 
 
 @given(prior=arrays(np.float32, 20, elements=st.floats(-20, 0, width=32)))
-def test_no_light_counts_as_rarer_than_a_brighter_one(prior):
-    met = prior_of_met(prior)
-    assert np.all(np.diff(met) <= 0)
+def test_no_light_counts_as_rarer_than_a_brighter_one_where_the_law_is_in_doubt(prior):
+    met = prior_in_doubt(prior, 1.0)
+    assert np.all(np.diff(met) <= 1e-5)
     for light in range(20):
-        assert met[light] == prior[light:].max()
+        assert met[light] == pytest.approx(prior[light:].max(), abs=1e-5)
+    assert np.array_equal(prior_in_doubt(prior, 0.0), prior)
+    assert prior_in_doubt(prior, 0.25) == pytest.approx(prior + (met - prior) / 4, abs=1e-5)
+
+
+def test_the_shares_of_lights_reach_the_steps_beside_them():
+    """Pixels between two steps are all nearest to one; the other must not be ruled out for them."""
+    chance = np.zeros((10, 7), np.float32)
+    chance[:, 3] = 1.0
+    shares = np.exp(learned_prior(chance))
+    assert shares[[2, 3, 4]] == pytest.approx([0.25 / 1.07, 0.51 / 1.07, 0.26 / 1.07], abs=0.02)
+    assert shares[[0, 1, 5, 6]] == pytest.approx([0.01 / 1.07] * 4, abs=1e-3)
+    chance = np.zeros((10, 7), np.float32)
+    chance[:, 0] = 1.0
+    assert np.exp(learned_prior(chance))[[0, 1]] == pytest.approx([0.71, 0.24], abs=0.02)
 
 
 @given(known=arrays(np.float64, st.integers(1, 5), elements=st.floats(1e-3, 10.0)))
@@ -60,9 +74,9 @@ def test_pixels_that_see_one_surface_tell_their_lights_together():
         chance[pixel, surface + (-3 if bright else 3), 1] = 1
     alone = np.exp(learned_prior(chance.sum(axis=1)))
     assert np.argmax(alone) == 1
-    assert alone[1] > 0.9
+    assert alone == pytest.approx([0.25, 0.5, 0.25], abs=0.03)
     together = np.exp(prior_on_surfaces(chance, np.repeat(np.arange(10), 4)))
-    assert together[[0, 2]] == pytest.approx([0.5, 0.5], abs=0.03)
+    assert together == pytest.approx([0.375, 0.25, 0.375], abs=0.03)
     assert together.sum() == pytest.approx(1)
 
 

@@ -42,11 +42,21 @@ def tilted(near_m=6.0, reflectivity=0.4):
 
 
 def estimate(
-    scene, klux=20.0, *, frame=None, subgroup=None, override=(), sensor=None, spad=None, **options
+    scene,
+    klux=20.0,
+    *,
+    frame=None,
+    subgroup=None,
+    override=(),
+    sensor=None,
+    spad=None,
+    seed=1,
+    **options,
 ):
     sensor = {"rows": scene.rows, "cols": scene.cols} | (sensor or {})
     config = configured(sensor, frame, subgroup, *override)
-    return Run(Setup(config=config, scene=scene, klux=klux, spad=spad or Spad())).depth(**options)
+    setup = Setup(config=config, scene=scene, klux=klux, spad=spad or Spad(), seed=seed)
+    return Run(setup).depth(**options)
 
 
 def test_no_pixel_is_hot_among_masked_ones():
@@ -331,9 +341,12 @@ def test_offsets_tell_more_than_maps():
     """The error that all pixels share is left out: it is one random number per frame."""
     scene, errors = tilted(), []
     for form, wrong_max in (("short", 0.5), ("id", 0.05), ("full", 0.05)):
-        depth = estimate(scene, frame={"format": form}, sensor={"streams": 6})
-        assert share(depth, scene) < wrong_max
-        errors.append((depth.depth_m[:, :, 0] - scene.truth_m).std())
+        of_frames = []
+        for seed in (0, 1, 2):
+            depth = estimate(scene, frame={"format": form}, sensor={"streams": 6}, seed=seed)
+            assert share(depth, scene) < wrong_max
+            of_frames.append((depth.depth_m[:, :, 0] - scene.truth_m).std())
+        errors.append(np.mean(of_frames))
     assert errors == sorted(errors, reverse=True)
 
 
@@ -380,7 +393,7 @@ def test_no_confidence_where_a_pixel_rules_out_its_plane():
     light = Light(
         rows=16, cols=16, distance_m=[[4.0, 4.9]], signal_per_pulse=signal, background_cps=2.5e5
     )
-    depth = Run(Setup.of(sensor={"rows": 16, "cols": 16}, light=light, seed=0)).depth()
+    depth = Run(Setup.of(sensor={"rows": 16, "cols": 16}, light=light, seed=4)).depth()
     ruled_out = np.isnan(depth.error_m[:, :, 0])
     assert (
         ruled_out.any()
