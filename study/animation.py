@@ -3,14 +3,13 @@
 
 import io
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from ..lab.outcomes import Frame
 from ..model.shared.errors import InputError
-from ..model.shared.files import FilePath, whole_file
+from ..model.shared.files import FilePath, check_path, whole_file
 from .pictures import Panel, draw_row
 from .plot_style import figure_bytes
 
@@ -20,7 +19,7 @@ FORMATS = {".gif": "GIF", ".png": "PNG"}  # an animated PNG
 
 def check_animation(path: FilePath) -> str:
     """Return the format of an animation by its suffix. Raises `InputError`."""
-    suffix = Path(path).suffix.lower()
+    suffix = check_path(path).suffix.lower()
     if suffix not in FORMATS:
         raise InputError(f"{path}: must end with {' or '.join(FORMATS)}", field="path")
     return FORMATS[suffix]

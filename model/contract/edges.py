@@ -4,13 +4,12 @@
 import enum
 import os
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from attrs import evolve, frozen
 
 from ..shared.errors import InputError, check_integer
-from ..shared.files import FilePath, read_npz, write_npz
+from ..shared.files import FilePath, check_path, read_npz, write_npz
 
 
 class Fate(enum.IntEnum):
@@ -90,7 +89,7 @@ def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -
     frames). An array `offset_ps` may give the position of each edge in its tick. Raises
     `InputError` with the array, its first bad element and the legal range.
     """
-    suffix = Path(path).suffix.lower()
+    suffix = check_path(path).suffix.lower()
     if suffix in OTHER_SUFFIXES and os.path.exists(path):
         raise InputError(f"{path}: is read as NPZ; coincid edges makes one of a {suffix} file")
     for name, limit in (("pixels", pixels), ("pulses", pulses), ("period_ticks", period_ticks)):
@@ -109,6 +108,8 @@ def checked_edges(
     """
     for name in NAMES:
         array = arrays[name]
+        if np.ma.is_masked(array):
+            raise InputError(f"{source}{name}: has masked elements, must have none", field=name)
         if array.ndim != 1:
             raise InputError(
                 f"{source}{name}: has {array.ndim} dimensions, must have 1", field=name

@@ -3,6 +3,7 @@
 
 import csv
 import os
+import stat
 import tempfile
 import textwrap
 import zipfile
@@ -13,12 +14,22 @@ from typing import IO, Any, TypeAlias
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, wrong_value
 from .spool import Block, Spool
 
 FilePath: TypeAlias = str | os.PathLike[str]
 NPY_START = b"\x93NUMPY"  # first bytes of a file with a single array
 SAID_MAX = 200  # letters of what a library says of a damaged file, which may contain parts of it
+BESIDE_MAX = (
+    40  # letters of a file's name in that of the file beside it, which must not be too long
+)
+
+
+def check_path(path: Any) -> Path:
+    """Return the path of a text or a path; bytes are none. Raises `InputError`."""
+    if not isinstance(path, str | os.PathLike):
+        raise wrong_value("path", path, "the name of a file: a str or a Path")
+    return Path(path)
 
 
 @contextmanager
@@ -26,12 +37,14 @@ def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
     """Open a file beside `path`, and rename it to `path` if the block ends well; after an
     exception nothing is left.
 
-    Raises `InputError` if the folder cannot be written to.
+    Raises `InputError` if the folder cannot be written to, or the name is that of no file.
     """
-    path = Path(path)
+    path = check_path(path)
+    check_replaceable(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, beside = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        prefix = f".{path.name[:BESIDE_MAX]}."
+        handle, beside = tempfile.mkstemp(prefix=prefix, dir=path.parent)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
     except ValueError:  # a NUL byte
@@ -48,6 +61,19 @@ def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
         if isinstance(error, OSError):
             raise InputError(f"{path}: cannot be written: {error.strerror}") from None
         raise
+
+
+def check_replaceable(path: Path) -> None:
+    """Raise `InputError` if there is something under this name that is no file, such as a device or
+    a pipe: to replace it would break other programs.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):  # there is nothing, or no name
+        return
+    if not stat.S_ISREG(mode):
+        what = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
+        raise InputError(f"{path}: cannot be written: is {what}, must be a file", field="path")
 
 
 @contextmanager
@@ -79,7 +105,7 @@ def check_suffix(path: FilePath, suffix: str) -> None:
     """Raise `InputError` if the name of a file to be written promises another format than that of
     `suffix`.
     """
-    if Path(path).suffix.lower() != suffix:
+    if check_path(path).suffix.lower() != suffix:
         raise InputError(f"{path}: must end with {suffix}", field="path")
 
 
@@ -138,7 +164,7 @@ def read_npz(
 
     Raises `InputError` if the file is missing, damaged, not an NPZ, or lacks one of `names`.
     """
-    path = Path(path)
+    path = check_path(path)
     with reading(path, "NPZ file"):
         with path.open("rb") as file:
             start = file.read(len(NPY_START))
