@@ -180,7 +180,7 @@ class Light:
         check_kind("arrivals", self.arrivals, Arrivals, NoneType)
         check_kind("interferer", self.interferer, Interferer, NoneType)
         for name in ("distance_m", "signal_per_pulse", "system_fwhm_s"):
-            array = np.asarray(getattr(self, name))
+            array = np.asanyarray(getattr(self, name))  # with its mask
             object.__setattr__(self, name, array[:, None] if array.ndim == 1 else array)
         targets = max(self.distance_m.shape[-1:] + self.signal_per_pulse.shape[-1:], default=1)
         per_target = (self.pixels, targets)
@@ -252,7 +252,7 @@ class Light:
         broadcast to it. klux: ambient light, a number or float64[rows, cols]. background: one of
         `BACKGROUNDS`. others: fields of `Light`.
         """
-        distance_m = np.asarray(distance_m, dtype=np.float64)
+        distance_m = np.asanyarray(distance_m, dtype=np.float64)
         if distance_m.ndim not in (2, 3):
             raise InputError(
                 f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets"

@@ -157,7 +157,8 @@ def _picture_scene(
     if colour is not None:
         albedo = _at_samples(colour, _read_reflectivity(colour), (height, width))
     elif np.ndim(reflectivity):
-        albedo = real_array("reflectivity", reflectivity, (height, width), 0, 1)
+        told = _told_where_seen(reflectivity, stored.hidden)
+        albedo = real_array("reflectivity", told, (height, width), 0, 1)
     else:
         notes.append(
             f"{path}: reflectivity {reflectivity:g} everywhere, because no colour picture is given"
@@ -171,6 +172,17 @@ def _picture_scene(
         doubts=doubts,
         notes=tuple(notes),
     )
+
+
+def _told_where_seen(
+    reflectivity: float | np.ndarray, hidden: np.ndarray | bool
+) -> float | np.ndarray:
+    """Return reflectivities without the mask of those whose samples have no depth, which nothing
+    reads. hidden: bool of a picture, by the mask of its distances.
+    """
+    if not isinstance(reflectivity, np.ma.MaskedArray) or reflectivity.shape != np.shape(hidden):
+        return reflectivity
+    return np.where(hidden, 0.0, reflectivity.astype(np.float64).filled(np.nan))
 
 
 def _doubts(stored: Stored, sample_m: np.ndarray, better: str) -> tuple[str, ...]:

@@ -62,12 +62,12 @@ def real_array(
     nan: bool = False,
 ) -> np.ndarray:
     """Return `value` as a read-only float64 array of `shape` (by broadcasting) within [`low`,
-    `high`], or NaN with `nan`.
+    `high`], or NaN with `nan`. What the mask of an array hides is NaN.
     """
     try:
         if np.iscomplexobj(value):
             raise TypeError
-        array = np.asarray(value, dtype=np.float64)
+        array = np.asarray(_shown(value), dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise InputError(
             f"{name}: must hold numbers {_range(low, high)}", field=name, low=low, high=high
@@ -88,6 +88,13 @@ def real_array(
         raise InputError(message, field=name, low=low, high=high)
     array.flags.writeable = False
     return array
+
+
+def _shown(value: ArrayLike) -> ArrayLike:
+    """Return an array with NaN in place of what its mask hides."""
+    if isinstance(value, np.ma.MaskedArray):
+        return np.where(np.ma.getmaskarray(value), np.nan, np.ma.getdata(value))
+    return value
 
 
 def given(value: ArrayLike) -> np.ndarray:
