@@ -116,7 +116,9 @@ class Setting:
         if self.kind is Kind.SIZE:
             text = f"[{text.strip('[]').replace('x', ',')}]"
         try:
-            return tomllib.loads(f"value = {text}")["value"]
+            document = tomllib.loads(f"value = {text}")
+            # further lines may name further keys
+            return document["value"] if len(document) == 1 else text
         except (ValueError, RecursionError):  # no TOML, or more than Python reads
             return text
 
