@@ -14,6 +14,7 @@ BAD_INPUT = 2
 SIGNALS = signal.SIGINT, signal.SIGTERM
 STDERR = 2  # number of the last of the standard files
 SIZES = "COLUMNS", "LINES"  # of a terminal, in the environment
+EPOCH = "SOURCE_DATE_EPOCH"  # of builds, in the environment
 SIZE_MAX = 999  # tables fill wider terminals with spaces, if need be gigabytes
 
 
@@ -75,6 +76,7 @@ def _command() -> int | str | None:
     # Pictures are files; the surroundings may name a way to windows that is not there.
     os.environ["MPLBACKEND"] = "agg"
     _bound_terminal()
+    _forget_bad_epoch()
     interruptible()
     from coincid.cli import app
 
@@ -91,6 +93,13 @@ def _bound_terminal() -> None:
         told = os.environ.get(name, "")
         if len(told) > len(str(SIZE_MAX)) or not told.isascii():
             os.environ[name] = str(SIZE_MAX)
+
+
+def _forget_bad_epoch() -> None:
+    """Remove a time of the build that is no number, which libraries read while they are imported."""
+    told = os.environ.get(EPOCH, "0")
+    if not (told.isascii() and told.isdecimal()):
+        del os.environ[EPOCH]
 
 
 def _replace_closed_files() -> None:
