@@ -24,7 +24,6 @@ from typer.core import TyperGroup
 from coincid.lab.options import OPTIONS
 from coincid.model.contract.preset_files import PRESETS
 from coincid.model.shared.errors import SEED_MAX, InputError, check_integer, extra
-from coincid.model.shared.files import check_replaceable
 from coincid.model.shared.interrupts import exit_code
 
 if TYPE_CHECKING:
@@ -993,6 +992,8 @@ def _config(
 
 def _file(path: Path) -> Path:
     """Return `path` if a file can be written there. Nothing is written yet."""
+    from coincid.model.shared.files import check_replaceable
+
     if os.path.isdir(path):
         raise InputError(f"out = {str(path)!r}: is a folder, must be a file")
     check_replaceable(path)
