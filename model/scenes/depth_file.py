@@ -182,7 +182,8 @@ def _told_where_seen(
     """
     if not isinstance(reflectivity, np.ma.MaskedArray) or reflectivity.shape != np.shape(hidden):
         return reflectivity
-    return np.where(hidden, 0.0, reflectivity.astype(np.float64).filled(np.nan))
+    told = np.where(np.ma.getmaskarray(reflectivity), np.nan, np.ma.getdata(reflectivity))
+    return np.where(hidden, 0.0, told)
 
 
 def _doubts(stored: Stored, sample_m: np.ndarray, better: str) -> tuple[str, ...]:
