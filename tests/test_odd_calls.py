@@ -13,7 +13,7 @@ import pytest
 
 import coincid
 from coincid.model.contract.config import changes_of_text
-from coincid.model.contract.edges import Edges
+from coincid.model.contract.edges import checked_edges
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.files import whole_file
 
@@ -77,11 +77,11 @@ def test_a_reflectivity_may_be_hidden_where_the_distance_is(pictures):
 
 
 @pytest.mark.parametrize("name", ["pulse", "pixel", "tick"])
-def test_hidden_edges_are_refused(name):
+def test_columns_of_edges_with_hidden_elements_are_refused(name):
     columns = {one: np.array([0, 1]) for one in ("pulse", "pixel", "tick")}
     columns[name] = np.ma.array(columns[name], mask=[False, True])
     with pytest.raises(InputError, match=f"{name}: has masked elements"):
-        coincid.replay("golden", coincid.parse_config({}), Edges(**columns))
+        checked_edges(columns, pixels=2, pulses=2, period_ticks=2)
 
 
 @pytest.fixture(scope="module")
