@@ -148,9 +148,9 @@ def checked_for(config: Config, edges: Edges) -> Edges:
     The engines would read beyond their arrays, or disagree.
     """
     check_kind("edges", edges, Edges)
-    arrays = {name: np.asarray(getattr(edges, name)) for name in NAMES}
+    arrays = {name: np.asanyarray(getattr(edges, name)) for name in NAMES}
     if edges.offset_ps is not None:
-        arrays["offset_ps"] = np.asarray(edges.offset_ps)
+        arrays["offset_ps"] = np.asanyarray(edges.offset_ps)
     return checked_edges(
         arrays,
         pixels=config.sensor.array_pixels,

@@ -14,7 +14,7 @@ from ..shared.files import FilePath, GrowingNpz, read_npz, write_npz
 from .config import Config
 from .counters import COUNTER_NAMES
 from .gate_counts import Counts
-from .packet import COUNTS, FORMATS, GROUP_KIND, packet_fields
+from .packet import BEAT_BITS, COUNTS, FORMATS, GROUP_KIND, packet_fields
 from .parameters import OFFSET_NONE, Sensor
 from .stream import COLUMN, ReceivedFrame, StreamError, decode_frame, is_counting, is_grouped
 
@@ -224,6 +224,60 @@ def check_arrays(arrays: Mapping[str, np.ndarray], *names: str) -> None:
     for name in names:
         if name not in arrays:
             raise InputError(f"arrays: {name} is missing, which a result has", field="arrays")
+
+
+def checked_events(arrays: Mapping[str, np.ndarray], config: Config) -> dict[str, np.ndarray]:
+    """Return the columns of a result's events, its maps if it has some, and `opened`, in the
+    processor's byte order.
+
+    Raises `InputError` if they cannot come from a run of this configuration.
+    """
+    sensor = config.sensor
+    opened = np.asarray(arrays["opened"])
+    if opened.ndim != 2 or opened.shape[1] != sensor.subgroups:
+        raise _no_run_of(
+            "opened", f"has shape {opened.shape}", f"[frames, {sensor.subgroups} subgroups]"
+        )
+    ends = {
+        "pulse": len(opened) * config.pulses,
+        "subgroup": sensor.subgroups,
+        "stamp": config.period_ticks,
+        "count": sensor.pixels + 1,
+        "winner": sensor.pixels,
+    }
+    length = len(arrays["pulse"])
+    columns = {name: _column(arrays, name, length, end) for name, end in ends.items()}
+    if "hits" in arrays:
+        words = -(-sensor.pixels // BEAT_BITS)
+        hits = np.asarray(arrays["hits"])
+        if hits.shape != (length, words) or hits.dtype.kind != "u":
+            raise _no_run_of(
+                "hits", f"is {hits.dtype}{list(hits.shape)}", f"uint64[{length}, {words}]"
+            )
+        columns["hits"] = hits.astype(np.uint64, copy=False)
+    return columns | {"opened": opened}
+
+
+def _column(arrays: Mapping[str, np.ndarray], name: str, length: int, end: int) -> np.ndarray:
+    """Return a column of integers from 0 on, below `end`. Raises `InputError`."""
+    values = np.asarray(arrays[name])
+    if values.shape != (length,) or values.dtype.kind not in "iu":
+        raise _no_run_of(
+            name,
+            f"is {values.dtype}{list(values.shape)}",
+            f"integers, one for each of {length} events",
+        )
+    if length and not (values.min() >= 0 and values.max() < end):
+        raise _no_run_of(name, f"is {values.min()} to {values.max()}", f"0 to {end - 1}")
+    return values.astype(values.dtype.newbyteorder("="), copy=False)
+
+
+def _no_run_of(name: str, found: str, due: str) -> InputError:
+    """Return that an array cannot come from a run of a configuration."""
+    return InputError(
+        f"arrays: {name} {found}, must be {due}; the configuration must be that of the run",
+        field="arrays",
+    )
 
 
 class KnownCounters(NamedTuple):

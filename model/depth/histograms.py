@@ -18,7 +18,7 @@ from ..contract.config import Config
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE, Sensor
 from ..contract.pixels import Pixels, pixel_table
-from ..contract.result import check_arrays, known_counters
+from ..contract.result import check_arrays, checked_events, known_counters
 from ..shared.arguments import check_kind
 from ..shared.compiled import njit, part
 from ..shared.errors import InputError, check_integer
@@ -85,14 +85,16 @@ def frame_events(
     """
     _check_events(config)
     check_arrays(arrays, *EVENT_ARRAYS)
+    columns = checked_events(arrays, config)
     if frame is not None:
-        check_integer("frame", frame, 0, len(arrays["opened"]) - 1)
-    row = _rows_by_subgroup(arrays["pulse"], arrays["subgroup"], config.pulses, frame)
-    subgroup = arrays["subgroup"][row]
-    stamp = arrays["stamp"][row]
-    count = arrays["count"][row]
-    winner = arrays["winner"][row]
-    hits = arrays["hits"][row] if "hits" in arrays else winner_map(winner, config.sensor)
+        check_integer("frame", frame, 0, len(columns["opened"]) - 1)
+    row = _rows_by_subgroup(columns["pulse"], columns["subgroup"], config.pulses, frame)
+    subgroup = columns["subgroup"][row]
+    stamp = columns["stamp"][row]
+    count = columns["count"][row]
+    winner = columns["winner"][row]
+    mapped = "hits" in columns
+    hits = columns["hits"][row] if mapped else winner_map(winner, config.sensor)
     offset = np.empty((len(row), 0), np.uint8)
     if "mg_offset" in arrays:
         offset = arrays["mg_offset"][row]
@@ -103,13 +105,13 @@ def frame_events(
     window = np.where(config.coincidence, config.window, 1)
     return Events(
         bounds=np.searchsorted(subgroup, np.arange(config.sensor.subgroups + 1)),
-        pulse=arrays["pulse"][row],
+        pulse=columns["pulse"][row],
         stamp=stamp,
         count=count,
         winner=winner,
         overrun=arrays["overrun"][row].astype(bool),
         arrival=arrival_ticks(subgroup, stamp, count, config, pulse.lead),
-        mapped="hits" in arrays,
+        mapped=mapped,
         hits=hits,
         offset=offset,
         threshold=np.where(config.coincidence, threshold, 1),

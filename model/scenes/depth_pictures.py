@@ -88,6 +88,8 @@ def picture_files(source: str, suffixes: tuple[str, ...]) -> list[Path] | None:
 
     suffixes: of the files of a folder. Raises `InputError` if there is none.
     """
+    if not source:  # a path without a name is the present folder
+        return None
     path = Path(source)
     if os.path.isdir(path):
         found = [one for one in path.iterdir() if one.suffix.lower() in suffixes]

@@ -55,6 +55,15 @@ def test_the_last_of_every_range_is_played(name):
     assert len(by_golden(edges_with(name, TOO_MUCH[name] - 1))["fate"]) == 2
 
 
+@pytest.mark.parametrize("play", [by_golden, side_by_side])
+@pytest.mark.parametrize("name", TOO_MUCH)
+def test_edges_with_a_mask_are_refused(play, name):
+    edges = edges_with(name, 1)
+    hidden = np.ma.array(getattr(edges, name), mask=[False, True])
+    with pytest.raises(InputError, match=f"edges: .*{name}: has masked elements"):
+        play(evolve(edges, **{name: hidden}))
+
+
 def test_offsets_are_one_for_each_edge():
     zero = np.zeros(2, np.int64)
     with pytest.raises(InputError, match="edges: offset_ps: holds .* must hold 2 numbers"):
