@@ -78,6 +78,17 @@ def test_strips_stand_on_their_pins(tmp_path):
     )
 
 
+def test_a_pin_is_all_of_its_shapes(tmp_path):
+    """Its strip stands on the longest of them, wherever that is in the file."""
+    path = tmp_path / "two.lef"
+    first = "RECT 0.05 0.3 0.2 0.9 ;"
+    others = "RECT 0.05 0.3 0.5 0.37 ;\n    END\n    PORT\n      LAYER metal1 ;\n        RECT 0.4 0.3 0.54 0.5 ;"
+    text = LEF.replace(first, f"{first}\n        {others}", 1)
+    path.write_text(text[: text.index("  PIN Z")] + "END TWO\n", encoding="utf-8")
+    strip = pins.strips(path, {"TWO"})["TWO"]["A"]
+    assert (strip.x, strip.via, strip.fits) == (0.095, 0.6, True)
+
+
 def test_delays_scale():
     assert delays.scaled("(IOPATH A ZN (0.010:0.010:0.010) (0.020:0.020:0.020))", 3) == (
         "(IOPATH A ZN (0.0300:0.0300:0.0300) (0.0600:0.0600:0.0600))"
