@@ -273,6 +273,17 @@ def test_a_cable_that_is_pulled_in_a_frame(port):
     assert session.tally.frames == 3
 
 
+def test_a_request_that_a_cable_cut_off_is_not_sent_later(port):
+    """Only what is written while the cable is in is answered."""
+    read_at = bytes([0, Operation.READ, 1, 0, 0, 0x00])
+    port.write(frame(read_at))
+    port.connect(False)
+    port.connect(True)
+    assert port.read() == b""
+    port.write(frame(read_at))
+    assert port.read() != b""
+
+
 def test_a_reset_is_noticed(port):
     """A device that was reset does nothing before a HELLO; a session programs it again and
     continues.

@@ -35,6 +35,7 @@ from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.registers import BY_NAME, GLOBAL, Access, address
 from coincid.model.contract.stream import decode_frame
 from coincid.model.golden.frame import Golden
+from coincid.model.shared.errors import InputError
 from coincid.tb.sliced import SlicedSensor
 
 from .. import random_cases
@@ -175,6 +176,17 @@ def events_of_frame(frame):
     return list(
         zip(frame.events[:, 1:].tolist(), frame.hits.tolist(), frame.offsets.tolist(), strict=True)
     )
+
+
+def test_a_group_has_room_for_an_event_of_the_largest_subgroup():
+    """With a bit for each pixel, and a byte for the offset of each minigroup."""
+    shape = 16, 16
+    with pytest.raises(InputError, match="sensor.subgroup .* 16 to 256 pixels"):
+        Sensor(rows=16, cols=17, subgroup=(16, 17))
+    largest = Sensor(rows=16, cols=16, subgroup=shape, minigroup=(1, 1))
+    room = {name: ctypes.sizeof(kind) for name, kind in Group._fields_}
+    assert 8 * room["map"] == largest.pixels
+    assert room["offsets"] == largest.minigroups
 
 
 @pytest.mark.parametrize("polls", (0, 1, 3))

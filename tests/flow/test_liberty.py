@@ -70,6 +70,24 @@ def test_the_mean_of_tables_with_different_loads(tmp_path):
     assert found.at(3.0) == pytest.approx(7.5)
 
 
+def test_a_name_is_the_same_with_quotes(tmp_path):
+    """Of cells, pins and tables, as other writers of such files have them."""
+    path = tmp_path / "toy.lib"
+    table = '("one") { values ( "2.0" ); }'
+    path.write_text(
+        "cell (TOY) {\n cell_leakage_power : 4.5;\n"
+        f' pin ( "Z" ) {{ direction : "output"; internal_power () {{ rise_power {table} }} }}\n'
+        ' pin ("A") { direction : input; capacitance : "1.5"; }\n}\n',
+        encoding="utf-8",
+    )
+    cell = read_cells(path, {"TOY"})["TOY"]
+    assert cell.leakage_nw == 4.5
+    assert set(cell.pins) == {"Z", "A"}
+    assert (cell.pins["Z"].output, cell.pins["A"].output) == (True, False)
+    assert cell.pins["Z"].energies.at(1.0) == 2.0
+    assert cell.pins["A"].capacitance_ff == 1.5
+
+
 def test_areas_of_all_cells():
     text = """\
   cell (ONE) {

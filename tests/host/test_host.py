@@ -545,3 +545,10 @@ def test_a_mapped_sensor_keeps_the_words_after_a_refused_one(mapped):
     with pytest.raises(RefusedError):
         write_block(mapped, first, [0, before + 1])
     assert mapped.read(first + 4) == before
+
+
+def test_a_mapped_sensor_has_no_beats_of_any_stream(mapped):
+    """They are none, of the kind that a frame's are."""
+    for stream in range(2):
+        beats = mapped.receive(stream)
+        assert (beats.shape, beats.dtype) == ((0,), np.uint64)
