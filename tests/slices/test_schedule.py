@@ -116,3 +116,25 @@ def test_updates_in_place_equal_all_at_once(guard_min, seed):
         expected = step(block, words)
         play(ops, words, {flag for flag, nets in flags if any(words[net] for net in nets)})
         assert {output: words[output] for output in expected} == expected
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_each_node_comes_after_those_that_it_reads(seed):
+    """Whatever the order in a netlist, and whichever of several outputs is read."""
+    rng = random.Random(seed)
+    nodes, nets = [], list(range(2, 6))
+    for k in range(20):
+        inputs = tuple(rng.sample(nets, rng.randint(1, 3)))
+        outputs = tuple(range(100 + 10 * k, 100 + 10 * k + rng.randint(1, 3)))
+        if len(outputs) == 1:
+            nodes.append(Table(inputs, outputs, 1))
+        else:
+            nodes.append(DarkTables(0, inputs, outputs, (0,) * len(outputs), ()))
+        nets += outputs
+    shuffled = rng.sample(nodes, len(nodes))
+    ordered = schedule.in_order(shuffled)
+    assert sorted(map(id, ordered)) == sorted(map(id, nodes))
+    known = set(range(2, 6))
+    for node in ordered:
+        assert known.issuperset(node.inputs)
+        known |= set(node.outputs)
