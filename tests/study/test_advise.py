@@ -525,3 +525,53 @@ def test_what_helps_most_is_told_first(monkeypatch):
     told = useless_sentence(0.9, setup, window=32)
     assert [float(share) for share in re.findall(r"\((\d+\.\d)% wrong\)", told)] == [20, 50, 70]
     assert told.index("ambient light") < told.index("half the distance") < told.index("pulses per")
+
+
+def test_the_numbers_of_an_advice_are_in_the_units_that_it_tells():
+    """By hand: 12.5 million cycles of 25,000 pulses at 0.5 GHz take 25 ms."""
+    frame = {"pulses": 25_000, "clock_mhz": MEASURED_MHZ, "period": 500, "link_gbps": 0}
+    config = parse_config({"sensor": {"streams": 2}, "frame": frame})
+    config = config.with_settings(threshold=3, window=32)
+    best = Tried(
+        config=config,
+        wrong=0.0123,
+        far=0.0046,
+        error_mm=9.0,
+        bits=3_000_000,
+        dropped=0.0,
+        load=0.1,
+    )
+    advice = Advice(settings=[best], chosen=best, links=[best], best=best, klux=50.0)
+    uw = UW_PER_PIXEL[1][UW_PER_PIXEL[0].index(50.0)]
+    um2 = um2_per_pixel(config.sensor)
+    assert advice.price == f"about {uw / 1000:.2g} mW and {um2:.0f} um2 per pixel in 45 nm"
+    frame_s = 25_000 * 500 / (MEASURED_MHZ * 1e6)
+    window_ns = 32 * 1e3 / MEASURED_MHZ / config.sensor.phases
+    link_gbps = 64 * MEASURED_MHZ / 1e3
+    assert advice.sentence == (
+        f"Take threshold 3, a window of {window_ns:.3g} ns (32 ticks), the format {config.format}"
+        f" and a link of {link_gbps:g} Gbit/s: 1.2% of the pixels are wrong (0.5% by more than"
+        f" 15 cm), for 3,000,000 bits per frame ({3e6 / 2 / frame_s / 1e9:.2g} Gbit/s), and"
+        f" {advice.price}."
+    )
+    assert best.frames_per_s == pytest.approx(1 / frame_s)
+
+
+@pytest.mark.parametrize("light", ("transient", "light"))
+def test_only_what_can_be_changed_is_tried_as_a_help(tried, light):
+    """Recorded light has no distance, and light of one's own has no sun, either."""
+    given = {"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 5}, "klux": 10.0}
+    setup = Setup.of("flat:9,0.05", **given)
+    if light == "light":
+        setup = setup.but(light=Run(setup).light)
+        helps = ["pulses"]
+    else:
+        counts = np.ones((8, 8, 100))
+        counts[:, :, 40] = 500  # a wall at 3 m
+        scene = load_scene(counts, 8, 8, bin_ps=500.0, recorded_pulses=1000)
+        setup = setup.but(scene=scene)
+        helps = ["pulses", "ambient"]
+    told = useless_sentence(0.9, setup, window=32)
+    words = {"pulses": "20 laser pulses", "ambient": "ambient light", "distance": "half the"}
+    assert [name for name, word in words.items() if word in told] == helps
+    assert len(tried) == len(helps)

@@ -8,7 +8,7 @@ import pytest
 
 from coincid.study import animation, pictures
 from coincid.study.pictures import Panel, draw_row, light_row
-from coincid.study.plot_style import legend_below, new_figure, share_axis
+from coincid.study.plot_style import legend_below, new_figure, save_figure, share_axis, style
 
 ROWS, COLS = 8, 24
 
@@ -45,6 +45,19 @@ def test_wrong_pixels_are_framed_and_pixels_without_a_truth_are_crossed():
     figure, shares = draw_row([Panel("depth", depth_m)], truth_m, tolerance_m=3.0)
     assert shares == [0.0]
     assert not any(one.get_paths() for one in figure.axes[1].collections)
+
+
+def test_a_figure_is_written_in_the_format_of_each_name(tmp_path):
+    with style():
+        figure = new_figure(2, 1)
+    paths = [tmp_path / name for name in ("one.png", "two.svg", "three.png")]
+    save_figure(figure, *paths)
+    one, two, three = (path.read_bytes() for path in paths)
+    assert one == three and one.startswith(b"\x89PNG")
+    assert b"<svg" in two
+    alone = tmp_path / "alone.svg"
+    save_figure(figure, alone)
+    assert alone.read_bytes() == two
 
 
 def test_each_picture_of_light_has_the_same_room(monkeypatch, tmp_path):

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Numbers of a report and of a sweep's table stand under their own keys, from made-up runs."""
 
+import io
 import json
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from rich.console import Console
 
 from coincid.lab.measures import SWEPT
 from coincid.lab.setup import versions
@@ -98,3 +102,64 @@ def test_a_table_tells_the_versions_of_all_its_engines(tmp_path):
     assert told["versions"] == {engine: versions(engine) for engine in ("golden", "sliced")}
     assert told["versions"]["golden"]["code"] != told["versions"]["sliced"]["code"]
     assert (told["base"], told["axes"]) == (spec.base, spec.axes)
+
+
+def told_of(config, **others):
+    """Return what the console shows of a made-up report of three schemes."""
+    report = {"frames": 5, "checked": 1234, "cycles": 5000, "seconds": 2.0, "cycles_per_s": 2500.0}
+    for number, name in enumerate(SCHEMES, 1):
+        of_scheme = {
+            "threshold": [number, number + number // 2],
+            "events": 1_000 * number + 17,
+            "dropped": None if number == 2 else 3_000 + number,
+            "stream_load": 0.25 * number,
+            "load": 0.11 * number,
+            "wrong_share": 0.0123 * number,
+            "beats": 1_001 * number,
+            "mean_gbps": 0.0034 * number,
+        }
+        report |= {f"{key}_{name}": value for key, value in of_scheme.items()}
+        report[f"wrong_share_{name}_peak"] = 0.2 * number
+    console = Console(file=io.StringIO(), width=200)
+    titles = {name: f"with {name}" for name in SCHEMES}
+    simulate._tell(console, ["a note"], config, titles, report | others, [Path("one.png")])
+    return console.file.getvalue().splitlines()
+
+
+def cells_of(line):
+    return re.split(r"\s{2,}", line.strip())
+
+
+def test_the_console_tells_each_number_in_the_unit_of_its_column():
+    lines = told_of(CONFIG)
+    assert [cells_of(line) for line in lines if line.startswith("with ")] == [
+        ["with off", "1", "1,017", "3,001", "25%", "11%", "1.2%", "20.0%"],
+        ["with fixed", "2 to 3", "2,017", "unknown", "50%", "22%", "2.5%", "40.0%"],
+        ["with auto", "3 to 4", "3,017", "3,003", "75%", "33%", "3.7%", "60.0%"],
+    ]
+    assert "the controller's thresholds after 5 frames, by subgroup:" in lines
+    assert "  3 4" in lines
+    assert "a note" in lines and "results: one.png" in lines
+    checked = "1,234 beats and commits equal the golden model's"
+    assert f"5,000 cycles in 2.0 s (2,500 cycles/s): {checked}" in lines
+    assert not any("Mbit/s" in line for line in lines)
+    (last,) = [line for line in told_of(CONFIG, checked=0) if "cycles/s" in line]
+    assert last.endswith("golden model only, no RTL")
+
+
+def test_the_console_tells_the_mean_rate_of_each_scheme_beside_a_gap():
+    lines = told_of(CONFIG.with_frame(gap=90_000))
+    (pace,) = [line for line in lines if "Mbit/s" in line]
+    assert pace.endswith("mean rate of the link: 3.4, 6.8, 10.2 Mbit/s")
+
+
+def test_the_console_tells_the_bits_of_counts():
+    config = parse_config(
+        {"sensor": {"rows": 8, "cols": 16, "counts": 1}, "frame": {"format": "counts"}}
+    )
+    rows = [cells_of(line) for line in told_of(config) if line.startswith("with ")]
+    assert rows == [
+        ["with off", "64,064", "25.0%", "11.0%", "1.2%"],
+        ["with fixed", "128,128", "50.0%", "22.0%", "2.5%"],
+        ["with auto", "192,192", "75.0%", "33.0%", "3.7%"],
+    ]
