@@ -206,6 +206,23 @@ def test_bounds_of_a_map_count_the_open_gates_of_each_distance():
     assert np.isnan(found[1])
 
 
+def test_the_gate_of_a_pixel_is_judged_at_its_strongest_target():
+    """Whichever of its targets that is."""
+    light = Light(
+        rows=1,
+        cols=3,
+        distance_m=[[8.0, 2.0], [2.0, 8.0], [8.0, 2.0]],
+        signal_per_pulse=[[0.2, 0.01], [0.01, 0.2], [0.01, 0.2]],
+        background_cps=1e6,
+    )
+    usual = parse_config({"sensor": {"rows": 8, "cols": 8}})
+    gated = usual.with_settings(gating=True, gate_start=20)
+    found = bounds.pixel_bounds_mm(gated, light)
+    assert list(found[:2]) == list(bounds.pixel_bounds_mm(usual, light)[:2])
+    assert np.isnan(found[2])
+    assert bounds.usual_open_share(gated, light) == 1.0
+
+
 @pytest.mark.parametrize(
     ("given", "says"),
     [

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from attrs import fields_dict
+from attrs import evolve, fields_dict
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
@@ -203,6 +203,20 @@ def test_crosstalk_meets_the_neighbours_dead_time():
     flight_ticks = 2 * early / SPEED_OF_LIGHT_M_S / FINE.tick_s
     struck = (edges.pixel == 1) & (edges.tick < flight_ticks + 500)
     assert stats.binomtest(int(struck.sum()), pulses, 0.25).pvalue > LEVEL
+
+
+@pytest.mark.parametrize("timing", [FINE, Timing(dither_bits=3, gap_cycles=5)])
+def test_no_fault_of_a_spad_makes_edges_in_the_dark(timing):
+    """All of them but dark counts follow an avalanche, also in the first pulse."""
+    assert len(edges_of(light(), evolve(EVERYTHING, dark_cps=0.0), timing, pulses=3)) == 0
+
+
+def test_a_spad_begins_ready():
+    """Bright light fires it in the first pulse as in every other one."""
+    spad = evolve(EVERYTHING, dead_time_s=100e-9, dark_cps=0.0, crosstalk_probability=0.0)
+    edges = edges_of(light(1, 4, distance_m=0.5, signal=100.0), spad, pulses=3)
+    fired = edges.tick * FINE.tick_s < 20e-9
+    assert np.all(counts(edges.take(fired), 4, 3) > 0)
 
 
 # with the second, carriers outlive their pulse
