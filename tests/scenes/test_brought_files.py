@@ -161,6 +161,25 @@ def test_a_part_of_an_exr_picture_is_at_its_place(tmp_path, origin):
     assert np.array_equal(np.argwhere(read.valid), [[0, 2], [0, 3], [1, 2], [1, 3]])
 
 
+@pytest.mark.parametrize("origin", [(0, 0), (-2, 5)])
+@pytest.mark.parametrize("down", [-2, -1, 0, 1, 2])
+@pytest.mark.parametrize("across", [-2, 0, 1])
+def test_what_an_exr_picture_stores_beyond_its_display_is_left_out(tmp_path, origin, down, across):
+    """On each side; the rest stays at its place, and what is not stored has no depth."""
+    x, y = origin
+    stored_m = 2.0 + np.arange(16, dtype=np.float32).reshape(SHAPE)
+    window = {
+        "dataWindow": (np.int32([x + across, y + down]), np.int32([x + across + 3, y + down + 3])),
+        "displayWindow": (np.int32([x, y]), np.int32([x + 3, y + 3])),
+    }
+    read = load_scene(exr(tmp_path / "d.exr", window, Z=stored_m), *SHAPE)
+    expected_m = np.full(SHAPE, np.nan)
+    for row, col in np.ndindex(SHAPE):
+        if 0 <= row - down < 4 and 0 <= col - across < 4:
+            expected_m[row, col] = stored_m[row - down, col - across]
+    np.testing.assert_array_equal(read.truth_m, expected_m)
+
+
 TIFF_OF_DOUBLES = bytes.fromhex("49492a00080000000900") + b"".join(
     np.array([tag, kind], "<u2").tobytes() + np.array([1, value], "<u4").tobytes()
     for tag, kind, value in (

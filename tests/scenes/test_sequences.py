@@ -140,6 +140,18 @@ def test_the_number_of_frames_may_be_given():
         simulate(CONFIG, pictures(), frames=4)
 
 
+def test_reflectivities_of_each_picture():
+    shares = np.array([0.1, 0.9, 0.4])[:, None, None] * np.ones((3, *SHAPE))
+    shares[:, :, 4:] /= 2
+    scene = load_scene(pictures(), *SHAPE, reflectivity=shares)
+    one = load_scene(pictures(), *SHAPE, reflectivity=shares[1])
+    for frame in range(3):
+        assert np.array_equal(scene.at(frame).reflectivity[:, :, 0], shares[frame])
+        assert np.array_equal(one.at(frame).reflectivity[:, :, 0], shares[1])
+    with pytest.raises(InputError, match="reflectivity: has 2 pictures, must have 3"):
+        load_scene(pictures(), *SHAPE, reflectivity=shares[:2])
+
+
 def test_colours_of_each_picture(tmp_path):
     folder = folder_of(tmp_path)
     for number in range(3):

@@ -9,6 +9,7 @@ import pytest
 from coincid.model.light.timing import RANGE_M
 from coincid.model.scenes.depth_file import depth_scene
 from coincid.model.scenes.meaning import Meaning
+from coincid.model.shared.errors import InputError
 
 ROWS = 4
 COLS = 6
@@ -87,3 +88,22 @@ def test_one_sample_of_each_pixel_without_depth_costs_no_pixel(fault):
     samples = wall()
     samples[1::SIDE, 1::SIDE] = value
     assert_wall(depth_scene(samples, ROWS, COLS, meaning=meaning))
+
+
+@pytest.mark.parametrize("bad_m", [-1.0, RANGE_M + 1.0, 0.01])
+@pytest.mark.parametrize("holes", [0, 100])
+def test_bad_samples_are_counted_among_those_that_have_a_depth(bad_m, holes):
+    """Up to a tenth of them is left out, with a note; more of them mean another unit."""
+    for bad, is_refused in ((0.1, False), (0.12, True)):
+        samples = wall()
+        flat = samples.reshape(-1)
+        flat[:holes] = np.nan
+        number = int(bad * (flat.size - holes))
+        flat[flat.size - number :] = bad_m + 0.001 * np.arange(number)
+        if is_refused:
+            with pytest.raises(InputError, match=f"{number / (flat.size - holes):.0%} of the"):
+                depth_scene(samples, ROWS, COLS)
+        else:
+            assert any(
+                f"{number} samples" in note for note in depth_scene(samples, ROWS, COLS).notes
+            )
