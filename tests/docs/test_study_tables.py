@@ -2,6 +2,7 @@
 """Tables of studies from made-up measures, of which no two are equal: each cell has its own."""
 
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,16 @@ from coincid.model.contract.packet import BEAT_BITS, EVENT_FORMATS, layout
 from coincid.model.contract.parameters import CLOCK_MHZ
 from coincid.model.depth.histograms import SOURCES
 from coincid.model.depth.quality import TOLERANCE_M
-from docs.studies import choices, controller_rooms, cost, limit, pulses_apart, returns, surfaces
+from docs.studies import (
+    choices,
+    controller_rooms,
+    cost,
+    count_confidence,
+    limit,
+    pulses_apart,
+    returns,
+    surfaces,
+)
 
 
 @pytest.fixture
@@ -247,3 +257,60 @@ def test_bounds_of_walls(monkeypatch):
             f"{walls[0].wall_photons_mm:.2f}",
             " / ".join(f"{one.wall_bound_mm:.2f}" for one in walls),
         )
+
+
+def test_errors_of_estimators_beside_the_bound(monkeypatch):
+    """An error is from the truth, not from its own mean, and of the pixels near the truth."""
+    truth_m = np.full((2, 3), 4.0)
+    off_mm = {
+        "maximum": [10, 30, 10, 30, 10, 30],
+        "matched": [-20, -20, -20, -20, -20, 5_000],
+        "background": [0, 0, 0, 60, -5_000, 5_000],
+        "planes": [5_000] * 6,
+    }
+    asked = []
+
+    class Played:
+        def __init__(self, setup, **given):
+            asked.append((setup.scene.name, setup.config.pulses))
+            self.scene = SimpleNamespace(truth_m=truth_m)
+
+        def frame(self, estimator):
+            off_m = np.array(off_mm[estimator]).reshape(2, 3) / 1e3
+            return SimpleNamespace(depth_m=truth_m + off_m)
+
+    monkeypatch.setattr(limit, "Run", Played)
+    monkeypatch.setattr(
+        limit,
+        "of_wall",
+        lambda *wall: SimpleNamespace(bound_mm=wall[0] / wall[-1], wall_bound_mm=wall[1]),
+    )
+    told = ["22.4 (0.0%)", "20.0 (16.7%)", "30.0 (33.3%)", "nan (100.0%)"]
+    rows = [*limit.estimator_rows()]
+    for (wall, pulses), row in zip(product(limit.SIMULATED, (100, 1000)), rows, strict=True):
+        distance_m, reflectivity = wall
+        assert row == (
+            f"{distance_m:g} m, {reflectivity:.0%}",
+            f"{pulses}",
+            f"{distance_m / pulses:.1f}",
+            f"{reflectivity:.2f}",
+            *told,
+        )
+    assert asked == [
+        (f"flat:{wall[0]:g},{wall[1]:g}", pulses)
+        for wall, pulses in product(limit.SIMULATED, (100, 1000))
+    ]
+
+
+def test_scenes_for_the_confidence_of_counts_have_the_pulses_of_their_names():
+    of_rooms = count_confidence.rooms_of(range(3, 5))
+    assert [*of_rooms] == [*product((3, 4), count_confidence.PULSES)]
+    for (seed, pulses), setup in of_rooms.items():
+        assert setup.seed == seed
+        assert setup.config.pulses == pulses
+    random = count_confidence.setups_of(range(6))
+    assert [setup.config.pulses for setup in random.values()] == [200, 200, 400, 400, 1000, 1000]
+    for setup in (*of_rooms.values(), *random.values()):
+        assert setup.config.counting
+        assert setup.config.frames == 1
+        assert setup.config.frame.link_gbps == 0
