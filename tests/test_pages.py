@@ -16,7 +16,7 @@ from attrs import evolve
 
 from coincid.model.shared.errors import InputError
 from coincid.tools import pages as writing
-from coincid.tools.dependencies import PACKAGE
+from coincid.tools.dependencies import PACKAGE, Sources
 from coincid.tools.pages import Pages, regions, with_region
 
 ROOT = Path(__file__).parents[1]
@@ -231,6 +231,26 @@ def test_what_is_run_and_the_command_that_is_told_count():
 def test_stamps_ignore_the_folder_and_other_modules(copied):
     (copied / "study" / "other.py").write_text("import numpy\n", encoding="utf-8")
     assert named(PAGES, pages_of(copied)) == set()
+
+
+def test_what_is_left_out_takes_no_module_with_it_whose_name_only_begins_alike(tmp_path):
+    package = tmp_path / PACKAGE
+    room = tmp_path / "room"
+    (package / "room").mkdir(parents=True)
+    (room / "tree").mkdir(parents=True)
+    (tmp_path / "docs").mkdir()
+    for path in (package, tmp_path / "docs", room, room / "tree"):
+        (path / "__init__.py").write_text("", encoding="utf-8")
+    (room / "tree" / "leaf.py").write_text("", encoding="utf-8")
+    (room / "tree_view.py").write_text("", encoding="utf-8")
+    (room / "program.py").write_text(
+        "from .tree import leaf\nfrom . import tree_view\n", encoding="utf-8"
+    )
+    sources = Sources(tmp_path)
+    whole = sources.closure("coincid.room.program").modules
+    assert {"coincid.room.tree", "coincid.room.tree.leaf"} < {*whole}
+    left = sources.closure("coincid.room.program", without=["coincid.room.tree"]).modules
+    assert left == ("coincid", "coincid.room", "coincid.room.program", "coincid.room.tree_view")
 
 
 def test_a_region_is_replaced_whole():

@@ -90,6 +90,16 @@ def test_yosys_errors_are_told(tmp_path):
         run_yosys(tmp_path, "no-such-command")
 
 
+def test_a_long_log_of_yosys_is_told_from_its_end(tmp_path):
+    """Where the error is."""
+    lines = [f"log line {number}." for number in range(100)]
+    with pytest.raises(ToolchainError) as told:
+        run_yosys(tmp_path, *lines, "no-such-command")
+    text = str(told.value)
+    assert "no-such-command" in text
+    assert "line 99." in text and "line 0." not in text
+
+
 @pytest.mark.long
 def test_blocks_of_a_small_sensor():
     gates, fpga = synthesize(SMALL, GATES), synthesize(SMALL, ECP5)
