@@ -35,6 +35,7 @@ from coincid.model.golden.frame import golden_result
 from coincid.model.light.link_budget import link_budget
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.interrupts import Terminated
+from coincid.study.advise import Advice, Tried
 from coincid.tb.rtl_errors import Mismatch, SimulationError
 from coincid.tools.build import ToolchainError
 
@@ -133,6 +134,21 @@ def test_replay_tells_how_many_hits_there_are_in_gates(files):
     gates = (result["gate_cycle"] != 255).sum()
     assert hits > 100
     assert f"out/result.npz: {hits} hits in {gates} gates, of 2000 edges" in shown
+
+
+def test_replay_tells_how_many_events_and_records_left_the_sensor(files):
+    """And what was dropped, over all frames and subgroups."""
+    np.savez("edges.npz", **some_edges(4000))
+    changes = "--set minigroup_records=true --set fifo_depth=1 --set threshold=1"
+    shown = command(f"{REPLAY} {changes}").output
+    result = read_result("out/result.npz")
+    events, dropped = len(result["pulse"]), result["dropped"].sum()
+    records = len(result["mg_pulse"])
+    assert len({events, records, dropped, 0}) == 4
+    told = (
+        f"{events} events and {records} minigroup records of 4000 edges, {dropped} events dropped"
+    )
+    assert f"out/result.npz: {told}" in shown
 
 
 @pytest.mark.parametrize(
@@ -438,6 +454,44 @@ def test_budget_for_programs_and_people():
     assert json.loads(result.stdout) == wanted
     text = command("budget").stdout
     assert all(key in text for key in wanted)
+    for words, form in (("", "literal"), ("--form corrected", "corrected")):
+        lines = command(f"budget --distance-m 3 --klux 20 {words}").stdout.splitlines()
+        rows = link_budget(3.0, 0.4, 20.0, form=form).rows()
+        for line, (name, value, unit, source) in zip(lines, rows, strict=True):
+            number = value if isinstance(value, str) else f"{value:.6g}"
+            assert line.split() == [name, *number.split(), *unit.split(), *source.split()]
+
+
+def test_the_table_of_an_advice_has_each_number_under_its_head(monkeypatch, tmp_path):
+    """With the light that falls on the sunlit pixels, over all pixels."""
+    sensor = {"sensor": {"rows": 8, "cols": 8}}
+    config = parse_config(sensor | {"frame": {"pulses": 10, "link_gbps": 2.5}})
+    config = config.with_settings(threshold=4, window=16)
+    one = Tried(
+        config=config,
+        wrong=0.0123,
+        far=0.0046,
+        error_mm=7.84,
+        bits=1_234_567,
+        dropped=0.031,
+        load=0.42,
+    )
+    asked = []
+
+    def advice_of(setup, *, klux, progress):
+        asked.append(klux)
+        return Advice(settings=[one], chosen=one, links=[], best=one, klux=klux)
+
+    monkeypatch.setattr("coincid.study.advise.advise", advice_of)
+    monkeypatch.setattr("coincid.study.advise.write_advice", lambda out, *given: [out / "a.csv"])
+    words = "--klux 10|30 --set rows=8 --set cols=8"
+    shown = command(f"advise flat:4 {words} --out", tmp_path).stdout.splitlines()
+    cells = next(re.split(r"\s{2,}", line.strip()) for line in shown if "1,234,567" in line)
+    window_ns = f"{16 * config.tick_s * 1e9:.3g}"
+    rate = f"{one.frames_per_s:,.0f}"
+    shares = "1.2%", "0.5%", "7.8", "1,234,567", "3.1%", "42%"
+    assert cells == ["4", window_ns, config.format, "2.5", *shares, rate]
+    assert asked == [pytest.approx(20.0)]
 
 
 @pytest.mark.parametrize(
