@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What pulses without an event say: each of them the same, from the first one to the last."""
+
+import numpy as np
+import pytest
+
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
+from coincid.model.depth import likelihood
+from coincid.model.depth.clusters import NEVER
+
+PULSES = 40
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Arguments of `add_events` from a run of the estimator of planes."""
+    calls = []
+    real = likelihood.add_events
+
+    def noted(law, events, pixels):
+        calls.append((law, events, pixels))
+        return real(law, events, pixels)
+
+    monkeypatch.setattr(likelihood, "add_events", noted)
+    setup = Setup.of(
+        "flat:4.0,0.4",
+        sensor={"rows": 8, "cols": 8},
+        frame={"pulses": PULSES, "format": "compact", "link_gbps": 0},
+        subgroup={"threshold": 2},
+        klux=10.0,
+    )
+    assert np.isfinite(Run(setup).frame().depth_m).any()
+    return calls[0]
+
+
+def only(events, number):
+    """Return the first events alone, each of them a cluster of its own."""
+    others = "clusters", "alike", "shares"
+    columns = {
+        name: column[:number] for name, column in events._asdict().items() if name not in others
+    }
+    columns["since"] = np.full(number, NEVER)
+    return events._replace(**columns, clusters=np.arange(number), alike=np.arange(number + 1))
+
+
+def test_a_pulse_without_events_says_the_same_as_every_other(asked):
+    """So nothing is said by no pulse, and a hundred pulses say a hundred times what one does."""
+    law, events, pixels = asked
+    said = {
+        pulses: likelihood.add_events(law._replace(pulses=pulses), only(events, 0), pixels)
+        for pulses in (0, 1, 100)
+    }
+    assert not said[0].any()
+    assert said[1].min() < -0.01
+    np.testing.assert_allclose(said[100], 100 * said[1], rtol=1e-5)
+
+
+def test_pulses_around_an_event_are_counted_on_both_sides(asked):
+    """An event takes only its own pulse out of the silent ones, near its time."""
+    law, events, pixels = asked
+    one = only(events, 1)
+    silent = likelihood.add_events(law._replace(pulses=1), only(events, 0), pixels)
+    said = []
+    for pulse in (0, 5, 19):
+        in_pulse = one._replace(pulse=np.full(1, pulse))
+        said.append(likelihood.add_events(law._replace(pulses=20), in_pulse, pixels))
+    np.testing.assert_allclose(said[1], said[0], rtol=1e-5)
+    np.testing.assert_allclose(said[2], said[0], rtol=1e-5)
+    longer = likelihood.add_events(
+        law._replace(pulses=21), one._replace(pulse=np.zeros(1, int)), pixels
+    )
+    np.testing.assert_allclose(longer - said[0], silent, rtol=1e-3, atol=1e-5)
