@@ -14,7 +14,7 @@ from .evidence import Pixels
 from .vector_math import fast_exp, fast_log, top_of
 
 LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
-BESIDE_SHARE = 0.25  # of the share of a light, that the one before and the one after it get each
+BESIDE_SHARE = 0.15  # of the share of a light, that the one before and the one after it get each
 LEARNING_ROUNDS = 30  # in which the shares of the lights converge, from each pixel alone,
 ROUNDS_ON_SURFACES = 60  # and from pixels that see one surface
 OFF_SIGMAS = 0.9  # of a pulse: standard deviation of what surfaces are off with such a prior,

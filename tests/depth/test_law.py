@@ -164,6 +164,27 @@ def test_silence_tells_of_the_part_of_a_pulse_that_falls_into_it(near_m):
     assert np.all(np.abs(lean_ticks) < 3 * error_ticks + 0.1)
 
 
+def test_the_light_of_a_subgroup_is_in_doubt_where_it_has_few_events():
+    doubts = []
+    for distance_m, reflectivity, klux, pulses, threshold in (
+        (4.0, 0.4, 50.0, 4000, 2),
+        (16.0, 0.1, 10.0, 300, 3),
+    ):
+        events, config, pulse = events_of_wall(
+            distance_m, reflectivity, klux, pulses, threshold=threshold
+        )
+        shape = (1, config.sensor.pixels)
+        distances_m = np.full(shape, distance_m)
+        light = signal_per_pulse(distances_m, np.full(shape, reflectivity))
+        windows = windows_of(events, config, pulses, pulse)
+        rough = unheard(windows, config, pulse)
+        assert np.array_equal(rough.doubt, [1.0])
+        guess = Guess(distances_m / TICK_M, light)
+        doubts += [*unheard_in_light(windows, rough, guess, config, pulses, pulse).doubt]
+    assert doubts[0] < 0.2
+    assert doubts[1] == 1.0
+
+
 def test_pixels_between_two_lights_of_the_grid_do_not_lean():
     """The lights of this wall are between two steps of the grid and nearest to one. If they were
     taken for this step's, the columns in which windows end would be 5 mm too near.
