@@ -114,21 +114,21 @@ INTERFERENCE = dict(
     PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "3e02f26871bfeee4"),
+    "library": (library, "7ff8513504bcd84c"),
     "sim": (sim, "101eda146236700f"),
-    "sweep": (sweep, "25829edd6663a888"),
-    "explorer": (explorer, "c4f0d24f84fdfc9f"),
+    "sweep": (sweep, "e4f35b5d1058f1df"),
+    "explorer": (explorer, "8ac61137a3b5c3a5"),
     "surfaces": (surface, "aa50220de1a3e5ed"),
-    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "79acd2ab7587cfa2"),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "d3083b43a6b6f3ae"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "21a03fb46630a8ce",
+        "93cb2522f733150a",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
         "a15dc710cfe4356b",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "fa5167892bec2402"),
+    "interference": (section(interference.interference, **INTERFERENCE), "f298b10cc28766a4"),
 }
 
 
