@@ -14,14 +14,13 @@ from .evidence import Pixels
 from .vector_math import fast_exp, fast_log, top_of
 
 LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
-BESIDE_SHARE = 0.15  # of the share of a light, that the one before and the one after it get each
+BESIDE_SHARE = 0.25  # of the share of a light, that the one before and the one after it get each
 LEARNING_ROUNDS = 30  # in which the shares of the lights converge, from each pixel alone,
 ROUNDS_ON_SURFACES = 60  # and from pixels that see one surface
 OFF_SIGMAS = 0.9  # of a pulse: standard deviation of what surfaces are off with such a prior,
 OFFSETS_SIGMAS = np.linspace(-1.5, 1.5, 11)  # and the offsets that are tried
 RARE = 1e-30  # likelihood of a pixel that contradicts an offset
 LIGHT_SPAN = 4.0  # lights more than so many times from those of a subgroup's seeds are left out
-NEGLIGIBLE = -1.0  # log likelihood ratio, below which a mean is not worth its exponentials
 NARROW = np.float32(4.0)  # second difference from which on the steps of the lights are too coarse
 CLIMBS = 2  # steps to the highest point between the lights
 SHARP_MIN = np.float32(0.2)  # of the sharpness of a number of hits: less is no peak
@@ -390,20 +389,15 @@ def _mean(line: np.ndarray, lightest: int, work: _Work, out: _Levels) -> None:
         for k in range(BLOCK):
             best[k] = x if values[x, k] > top[k] else best[k]
             top[k] = max(values[x, k], top[k])
-    highest = np.float32(NEGLIGIBLE)
-    for k in range(n):
-        out.level[k] = top[k]
-        out.light[k] = best[k] + lightest
-        highest = max(highest, top[k])
-    if highest > NEGLIGIBLE:
-        for x in range(lights):
-            for k in range(BLOCK):
-                ratio[k] += fast_exp(values[x, k] - top[k])
+    for x in range(lights):
         for k in range(BLOCK):
-            ratio[k] = fast_log(ratio[k])
-        _look_between(work, n)
-        for k in range(n):
-            out.level[k] = top[k] + (ratio[k] if top[k] > NEGLIGIBLE else np.float32(0))
+            ratio[k] += fast_exp(values[x, k] - top[k])
+    for k in range(BLOCK):
+        ratio[k] = fast_log(ratio[k])
+    _look_between(work, n)
+    for k in range(n):
+        out.level[k] = top[k] + ratio[k]
+        out.light[k] = best[k] + lightest
 
 
 @part(error_model="numpy")

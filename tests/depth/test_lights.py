@@ -7,11 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from coincid.model.depth.evidence import WAYS, Pixels
 from coincid.model.depth.lights import (
     LIGHT_SPAN,
     OFFSETS_SIGMAS,
     learned_prior,
     lights_near,
+    mean_over_lights,
     prior_in_doubt,
     prior_on_surfaces,
 )
@@ -34,13 +36,39 @@ def test_the_shares_of_lights_reach_the_steps_beside_them():
     chance = np.zeros((10, 7), np.float32)
     chance[:, 3] = 1.0
     shares = np.exp(learned_prior(chance))
-    assert shares[[2, 3, 4]] == pytest.approx([0.16 / 1.07, 0.71 / 1.07, 0.16 / 1.07], abs=1e-3)
+    assert shares[[2, 3, 4]] == pytest.approx([0.26 / 1.07, 0.51 / 1.07, 0.26 / 1.07], abs=1e-3)
     assert shares[[0, 1, 5, 6]] == pytest.approx([0.01 / 1.07] * 4, abs=1e-3)
     chance = np.zeros((10, 7), np.float32)
     chance[:, 0] = 1.0
     assert np.exp(learned_prior(chance))[[0, 1]] == pytest.approx(
-        [0.86 / 1.07, 0.16 / 1.07], abs=1e-3
+        [0.76 / 1.07, 0.26 / 1.07], abs=1e-3
     )
+
+
+@pytest.mark.parametrize("hit", (False, True), ids=("silent", "hit"))
+@given(shape=arrays(np.float32, 5, elements=st.floats(-1, 0, width=32)))
+def test_the_mean_over_the_lights_has_no_step_where_it_is_low(hit, shape):
+    """What many silent pixels say together must not depend on where the likelihoods begin."""
+    times = 40
+    lower = np.linspace(3, -12, times, dtype=np.float32)
+    common = lower[:, None] + shape
+    pixels = Pixels(
+        minigroup=np.zeros(1, np.int64),
+        mask=np.ones(1, bool),
+        activity=np.ones(1),
+        first=np.zeros(1, np.int64),
+        total=np.zeros((1, times * 5), np.float32),
+        touched=np.full((1, times), hit),
+        counted=np.full(1, -1),
+        number=np.zeros((WAYS, 1), np.int64),
+        hit=np.zeros(1, np.int64),
+    )
+    prior = np.log(np.full(5, 0.2, np.float32))
+    where = np.log(np.geomspace(0.1, 1, 5)).astype(np.float32)
+    level = np.empty((1, times), np.float32)
+    light = np.empty((1, times), np.uint8)
+    mean_over_lights(common.ravel(), pixels, prior, where, 0, np.zeros(1, int), level, light)
+    assert level[0] - lower == pytest.approx(np.full(times, level[0, 0] - lower[0]), abs=1e-3)
 
 
 @given(known=arrays(np.float64, st.integers(1, 5), elements=st.floats(1e-3, 10.0)))
@@ -76,9 +104,9 @@ def test_pixels_that_see_one_surface_tell_their_lights_together():
         chance[pixel, surface + (-3 if bright else 3), 1] = 1
     alone = np.exp(learned_prior(chance.sum(axis=1)))
     assert np.argmax(alone) == 1
-    assert alone == pytest.approx([0.155, 0.69, 0.155], abs=0.02)
+    assert alone == pytest.approx([0.25, 0.5, 0.25], abs=0.03)
     together = np.exp(prior_on_surfaces(chance, np.repeat(np.arange(10), 4)))
-    assert together == pytest.approx([0.42, 0.155, 0.42], abs=0.03)
+    assert together == pytest.approx([0.375, 0.25, 0.375], abs=0.03)
     assert together.sum() == pytest.approx(1)
 
 
