@@ -114,21 +114,21 @@ INTERFERENCE = dict(
     PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "7ff8513504bcd84c"),
-    "sim": (sim, "101eda146236700f"),
-    "sweep": (sweep, "e4f35b5d1058f1df"),
-    "explorer": (explorer, "8ac61137a3b5c3a5"),
+    "library": (library, "d880708c6c153e3d"),
+    "sim": (sim, "f1c5b9ba362864f6"),
+    "sweep": (sweep, "590ece180d0d54d6"),
+    "explorer": (explorer, "b83ba84841ed032e"),
     "surfaces": (surface, "aa50220de1a3e5ed"),
-    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "d3083b43a6b6f3ae"),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "5d8b7c6530b99e5e"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "93cb2522f733150a",
+        "4de7c57265e63152",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
-        "a15dc710cfe4356b",
+        "b74d40fd3893b72a",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "f298b10cc28766a4"),
+    "interference": (section(interference.interference, **INTERFERENCE), "f5a41c326ec1fcc8"),
 }
 
 
