@@ -9,12 +9,19 @@ from attrs import frozen
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.contract.counts import GATE_CYCLES, NO_GATE
+from coincid.model.contract.counts import COUNT_MOST, GATE_CYCLES, GATES, NO_GATE
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.result import ResultBuilder
 from coincid.model.depth.belief import LAW, Reason, signs_of
 from coincid.model.depth.count_light import first_background
-from coincid.model.depth.counts import count_signs, find_surfaces, gate_counts, seen_behind
+from coincid.model.depth.count_likelihood import Seen
+from coincid.model.depth.counts import (
+    _without_last_hits,
+    count_signs,
+    find_surfaces,
+    gate_counts,
+    seen_behind,
+)
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import by_subgroup, pixel_histogram, pixel_image
@@ -411,3 +418,23 @@ def test_estimator_of_ones_own_reads_counts_and_is_given_the_light():
     depth = run.depth(FirstGate())
     assert np.all(np.abs(depth.depth_m - 4) < 0.3)
     assert depth.signal_per_pulse.shape == (SIDE, SIDE, 1)
+
+
+@pytest.mark.parametrize("gate", (0, 1))
+def test_the_last_hit_of_a_pixel_and_its_pulse_are_left_out_in_its_own_frame(gate):
+    """Of both gates: their pulses end with it. Frames in which the pixel goes on keep all."""
+    shape = (1, 2, 2 * GATES, 3)  # two pixels, two frames
+    hits = np.full(shape, 5)
+    misses = np.full(shape, 7.0)
+    misses[0, 1, GATES + 1 - gate, 0] = 0.5
+    hits[0, 1, GATES + gate, 2] = COUNT_MOST
+    seen = Seen(np.zeros(shape[:3], np.int64), hits, misses, np.zeros(shape[:2]), 8)
+    left = _without_last_hits(seen)
+    fewer_hits = np.zeros(shape)
+    fewer_hits[0, 1, GATES + gate, 2] = 1
+    assert np.array_equal(hits - left.hits, fewer_hits)
+    fewer_misses = np.zeros(shape)
+    fewer_misses[0, 1, GATES:] = 1
+    fewer_misses[0, 1, GATES + gate, 2] = 0
+    fewer_misses[0, 1, GATES + 1 - gate, 0] = 0.5
+    assert np.array_equal(misses - left.misses, fewer_misses)

@@ -2,11 +2,12 @@
 """The lens that is found from a frame: of arrays that are not square, and of pixels that are not."""
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
 
-from coincid.model.depth.lens import find_lens
+from coincid.model.depth.lens import APART, OFF_MAX, Lens, _misses, find_lens
 
 NEAREST_TICKS = 400.0
 TANGENT_OF_HALF = math.tan(math.radians(22.5))
@@ -41,3 +42,40 @@ def test_distances_that_change_evenly_or_are_hardly_known_tell_no_lens(weight):
     time += np.arange(cols)
     lens = find_lens(time, np.full(time.shape, weight))
     assert not lens.there and lens.down == lens.right == 0
+
+
+def misses_by_hand(time, weight, stretch):
+    """Return the sum over three peaks in a line of the squared errors of the middle one. stretch:
+    float64[rows, cols], or None where distances change evenly.
+    """
+    total = 0.0
+    for (r, c), apart, step in product(np.ndindex(time.shape), APART, ((1, 0), (0, 1))):
+        down, right = apart * step[0], apart * step[1]
+        places = (r - down, c - right), (r, c), (r + down, c + right)
+        if min(min(place) for place in places) < 0:
+            continue
+        if places[2][0] >= len(time) or places[2][1] >= len(time[0]):
+            continue
+        before, here, after = (time[place] for place in places)
+        if min(weight[place] for place in places) <= 0:
+            continue
+        middle = (before + after) / 2
+        if stretch is not None:
+            wide = [stretch[place] for place in places]
+            middle = wide[1] / ((wide[0] / before + wide[2] / after) / 2)
+        variances = [1 / weight[place] for place in places]
+        variance = variances[1] + (variances[0] + variances[2]) / 4
+        total += min(OFF_MAX, (here - middle) ** 2 / variance)
+    return total
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_misses_are_in_the_variances_of_the_three_peaks(there):
+    """Peaks that are known unequally well, some not at all, on an array that is no square."""
+    rng = np.random.default_rng(8)
+    time = wall(7, 11, 0.01, 0.02) + rng.normal(0, 0.3, (7, 11))
+    weight = rng.choice([0.0, 4.0, 30.0], time.shape, p=[0.1, 0.5, 0.4])
+    lens = Lens(there, 0.01**2, 0.02**2, 3.0, 5.0)
+    stretch = wall(7, 11, 0.01, 0.02) / NEAREST_TICKS if there else None
+    expected = misses_by_hand(time, weight, stretch)
+    assert _misses(time, weight, lens) == pytest.approx(expected, rel=1e-9)

@@ -11,6 +11,8 @@ from coincid.model.depth.evidence import WAYS, Pixels
 from coincid.model.depth.lights import (
     LIGHT_SPAN,
     OFFSETS_SIGMAS,
+    add_chances_on_surfaces,
+    add_light_chances,
     learned_prior,
     lights_near,
     mean_over_lights,
@@ -114,3 +116,66 @@ def test_without_pixels_all_lights_are_alike():
     none = np.zeros((0, len(OFFSETS_SIGMAS), 4), np.float32)
     for prior in (learned_prior(none[:, 0]), prior_on_surfaces(none, np.zeros(0, int))):
         assert np.exp(prior) == pytest.approx([0.25] * 4)
+
+
+def pixels_of(total, touched, first):
+    """Return pixels with these log likelihoods, float32[pixels, bins * lights]."""
+    number = len(total)
+    none = np.zeros(number, np.int64)
+    return Pixels(
+        minigroup=none,
+        mask=np.ones(number, bool),
+        activity=np.ones(number),
+        first=np.asarray(first),
+        total=total.copy(),
+        touched=touched.copy(),
+        counted=none,
+        number=np.zeros((3, number), np.int64),
+        hit=none,
+    )
+
+
+@pytest.mark.parametrize("on_surfaces", [False, True])
+def test_what_was_never_written_of_a_pixel_counts_as_0(on_surfaces):
+    """In each of its bins. Some of the first pixel are before the first time, some of the last one
+    behind the last.
+    """
+    rng = np.random.default_rng(4)
+    bins, lights, times, offsets = 6, 3, 12, 2
+    common = rng.normal(0, 1, times * lights).astype(np.float32)
+    total = rng.normal(0, 1, (3, bins * lights)).astype(np.float32)
+    touched = rng.random((3, bins)) < 0.5
+    kept = np.repeat(touched, lights, axis=1)
+    first = [-2, 3, 8]
+    found = []
+    for unwritten in (0.0, 7.0):
+        pixels = pixels_of(np.where(kept, total, np.float32(unwritten)), touched, first)
+        known = np.array([True, True, True])
+        if on_surfaces:
+            chance = np.zeros((3, offsets, lights), np.float32)
+            at = np.array([2.3, 3.9, 0.4])
+            add_chances_on_surfaces(common, pixels, at, np.array([-0.1, 0.4]), known, chance)
+        else:
+            chance = np.zeros((3, lights), np.float32)
+            add_light_chances(common, pixels, known, chance)
+        assert known.all() and np.all(chance.sum(axis=-1) > 0)
+        found.append(chance)
+    np.testing.assert_array_equal(found[0], found[1])
+
+
+def test_a_pixels_lights_are_those_of_all_its_times():
+    rng = np.random.default_rng(6)
+    bins, lights, times = 5, 2, 9
+    common = rng.normal(0, 1, (times, lights)).astype(np.float32)
+    total = rng.normal(0, 1, (4, bins, lights)).astype(np.float32)
+    first = np.array([-1, 2, 6, 3])
+    pixels = pixels_of(total.reshape(4, -1), np.ones((4, bins), bool), first)
+    chance = np.zeros((4, lights), np.float32)
+    add_light_chances(common.ravel(), pixels, np.array([True, True, True, False]), chance)
+    for i in range(3):
+        bin_of = np.arange(max(0, -first[i]), min(bins, times - first[i]))
+        likely = np.exp(common[first[i] + bin_of] + total[i, bin_of])
+        assert chance[i] / chance[i].sum() == pytest.approx(
+            likely.sum(axis=0) / likely.sum(), rel=1e-4
+        )
+    assert not chance[3].any()

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from coincid.model.depth.seeds import find_seeds, seed_scores
+from coincid.model.depth.seeds import Seeds, find_seeds, seed_scores
 
 TIMES, WALL = 64, 30
 
@@ -48,3 +48,21 @@ def test_an_array_on_its_side_has_the_same_seeds():
     on_its_side = seeds_of(*(np.ascontiguousarray(one.swapaxes(0, 1)) for one in (level, light)))
     assert np.mean(choices == on_its_side[0].T) > 0.9
     assert np.mean(np.isclose(scores, on_its_side[1].T, atol=0.1)) > 0.9
+
+
+def test_the_chance_of_a_seed_is_that_of_all_candidates_near_it():
+    """Up to `reach` bins away, and never above 1; places without a candidate do not count."""
+    bins = np.array([[[5, 7, 2, -1], [0, 1, -1, -1], [-1, -1, -1, -1]]])
+    chances = np.array(
+        [[[0.5, 0.25, 0.125, 0.9], [0.75, 0.5, 0.9, 0.9], [0.9, 0.9, 0.9, 0.9]]], np.float32
+    )
+    seeds = Seeds(bins, chances)
+    for reach, expected in (
+        (0, [0.5, 0.75, 0]),
+        (1, [0.5, 1, 0]),
+        (2, [0.75, 1, 0]),
+        (3, [0.875, 1, 0]),
+    ):
+        assert seeds.chance(reach).tolist() == [expected]
+    assert seeds.bin.tolist() == [[5, 0, -1]]
+    np.testing.assert_array_equal(seeds.time(4), [[22, 2, np.nan]])

@@ -71,3 +71,50 @@ def test_pulses_around_an_event_are_counted_on_both_sides(asked):
         law._replace(pulses=21), one._replace(pulse=np.zeros(1, int)), pixels
     )
     np.testing.assert_allclose(longer - said[0], silent, rtol=1e-3, atol=1e-5)
+
+
+def three_events(asked, pulses, overrun, heard):
+    """float32[times * lights]: what three events in some pulses of 20 say of pixels without a hit.
+
+    heard: factor of the chance that a photon is heard, for each kind of silence.
+    """
+    law, events, pixels = asked
+    mean = law.heard.mean * np.float32(heard)[:, None]
+    law = law._replace(pulses=20, heard=law.heard._replace(mean=mean))
+    events = only(events, 3)._replace(pulse=np.array(pulses), overrun=np.array(overrun))
+    return likelihood.add_events(law, events, pixels)
+
+
+def test_silence_before_an_overrun_is_counted_for_itself(asked):
+    """Pulses between the first two events, in which windows may have been dropped, say as much as
+    the others if they are heard as well, and nothing if they are not heard at all.
+    """
+    law, events, pixels = asked
+    overrun = [False, True, False]
+    alike = three_events(asked, (3, 4, 17), overrun, (1, 1))
+    other = three_events(asked, (3, 14, 17), overrun, (1, 1))
+    np.testing.assert_allclose(other, alike, rtol=1e-4, atol=1e-5)
+    silent = likelihood.add_events(law._replace(pulses=1), only(events, 0), pixels)
+    short = three_events(asked, (3, 4, 17), overrun, (1, 0))
+    long = three_events(asked, (3, 14, 17), overrun, (1, 0))
+    np.testing.assert_allclose(long - short, -10 * silent, rtol=1e-3, atol=1e-4)
+
+
+def test_before_an_overrun_no_photon_is_missed(asked):
+    """Its window may have been dropped. At the times that end just before the event, silence of its
+    own pulse says as much as that of any other pulse, and nothing if the event carries `overrun`.
+    """
+    law, events, pixels = asked
+    silent = likelihood.add_events(law._replace(pulses=1), only(events, 0), pixels)
+    one = only(events, 1)._replace(pulse=np.zeros(1, int))
+    early = (one.quiet[0] - law.reach) // law.step - law.origin
+    here = np.s_[early * law.lights : (early + 1) * law.lights]
+    said = {
+        overrun: likelihood.add_events(
+            law._replace(pulses=1), one._replace(overrun=np.array([overrun])), pixels
+        )[here]
+        for overrun in (False, True)
+    }
+    assert silent[here].min() < -0.01
+    np.testing.assert_allclose(said[False], silent[here], rtol=0.05)
+    assert np.abs(said[True]).max() < 0.05 * np.abs(silent[here]).max()

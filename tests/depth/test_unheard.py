@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables and shares from which the chance of an unheard photon follows, against plain counts."""
+
+import numpy as np
+import pytest
+
+from coincid.model.contract.coincidence import AT_LEAST, rises
+from coincid.model.depth.unheard import BLIND_MAX, SHARES, _busy, _event_share, _shares
+
+PHASES, CYCLES, PULSES = 4, 12, 40
+
+
+def windows(number=60):
+    """Return stamps, and the ticks at which the tree is armed again, of windows anywhere."""
+    rng = np.random.default_rng(number)
+    stamp = rng.integers(0, PHASES * CYCLES, number)
+    return stamp, (stamp // PHASES + rng.integers(1, 4, number)) * PHASES
+
+
+def test_the_tree_is_busy_until_the_next_cycle_and_ready_if_no_window_lasts_longer():
+    """A window counts as busy in its last cycle; it keeps the cycles before from being ready."""
+    stamp, armed = windows()
+    weight = np.linspace(0.5, 1.5, PHASES * CYCLES)
+    busy, ready = _busy(stamp, armed, weight, PULSES, PHASES)
+    for tick in range(PHASES * CYCLES):
+        at = (stamp <= tick) & (tick < armed) & (armed <= tick + PHASES)
+        assert busy[tick] == pytest.approx(at.sum() / PULSES * weight[tick])
+        begin = tick // PHASES * PHASES
+        beyond = np.sum((stamp < begin) & (armed > begin)) / PULSES * weight[begin - 1]
+        assert ready[tick] == pytest.approx(max(1 - BLIND_MAX, 1 - beyond))
+    assert len(np.unique(ready)) > CYCLES / 2
+
+
+@pytest.mark.parametrize("threshold", [2, 3, 6])
+def test_the_table_of_shares_has_each_share_at_its_place(threshold):
+    """From the first to the last: the photons at a place make so many windows events."""
+    law = rises(AT_LEAST, (8, 8), threshold)
+    shares = _shares(law)
+    for place in (5, SHARES // 2, SHARES - 5):
+        share = np.exp(shares.low + place / shares.per)
+        photons = -np.log(np.float64(shares.dark[place]))
+        assert _event_share(law, photons) == pytest.approx(share, rel=1e-3)
+    one_less = rises(AT_LEAST, (8, 8), threshold - 1)
+    photons = -np.log(np.float64(shares.dark[SHARES // 2]))
+    assert shares.met[SHARES // 2] == pytest.approx(_event_share(one_less, photons), rel=1e-3)
+    assert -shares.low * shares.per == pytest.approx(SHARES - 1, rel=1e-6)
