@@ -467,6 +467,9 @@ def test_code_density_finds_the_taps():
 def test_presets():
     assert background_cps(50) == pytest.approx(1.226e6)
     assert background_cps(5) == pytest.approx(1.226e5)
+    assert background_cps(np.array([50, 5, 0])) == pytest.approx([1.226e6, 1.226e5, 0])
+    of_all = background_cps(np.array([[50], [5]]), np.array([0.4, 0.2, 0.1]))
+    assert of_all == pytest.approx(np.outer([1.226e6, 1.226e5], [1, 0.5, 0.25]))
     assert signal_per_pulse(4.0, 0.4) == pytest.approx(0.613)
     assert signal_per_pulse(8.0, 0.2) == pytest.approx(0.613 / 8)
     scene = Light.from_scene([[4.0, np.nan], [8.0, 8.0]], [[0.4, 0.4], [0.2, 0.4]], 50)

@@ -306,6 +306,41 @@ def test_samples_of_another_data_set_are_told(tmp_path, case):
     assert bool(doubts) == bool(unit)
 
 
+def skewed(middle):
+    """uint16[64, 64]: samples of many values whose mean is far above their median."""
+    samples = np.arange(64 * 64).reshape(64, 64) % 97 + middle - 48
+    samples[:20] = 4 * middle
+    return samples.astype(np.uint16)
+
+
+@pytest.mark.parametrize(("name", "per_metre", "times"), [("tum", 5000, 5), ("sun-rgbd", 8000, 8)])
+def test_medians_of_a_hint_are_those_of_the_samples(tmp_path, name, per_metre, times):
+    samples = times * skewed(900)
+    doubts = load_scene(npy(tmp_path / "d.npy", samples), 8, 8).doubts
+    middle = np.median(samples)
+    told = f"with the unit {name} the median distance is {middle / per_metre:.3g} m"
+    assert f"{told}, not {middle / 1000:.3g} m" in " ".join(doubts)
+
+
+def test_numbers_of_a_doubt_are_those_of_the_samples(tmp_path):
+    """The share is that of the samples, not of their values."""
+    samples = skewed(2000)
+    share = np.mean(samples % 5 == 0)
+    assert share > 2 * np.mean(np.unique(samples) % 5 == 0)
+    doubts = load_scene(npy(tmp_path / "d.npy", samples), 8, 8, unit="tum").doubts
+    told = (
+        f"only {share:.0%} of the samples are multiples of 5, as tum writes them; with the unit mm"
+    )
+    assert f"{told} the median distance is {np.median(samples) / 1000:.3g} m" in " ".join(doubts)
+
+
+@pytest.mark.parametrize(("most", "is_told"), [(65530, True), (65540, False)])
+def test_samples_of_more_than_16_bits_are_those_of_no_data_set(tmp_path, most, is_told):
+    samples = of_a_room(1500).astype(np.int64) * 5
+    samples[0, 0] = most
+    assert bool(load_scene(npy(tmp_path / "d.npy", samples), 8, 8).doubts) == is_told
+
+
 def test_what_is_no_depth_picture_is_doubted(tmp_path):
     """Swapped bytes, and noise; a smooth scene with edges, holes and some noise is not."""
     rng = np.random.default_rng(7)

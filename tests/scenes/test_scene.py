@@ -16,6 +16,7 @@ from coincid.model.scenes.image_files import centre_crop, covered_samples
 from coincid.model.scenes.pixel_surface import GAP_SHARE
 from coincid.model.scenes.scene import scene_light
 from coincid.model.scenes.transient import SURFACE_GAP_M
+from coincid.model.scenes.view import View
 from coincid.model.shared.errors import InputError
 
 
@@ -86,6 +87,25 @@ def test_tunnel_is_symmetric_and_bright_at_its_end():
     assert (
         scene.truth_m[scene.sunlit == 1].min() >= 14 and scene.truth_m[scene.sunlit < 1].max() < 14
     )
+
+
+@pytest.mark.parametrize("rows, cols", [(12, 24), (24, 12)])
+def test_points_of_the_tunnel_are_on_its_walls_or_on_the_one_behind_its_exit(rows, cols):
+    """Two metres from the axis, up to the exit; distances are along the rays."""
+    scene = load_scene("tunnel", rows, cols)
+    right, down = View().tangents(rows, cols)
+    along_m = scene.truth_m / View().ray_per_z(rows, cols)
+    from_axis_m = along_m * np.maximum(np.abs(right), np.abs(down))
+    walls, behind, truck = (scene.labels == label for label in (1, 2, 3))
+    assert np.all(walls | behind | truck) and truck.any()
+    assert from_axis_m[walls] == pytest.approx(np.full(walls.sum(), 2.0))
+    assert along_m[walls].max() <= 11 and along_m[behind] == pytest.approx(
+        np.full(behind.sum(), 14)
+    )
+    assert np.all(np.maximum(np.abs(right), np.abs(down))[behind] * 11 < 2)
+    assert np.array_equal(scene.sunlit == 1, behind)
+    for part, reflectivity in ((walls, 0.15), (behind, 0.5), (truck, 0.08)):
+        assert np.all(scene.reflectivity[part] == reflectivity)
 
 
 def test_parameters_in_the_name():
