@@ -9,6 +9,7 @@ from scipy.stats import poisson
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.depth.arrivals import photons_of
+from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import SOURCES, subgroup_histograms
 from coincid.model.depth.peaks import _poisson_cdf
@@ -238,3 +239,25 @@ def test_picture_of_a_row(tmp_path, five_objects):
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(InputError, match="cannot be written"):
         depth_row(tmp_path / "file" / "c.png", panels, truth_m)
+
+
+@pytest.mark.parametrize(
+    ("further_m", "line"),
+    [
+        (None, "<Depth: 2 x 3 pixels, 1 return, 4 to 6 m, 50% to be believed>"),
+        (9.0, "<Depth: 2 x 3 pixels, 2 returns, 4 to 6 m, 50% to be believed>"),
+    ],
+)
+def test_one_line_tells_of_the_first_returns(further_m, line):
+    """Also where further ones are beyond them, and some pixels have no distance."""
+    first_m = np.array([[4.0, 5.0, np.nan], [5.5, 6.0, 5.0]])
+    sure = np.array([[1.0, 1.0, 1.0], [0.0, 1.0, 0.0]])
+    if further_m is None:
+        assert repr(Depth.of(first_m, sure)) == line
+        return
+    both_m = np.stack([first_m, np.full(first_m.shape, further_m)], axis=2)
+    assert repr(Depth.of(both_m, sure)) == line
+
+
+def test_one_line_tells_that_there_is_no_distance():
+    assert repr(Depth.of(np.full((2, 3), np.nan))) == "<Depth: 2 x 3 pixels, 1 return, no distance>"

@@ -66,3 +66,20 @@ def test_the_chance_of_a_seed_is_that_of_all_candidates_near_it():
         assert seeds.chance(reach).tolist() == [expected]
     assert seeds.bin.tolist() == [[5, 0, -1]]
     np.testing.assert_array_equal(seeds.time(4), [[22, 2, np.nan]])
+
+
+@pytest.mark.parametrize("tilt", [(0, 1), (1, 0)])
+def test_a_wall_that_moves_by_a_bin_from_pixel_to_pixel_supports_its_pixels(tilt):
+    """Along rows and along columns: its scores are those of a flat wall."""
+    shape = rows, cols = 7, 12
+    row, col = np.indices(shape)
+    light = np.full((*shape, TIMES), 4, np.uint8)
+    scores = []
+    for down, right in ((0, 0), tilt):
+        level = np.full((*shape, TIMES), -3, np.float32)
+        level[row, col, WALL + down * row + right * col] = 2.0
+        seeds, score = seeds_of(level, light)
+        assert np.array_equal(seeds, WALL + down * row + right * col)
+        scores.append(score)
+    inside = np.s_[2 : rows - 2, 2 : cols - 2]
+    assert scores[1][inside] == pytest.approx(scores[0][inside])

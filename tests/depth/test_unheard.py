@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from coincid.model.contract.coincidence import AT_LEAST, rises
-from coincid.model.depth.unheard import BLIND_MAX, SHARES, _busy, _event_share, _shares
+from coincid.model.depth.law import RARE
+from coincid.model.depth.unheard import BLIND_MAX, SHARES, _busy, _event_share, _room_found, _shares
 
 PHASES, CYCLES, PULSES = 4, 12, 40
 
@@ -44,3 +45,24 @@ def test_the_table_of_shares_has_each_share_at_its_place(threshold):
     photons = -np.log(np.float64(shares.dark[SHARES // 2]))
     assert shares.met[SHARES // 2] == pytest.approx(_event_share(one_less, photons), rel=1e-3)
     assert -shares.low * shares.per == pytest.approx(SHARES - 1, rel=1e-6)
+
+
+def test_room_is_found_as_often_as_windows_were_dropped_before_a_cycle_and_none_came_after():
+    """Of two gaps between events: one in a period, one over the end of a period."""
+    rate = np.array([0.3, 0.0, 0.8, 0.1, 0.5])
+    cells = len(rate)
+    gaps = [(1, 4), (3, 12)]
+    found = np.zeros(cells)
+    number = np.zeros(cells)
+    for begin, end in gaps:
+        windows = rate[np.arange(end) % cells]
+        chance = []
+        for cycle in range(begin, end):
+            dropped = 1 + RARE - np.exp(-windows[begin:cycle].sum())
+            chance.append(dropped * np.exp(-windows[cycle:end].sum()))
+        for cycle, so_far in zip(range(begin, end), np.cumsum(chance), strict=True):
+            found[cycle % cells] += so_far / sum(chance)
+            number[cycle % cells] += 1
+    expected = found / np.maximum(1, number)
+    begin, end = np.array(gaps).T
+    assert _room_found(begin.copy(), end.copy(), rate) == pytest.approx(expected)

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import constants
 from scipy.optimize import brentq
 
 from coincid.model.light.link_budget import JSON_KEYS, SBR_READINGS, Laser, Optics, link_budget
 from coincid.model.light.spad import Spad
-from coincid.model.light.spectrum import illuminance_lux, irradiance_w_m2
+from coincid.model.light.spectrum import illuminance_lux, irradiance_w_m2, photopic
 from coincid.model.shared.errors import InputError
 
 
@@ -63,6 +64,15 @@ def test_irradiance_of_50_klux(spectrum, filter_shape, w_m2):
 @pytest.mark.parametrize("spectrum, lux", [("am15g", 109_574), ("am15d", 97_217), ("am0", 133_184)])
 def test_illuminance_of_the_unscaled_spectra(spectrum, lux):
     assert illuminance_lux(spectrum) == pytest.approx(lux, rel=1e-4)
+
+
+def test_illuminance_of_the_black_body_is_that_of_plancks_law():
+    """Of its own exitance: both polarizations, over the half space."""
+    wavelength_m = np.linspace(380e-9, 780e-9, 4001)
+    exponent = constants.h * constants.c / (wavelength_m * constants.k * 5778)
+    radiance = 2 * constants.h * constants.c**2 / wavelength_m**5 / np.expm1(exponent)
+    lux = 683 * np.trapezoid(np.pi * radiance * photopic(wavelength_m * 1e9), wavelength_m)
+    assert illuminance_lux("planck") == pytest.approx(lux, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -468,3 +468,27 @@ def test_arrays_in_archives(tmp_path):
     (tmp_path / "e.mat").write_bytes(b"no archive")
     with pytest.raises(InputError, match="e.mat: is not a readable archive"):
         load_scene(str(tmp_path / "e.mat"), *SHAPE)
+
+
+@pytest.mark.parametrize("suffix", ["npy", "npz", "h5", "mat", "png", "pfm", "exr"])
+def test_a_suffix_may_be_in_capitals(tmp_path, suffix):
+    """As some cameras and most files from Windows have it."""
+    small = tmp_path / f"d.{suffix}"
+    depth_m = np.full(SHAPE, 4.0)
+    if suffix == "npy":
+        np.save(small, depth_m)
+    elif suffix == "npz":
+        np.savez(small, depth=depth_m)
+    elif suffix == "h5":
+        with h5py.File(small, "w") as archive:
+            archive["depth"] = depth_m
+    elif suffix == "mat":
+        savemat(small, {"depth": depth_m})
+    elif suffix == "png":
+        png(small, np.full(SHAPE, 4000, np.uint16))
+    elif suffix == "pfm":
+        content(small, b"Pf\n4 4\n-1.0\n" + np.full(16, 4, "<f4").tobytes())
+    else:
+        exr(small, Z=4)
+    large = small.rename(tmp_path / f"D.{suffix.upper()}")
+    assert np.all(load_scene(str(large), *SHAPE).truth_m == 4)

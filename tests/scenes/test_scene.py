@@ -14,7 +14,7 @@ from coincid.model.scenes.catalogue import RANGE_M, load_scene
 from coincid.model.scenes.depth_file import BRIGHTEST, DARKEST, depth_scene
 from coincid.model.scenes.image_files import centre_crop, covered_samples
 from coincid.model.scenes.pixel_surface import GAP_SHARE
-from coincid.model.scenes.scene import scene_light
+from coincid.model.scenes.scene import Scene, scene_light
 from coincid.model.scenes.transient import SURFACE_GAP_M
 from coincid.model.scenes.view import View
 from coincid.model.shared.errors import InputError
@@ -449,3 +449,23 @@ def test_a_channel_goes_with_pictures_only(source, tmp_path):
     assert load_scene(given, 8, 8).distance_m[0, 0] == 4
     with pytest.raises(InputError, match="channel = 'near': goes with pictures; FILE:NAME names"):
         load_scene(given, 8, 8, channel="near")
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("distance_m", 0.0, "distance_m[1, 2] = 0.0: must be at least 0.05 or NaN"),
+        ("reflectivity", 1.01, "reflectivity[1, 2] = 1.01: must be from 0 to 1"),
+        ("reflectivity", -0.01, "reflectivity[1, 2] = -0.01: must be from 0 to 1"),
+        ("sunlit", 1.01, "sunlit[1, 2] = 1.01: must be from 0 to 1"),
+        ("sunlit", -0.01, "sunlit[1, 2] = -0.01: must be from 0 to 1"),
+        ("labels", 2.0**31, "labels[1, 2] = 2147483648.0: must be from -2.14"),
+    ],
+)
+def test_each_array_of_a_scene_has_its_range(field, value, words):
+    arrays = {"distance_m": 4.0, "reflectivity": 0.4, "sunlit": 1.0, "labels": 1}
+    arrays = {name: np.full((2, 3), number, float) for name, number in arrays.items()}
+    Scene(name="own", **arrays)
+    arrays[field][1, 2] = value
+    with pytest.raises(InputError, match=re.escape(words)):
+        Scene(name="own", **arrays)
