@@ -179,3 +179,41 @@ def test_a_pixels_lights_are_those_of_all_its_times():
             likely.sum(axis=0) / likely.sum(), rel=1e-4
         )
     assert not chance[3].any()
+
+
+@pytest.mark.parametrize("cubic", [0.0, 8.0, -8.0])
+def test_sharp_lights_between_the_steps_are_averaged_over_all_lights(cubic):
+    """Each time has its likeliest light at another step, the second and the last but one included.
+
+    Around it, the log likelihood is that of a number of hits, and near it a cubic difference from that.
+    """
+    lights, step, hits, top = 9, 0.4, 60.0, 5.0
+    where = (step * np.arange(lights)).astype(np.float32)
+    steps = np.arange(1, lights - 1)
+    offs = 0.3 * step * np.cos(steps)  # from the step to the likeliest light
+
+    def level_at(off, beyond):
+        own = hits * off - hits * np.exp(-beyond) * (np.exp(off) - 1)
+        near = np.abs(off) < 2.5 * step
+        return top + own + np.where(near, cubic * off * (off - step) * (off + step), 0.0)
+
+    total = level_at(where - where[steps][:, None], offs[:, None])
+    fine = np.linspace(-1.5 * step, 1.5 * step, 2001)
+    likely = np.exp(level_at(fine, offs[:, None]))
+    expected = np.log(np.trapezoid(likely, fine, axis=1) / step)
+    times = len(steps)
+    pixels = pixels_of(total.reshape(1, -1).astype(np.float32), np.ones((1, times), bool), [0])
+    level = np.empty((1, times), np.float32)
+    light = np.empty((1, times), np.uint8)
+    mean_over_lights(
+        np.zeros(times * lights, np.float32),
+        pixels,
+        np.zeros(lights, np.float32),
+        where,
+        3,
+        np.zeros(1, np.int64),
+        level,
+        light,
+    )
+    assert light[0].tolist() == (3 + steps).tolist()
+    assert level[0] == pytest.approx(expected, abs=0.02)
