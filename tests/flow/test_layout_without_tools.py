@@ -442,3 +442,86 @@ def test_the_shell_of_a_routed_block_has_late_inputs_and_every_kept_bit(module):
 )
 def test_touching_spans_of_metal_are_one(module, low, joined):
     assert module("pins")._joined([(low, 90), (0, 50)]) == joined
+
+
+def test_a_pin_is_its_strip_alone(module, monkeypatch):
+    """From its low end to its high one, on metal2, so wide as a wire there; the shapes that it had
+    before are gone.
+    """
+    technology = module("technology")
+    shapes = [SimpleNamespace(destroy=lambda k=k: destroyed.append(k)) for k in range(3)]
+    destroyed, created, external = [], [], []
+    net = SimpleNamespace(
+        getComponents=lambda: (one for k, one in enumerate(shapes) if k not in destroyed)
+    )
+    monkeypatch.setattr(technology.Vertical, "create", lambda *given: given, raising=False)
+    monkeypatch.setattr(
+        technology.NetExternalComponents, "setExternal", external.append, raising=False
+    )
+    technology._replace_pin(net, "metal2", 0.285, 0.31, 1.05)
+    assert sorted(destroyed) == [0, 1, 2] and not created
+    assert external == [(net, "metal2", 285, 70, 310, 1050)]
+
+
+@pytest.mark.parametrize(
+    ("um2_per_pin", "width"),
+    [(0.2, 4 * SITE), (0.35, 4 * SITE), (0.36, 5 * SITE), (0.44, 5 * SITE), (0.5, 6 * SITE)],
+)
+def test_a_cell_gets_whole_sites_on_its_right_until_its_pins_have_room(
+    module, monkeypatch, um2_per_pin, width
+):
+    """Three pins in a row of 1.4 um; supplies and inner nets are no pins."""
+    technology = module("technology")
+    monkeypatch.setattr(technology, "Box", lambda *corners: corners)
+    kinds = [(True, False)] * 3 + [(True, True), (False, False)]
+    nets = [
+        SimpleNamespace(isExternal=lambda of=of: of[0], isSupply=lambda of=of: of[1])
+        for of in kinds
+    ]
+    box = Extent(100, 20, 4 * SITE)
+    boxes = [(100, 20, 100 + 4 * SITE, 20 + ROW)]
+    box.getYMax = lambda: 20 + ROW
+    cell = SimpleNamespace(
+        getNets=lambda: nets, getAbutmentBox=lambda: box, setAbutmentBox=boxes.append
+    )
+    technology._widen(cell, um2_per_pin)
+    assert boxes[-1] == (100, 20, 100 + width, 20 + ROW)
+
+
+def test_each_fact_of_a_layout_stands_beside_its_name(module):
+    found = {
+        "width_um": 50.04,
+        "height_um": 20.06,
+        "cells": 1234,
+        "cell_area_um2": 753.4,
+        "buffers": 17,
+        "clock_tree_mw": 0.125,
+        "nets": 1300,
+        "wire_um": 6543.0,
+        "sinks": 2600,
+        "wire_ff": 910.0,
+    }
+    assert module("document").facts(found, 1720.6) == [
+        ("cells before layout, um2", "1,721"),
+        ("cells with the clock tree", "1234"),
+        ("their area, um2", "753"),
+        ("buffers of the clock tree", "17"),
+        ("power of the clock tree, without the flip-flops' pins, mW", "0.12"),
+        ("block, um", "50.0 x 20.1"),
+        ("block, um2", "1,004"),
+        ("share of the block that cells cover", "75%"),
+        ("nets", "1300"),
+        ("wire, mm", "6.54"),
+        ("wire for each input that it reaches, um", "2.5"),
+        ("capacitance of the wires, fF", "910"),
+        ("capacitance for each such input, fF", "0.35"),
+    ]
+
+
+def test_each_slack_of_a_layout_stands_beside_its_name(module):
+    found = {"slack_ns": 0.125, "hold_ns": -0.03}
+    assert [value for _, value in module("document").slacks(found, 0.5)] == [
+        "+0.50",
+        "+0.12",
+        "-0.03",
+    ]

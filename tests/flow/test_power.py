@@ -146,6 +146,10 @@ def test_sum_by_hand():
     assert of["a"].leakage == pytest.approx(1e-3)
     assert of["a"].idle == pytest.approx(of["a"].clock / 2)
     assert of["a.b"].total == pytest.approx(PER_FJ * 5 * 1.0)
+    frames = {name: np.stack([7 * of_frame[0], of_frame[0]]) for name, of_frame in toggles.items()}
+    assert power(design, frames, 1, 10, 100.0) == of
+    assert power(design, frames, 0, 10, 100.0)["a"].clock == pytest.approx(7 * of["a"].clock)
+    assert power(design, toggles, 0, 20, 100.0)["a"].clock == pytest.approx(of["a"].clock / 2)
     wired = power(design, toggles, 0, 10, 100.0, wire_ff=4.0)
     assert wired["a"].switching == pytest.approx(2 * of["a"].switching)
     assert wired["a"].clock - of["a"].clock == pytest.approx(PER_FJ * 20 * 2.0 * 4.0)

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """What Yosys is asked for where standard cells are used: clock gates and the goal of the logic."""
 
+import json
 import re
 
-from coincid.flow.yosys import bound, cells_script
+import pytest
+
+from coincid.flow.yosys import bound, cells_script, generic_script
 from coincid.hdl.clock_gate import ClockGate
 from coincid.hdl.export import units_files
 from coincid.model.contract.config import load_config
+from coincid.tools.wheels import yosys_once
 
 LARGE_GATE, SMALL_GATE = ClockGate(), ClockGate(small=True)
 
@@ -41,3 +45,36 @@ def test_logic_is_mapped_for_a_part_of_the_cycle():
     (line,) = [line for line in cells_script("top") if line.startswith("abc ")]
     goal_ps = float(re.search(r" -D (\S+)", line)[1])
     assert cycle_ps / 2 < goal_ps < cycle_ps
+
+
+STARTED = """
+module inner (input clk, input [1:0] at, input d, output q, output reg r);
+  reg kept [0:3];
+  initial begin
+    r = 1;
+    kept[0] = 1; kept[1] = 0; kept[2] = 1; kept[3] = 0;
+  end
+  assign q = kept[at];
+  always @(posedge clk) begin r <= d; kept[at] <= d; end
+endmodule
+module top (input clk, input [1:0] at, input d, output q, output r);
+  inner one (clk, at, d, q, r);
+endmodule
+"""
+
+
+@pytest.mark.parametrize("flatten", [False, True])
+def test_no_gate_has_an_initial_value(flatten, tmp_path):
+    """Neither a register nor a word of a memory; flip-flops of silicon begin with anything."""
+    script = [
+        "read_verilog started.v",
+        *generic_script("top", flatten=flatten),
+        "write_json netlist.json",
+    ]
+    folder = yosys_once(tmp_path / "made", {"started.v": STARTED}, script)
+    modules = json.loads((folder / "netlist.json").read_text(encoding="utf-8"))["modules"]
+    assert set(modules) == ({"top"} if flatten else {"top", "inner"})
+    nets = [net for module in modules.values() for net in module["netnames"].values()]
+    cells = [cell["type"] for module in modules.values() for cell in module["cells"].values()]
+    assert sum("DFF" in kind for kind in cells) == 5
+    assert not [net for net in nets if "init" in net["attributes"]]

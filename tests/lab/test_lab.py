@@ -399,13 +399,18 @@ def test_klux_of_maps_among_numbers_are_texts_in_a_table():
     from coincid.lab.outcome_table import to_table
 
     found = [{"photons": 1}, {"photons": 2}]
-    varied = [{"klux": 0.5, "threshold": 1}, {"klux": "map.npy", "threshold": 2}]
-    table = to_table(varied, found, error=("what went wrong", ["", "no"]))
+    found.append({"photons": 3})
+    varied = [
+        {"klux": 0.5, "threshold": 1},
+        {"klux": "map.npy", "threshold": 2},
+        {"klux": 50.0, "threshold": 3},
+    ]
+    table = to_table(varied, found, error=("what went wrong", ["", "no", ""]))
     assert table.to_pydict() == {
-        "klux": ["0.5", "map.npy"],
-        "threshold": [1, 2],
-        "photons": [1, 2],
-        "error": ["", "no"],
+        "klux": ["0.5", "map.npy", "50"],
+        "threshold": [1, 2, 3],
+        "photons": [1, 2, 3],
+        "error": ["", "no", ""],
     }
     told = [table.schema.field(name).metadata[b"meaning"].decode() for name in table.column_names]
     assert told[:2] == ["swept", "swept"] and told[3] == "what went wrong"

@@ -11,6 +11,7 @@ import pytest
 from coincid.lab import long_frames
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
 from coincid.model.golden.frame import Golden
 from coincid.model.scenes.catalogue import load_scene
@@ -42,6 +43,26 @@ def test_a_long_run_gives_the_same_events_and_depth(subgroup, monkeypatch):
         np.testing.assert_array_equal(array, expected[name], err_msg=name)
     np.testing.assert_array_equal(run.frame().depth_m, usual.frame().depth_m)
     assert run.frame(1)["edges"] == usual.frame(1)["edges"]
+
+
+@pytest.mark.parametrize("form", ["full", "compact"])
+def test_each_frame_of_a_long_run_has_its_rows_of_other_runs(form, long):
+    """Decoded alone: pulses count from the first frame, and counters are those of all frames."""
+    setup = setup_of(pulses=70, format=form, minigroup_records=True)
+    expected = dict(Run(setup).result)
+    run = Run(setup)
+    rows = {"pulse": ("subgroup", "stamp", "count"), "mg_pulse": ("mg_subgroup", "mg_stamp")}
+    for number in range(3):
+        frame = run.frame(number)
+        found = frame.result
+        assert len(frame.events) == len(found["pulse"]) > 0
+        for pulse, others in rows.items():
+            own = expected[pulse] // 70 == number
+            for name in (pulse, *others):
+                np.testing.assert_array_equal(found[name], expected[name][own], err_msg=name)
+        for name in COUNTER_NAMES:
+            np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
+    assert not run.has_result
 
 
 def test_a_long_run_gives_the_same_counts_of_each_frame(monkeypatch):
@@ -78,6 +99,7 @@ def test_a_long_run_keeps_the_edges_and_fates_of_the_first_pulses(long):
             )
         assert len(run.traces[number].fate) == len(kept)
         assert run.frame(number).edge_count == fates.seen[number].total == len(expected)
+    assert run.edge_count == len(everything)
 
 
 @pytest.mark.parametrize("format_name", ["id", "compact"])

@@ -205,3 +205,28 @@ def test_a_frame_to_depth_has_its_size_format_and_estimator(name, result):
     assert result[f"to_depth_{name}_s"] == pytest.approx(seconds, rel=1e-3)
     told, _ = bench.KEYS[f"to_depth_{name}_s"][1].rsplit(",", 1)
     assert told.endswith(f"by {method}") and f"frame of {size} " in told
+
+
+def test_the_machine_is_told_in_the_units_of_its_keys(monkeypatch):
+    """24 GiB in pages of 16 KiB, four of eight cores, and the load of the last minute."""
+    pages = {"SC_PAGE_SIZE": 16 << 10, "SC_PHYS_PAGES": 24 << 16}
+    known = "processor : 0\nmodel name : A fast one: 3 GHz\nprocessor : 1\nmodel name : another\n"
+    monkeypatch.setattr(
+        bench,
+        "os",
+        SimpleNamespace(
+            sysconf=pages.__getitem__,
+            sched_getaffinity=lambda process: {0, 2, 5, 7},
+            cpu_count=lambda: 8,
+            getloadavg=lambda: (1.25, 2.5, 3.75),
+        ),
+    )
+    monkeypatch.setattr(bench, "Path", lambda path: SimpleNamespace(read_text=lambda **_: known))
+    found = bench._machine()
+    assert found.pop("machine_cpu").strip() == "A fast one: 3 GHz"
+    assert found == {
+        "machine_cores": 4,
+        "machine_memory_mib": 24 * 1024,
+        "machine_load": 1.25,
+    }
+    assert [bench.KEYS[f"machine_{name}"][0] for name in ("memory_mib", "load")] == ["MiB", ""]

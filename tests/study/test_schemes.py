@@ -10,7 +10,7 @@ from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.scenes.catalogue import load_scene
 from coincid.study.progress import Bar
-from coincid.study.schemes import best_threshold, long_scheme_runs, scheme_runs
+from coincid.study.schemes import best_threshold, long_scheme_runs, scheme_runs, seeing_all
 from coincid.study.simulate import LINK_FORMAT, LINK_GBPS, with_link
 
 
@@ -49,6 +49,23 @@ def moving_run(controller):
     frame = {"frames": 3, "pulses": 12, "period": 80}
     setup = Setup.of("flat:5", sensor=sensor, frame=frame, klux=20.0)
     return Run(setup.but(scene=load_scene(walls_m, 4, 8)))
+
+
+@pytest.mark.parametrize(
+    ("sensor", "form", "still", "moving"),
+    [
+        ({"controller": 1}, "id", ["auto"], ["auto"]),
+        ({"controller": 0}, "id", [], ["fixed"]),
+        ({"controller": 1, "counts": 1}, "counts", [], ["counts"]),
+        ({"controller": 0, "counts": 1}, "counts", [], ["counts"]),
+    ],
+)
+def test_all_frames_are_for_the_controller_and_for_what_moves(sensor, form, still, moving):
+    """Another scheme of a still scene has one frame, because its frames are alike."""
+    config = parse_config({"sensor": {"rows": 8, "cols": 8} | sensor, "frame": {"format": form}})
+    walls_m = np.full((2, 8, 8), 5.0)
+    assert seeing_all(config, load_scene(walls_m[0], 8, 8)) == still
+    assert seeing_all(config, load_scene(walls_m, 8, 8)) == moving
 
 
 @pytest.mark.parametrize("threshold", [None, 2])

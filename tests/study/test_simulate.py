@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import re
+import sys
 import time
 from types import SimpleNamespace
 
@@ -23,7 +24,7 @@ from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.quality import wrong_share
 from coincid.model.golden.frame import Golden
 from coincid.model.scenes.catalogue import load_scene
-from coincid.study import progress, schemes, simulate
+from coincid.study import progress, schemes, show, simulate
 from coincid.study.schemes import SCHEMES
 from coincid.study.simulate import (
     ANIMATION,
@@ -95,6 +96,23 @@ def test_report_agrees_with_the_events(tmp_path):
         PAGE,
         REPORT,
     }
+
+
+@pytest.mark.parametrize("engine", ["golden", "sliced"])
+def test_without_the_library_of_the_page_all_else_is_written(engine, tmp_path, monkeypatch):
+    """And a page of an earlier run is removed."""
+    of_page = {f"{show.__name__}.{name}" for name in ("figures", "report")}
+    for name in [*sys.modules]:
+        if name.partition(".")[0] == "bokeh" or name in of_page:
+            monkeypatch.delitem(sys.modules, name)
+    for name in of_page:
+        monkeypatch.delattr(show, name.rpartition(".")[2], raising=False)
+    monkeypatch.setitem(sys.modules, "bokeh", None)
+    (tmp_path / PAGE).write_text("of an earlier run", encoding="utf-8")
+    report, _, told = run(tmp_path, engine=engine)
+    assert report["mismatches"] == 0 and PAGE not in told
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written == {*PICTURES, LIGHT, EVENTS, DEPTH, REPORT}
 
 
 def test_a_scene_that_moves(tmp_path):

@@ -8,10 +8,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bokeh.models import ColumnDataSource
+from bokeh.models import ColorBar, ColumnDataSource
 
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.pixels import pixel_table
+from coincid.model.depth.belief import Reason
+from coincid.study.pictures import REASONS
 from coincid.study.show.figures import (
     COUNTS,
     LIGHT,
@@ -85,3 +87,51 @@ def test_a_map_stands_upright_and_has_the_scale_that_it_is_given(shows):
     assert (down.start, down.end) == (ROWS - 0.5, -0.5)
     assert (one.mapper.low, one.mapper.high) == (0, 20.0)
     assert one.figure.title.text == f"A: {MAPS[shows][0]}"
+
+
+def renderers_of(one, column):
+    """Return the renderers of a figure that draw a column as a picture or as a place."""
+    return [
+        renderer
+        for renderer in one.figure.renderers
+        if column in (getattr(renderer.glyph, "image", None), renderer.glyph.x)
+    ]
+
+
+def colour_of(mapper, value):
+    """Return the colour of a value, as the page finds it: the scale has parts of one width."""
+    share = (value - mapper.low) / (mapper.high - mapper.low)
+    return mapper.palette[min(int(share * len(mapper.palette)), len(mapper.palette) - 1)]
+
+
+def test_every_reason_has_its_colour_over_the_confidence():
+    """What is believed lets the confidence below it through; no other map has reasons."""
+    source, empty = ColumnDataSource(map_columns(view_of(1))), ColumnDataSource({})
+    of_name = {name: MapFigure(name, name, source, empty, empty) for name in MAPS}
+    drawn = {name: renderers_of(one, "reason") for name, one in of_name.items()}
+    assert [name for name, found in drawn.items() if found] == ["confidence"]
+    (reasons,) = drawn["confidence"]
+    shown = {reason: colour_of(reasons.glyph.color_mapper, int(reason)) for reason in Reason}
+    assert shown == REASONS | {Reason.BELIEVED: "#00000000"}
+    (below,) = renderers_of(of_name["confidence"], "confidence")
+    order = of_name["confidence"].figure.renderers
+    assert order.index(below) < order.index(reasons)
+
+
+@pytest.mark.parametrize("shows", MAPS)
+def test_a_map_draws_its_own_picture_bar_and_frames(shows):
+    """The frame of the subgroup is dashed, that of the pixel is not; both are seen on any colour."""
+    source = ColumnDataSource(map_columns(view_of(1)))
+    cursor, around = (ColumnDataSource(dict.fromkeys("xywh", [])) for _ in range(2))
+    one = MapFigure(shows, "map", source, cursor, around)
+    (picture,) = renderers_of(one, shows)
+    assert picture.glyph.color_mapper is one.mapper and picture.data_source is source
+    assert one.figure.hover.renderers == [picture]
+    (bar,) = one.figure.select(type=ColorBar)
+    assert bar.color_mapper is one.mapper
+    assert bar.ticker.min_interval == (1 if shows in COUNTS else 0)
+    for frame, dash in ((around, "dashed"), (cursor, "solid")):
+        lines = [drawn.glyph for drawn in one.figure.renderers if drawn.data_source is frame]
+        assert [line.line_color for line in lines] == ["black", "white"]
+        assert lines[0].line_width > lines[1].line_width
+        assert all(line.line_dash == dash for line in lines)

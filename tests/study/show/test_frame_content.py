@@ -2,6 +2,7 @@
 """Maps of a frame in a scene with several targets per pixel, in an array that is no square."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from coincid.model.contract.pixels import pixel_table
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene
 from coincid.study.show import report
-from coincid.study.show.frame_content import FrameView
+from coincid.study.show.frame_content import FrameView, seen_objects
 
 ROWS, COLS, TARGETS = 8, 24, 3
 
@@ -95,6 +96,57 @@ def test_light_in_bins_is_shown(recorded):
         ("darker half", pytest.approx(0.2)),
         ("brighter half", pytest.approx(0.4)),
     ]
+
+
+def objects_of(labels, distance_m, signal, reflectivity, depth_m):
+    """Return the objects of pictures of 2 x 5 pixels, by name."""
+    distance_m = np.array(distance_m)[:, :, None]
+    reflectivity = np.broadcast_to(np.array(reflectivity)[:, :, None], distance_m.shape)
+    scene = Scene(
+        name="hand-made",
+        distance_m=distance_m,
+        reflectivity=np.where(np.isnan(distance_m), 0, reflectivity),
+        labels=np.array(labels, np.int32),
+    )
+    light = SimpleNamespace(total_signal=np.array(signal).ravel())
+    return seen_objects(scene, light, np.array(depth_m))
+
+
+NO = np.nan
+
+
+def test_an_object_has_the_medians_of_its_own_pixels():
+    """Without pixels that no target is in, which have labels, too."""
+    near, far = objects_of(
+        labels=[[7, 7, 7, 3, 3], [7, 7, 3, 3, 3]],
+        distance_m=[[4.0, 5.0, 9.0, 20.0, 21.0], [NO, NO, 22.0, NO, 29.0]],
+        signal=[[0.1, 0.2, 0.6, 1.0, 2.0], [0.0, 0.0, 3.0, 0.0, 7.0]],
+        reflectivity=[[0.25, 0.5, 0.875, 0.1, 0.2], [0.0, 0.0, 0.3, 0.0, 0.9]],
+        depth_m=[[4.0, 5.5, 9.0, 20.0, 21.0], [NO, NO, 1.0, NO, NO]],
+    )
+    assert (near.name, near.pixels, near.middle) == ("object 7", 3, (0, 1))
+    assert (near.distance_m, near.reflectivity, near.signal) == (5.0, 0.5, 0.2)
+    assert near.wrong_share == pytest.approx(1 / 3)
+    assert (far.name, far.pixels, far.middle) == ("object 3", 4, (0, 3))
+    assert (far.distance_m, far.signal, far.wrong_share) == (21.5, 2.5, 0.5)
+    assert far.reflectivity == pytest.approx(0.25)
+
+
+def test_a_scene_without_objects_has_two_halves_of_what_is_seen():
+    """Pixels without a target send no light, and are in neither half."""
+    darker, brighter = objects_of(
+        labels=np.zeros((2, 5)),
+        distance_m=[[5.0, 5.0, NO, NO, NO], [6.0, 6.0, NO, NO, NO]],
+        signal=[[0.1, 0.3, 0.0, 0.0, 0.0], [0.2, 0.4, 0.0, 0.0, 0.0]],
+        reflectivity=np.full((2, 5), 0.5),
+        depth_m=[[5.0, 6.0, NO, NO, NO], [6.0, NO, NO, NO, NO]],
+    )
+    assert [(one.name, one.pixels) for one in (darker, brighter)] == [
+        ("darker half", 2),
+        ("brighter half", 2),
+    ]
+    assert (darker.signal, brighter.signal) == pytest.approx((0.15, 0.35))
+    assert (darker.wrong_share, brighter.wrong_share) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize("frames", (1, 2))

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from attrs import evolve
+from bokeh.models import HoverTool
 
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Fate
@@ -128,6 +129,36 @@ def test_both_histograms_of_a_pixel_fill_their_own_scale():
         [HISTOGRAM_BIN_M] * len(bars["left"])
     )
     assert (bars["pixel"][4], bars["subgroup"][6]) == (10, 200)
+
+
+def test_each_histogram_of_a_pixel_stands_on_the_axis_with_its_name():
+    """The scale of the pixel is on the left, that of its subgroup on the right."""
+    drawn = HistogramFigure()
+    plot = drawn.figure
+    bars = {one.glyph.top: one for one in plot.renderers if one.data_source is drawn.bars}
+    assert bars.keys() == {"pixel", "subgroup"}
+    assert bars["pixel"].y_range_name == "default"
+    assert plot.extra_y_ranges[bars["subgroup"].y_range_name] is drawn.subgroup_range
+    (left,), (right,) = plot.left, plot.right
+    assert (left.axis_label, left.y_range_name) == ("events of the pixel", "default")
+    assert right.axis_label == "events of its subgroup"
+    assert right.y_range_name == bars["subgroup"].y_range_name
+    assert plot.below[0].axis_label == "distance in m"
+    for name, one in bars.items():
+        assert (one.glyph.left, one.glyph.right, one.glyph.bottom) == ("left", "right", 0)
+        labels = [item.label.value for item in plot.legend[0].items if one in item.renderers]
+        assert labels == [name]
+
+
+def test_what_is_told_over_a_bar_or_a_return_is_its_own():
+    drawn = HistogramFigure()
+    tools = {one.renderers[0].data_source: one for one in drawn.figure.select(type=HoverTool)}
+    assert tools.keys() == {drawn.bars, drawn.returns}
+    told = dict(tools[drawn.bars].tooltips)
+    assert told["distance"].startswith("@left") and "to @right" in told["distance"]
+    assert (told["pixel"], told["subgroup"]) == ("@pixel", "@subgroup")
+    ((what, values),) = tools[drawn.returns].tooltips
+    assert what == "@what" and values.startswith("@x") and "confidence @confidence" in values
 
 
 def test_the_histogram_tells_the_returns_and_the_truth():

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a tab without a browser: what stands where when two results are compared, and what
+the fields to look at accept.
+"""
+
+import pytest
+from bokeh.document import Document
+
+from coincid.study.explore import messages
+from coincid.study.explore.control_values import check_settings
+from coincid.study.explore.controls import CONTROL
+from coincid.study.explore.stages import Explorer
+from coincid.study.explore.tab import Page, _summary
+from coincid.study.explore.uploads import Kept, Uploads
+from coincid.study.show.words import number_rows
+
+SMALL = {"rows": 8, "cols": 16, "pulses": 20, "frames": 3}
+EXPLORER = Explorer()
+
+
+@pytest.fixture
+def page():
+    made = Page(Document(), {}, Uploads(), Kept())
+    yield made
+    made.close()
+
+
+def answered(page, **values):
+    """Show the result of settings, as if the page had asked for it."""
+    explored = EXPLORER.run(check_settings(SMALL | values))
+    page._computed(page._run, "done", explored)
+    return explored
+
+
+def look(page, name, value):
+    page._ordered(messages.Look(name=name, value=str(value)))
+    return page.link.look_refusal["text"]
+
+
+@pytest.mark.parametrize(
+    ("frames_of_a", "frames_of_b", "frame", "frame_of_a"),
+    [(3, 1, 0, 0), (1, 3, 2, 0), (2, 3, 1, 1), (2, 3, 2, 1), (3, 3, 1, 1)],
+)
+def test_beside_a_frame_stands_that_of_a_or_its_last(
+    page, frames_of_a, frames_of_b, frame, frame_of_a
+):
+    a = answered(page, frames=frames_of_a)
+    page._ordered(messages.KeepA())
+    b = answered(page, frames=frames_of_b, threshold=3)
+    assert look(page, "frame", frame) == ""
+    edges = [a.view(number).numbers["edges"] for number in range(frames_of_a)]
+    assert len(set(edges)) == frames_of_a
+    words = page.link.new_words["words"]
+    expected = number_rows(b.view(frame), a.view(frame_of_a))
+    assert [list(row) for row in words["numbers"]] == [list(row) for row in expected]
+    assert words["number_heads"] == ["", "B", "A"] and words["ab"]
+    assert words["frames"] == frames_of_b
+    page._ordered(messages.DropA())
+    assert page.link.new_words["words"]["number_heads"] == ["", ""]
+
+
+def test_a_that_is_smaller_shows_its_last_pixel_and_pulse(page):
+    """As long as it is looked at; B keeps its own."""
+    answered(page, pulses=5)
+    page._ordered(messages.KeepA())
+    answered(page, rows=24, cols=40)
+    for name, value in {"row": 21, "col": 37, "pulse": 18}.items():
+        assert look(page, name, value) == ""
+    title = page.views.histogram.figure.title
+    assert title.text.startswith("row 21, column 37:")
+    assert look(page, "which", "A") == ""
+    assert title.text.startswith("row 7, column 15:")
+    assert look(page, "which", "B") == ""
+    assert title.text.startswith("row 21, column 37:")
+    page._picked(3, 9)
+    assert title.text.startswith("row 3, column 9:")
+    page._picked(9, 40)  # beside the map
+    assert title.text.startswith("row 3, column 9:")
+
+
+@pytest.mark.parametrize(("name", "last"), [("row", 7), ("col", 15), ("pulse", 19), ("frame", 2)])
+def test_what_is_looked_at_is_in_the_result(page, name, last):
+    """The error tells the range; a step behind the last one goes to the first."""
+    answered(page)
+    for value in (0, last):
+        assert look(page, name, value) == ""
+        assert page.link.new_words["words"]["look"][name] == value
+    for value in (-1, last + 1, "1.5", ""):
+        assert f"0 to {last}" in look(page, name, value)
+        assert page.look == messages.LookedAt(**page.link.new_words["words"]["look"])
+    if name in ("pulse", "frame"):
+        page._ordered(messages.Step(name=name))
+        assert getattr(page.look, name) == 0
+        page._ordered(messages.Step(name=name))
+        assert getattr(page.look, name) == 1
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"auto": True, "threshold": 4}, "controller"),
+        ({"auto": False, "threshold": 4}, "threshold 4"),
+        ({"coincidence": False, "auto": True}, "coincidence off"),
+    ],
+)
+def test_the_summary_tells_each_setting_once(values, told):
+    """The most important ones first, then all others that are changed."""
+    first = {"scene": "flat", "klux": 2.5, "pulses": 20}
+    head = f"flat, 2.5 klux, 20 pulses, {told}"
+    assert _summary(check_settings(first | values)) == head
+    label = CONTROL["rows"].label
+    others = f"{label[:1].lower()}{label[1:]} 16"
+    assert _summary(check_settings(first | values | {"rows": 16})) == f"{head}, {others}"
