@@ -61,3 +61,19 @@ def test_edges_that_are_chosen_keep_their_positions_in_the_ticks():
     assert edges.take(slice(0, 1)).offset_ps.tolist() == [1.0]
     own, _ = edges.frame(1, 1)
     assert own.offset_ps.tolist() == [2.0, 3.0]
+
+
+def test_parts_are_joined_one_behind_the_other_without_offsets():
+    """Of whole numbers, also if there are none."""
+    first = Edges(*(np.array([k, k + 1]) for k in (0, 10, 20)), np.array([1.0, 2.0]))
+    second = Edges(*(np.array([k]) for k in (7, 17, 27)))
+    empty = first.take(slice(0, 0))
+    edges = Edges.joined([first, empty, second])
+    assert [getattr(edges, name).tolist() for name in NAMES] == [
+        [0, 1, 7],
+        [10, 11, 17],
+        [20, 21, 27],
+    ]
+    assert edges.offset_ps is None
+    for joined in (edges, Edges.joined([]), Edges.joined([empty])):
+        assert all(getattr(joined, name).dtype == np.int64 for name in NAMES)

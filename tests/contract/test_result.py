@@ -8,6 +8,8 @@ from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.gate_counts import Counts
 from coincid.model.contract.packet import FORMATS
 from coincid.model.contract.result import (
+    EVENT_COLUMNS,
+    RECORD_COLUMNS,
     ResultBuilder,
     ResultFile,
     differences,
@@ -182,6 +184,20 @@ def test_arrays_that_are_no_result_are_neither_a_table_nor_a_file(tmp_path):
         with pytest.raises(InputError, match=r"arrays = \[1, 2\]: must be Mapping"):
             use([1, 2])
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", [*EVENT_COLUMNS, *RECORD_COLUMNS, *COUNTER_NAMES])
+def test_a_file_of_a_result_has_every_column(name, tmp_path):
+    """Of events, of minigroup records, and of counters; a table of events needs no others."""
+    without = {other: array for other, array in RESULTS[EVENTS].items() if other != name}
+    with pytest.raises(InputError, match=f"arrays: {name} is missing"):
+        write_result(tmp_path / "r.npz", without)
+    assert not list(tmp_path.iterdir())
+    if name in EVENT_COLUMNS:
+        with pytest.raises(InputError, match=f"arrays: {name} is missing"):
+            events_table(without)
+    else:
+        assert len(events_table(without)) == len(RESULTS[EVENTS]["pulse"])
 
 
 @pytest.mark.parametrize("dropped, opened_known", [(0, True), (511, False)])

@@ -228,6 +228,25 @@ def test_a_clock_tree_by_hand():
     )
 
 
+@pytest.mark.parametrize(
+    ("sinks", "wires", "buffers"),
+    [(1, 1, 0), (16, 16, 0), (17, 19, 2), (256, 272, 16), (257, 276, 19)],
+)
+def test_a_clock_tree_has_as_many_levels_as_it_needs(sinks, wires, buffers):
+    """A buffer, like the clock itself, drives up to 16 loads, so 257 need two levels. The power is
+    that of the transitions of a frame.
+    """
+    buffer = {"A": Pin(False, 4.0, None, False), "Z": Pin(True, 0.0, always(7.0), False)}
+    library = {"DFF": Cell(0.0, {"CK": CLOCK}), CLOCK_BUFFER: Cell(0.0, buffer)}
+    instances = [Instance("a", "DFF", {"CK": 2}) for _ in range(sinks)]
+    of = Design(["", "a"], instances, {2: [("clk", 0)]}, library, 2.0)
+    for frame, moves in enumerate((20, 60, 10)):
+        toggles = {"clk": np.array([[20], [60], [10]])}
+        tree = clock_tree_mw(of, toggles, frame, 10, 100.0, wire_ff=0.5)
+        fj = wires * 2.0 * 0.5 + buffers * (7.0 + 2.0 * 4.0)
+        assert tree == {"a": pytest.approx(PER_FJ * moves * fj)}
+
+
 def test_blocks_of_the_table():
     rows = {"tree.minigroup_3.stamp": "minigroups (16)", "fifo.storage": "FIFO"}
     assert {name: group_of(f"module_0.subgroup_0.{name}") for name in rows} == rows

@@ -230,3 +230,19 @@ def test_the_machine_is_told_in_the_units_of_its_keys(monkeypatch):
         "machine_load": 1.25,
     }
     assert [bench.KEYS[f"machine_{name}"][0] for name in ("memory_mib", "load")] == ["MiB", ""]
+
+
+def test_each_version_is_that_of_its_program(monkeypatch):
+    """Of what a program tells, the first line; it goes on about licences."""
+
+    def told(command, **options):
+        return SimpleNamespace(stdout=f"{' '.join(command)}: 1.2\nno warranty\n")
+
+    monkeypatch.setattr(bench, "subprocess", SimpleNamespace(run=told))
+    monkeypatch.setattr(bench, "version", lambda package: f"{package} 3")
+    found = bench._versions()
+    assert list(found) == [key for key in bench.KEYS if key.startswith("version_")]
+    assert found.pop("version_icarus") == "iverilog -V: 1.2"
+    assert found.pop("version_gxx") == "g++ --version: 1.2"
+    assert found.pop("version_python").count(".") == 2
+    assert found == {key: f"{key.removeprefix('version_')} 3" for key in found}
