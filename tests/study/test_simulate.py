@@ -98,9 +98,9 @@ def test_report_agrees_with_the_events(tmp_path):
     }
 
 
-@pytest.mark.parametrize("engine", ["golden", "sliced"])
-def test_without_the_library_of_the_page_all_else_is_written(engine, tmp_path, monkeypatch):
-    """And a page of an earlier run is removed."""
+@pytest.fixture
+def without_bokeh(monkeypatch):
+    """The extra `explore` is not installed."""
     of_page = {f"{show.__name__}.{name}" for name in ("figures", "report")}
     for name in [*sys.modules]:
         if name.partition(".")[0] == "bokeh" or name in of_page:
@@ -108,11 +108,25 @@ def test_without_the_library_of_the_page_all_else_is_written(engine, tmp_path, m
     for name in of_page:
         monkeypatch.delattr(show, name.rpartition(".")[2], raising=False)
     monkeypatch.setitem(sys.modules, "bokeh", None)
+
+
+def test_without_the_library_of_the_page_all_else_is_written(without_bokeh, tmp_path):
+    """And a page of an earlier run is removed."""
     (tmp_path / PAGE).write_text("of an earlier run", encoding="utf-8")
-    report, _, told = run(tmp_path, engine=engine)
+    report, _, told = run(tmp_path)
     assert report["mismatches"] == 0 and PAGE not in told
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {*PICTURES, LIGHT, EVENTS, DEPTH, REPORT}
+
+
+def test_without_the_library_of_the_page_an_engine_can_be_prepared(without_bokeh, monkeypatch):
+    """A run on the RTL ends with the error of its preparation."""
+    prepared = []
+    monkeypatch.setattr("coincid.tb.play.prepare", lambda *given: prepared.append(given))
+    sensor, view = parse_config(SMALL).sensor, object()
+    simulate._prepare("sliced", sensor, True, view)
+    simulate._prepare("golden", sensor, False, None)
+    assert prepared == [("sliced", sensor, True, view)]
 
 
 def test_a_scene_that_moves(tmp_path):
