@@ -9,6 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from attrs import evolve
 
 from coincid.board.driver import EmulatorDriver
 from coincid.board.lint import lint_emulator
@@ -94,6 +95,36 @@ def test_pll(clock_mhz):
 def test_what_is_refused(make, says):
     with pytest.raises(InputError, match=says):
         make()
+
+
+def of_subgroups(number):
+    return evolve(SENSOR, cols=number * SENSOR.subgroup[1])
+
+
+@pytest.mark.parametrize(
+    ("field", "low", "high", "built"),
+    [
+        ("subgroups", 1, 256, lambda number: Emulator(sensor=of_subgroups(number))),
+        ("buffer_beats", 64, 65536, lambda beats: Emulator(sensor=SENSOR, buffer_beats=beats)),
+        ("clocks_per_bit", 4, 65536, lambda clocks: Emulator(sensor=SENSOR, clocks_per_bit=clocks)),
+    ],
+)
+def test_the_ends_of_every_range_can_be_built_and_nothing_beyond(field, low, high, built):
+    built(low)
+    built(high)
+    # no sensor has fewer than one subgroup
+    for beyond in (low - 1, high + 1) if field != "subgroups" else (high + 1,):
+        with pytest.raises(InputError) as refused:
+            built(beyond)
+        assert str(refused.value).startswith(f"{field} = {beyond}: ")
+        assert (refused.value.field, refused.value.low, refused.value.high) == (field, low, high)
+
+
+def test_an_emulator_has_one_stream_and_a_buffer_of_a_power_of_two():
+    with pytest.raises(InputError, match="^sensor.streams = 2: must be 1 in an emulator"):
+        Emulator(sensor=evolve(of_subgroups(2), streams=2))
+    with pytest.raises(InputError, match="^buffer_beats = 96: must be a power of two from 64 to"):
+        Emulator(sensor=SENSOR, buffer_beats=96)
 
 
 def test_the_presets_are_what_a_board_needs():

@@ -17,7 +17,13 @@ from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.edges import NAMES, Edges, load_edges
 from coincid.model.contract.result import differences
 from coincid.model.light.timing import Timing
-from coincid.model.recorded.exchange import SUFFIXES, parse_channels, read_recording, write_edges
+from coincid.model.recorded.exchange import (
+    SUFFIXES,
+    offsets_note,
+    parse_channels,
+    read_recording,
+    write_edges,
+)
 from coincid.model.recorded.recordings import Recording, period_note, recorded_edges, since_sync
 from coincid.model.shared.errors import InputError
 from coincid.tb.replay import replay
@@ -246,6 +252,24 @@ def test_edges_come_back_from_every_format(tmp_path_factory, suffix, rows):
     assert edges_of(path) == (sorted(rows, key=lambda row: (row[0], row[2], row[1])), {})
     write_edges(path, edges(*rows), TIMING)
     assert path.read_bytes() == first
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_suffix_in_capitals_is_the_same_format(tmp_path, suffix):
+    """As cameras and other systems write it, for reading, writing, and what is left out."""
+    small, capital = tmp_path / f"a{suffix}", tmp_path / f"b{suffix.upper()}"
+    for path in (small, capital):
+        write_edges(path, edges((0, 3, 5), (1, 4, 6)), TIMING)
+    assert capital.read_bytes() == small.read_bytes()
+    assert edges_of(capital) == edges_of(small) == ([(0, 3, 5), (1, 4, 6)], {})
+    assert offsets_note(capital, PLACED) == offsets_note(small, PLACED)
+
+
+def test_a_suffix_that_is_none_of_a_recording_is_told_with_those_that_are(tmp_path):
+    with pytest.raises(
+        InputError, match=r"a\.txt: must end with one of \.npz, \.csv, \.h5, \.hdf5, \.ptu$"
+    ):
+        write_edges(tmp_path / "a.txt", edges((0, 3, 5)), TIMING)
 
 
 @given(pulses=st.lists(st.integers(0, 3 << 20), min_size=1, max_size=20))
@@ -661,6 +685,46 @@ def test_photon_hdf5_without_nanotimes(tmp_path):
     assert read_recording(path, 0, 4).sync.tolist() == [0, 1, 3, 4]
     with pytest.raises(InputError, match=r"--sync-channel must name it .*: 0, 3\)"):
         read_recording(path)
+
+
+def recordings_of_every_kind(folder):
+    """Return what the kind of a recording must be, beside the recording."""
+    absolute = {
+        "timestamps": np.array([0, 100, 500, 600]),
+        "detectors": np.array([9, 3, 9, 3]),
+        "timestamps_specs__timestamps_unit": 2e-9,
+    }
+    t3_file = ptu(
+        folder / "t3.ptu", [t3(0, 3, 0, 1)], mode=3, kind=0x00010307, clock_s=5e-7, bin_s=125e-12
+    )
+    t2_file = ptu(folder / "t2.ptu", [t2(1, 0, 5), t2(0, 3, 9)], clock_s=4e-12)
+    rate = {"measurement_specs__laser_repetition_rate": 10e6}
+    return [
+        ("T3, bins of 125 ps", read_recording(t3_file)),
+        ("T2, clock of 4 ps", read_recording(t2_file)),
+        (
+            "Photon-HDF5, bins of 100 ps",
+            read_recording(photon_hdf5(folder / "bins.h5", **SYNCED)),
+        ),
+        (
+            "Photon-HDF5, bins of 100 ps, syncs by the laser's rate",
+            read_recording(photon_hdf5(folder / "rate.h5", **SYNCED, **rate)),
+        ),
+        (
+            "Photon-HDF5, clock of 2000 ps",
+            read_recording(photon_hdf5(folder / "clock.h5", **absolute), 9),
+        ),
+        (
+            "table of absolute times, sync divider 4",
+            read_recording(divided_table(folder / "times.npz"), 0, 4),
+        ),
+    ]
+
+
+def test_the_kind_of_a_recording_has_the_unit_of_its_times(tmp_path):
+    """As `coincid edges` prints it beside the number of photons."""
+    for kind, found in recordings_of_every_kind(tmp_path):
+        assert found.kind == kind
 
 
 def test_photon_hdf5_that_cannot_be_used(tmp_path):

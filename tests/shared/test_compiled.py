@@ -98,6 +98,21 @@ def _twice(number):
     return _add(_add(number, 1), 2)
 
 
+@part
+def _subtract(number, less):
+    return number - less
+
+
+@numba.njit
+def _less_by_name(number):
+    return _subtract(less=2, number=_subtract(number=number, less=1))
+
+
+def test_a_part_is_compiled_once_for_all_constants_that_are_given_by_name():
+    assert _less_by_name(4) == 1
+    assert len(_subtract.signatures) == 1
+
+
 def test_a_part_is_compiled_once_for_all_constants():
     assert _twice(4) == 7
     assert len(_add.signatures) == 1
