@@ -34,6 +34,28 @@ def test_an_integer_beyond_the_ends_is_refused(value):
         check_integer("x", value, -2, 3)
 
 
+@pytest.mark.parametrize("kind", (np.int8, np.uint8, np.int16, np.uint32, np.int64, np.uint64))
+def test_a_number_of_numpy_comes_back_as_one_of_python(kind):
+    """So what is computed from it does not wrap."""
+    found = check_integer("x", kind(100), 0, 1 << 40)
+    assert type(found) is int
+    assert found == 100
+    assert type(check_real("x", kind(100), 0.0)) is float
+
+
+@pytest.mark.parametrize("kind", (np.float16, np.float32, np.float64))
+def test_a_float_of_numpy_comes_back_as_one_of_python(kind):
+    found = check_real("x", kind(100), 0.0)
+    assert type(found) is float
+    assert found == 100.0
+
+
+@pytest.mark.parametrize("value", (True, np.True_, 1.0, np.float64(1), "1", None, [1]))
+def test_what_is_no_integer_is_refused(value):
+    with pytest.raises(InputError, match=r"^x = .*: must be an integer from 0 to 3 \(2 bits\)$"):
+        check_integer("x", value, 0, 3, "2 bits")
+
+
 @pytest.mark.parametrize("value", (np.inf, -np.inf))
 def test_infinity_is_refused_where_nan_is_legal_and_no_end_is_given(value):
     assert np.isnan(real_array("x", [np.nan, 1.0], (2,), 0, nan=True)[0])
