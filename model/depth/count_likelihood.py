@@ -28,6 +28,9 @@ from .unheard import Spread
 from .vector_math import fast_log
 
 MISSED = np.float32(-6.0)  # log likelihood of a surface outside of all gates
+ALONE_BELOW = (
+    -1.0
+)  # level, below which the likeliest light counts alone: silent gates show no surface
 NO_TICK = -1  # in place of a gate's first tick
 
 
@@ -97,7 +100,7 @@ def count_likelihood(
 
     def average(s: int, prior: np.ndarray, pixels: Pixels) -> None:
         common = np.zeros(bins * len(lights), np.float32)
-        mean_over_lights(common, pixels, prior, where, 0, place[s], level, light)
+        mean_over_lights(common, pixels, prior, where, 0, place[s], level, light, ALONE_BELOW)
 
     def chances(s: int) -> np.ndarray:
         pixels = found[s]

@@ -157,6 +157,7 @@ class _Work(NamedTuple):
     line: np.ndarray  # float32[BLOCK * lights], log likelihoods of a pixel
     prior: np.ndarray  # float32[lights]
     where: np.ndarray  # float32[lights], logarithms of the lights
+    alone_below: np.float32  # level, below which the likeliest light counts alone
 
 
 class _Levels(NamedTuple):
@@ -269,12 +270,14 @@ def mean_over_lights(
     place: np.ndarray,
     level: np.ndarray,
     light: np.ndarray,
+    alone_below: float,
 ) -> None:
     """Compute the logarithm of the mean over the lights, and the likeliest light.
 
     A masked pixel favours no time. common, pixels: from `add_events`; `common` is used up. prior:
     float32[lights]. where: float32[lights], logarithms of the lights. lightest: index of the first
     of them in the grid. place: int64[pixels], row of each pixel in the results, level and light.
+    alone_below: level, below which the likeliest light counts alone instead of the mean.
     """
     lights = len(prior)
     times = len(common) // lights
@@ -286,6 +289,7 @@ def mean_over_lights(
         line=np.empty(BLOCK * lights, np.float32),
         prior=prior,
         where=where,
+        alone_below=np.float32(alone_below),
     )
     of_all = _Levels(np.empty(times, np.float32), np.empty(times, np.uint8))
     _mean_of_all(common, prior, lightest, work, of_all)
@@ -396,7 +400,7 @@ def _mean(line: np.ndarray, lightest: int, work: _Work, out: _Levels) -> None:
         ratio[k] = fast_log(ratio[k])
     _look_between(work, n)
     for k in range(n):
-        out.level[k] = top[k] + ratio[k]
+        out.level[k] = top[k] + (ratio[k] if top[k] > work.alone_below else np.float32(0))
         out.light[k] = best[k] + lightest
 
 

@@ -175,7 +175,7 @@ def log_likelihood(
         lightest = lights[s].start
         common, pixels = evidence
         mean_over_lights(
-            common, pixels, own_prior, where[lights[s]], lightest, place[s], level, light
+            common, pixels, own_prior, where[lights[s]], lightest, place[s], level, light, -np.inf
         )
         if frame.with_others(s):
             level[place[s]] += _moves(frame, s)

@@ -52,7 +52,7 @@ LOOK_LABELS = {"row": "Row", "col": "Column", "pulse": "Pulse", "frame": "Frame"
 TRIES = (  # name, settings, what to look for
     ("1 Every photon", {"coincidence": False}, "Without coincidence, sunlight fills the FIFOs, and later events are dropped."),
     ("2 Threshold 2", {"threshold": 2}, "Two pixels must fire within 1 ns: most sunlight is gone, dark objects are still there."),
-    ("3 Threshold 5", {"threshold": 5}, "Nearly all sunlight is gone, and so is the dark object: its light is too weak to fire five pixels."),
+    ("3 Threshold 5", {"threshold": 5}, "Nearly all sunlight is gone, but many pixels of the dark object are wrong: it seldom fires five pixels."),
     ("4 Controller", {"auto": True, "frames": 8}, "Every subgroup gets its own threshold. Play the frames to see how the thresholds settle."),
     ("5 Peaks only", {"threshold": 2, "method": "maximum"},
      "The same events, but depth is the highest bin of each pixel's histogram, as in the paper."),

@@ -69,7 +69,8 @@ def test_the_mean_over_the_lights_has_no_step_where_it_is_low(hit, shape):
     where = np.log(np.geomspace(0.1, 1, 5)).astype(np.float32)
     level = np.empty((1, times), np.float32)
     light = np.empty((1, times), np.uint8)
-    mean_over_lights(common.ravel(), pixels, prior, where, 0, np.zeros(1, int), level, light)
+    place = np.zeros(1, int)
+    mean_over_lights(common.ravel(), pixels, prior, where, 0, place, level, light, -np.inf)
     assert level[0] - lower == pytest.approx(np.full(times, level[0, 0] - lower[0]), abs=1e-3)
 
 
@@ -214,6 +215,7 @@ def test_sharp_lights_between_the_steps_are_averaged_over_all_lights(cubic):
         np.zeros(1, np.int64),
         level,
         light,
+        -np.inf,
     )
     assert light[0].tolist() == (3 + steps).tolist()
     assert level[0] == pytest.approx(expected, abs=0.02)
