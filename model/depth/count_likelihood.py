@@ -28,9 +28,8 @@ from .unheard import Spread
 from .vector_math import fast_log
 
 MISSED = np.float32(-6.0)  # log likelihood of a surface outside of all gates
-ALONE_BELOW = (
-    -1.0
-)  # level, below which the likeliest light counts alone: silent gates show no surface
+# level, below which the likeliest light counts alone, because silent gates show no surface
+ALONE_BELOW = -1.0
 NO_TICK = -1  # in place of a gate's first tick
 
 

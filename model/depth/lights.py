@@ -393,12 +393,13 @@ def _mean(line: np.ndarray, lightest: int, work: _Work, out: _Levels) -> None:
         for k in range(BLOCK):
             best[k] = x if values[x, k] > top[k] else best[k]
             top[k] = max(values[x, k], top[k])
-    for x in range(lights):
+    if top_of(top[:n]) > work.alone_below:
+        for x in range(lights):
+            for k in range(BLOCK):
+                ratio[k] += fast_exp(values[x, k] - top[k])
         for k in range(BLOCK):
-            ratio[k] += fast_exp(values[x, k] - top[k])
-    for k in range(BLOCK):
-        ratio[k] = fast_log(ratio[k])
-    _look_between(work, n)
+            ratio[k] = fast_log(ratio[k])
+        _look_between(work, n)
     for k in range(n):
         out.level[k] = top[k] + (ratio[k] if top[k] > work.alone_below else np.float32(0))
         out.light[k] = best[k] + lightest

@@ -48,7 +48,7 @@ def test_the_table_of_shares_has_each_share_at_its_place(threshold):
 
 
 def test_room_is_found_as_often_as_windows_were_dropped_before_a_cycle_and_none_came_after():
-    """Of two gaps between events: one in a period, one over the end of a period."""
+    """One gap between two events lies within a period; the other one goes past its end."""
     rate = np.array([0.3, 0.0, 0.8, 0.1, 0.5])
     cells = len(rate)
     gaps = [(1, 4), (3, 12)]
