@@ -352,12 +352,12 @@ def is_hit(hits: np.ndarray, e: int, i: int) -> bool:
 
 @njit
 def hits_away(
-    stamp: np.ndarray, hits: np.ndarray, bounds: np.ndarray, time: np.ndarray, near: float
+    stamp: np.ndarray, hits: np.ndarray, bounds: np.ndarray, time: np.ndarray, near: np.ndarray
 ) -> np.ndarray:
     """int64[subgroups, pixels]: each pixel's hits in events away from its time.
 
     stamp, hits, bounds: of `Events`. time: float64[subgroups, pixels], ticks; where it is NaN, all
-    events count. near: ticks by which a stamp must differ.
+    events count. near: float64[subgroups], ticks by which a stamp must differ.
     """
     number = np.zeros(time.shape, np.int64)
     for s in range(len(time)):
@@ -365,7 +365,7 @@ def hits_away(
         times = time[s]
         for e in range(bounds[s], bounds[s + 1]):
             for i in range(len(times)):
-                away = not abs(stamp[e] - times[i]) < near
+                away = not abs(stamp[e] - times[i]) < near[s]
                 of_subgroup[i] += np.int64(is_hit(hits, e, i) and away)
     return number
 

@@ -19,13 +19,15 @@ from .histograms import Events, by_subgroup, hits_away, pixel_image
 from .intensity import find_intensity
 from .lights import measured_prior
 from .likelihood import Grid, Levels, log_likelihood
+from .named_light import named_light
 from .pulse_ticks import PulseTicks
 from .surfaces import BRIGHT_PHOTONS, Coarse, Fitter, peak_offset
-from .unheard import Guess, Spread, Unheard, unheard, unheard_in_light, windows_of
+from .unheard import Guess, Spread, SubgroupWindows, Unheard, unheard, unheard_in_light, windows_of
 
 HOT = 2.0  # background relative to the mean from which on a pixel's own value is used
 ACTIVITY_HITS = 10.0  # weight of the prior, in hits
 BRIGHT_SHARE = 0.05  # of the pixels
+STORED_FEW = 0.5  # of the windows
 NEAR_SIGMAS = 3.0  # from a seed to stamps that may be its light
 
 
@@ -46,7 +48,17 @@ def find_surfaces(
     that the others are not accidental. The number of threads does not change the result.
     """
     fitter = Fitter.of(pulse.sigma, config.period_ticks, pulses, config.sensor.rows, threads)
-    frame = _Frame(events, config, pulse, pulses, fitter, threads.map)
+    windows = windows_of(events, config, pulses, pulse, threads.map)
+    frame = _Frame(
+        events=events,
+        config=config,
+        pulse=pulse,
+        pulses=pulses,
+        fitter=fitter,
+        spread=threads.map,
+        windows=windows,
+        rough=unheard(windows, config, pulse, threads.map),
+    )
     coarse, guess, never = _look_coarsely(frame)
     middle = coarse.middle
     first = fitter.first(middle)
@@ -64,12 +76,13 @@ def find_surfaces(
     prior = levels.prior
     fit = fitter.fit(levels, first)
     uncertain = events.mapped and _lights_are_uncertain(frame, near.guess)
-    # What an offset says, or a count without a map, depends on the other pixels' surfaces.
-    if uncertain or events.offset.shape[1] or not events.mapped:
+    # What an offset says, or a count without a map, depends on the other pixels' surfaces, and so
+    # does which windows are dropped.
+    dropped = _most_are_dropped(events)
+    if uncertain or dropped or events.offset.shape[1] or not events.mapped:
         sharper = fitter.refined(fit).time
-        near = near._replace(
-            told=events, guess=_sharper_guess(frame, near.guess, levels, first, sharper)
-        )
+        guess = _sharper_guess(frame, near.guess, levels, first, sharper)
+        near = near._replace(told=events, guess=guess, never=_never(frame, guess))
         if uncertain:
             levels = _around(frame, near, None, 1, first, on_surfaces=True)
             prior = levels.prior
@@ -96,6 +109,8 @@ class _Frame(NamedTuple):
     pulses: int  # in which the events came
     fitter: Fitter
     spread: Spread  # over subgroups
+    windows: list[SubgroupWindows]
+    rough: Unheard
 
 
 class _Near(NamedTuple):
@@ -117,15 +132,13 @@ def _look_coarsely(frame: _Frame) -> tuple[Coarse, Guess, Unheard]:
     sensor = config.sensor
     fitter = frame.fitter
     possible = fitter.coarse_lights
-    windows = windows_of(events, config, frame.pulses, pulse, frame.spread)
-    rough = unheard(windows, config, pulse, frame.spread)
     level, lights, _ = log_likelihood(
         events,
         config,
         pulse,
         frame.pulses,
         Grid(fitter.step, possible, fitter.even_prior),
-        rough,
+        frame.rough,
         np.zeros((sensor.subgroups, sensor.pixels), np.int64),
         fitter.coarse_times,
         spread=frame.spread,
@@ -140,8 +153,21 @@ def _look_coarsely(frame: _Frame) -> tuple[Coarse, Guess, Unheard]:
         time=by_subgroup(time, sensor),
         light=possible[by_subgroup(light, sensor)].astype(np.float64),
     )
-    never = unheard_in_light(windows, rough, guess, config, frame.pulses, pulse, frame.spread)
-    return coarse, guess, never
+    lit = named_light(events, config, frame.windows, frame.rough, guess, frame.pulses, pulse)
+    return coarse, guess, _never(frame, lit)
+
+
+def _never(frame: _Frame, guess: Guess) -> Unheard:
+    """Return what is unheard in the light of a guess."""
+    return unheard_in_light(
+        frame.windows,
+        frame.rough,
+        guess,
+        frame.config,
+        frame.pulses,
+        frame.pulse,
+        frame.spread,
+    )
 
 
 def _counted_light(frame: _Frame, guess: Guess, threads: Threads) -> tuple[Guess, np.ndarray]:
@@ -169,6 +195,13 @@ def _lights_are_uncertain(frame: _Frame, guess: Guess) -> bool:
     free = (frame.events.threshold == 1) & (frame.events.window > 1)
     bright = guess.light[free][~np.isnan(guess.time[free])] > BRIGHT_PHOTONS
     return bool(bright.sum() > BRIGHT_SHARE * guess.light.size)
+
+
+def _most_are_dropped(events: Events) -> bool:
+    """Return whether at threshold 1 fewer than `STORED_FEW` of the windows are stored."""
+    free = (events.threshold == 1) & (events.window > 1)
+    stored = np.diff(events.bounds)[free].sum()
+    return bool(stored < STORED_FEW * events.committed[free].sum())
 
 
 def _around(
@@ -227,7 +260,8 @@ def background_activity(
 
     mask: bool[subgroups, pixels], live pixels.
     """
-    hits = hits_away(events.stamp, events.hits, events.bounds, seed, NEAR_SIGMAS * sigma_ticks)
+    near = np.full(len(seed), NEAR_SIGMAS * sigma_ticks)
+    hits = hits_away(events.stamp, events.hits, events.bounds, seed, near)
     live = np.maximum(mask.sum(axis=1, keepdims=True), 1)
     mean = np.where(mask, hits, 0).sum(axis=1, keepdims=True) / live
     ratio = (hits + ACTIVITY_HITS) / (mean + ACTIVITY_HITS)

@@ -231,14 +231,14 @@ def _ticks_of(
     dropped = 1 / stored_share
     dropped *= committed / max(1.0, dropped[stamp].sum())  # windows per stored window
     if dropping:
-        nearby = _share_between(np.maximum(0, stamp - reach), armed, dropped, pulses)
+        nearby = share_between(np.maximum(0, stamp - reach), armed, dropped, pulses)
         nearby = np.minimum(1, nearby)
         busy, ready = _busy(stamp, armed, dropped, pulses, sensor.phases)
         gap = _gap(stamp, armed, dropped[stamp] / pulses, ready[:: sensor.phases], sensor.phases)
     seen = open_share_by_tick(config, s)
     of_ticks = _Ticks(
         committed=np.bincount(stamp, minlength=ticks) * dropped,
-        covered=_share_between(stamp, stamp + window, dropped, pulses),
+        covered=share_between(stamp, stamp + window, dropped, pulses),
         nearby=nearby,
         busy=busy,
         ready=ready,
@@ -306,8 +306,8 @@ def _busy(
     next cycle, and the share in which it is armed at the beginning of this cycle, float32[ticks].
     """
     cycle = np.arange(len(dropped)) // phases * phases
-    not_armed = _share_between(stamp, armed, dropped, pulses)
-    until_next = _share_between(np.maximum(stamp, armed - phases), armed, dropped, pulses)
+    not_armed = share_between(stamp, armed, dropped, pulses)
+    until_next = share_between(np.maximum(stamp, armed - phases), armed, dropped, pulses)
     beyond_next = np.pad(not_armed - until_next, (phases, 0))
     ready = 1 - beyond_next[cycle + phases - 1]  # of the last tick of the cycle before
     return until_next, np.maximum(1 - BLIND_MAX, ready).astype(np.float32)
@@ -381,7 +381,7 @@ def _room_found(begin: np.ndarray, end: np.ndarray, rate: np.ndarray) -> np.ndar
     return found
 
 
-def _share_between(
+def share_between(
     begin: np.ndarray, end: np.ndarray, weight: np.ndarray, pulses: int
 ) -> np.ndarray:
     """float32[ticks]: number of the events that have a tick in [begin, end), per pulse, times the

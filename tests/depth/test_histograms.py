@@ -113,7 +113,7 @@ def test_hits_away_are_those_at_least_so_many_ticks_from_the_pixels_time():
     hits = np.array([[0b11], [0b01], [0b11], [0b10], [0b11]], np.uint64)
     time = np.array([[100.0, 100.0], [np.nan, 100.0]])
     bounds = np.array([0, 4, 5])
-    found = hits_away(stamp, hits, bounds, time, 5.0)
+    found = hits_away(stamp, hits, bounds, time, np.full(len(time), 5.0))
     assert found.tolist() == [[1, 2], [1, 0]]
 
 

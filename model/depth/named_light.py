@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A first guess of the pixels' lights, from how often events name them.
+
+The lights of the coarse seeds are too far apart for the law of silence (`unheard.py`): a seed that is
+a little too early looks three times as bright, and then the law expects other windows than came.
+"""
+
+import numpy as np
+
+from ..contract.config import Config
+from .clusters import armed_ticks
+from .histograms import Events, hits_away
+from .pulse_ticks import PulseTicks
+from .unheard import Guess, SubgroupWindows, Unheard, share_between
+
+REACH_SIGMAS = 3.0  # from a seed to stamps of windows that may hold its light
+HITS_MIN = 0.5  # of a pixel, at least
+NAMED_MIN = 0.02  # chance that a photon is named, at least
+FIRED_MAX = 0.99  # share of the pulses in which a pixel fires, at most
+
+
+def named_light(
+    events: Events,
+    config: Config,
+    windows: list[SubgroupWindows],
+    rough: Unheard,
+    guess: Guess,
+    pulses: int,
+    pulse: PulseTicks,
+) -> Guess:
+    """Return the guess with lights that fit the number of events that name the pixels.
+
+    windows, rough: of `windows_of` and `unheard`. pulses: number of pulses in which the events came.
+    Where every window becomes an event, and where events do not name all their pixels, the guess
+    stays as it is.
+    """
+    light = guess.light.copy()
+    near = _hits_near(events, guess.time, pulse.sigma)
+    for s, one in enumerate(windows):
+        if events.mapped and one.tree.kept[1] < 1:
+            named = _named(events, one, rough, guess.time[s], config, pulses, pulse, s)
+            fired = np.maximum(near[s], HITS_MIN) / pulses / np.maximum(named, NAMED_MIN)
+            light[s] = -np.log1p(-np.minimum(fired, FIRED_MAX))
+    return guess._replace(light=light)
+
+
+def _hits_near(events: Events, time: np.ndarray, sigma_ticks: float) -> np.ndarray:
+    """int64[subgroups, pixels]: each pixel's hits in windows that may hold the light of its seed."""
+    half = events.window / 2
+    middle = time - half[:, None]
+    everywhere = np.full_like(time, np.nan)
+    around = REACH_SIGMAS * sigma_ticks + half
+    words = events.stamp, events.hits, events.bounds
+    return hits_away(*words, everywhere, around) - hits_away(*words, middle, around)
+
+
+def _named(
+    events: Events,
+    windows: SubgroupWindows,
+    rough: Unheard,
+    time: np.ndarray,
+    config: Config,
+    pulses: int,
+    pulse: PulseTicks,
+    s: int,
+) -> np.ndarray:
+    """float64[pixels]: chance that an event names a pixel of subgroup s that fires at its seed."""
+    stamp = events.stamp[events.bounds[s] : events.bounds[s + 1]]
+    stored = max(1, len(stamp))
+    weight = np.full(config.period_ticks, events.committed[s] / stored)
+    window = windows.tree.window
+    armed = armed_ticks(stamp, window, config)
+    covered = np.minimum(1, windows.of_ticks.covered)
+    deaf = share_between(stamp + window, armed, weight, pulses)
+    waiting = np.maximum(0, 1 - covered - deaf)
+    missed = np.repeat(rough.missed[0, s], rough.every)[: config.period_ticks]
+    named = covered + waiting * (1 - missed)
+    beside = np.arange(-pulse.reach, pulse.reach + 1)
+    share = pulse.share_before(beside + 0.5) - pulse.share_before(beside - 0.5)
+    tick = np.nan_to_num(time).astype(np.int64)[:, None] + beside
+    return named[np.clip(tick, 0, config.period_ticks - 1)] @ share
