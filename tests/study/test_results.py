@@ -116,8 +116,8 @@ INTERFERENCE = dict(
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "d880708c6c153e3d"),
     "sim": (sim, "f1c5b9ba362864f6"),
-    "sweep": (sweep, "590ece180d0d54d6"),
-    "explorer": (explorer, "b83ba84841ed032e"),
+    "sweep": (sweep, "53d879474bb7945d"),
+    "explorer": (explorer, "678c8806458b415e"),
     "surfaces": (surface, "aa50220de1a3e5ed"),
     "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "5d8b7c6530b99e5e"),
     "modes": (
