@@ -8,6 +8,7 @@ a little too early looks three times as bright, and then the law expects other w
 import numpy as np
 
 from ..contract.config import Config
+from . import portable
 from .clusters import armed_ticks
 from .histograms import Events, hits_away
 from .pulse_ticks import PulseTicks
@@ -40,7 +41,7 @@ def named_light(
         if events.mapped and one.tree.kept[1] < 1:
             named = _named(events, one, rough, guess.time[s], config, pulses, pulse, s)
             fired = np.maximum(near[s], HITS_MIN) / pulses / np.maximum(named, NAMED_MIN)
-            light[s] = -np.log1p(-np.minimum(fired, FIRED_MAX))
+            light[s] = -portable.log(1 - np.minimum(fired, FIRED_MAX))
     return guess._replace(light=light)
 
 
@@ -78,4 +79,4 @@ def _named(
     beside = np.arange(-pulse.reach, pulse.reach + 1)
     share = pulse.share_before(beside + 0.5) - pulse.share_before(beside - 0.5)
     tick = np.nan_to_num(time).astype(np.int64)[:, None] + beside
-    return named[np.clip(tick, 0, config.period_ticks - 1)] @ share
+    return (named[np.clip(tick, 0, config.period_ticks - 1)] * share).sum(axis=1)

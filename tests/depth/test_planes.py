@@ -150,8 +150,8 @@ def test_walls_without_maps_do_not_lean(distance_m, reflectivity, threshold):
         frame={"pulses": 1000, "format": "short", "link_gbps": 0},
         subgroup={"threshold": threshold},
     )
-    off_m = Run(setup).depth().depth_m[:, :, 0] - distance_m
-    assert abs(off_m.mean()) < 0.005
+    off_m = [Run(setup.but(seed=seed)).depth().depth_m[:, :, 0] - distance_m for seed in (1, 2)]
+    assert abs(np.mean(off_m)) < 0.005
 
 
 def test_light_between_the_steps_of_the_grid_has_the_same_time():
