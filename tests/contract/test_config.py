@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from attrs import asdict
 
+from coincid.model.contract import registers
 from coincid.model.contract.config import (
     Config,
     changes_of_text,
@@ -172,6 +173,24 @@ def test_presets_have_their_clock(preset, clock_mhz, tick_s):
     assert (config.clock_mhz, config.tick_s) == (clock_mhz, tick_s)
     assert (timing.clock_hz, timing.tick_s) == (clock_mhz * 1e6, tick_s)
     assert timing.range_m == pytest.approx(299_792_458 / 2 * config.period_ticks * tick_s)
+
+
+@pytest.mark.parametrize(
+    "sensor", [{}, {"counts": 1}, {"streams": 4}, {"subgroup": [4, 4]}], ids=str
+)
+def test_registers_are_in_the_order_of_their_addresses_and_none_lies_on_another(sensor):
+    """As the documents, the headers and the register files list them."""
+    built = parse_config({"sensor": sensor}).sensor
+    for table in (registers.GLOBAL, registers.SUBGROUP):
+        placed = [
+            (offset, register.access) for offset, register, _ in registers.words(table, built)
+        ]
+        offsets = [offset for offset, _ in placed]
+        assert len(set(offsets)) == len(offsets)
+        assert all(offset % 4 == 0 for offset in offsets)
+        for kind in {access for _, access in placed}:
+            of_kind = [offset for offset, access in placed if access is kind]
+            assert of_kind == sorted(of_kind)
 
 
 def test_the_clock_is_no_register():

@@ -160,6 +160,76 @@ def test_a_cut_too_near_its_neighbour_goes():
     assert found[1:] == ([], [], []) and not broken_rules(layout)
 
 
+ROUTED_METALS = (3, 4, 5, 6)
+SLOT_SIDES_UM = ((0.0, 0.0, 2.0, 1.0), (0.0, 1.0, 2.0, 2.0))  # without the slot between them
+JOINT_UM = (0.0, 0.5, 0.5, 1.5)
+
+
+def slotted(i, slot_um, joined, turned):
+    """A layout of two plates of metal `i` with a slot between them; `joined`: one net."""
+    layout, _, _ = two_cells([])
+    low, high = SLOT_SIDES_UM
+    corners = [low, (high[0], high[1] + slot_um, high[2], high[3] + slot_um)]
+    if joined:
+        corners.append(JOINT_UM)
+    for left, bottom, right, top in corners:
+        place = (bottom, left, top, right) if turned else (left, bottom, right, top)
+        layout.cell("top").shapes(layout.layer(drawn.metal(i), 0)).insert(drawn.box(*place))
+    return layout
+
+
+def metal_um2(layout, i):
+    drawn_on = layout.cell("top").begin_shapes_rec(layout.layer(drawn.metal(i), 0))
+    return db.Region(drawn_on).merged().area() * layout.dbu**2
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["horizontal", "vertical"])
+@pytest.mark.parametrize("i", ROUTED_METALS)
+def test_a_slot_of_a_net_is_filled_where_it_is_too_narrow(i, turned):
+    """On every metal of the router, and nothing else is drawn; nets that are apart stay so."""
+    rule_um = {3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}[i]
+    nothing = {"cells": [], "ports": {}}
+    for slot_um, joined, filled in (
+        (rule_um - 0.02, True, True),
+        (rule_um, True, False),
+        (rule_um - 0.02, False, False),
+    ):
+        layout = slotted(i, slot_um, joined, turned)
+        before_um2 = metal_um2(layout, i)
+        too_narrow = slot_um < rule_um
+        assert broken_rules(layout) == ({f"metal{i}: distance"} if too_narrow else set())
+        assert drawn.connect(layout, "top", nothing, {}) == (0, [], [], [])
+        assert (f"metal{i}: distance" in broken_rules(layout)) is (too_narrow and not filled)
+        added_um2 = metal_um2(layout, i) - before_um2
+        assert added_um2 == pytest.approx(1.5 * slot_um if filled else 0, abs=1e-9)
+        others = [k for k in ROUTED_METALS if k != i]
+        assert not any(metal_um2(layout, k) for k in others)
+
+
+@pytest.mark.parametrize("i", [2, 3, 4, 5])
+def test_of_two_cuts_of_a_net_that_are_too_near_one_stays(i):
+    """Between any two metals of the router; those that are far enough, or of two nets, both stay."""
+    space_um = {2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16}[i]
+    side_um = 0.14
+    for gap_um, one_net, left in (
+        (space_um - 0.02, True, 1),
+        (space_um, True, 2),
+        (space_um - 0.02, False, 2),
+    ):
+        layout, _, _ = two_cells([])
+        cuts = [(k * (side_um + gap_um), 0.0) for k in (0, 1)]
+        for x, y in cuts:
+            square = drawn.box(x, y, x + side_um, y + side_um)
+            for layer in (drawn.metal(i), drawn.metal(i) + 1, drawn.metal(i + 1)):
+                layout.cell("top").shapes(layout.layer(layer, 0)).insert(square)
+        if one_net:
+            wire = drawn.box(0, 0, 2 * side_um + gap_um, side_um)
+            layout.cell("top").shapes(layout.layer(drawn.metal(i), 0)).insert(wire)
+        drawn.connect(layout, "top", {"cells": [], "ports": {}}, {})
+        kept = layout.cell("top").begin_shapes_rec(layout.layer(drawn.metal(i) + 1, 0))
+        assert db.Region(kept).merged().count() == left, (gap_um, one_net)
+
+
 @pytest.mark.needs("cells")
 def test_a_small_minigroup_is_routed():
     from coincid.flow.layout.flow import PLACED, lay_out

@@ -8,6 +8,7 @@ import pytest
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
+from coincid.model.contract.counters import COUNTER_NAMES
 
 PULSES = 300
 
@@ -49,6 +50,25 @@ def test_measures_of_too_many_drops_are_not_known():
     assert full["beats"] == exact["beats"]
     for measure in ("opened", "committed", "dropped", "dropped_share", "commits_per_pulse"):
         assert full[measure] is None, measure
+
+
+def test_a_counter_at_its_end_in_one_subgroup_is_that_of_wider_counters_if_it_is_known():
+    """Else it is the least that it may be; before the result is made, and with it."""
+    for thresholds in ([1, 64], [64, 1]):
+        exact, full = (
+            Run(one.setup.but(config=one.config.with_settings(threshold=thresholds))).frame()
+            for one in (run_of(32), run_of(9))
+        )
+        ended = exact.counter("committed") > 511
+        assert sorted(ended) == [False, True]
+        for _ in range(2):
+            known = [name for name in COUNTER_NAMES if full.knows(name)]
+            assert {"committed", "stored", "dropped"} <= {*known} and "opened" not in known
+            for name in COUNTER_NAMES:
+                found, expected = full.counter(name), exact.counter(name)
+                assert np.all(found <= expected), name
+                assert name not in known or np.array_equal(found, expected), name
+            assert full.run.result["committed"].max() == 511
 
 
 @pytest.mark.parametrize("threshold", [1, 2])

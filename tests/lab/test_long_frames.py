@@ -13,7 +13,7 @@ from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
-from coincid.model.golden.frame import Golden
+from coincid.model.golden.frame import Golden, golden_result
 from coincid.model.scenes.catalogue import load_scene
 
 SENSOR = {"rows": 8, "cols": 16}
@@ -89,6 +89,8 @@ def test_a_long_run_keeps_the_edges_and_fates_of_the_first_pulses(long):
     everything = setup.photons.edges()
     golden = Golden(setup.config.sensor)
     fates = long_frames.play_long_frames(golden, setup.config, iter([everything]))
+    of_all = golden_result(setup.config, everything)["fate"]
+    place = 0
     for number in range(3):
         expected, _ = everything.frame(number, 700)
         kept = run.frame(number).edges
@@ -97,7 +99,10 @@ def test_a_long_run_keeps_the_edges_and_fates_of_the_first_pulses(long):
             np.testing.assert_array_equal(
                 getattr(kept, name), getattr(expected, name)[: len(kept)], err_msg=name
             )
-        assert len(run.traces[number].fate) == len(kept)
+        own = run.traces[number].fate
+        np.testing.assert_array_equal(own, of_all[place : place + len(kept)])
+        assert (len(own), own.dtype) == (len(kept), of_all.dtype)
+        place += len(expected)
         assert run.frame(number).edge_count == fates.seen[number].total == len(expected)
     assert run.edge_count == len(everything)
 

@@ -16,6 +16,7 @@ import coincid
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.conventions import CONVENTIONS, conventions_table
 from coincid.model.scenes.image_files import read_pgm
+from coincid.model.scenes.meaning import Meaning
 from coincid.model.scenes.view import View
 from coincid.model.shared.errors import InputError
 from coincid.study.explore.controls import UNITS
@@ -89,6 +90,21 @@ WALLS = {  # file, options, distance in metres
         {"missing": 7.1},
         4,
     ),
+    "a number of the user's beside 65535": (
+        lambda at: png(at / "d.png", with_hole(4000, 65535, "u2")),
+        {"missing": 7},
+        4,
+    ),
+    "a number of the user's beside 65504": (
+        lambda at: npy(at / "d.npy", with_hole(4, 65504, "f4")),
+        {"missing": 7},
+        4,
+    ),
+    "the last of several numbers of the user's": (
+        lambda at: npy(at / "d.npy", with_hole(4, 9, "f4")),
+        {"missing": [7, 8, 9]},
+        4,
+    ),
     "a sky of the user's": (lambda at: npy(at / "d.npy", with_hole(4, 60, "f4")), {"sky_m": 50}, 4),
 }
 
@@ -100,6 +116,17 @@ def test_samples_without_depth(tmp_path, case):
     assert np.array_equal(read.valid, ~HOLE)
     assert np.all(read.truth_m[~HOLE] == distance_m)
     assert any("no depth" in note or "hold no depth" in note for note in read.notes)
+
+
+@pytest.mark.parametrize(
+    ("missing", "given"), [(None, []), (7, [7]), (0.5, [0.5]), ((8, 9), [8, 9])]
+)
+@pytest.mark.parametrize(("unit", "of_unit"), [(None, []), ("m", []), ("nyu-raw", [2047])])
+def test_numbers_of_the_user_stand_beside_the_usual_ones_and_those_of_the_unit(
+    missing, given, unit, of_unit
+):
+    marks = Meaning(unit=unit, missing=missing).marks
+    assert sorted(marks.tolist()) == sorted([*given, 65535, 65504, *of_unit])
 
 
 def test_the_mask_of_an_array_hides_samples():

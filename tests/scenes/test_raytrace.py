@@ -290,6 +290,20 @@ def test_without_llvm(monkeypatch):
 
 
 @pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (("libnothing.so", "libc.so.6"), "libc.so.6"),
+        (("libnothing.so", "libnone.so", "libm.so.6", "libc.so.6"), "libm.so.6"),
+        (("libc.so.6", "libm.so.6", "libnothing.so"), "libc.so.6"),
+    ],
+)
+def test_the_llvm_is_the_first_that_the_loader_finds(monkeypatch, names, found):
+    """Those before it are not installed; those after it are not taken."""
+    monkeypatch.setattr(ray_scene, "LLVM_LIBRARIES", names)
+    assert ray_scene.llvm_library() == found
+
+
+@pytest.mark.parametrize(
     "source, words",
     [("ray:moon", "must be one of ray:five-objects"), ("nothing.xml", "no such file")],
 )
@@ -407,6 +421,71 @@ def test_users_camera(tracer, tmp_path, target, ball_at):
         ),
     )
     assert elsewhere.surface_m == pytest.approx(straight.surface_m, rel=1e-5, nan_ok=True)
+
+
+def camera_at(kind, origin, target, inside=""):
+    looking = f'<lookat origin="{origin}" target="{target}" up="0,1,0"/>'
+    return (
+        f'<sensor type="{kind}"><transform name="to_world">{looking}</transform>{inside}</sensor>'
+    )
+
+
+@pytest.mark.needs("raytrace")
+def test_of_several_cameras_the_first_one_is_read(tracer, tmp_path):
+    """With its kind, its place and its axes: left, up and forward, as columns. Emitters are counted,
+    also those that are part of a shape.
+    """
+    cameras = camera_at("orthographic", "1,2,3", "5,2,3") + camera_at(
+        "perspective", "4,5,6", "4,5,9"
+    )
+    lamp = '<shape type="sphere"><emitter type="area"/></shape>'
+    path = scene_file(tmp_path / "two.xml", lamp + '<emitter type="constant"/>' + wall(4), cameras)
+    read = tracer.read_scene(str(path))
+    assert (read.path, read.cameras, read.kind, read.emitters) == (path, 2, "orthographic", 2)
+    assert read.position == pytest.approx([1, 2, 3])
+    assert read.axes == pytest.approx(np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]]), abs=1e-6)
+    usual = tracer.read_scene(scene_file(tmp_path / "one.xml", wall(4)))
+    assert (usual.cameras, usual.kind, usual.emitters) == (1, "perspective", 0)
+    assert np.array_equal(usual.position, np.zeros(3)) and np.array_equal(usual.axes, np.eye(3))
+
+
+@pytest.mark.needs("raytrace")
+def test_what_is_not_the_scenes_is_left_out(tracer, tmp_path):
+    """Film, sampler, integrator and emitters, wherever they stand; surfaces and media stay."""
+    film = '<film type="hdrfilm"/><sampler type="independent"/>'
+    medium = '<medium type="homogeneous" name="interior"/>'
+    cube = f'<shape type="cube"><bsdf type="null"/>{medium}</shape>'
+    lamp = '<shape type="sphere"><bsdf type="diffuse"/><emitter type="area"/></shape>'
+    body = f'{lamp}{cube}<integrator type="path"/><emitter type="constant"/>'
+    camera = camera_at("perspective", "0,0,0", "0,0,1", film)
+    read = tracer.read_scene(scene_file(tmp_path / "all.xml", body, camera))
+    names = {node.props.plugin_name(): node for node in read.state.nodes}
+
+    def parts_of(node):
+        kinds = (node.props.type(name) for name in node.props.keys())
+        return sum(kind.name == "ResolvedReference" for kind in kinds)
+
+    assert parts_of(names["scene"]) == 3  # camera, sphere and cube
+    assert parts_of(names["perspective"]) == 0
+    assert parts_of(names["sphere"]) == 1
+    assert parts_of(names["cube"]) == 2
+
+
+@pytest.mark.needs("raytrace")
+def test_a_camera_in_a_medium_and_a_file_without_a_scene_are_refused(tracer, tmp_path):
+    medium = '<medium type="homogeneous" name="medium"/>'
+    for kind in ("perspective", "thinlens"):
+        camera = camera_at(kind, "0,0,0", "0,0,1", medium)
+        path = scene_file(tmp_path / "inside.xml", wall(4), camera)
+        with pytest.raises(InputError) as told:
+            tracer.read_scene(path)
+        place = "the camera is inside a medium, must be outside of its border"
+        assert str(told.value) == f"{path}: {place}"
+    path = tmp_path / "ball.xml"
+    path.write_text('<shape version="3.0.0" type="sphere"/>', encoding="utf-8")
+    with pytest.raises(InputError) as told:
+        tracer.read_scene(path)
+    assert str(told.value) == f"{path}: holds a sphere, must hold a scene"
 
 
 @pytest.mark.needs("raytrace")

@@ -452,6 +452,24 @@ def test_a_channel_goes_with_pictures_only(source, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("field", "low", "high"),
+    [
+        ("distance_m", 0.05, 1e6),
+        ("reflectivity", 0.0, 1.0),
+        ("sunlit", 0.0, 1.0),
+        ("labels", -(2**31) + 1, 2**31 - 1),
+    ],
+)
+def test_the_ends_of_the_range_of_each_array_of_a_scene_are_legal(field, low, high):
+    """They are kept as they are, and so are all numbers between them."""
+    arrays = {"distance_m": 4.0, "reflectivity": 0.4, "sunlit": 1.0, "labels": 1}
+    arrays = {name: np.full((2, 3), number, float) for name, number in arrays.items()}
+    arrays[field][0] = low, (low + high) / 2, high
+    kept = getattr(Scene(name="own", **arrays), field).reshape(2, 3)
+    assert np.array_equal(kept, arrays[field])
+
+
+@pytest.mark.parametrize(
     ("field", "value", "words"),
     [
         ("distance_m", 0.0, "distance_m[1, 2] = 0.0: must be at least 0.05 or NaN"),
@@ -460,6 +478,7 @@ def test_a_channel_goes_with_pictures_only(source, tmp_path):
         ("sunlit", 1.01, "sunlit[1, 2] = 1.01: must be from 0 to 1"),
         ("sunlit", -0.01, "sunlit[1, 2] = -0.01: must be from 0 to 1"),
         ("labels", 2.0**31, "labels[1, 2] = 2147483648.0: must be from -2.14"),
+        ("labels", -(2.0**31), "labels[1, 2] = -2147483648.0: must be from -2.14"),
     ],
 )
 def test_each_array_of_a_scene_has_its_range(field, value, words):

@@ -527,6 +527,22 @@ def test_what_helps_most_is_told_first(monkeypatch):
     assert told.index("ambient light") < told.index("half the distance") < told.index("pulses per")
 
 
+@pytest.mark.parametrize("window", (2, 16))
+def test_what_would_help_is_played_at_its_best_threshold_with_the_window_that_is_asked(window):
+    """Whatever threshold and window the configuration has. Of ten times less light, by hand."""
+    sensor, frame = {"rows": 8, "cols": 8}, {"pulses": 20}
+
+    def setup_of(klux, **subgroup):
+        return Setup.of("flat:9,0.05", sensor=sensor, frame=frame, subgroup=subgroup, klux=klux)
+
+    told = useless_sentence(0.9, setup_of(100.0, threshold=7, window=9), window)
+    darker = [setup_of(10.0, threshold=1 + k, window=window) for k in range(7)]
+    shares = [Run(setup)["wrong_share"] for setup in darker]
+    assert len({*shares}) > 1
+    light = re.search(r"a tenth of the ambient light, 10 klux \(([\d.]+)% wrong\)", told)[1]
+    assert float(light) == pytest.approx(100 * min(shares), abs=0.05)
+
+
 def test_the_numbers_of_an_advice_are_in_the_units_that_it_tells():
     """By hand: 12.5 million cycles of 25,000 pulses at 0.5 GHz take 25 ms."""
     frame = {"pulses": 25_000, "clock_mhz": MEASURED_MHZ, "period": 500, "link_gbps": 0}

@@ -3,6 +3,7 @@
 tool.
 """
 
+import html
 import subprocess
 import sys
 from importlib.metadata import packages_distributions, requires
@@ -22,6 +23,7 @@ from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.light.link_budget import Optics
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.view import View
+from coincid.study.show.assets import FILES
 
 RTL = {
     canonicalize_name(Requirement(one).name)
@@ -142,6 +144,9 @@ def test_a_run_shows_itself_in_a_notebook(run):
     for name, shown in pages.items():
         page = shown._repr_html_()
         assert page.startswith("<iframe srcdoc=") and f"&quot;{name}&quot;" in page
+        # it needs no network, and has what draws its tables
+        assert "cdn.bokeh.org" not in page
+        assert all(html.escape(FILES[one]) in page for one in ("page.css", "tables.js"))
     for place, says in {
         (2, 0): "subgroup = 2: .* from 0 to 1",
         (1, 60): "pulse = 60: .* from 0 to 59",

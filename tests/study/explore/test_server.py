@@ -3,6 +3,7 @@
 
 import json
 import signal
+import socket
 import subprocess
 import sys
 import urllib.request
@@ -10,6 +11,9 @@ from contextlib import contextmanager
 from urllib.error import HTTPError
 
 import pytest
+
+from coincid.model.shared.errors import InputError
+from coincid.study.explore import server
 
 SMALL = ("rows=16", "cols=16", "pulses=20")
 
@@ -74,6 +78,50 @@ def test_a_port_in_use_is_named(address):
         done.stderr
         == f"coincid: port = {port}: in use or not allowed, must be a free port from 1024 to 65535\n"
     )
+
+
+@pytest.fixture
+def taken():
+    """Return a port that is in use."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        one.listen()
+        yield one.getsockname()[1]
+
+
+def port_of(asked):
+    """Return the port on which a server would listen."""
+    listening, port = server._sockets(asked)
+    assert {one.getsockname()[1] for one in listening} == {port}
+    for one in listening:
+        one.close()
+    return port
+
+
+def test_without_a_port_it_is_the_first_free_one_of_its_own(monkeypatch, taken):
+    monkeypatch.setattr(server, "PORT", taken)
+    monkeypatch.setattr(server, "PORTS_TRIED", 100)
+    assert taken < port_of(None) < taken + 100
+    monkeypatch.setattr(server, "PORTS_TRIED", 1)
+    with pytest.raises(InputError, match=f"^ports {taken} to {taken}: in use or not allowed"):
+        port_of(None)
+
+
+def test_port_0_is_any_free_one_and_another_is_itself(monkeypatch, taken):
+    """None of the server's own, all of which may be in use."""
+    monkeypatch.setattr(server, "PORT", taken)
+    monkeypatch.setattr(server, "PORTS_TRIED", 1)
+    free = port_of(0)
+    assert free not in (0, taken)
+    assert port_of(free) == free
+    with pytest.raises(InputError, match=f"^port = {taken}: in use or not allowed"):
+        port_of(taken)
+
+
+@pytest.mark.parametrize("port", (-1, 65536))
+def test_a_port_that_does_not_exist_has_its_range(port):
+    with pytest.raises(InputError, match=f"port = {port}: must be an integer from 0 to 65535"):
+        port_of(port)
 
 
 def test_it_ends_without_a_complaint():

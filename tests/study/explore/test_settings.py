@@ -27,7 +27,7 @@ from coincid.study.explore.control_values import (
     without_lost_pictures,
 )
 from coincid.study.explore.controls import CONTROL, CONTROLS
-from coincid.study.explore.uploads import BYTES_MAX, NAME_MAX, Uploads
+from coincid.study.explore.uploads import BYTES_MAX, NAME_MAX, Kept, Uploads
 
 ORIENTATION = 274  # tag of EXIF
 OTHER = dict(
@@ -365,3 +365,16 @@ def test_a_refused_value_is_told_by_its_label(control):
     assert control_of(refused.value) is control
     assert told_by_labels(refused.value).startswith(f"{control.label} = {above}")
     assert not re.search(r"\b(sensor|frame|subgroup)\.", told_by_labels(refused.value))
+
+
+def test_uploads_are_kept_under_a_number_of_their_own():
+    """Equal ones under one number; under a number that was not given are none."""
+    kept = Kept()
+    given = [Uploads(), *(Uploads(depth=Path(name)) for name in ("a.npy", "b.npy", "c.npy"))]
+    numbers = [kept.number_of(one) for one in given]
+    assert len(set(numbers)) == len(given)
+    assert [kept.number_of(one) for one in reversed(given)] == numbers[::-1]
+    assert [kept.get(number) for number in numbers] == given
+    for unknown in (max(numbers) + 1, max(numbers) + 2, 1 << 70):
+        assert kept.get(unknown) == Uploads()
+    assert Kept().get(1) == Uploads()  # a page of a server that ran before

@@ -7,6 +7,7 @@ import csv
 import queue
 import threading
 import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from bokeh.document import Document
 
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.counts import NO_GATE
-from coincid.model.contract.result import differences
+from coincid.model.contract.result import EVENT_COLUMNS, differences
 from coincid.model.golden.frame import golden_result
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.messages import Question
@@ -124,6 +125,20 @@ def test_what_is_saved():
         parse_config(tomllib.loads(SAVES["toml"].content(explored, 0).decode())).pulses
         == SMALL["pulses"]
     )
+
+
+def test_the_saved_events_are_the_arrays_of_all_frames():
+    """A line for each event, with every number as it is, however many pulses the frames have."""
+    columns = {name: np.array([-1, 5, 2**40]) + k for k, name in enumerate(EVENT_COLUMNS)}
+    columns["overrun"] = np.array([False, True, True])
+    hits = np.array([[0, 0], [10, 0], [255, 1 << 63]], np.uint64)
+    explored = SimpleNamespace(run=SimpleNamespace(result={**columns, "hits": hits}))
+    lines = events_csv(explored, 1).decode().splitlines()
+    assert lines[0] == ",".join([*EVENT_COLUMNS, "hits"])
+    for n, hexadecimal in enumerate(("0", "a", f"8{'0' * 29}ff")):
+        numbers = [str(int(columns[name][n])) for name in EVENT_COLUMNS]
+        assert lines[n + 1] == ",".join([*numbers, hexadecimal])
+    assert len(lines) == 4
 
 
 def test_counts_are_saved_in_place_of_events():

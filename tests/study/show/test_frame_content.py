@@ -76,6 +76,15 @@ def test_numbers_of_subgroups_lie_on_their_pixels(view):
         assert of_subgroup.sum() == len(view.events.stamp[span])
 
 
+def test_events_lie_in_the_bins_of_their_arrivals():
+    """Not of their time stamps; what is beyond either end lies in the first or the last bin."""
+    arrival = np.array([-2.0, 0.0, 7.49, 7.5, 29.9, 30.0, 1e6])
+    events = SimpleNamespace(arrival=arrival, stamp=np.arange(100, 107))
+    bins_m = SimpleNamespace(tick_m=0.02)
+    shown = SimpleNamespace(events=events, config=bins_m, histogram_bins=5)
+    assert FrameView.event_bins(shown).tolist() == [0, 0, 0, 1, 3, 4, 4]
+
+
 @pytest.fixture(scope="module")
 def recorded():
     """Return the view of a scene of histograms, half of which are twice as bright."""
@@ -157,6 +166,34 @@ def test_a_report_keeps_no_more_edges_than_fit_for_all_its_frames(recorded, fram
     page = report.report_html("a run", views)
     (pulses,) = {int(number) for number in re.findall(r'"pulses",(\d+)', page)}
     assert pulses == 10
+
+
+def test_a_report_holds_the_numbers_of_a_sensor_that_is_no_square():
+    """By hand, each under its own name; it needs no network."""
+    sensor = {"rows": 8, "cols": 48, "subgroup": [4, 24], "minigroup": [2, 4], "phases": 16}
+    frame = {"period": 200, "pulses": 7, "clock_mhz": 400.0}
+    view = FrameView("a frame", Run(Setup.of("flat:5", klux=5, sensor=sensor, frame=frame)).frame())
+    page = report.report_html("a run", [view])
+    metre_ns = 2e9 / 299_792_458
+    numbers = {
+        "rows": 8,
+        "cols": 48,
+        "height": 4,
+        "width": 24,
+        "pixels": 96,
+        "words": 4,
+        "period": 200,
+        "pulses": 7,
+        "tick_ns": 2.5 / 16,
+        "cycle_ns": 2.5,
+        "bin_m": 0.15,
+        "bins": 500,
+        "ns_per_m": metre_ns,
+    }
+    (held,) = re.findall(r'\["sensor",\{"type":"map","entries":\[(.*?)\]\]', page)
+    found = {name: float(number) for name, number in re.findall(r'"(\w+)",([^\]]+)', held)}
+    assert found == pytest.approx(numbers)
+    assert "cdn.bokeh.org" not in page
 
 
 def test_a_report_holds_the_times_of_the_longest_period():
