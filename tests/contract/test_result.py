@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The comparison of results names every difference: a test that finds none has looked."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -174,6 +176,24 @@ def test_streams_of_different_frames_are_refused():
 def test_records_that_are_off_are_refused():
     with pytest.raises(StreamError, match="minigroup records, which are off"):
         ResultBuilder(TWO_STREAMS.with_frame(minigroup_records=False)).add(beats_of(TWO_STREAMS))
+
+
+@pytest.mark.parametrize("with_pandas", [True, False])
+@pytest.mark.parametrize("words", [0, 1, 2])
+def test_a_table_of_events_has_every_column_and_maps_of_any_width(words, with_pandas, monkeypatch):
+    """As they are, with the highest pixel of the subgroup."""
+    if not with_pandas:
+        monkeypatch.setitem(sys.modules, "pandas", None)
+    arrays = {name: np.array([3, 1, 2]) + 10 * k for k, name in enumerate(EVENT_COLUMNS)}
+    if words:
+        arrays["hits"] = np.array([[1] * words, [0] * words, [1 << 63] * words], np.uint64)
+    table = events_table(arrays | {"opened": np.zeros((1, 2))})
+    for name in EVENT_COLUMNS:
+        assert np.asarray(table[name]).tolist() == arrays[name].tolist(), name
+    expected = {0: None, 1: [1, 0, 1 << 63], 2: [(1 << 64) + 1, 0, (1 << 127) + (1 << 63)]}[words]
+    names = list(table) if with_pandas else list(table.dtype.names)
+    assert names == [*EVENT_COLUMNS, *["hits"] * bool(words)]
+    assert not words or np.asarray(table["hits"]).tolist() == expected
 
 
 def test_arrays_that_are_no_result_are_neither_a_table_nor_a_file(tmp_path):

@@ -6,7 +6,7 @@ import json
 import pytest
 from attrs import evolve
 
-from coincid.flow import pnr
+from coincid.flow import fpga_module, pnr
 from coincid.flow.pnr import (
     ASYNCHRONOUS,
     BITSTREAM,
@@ -221,6 +221,15 @@ def test_every_seed_places_the_same_netlist_for_the_goal(monkeypatch, tmp_path):
         assert (folder / pnr.NETLIST).read_text(encoding="utf-8") == "cells"
         told = (folder / "nextpnr.log").read_text(encoding="utf-8")
         assert told == "log of run_nextpnr_ecp5"
+
+
+def test_the_page_of_the_module_has_all_its_placements(monkeypatch):
+    written = []
+    monkeypatch.setattr(fpga_module, "fpga_module", lambda: BOARD)
+    monkeypatch.setattr(fpga_module, "place", lambda board: [f"{board.top} {n}" for n in range(3)])
+    monkeypatch.setattr(fpga_module, "write_placement_page", lambda *given: written.append(given))
+    fpga_module.place_fpga_module()
+    assert written == [(BOARD, ["top 0", "top 1", "top 2"])]
 
 
 def test_no_placement_is_taken_for_another(monkeypatch, tmp_path):

@@ -803,11 +803,12 @@ def test_a_number_of_photon_hdf5_may_be_an_array_of_one(tmp_path):
 PLACED = Edges(np.array([1, 0]), np.array([4, 3]), np.array([7, 100]), np.array([62.5, 0.1]))
 
 
+@pytest.mark.parametrize("offset_ps", [(62.5, 100 / 3), (0.0, 0.0), (0.0, 1.5)], ids=str)
 @pytest.mark.parametrize("suffix", [".npz", ".csv", ".h5"])
-def test_offsets_come_back(tmp_path, suffix):
-    """In the order of their edges, to the last digit."""
+def test_offsets_come_back(tmp_path, suffix, offset_ps):
+    """In the order of their edges, to the last digit, also those at the beginning of a tick."""
     path = tmp_path / f"edges{suffix}"
-    offset_ps = np.array([62.5, 100 / 3])
+    offset_ps = np.array(offset_ps)
     write_edges(path, evolve(PLACED, offset_ps=offset_ps), TIMING)
     found, _ = recorded_edges(read_recording(path), CONFIG, TIMING)
     assert found.tick.tolist() == [100, 7] and found.offset_ps.tolist() == [*offset_ps[::-1]]

@@ -8,12 +8,16 @@ import subprocess
 import sys
 import urllib.request
 from contextlib import contextmanager
+from types import SimpleNamespace
 from urllib.error import HTTPError
 
+import numpy as np
 import pytest
 
 from coincid.model.shared.errors import InputError
 from coincid.study.explore import server
+from coincid.study.explore.control_values import check_settings
+from coincid.study.explore.uploads import Uploads
 
 SMALL = ("rows=16", "cols=16", "pulses=20")
 
@@ -122,6 +126,54 @@ def test_port_0_is_any_free_one_and_another_is_itself(monkeypatch, taken):
 def test_a_port_that_does_not_exist_has_its_range(port):
     with pytest.raises(InputError, match=f"port = {port}: must be an integer from 0 to 65535"):
         port_of(port)
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """Return the function that opens a page by the arguments of a link, and returns its values,
+    uploads and message.
+    """
+    openers, pages = [], []
+
+    class Noted(server.FunctionHandler):
+        def __init__(self, opener):
+            openers.append(opener)
+            super().__init__(opener)
+
+    monkeypatch.setattr(server, "FunctionHandler", Noted)
+    monkeypatch.setattr(server, "_sockets", lambda port: ([], 5006))
+    monkeypatch.setattr(server, "Page", lambda *given: pages.append(given))
+
+    def opened(start, **arguments):
+        server.make_server(start=start)
+        given = {name: [b"x", text.encode()] for name, text in arguments.items()}
+        request = SimpleNamespace(arguments=given)
+        openers[-1](SimpleNamespace(session_context=SimpleNamespace(request=request)))
+        _, values, uploads, _, told = pages[-1]
+        return values, uploads, told
+
+    return opened
+
+
+def test_a_link_changes_what_the_explorer_was_started_with(opened):
+    """The last value of an argument counts; Bokeh's own arguments and unknown ones do not."""
+    start = check_settings({"klux": 5.0, "threshold": 3})
+    values, uploads, told = opened(start, klux="7", **{"bokeh-session-id": "x", "moon": "1"})
+    assert (values["klux"], values["threshold"]) == (7, 3)
+    assert uploads == start.uploads and "moon" in told
+    values, uploads, told = opened(None, threshold="4")
+    assert (values, uploads, told) == ({"threshold": 4}, Uploads(), "")
+
+
+def test_uploads_of_a_server_that_ran_before_are_gone(opened, tmp_path):
+    """Those with which this one was started are there without a number."""
+    np.save(tmp_path / "wall.npy", np.full((8, 8), 4.0))
+    uploads = Uploads(depth=tmp_path / "wall.npy")
+    start = check_settings({"scene": "upload"}, uploads)
+    assert opened(start)[:2] == (start.values, uploads)
+    assert opened(start, uploads="none")[1] == uploads
+    values, found, told = opened(start, uploads="7")
+    assert found == Uploads() and values.get("scene") != "upload" and told
 
 
 def test_it_ends_without_a_complaint():

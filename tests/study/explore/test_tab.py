@@ -3,12 +3,14 @@
 the fields to look at accept.
 """
 
+import re
+
 import pytest
 from bokeh.document import Document
 
 from coincid.study.explore import messages
 from coincid.study.explore.control_values import check_settings
-from coincid.study.explore.controls import CONTROL
+from coincid.study.explore.controls import CONTROL, DEFAULTS
 from coincid.study.explore.stages import Explorer
 from coincid.study.explore.tab import Page, _summary
 from coincid.study.explore.uploads import Kept, Uploads
@@ -93,6 +95,41 @@ def test_what_is_looked_at_is_in_the_result(page, name, last):
         assert getattr(page.look, name) == 0
         page._ordered(messages.Step(name=name))
         assert getattr(page.look, name) == 1
+
+
+def asked(page, number, **values):
+    """Ask as the page does, with the text of every control, and return the refusal."""
+    texts = {name: "" if value is None else str(value) for name, value in DEFAULTS.items()}
+    page._asked(messages.Question(number=number, values=texts | values))
+    return page.link.refusal
+
+
+@pytest.mark.parametrize(
+    ("values", "control", "told"),
+    [
+        ({"mg_threshold": "99"}, "mg_threshold", "{} = 99: must be an integer from 1 to 4"),
+        ({"klux": "-1"}, "klux", "{} = -1.0: must be a number from 0 to 200"),
+        ({"rows": "30"}, "rows", "{} = 30: must be a multiple of 8, because of"),
+        ({"threshold": ""}, "threshold", "{}: is empty, must be a number from 1 to 64"),
+    ],
+)
+def test_a_refusal_answers_its_question_and_names_the_control_as_the_page_does(
+    page, values, control, told
+):
+    for number in (3, 8):
+        refusal = asked(page, number, **values)
+        assert (refusal["number"], refusal["control"]) == (number, control)
+        assert refusal["message"].startswith(told.format(CONTROL[control].label))
+        assert not re.search(r"\b(sensor|frame|subgroup)\.", refusal["message"])
+
+
+@pytest.mark.parametrize("name", ["sun.png", "sun-1.png", "sun 1.png", "sunny.png", "other.png"])
+def test_a_bad_upload_is_refused_at_the_control_that_asks_for_it_by_its_own_name(page, name):
+    """Also if it begins with the name of the control."""
+    page.bad_uploads["sun"] = f"{name}: is no picture"
+    refusal = asked(page, 4, sun="picture")
+    assert (refusal["number"], refusal["control"]) == (4, "sun")
+    assert refusal["message"] == page.bad_uploads["sun"]
 
 
 @pytest.mark.parametrize(
