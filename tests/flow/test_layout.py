@@ -89,6 +89,34 @@ def test_a_pin_is_all_of_its_shapes(tmp_path):
     assert (strip.x, strip.via, strip.fits) == (0.095, 0.6, True)
 
 
+def strips_of(tmp_path, **rectangles):
+    """Return the strips of a cell with these pins, a rectangle of metal each."""
+    path = tmp_path / "own.lef"
+    ports = [
+        f"  PIN {pin}\n    PORT\n      LAYER metal1 ;\n        RECT {corners} ;\n    END\n  END {pin}\n"
+        for pin, corners in rectangles.items()
+    ]
+    path.write_text(f"MACRO OWN\n  SIZE 0.57 BY 1.4 ;\n{''.join(ports)}END OWN\n", encoding="utf-8")
+    return pins.strips(path, {"OWN"})["OWN"]
+
+
+def test_pins_that_can_take_tracks_of_their_own_do_so(tmp_path):
+    """Also where the best place of each is on the same track."""
+    wide = strips_of(tmp_path, A="0.05 0.3 0.4 0.5", Z="0.05 0.7 0.4 0.9")
+    assert sorted(strip.x for strip in wide.values()) == pytest.approx([0.095, 0.285])
+    assert len({(strip.low, strip.high) for strip in wide.values()}) == 1
+
+
+@pytest.mark.parametrize("order", ["AZ", "ZA"])
+def test_strips_of_pins_on_one_track_do_not_touch(tmp_path, order):
+    """The lower pin's strip ends below that of the upper one, whatever their order in the file."""
+    places = {"A": "0.05 0.25 0.15 0.5", "Z": "0.05 0.8 0.15 1.1"}
+    found = strips_of(tmp_path, **{pin: places[pin] for pin in order})
+    assert found["A"].x == found["Z"].x == pytest.approx(0.095)
+    assert found["A"].low < found["A"].via < found["A"].high
+    assert found["A"].high + 0.07 <= found["Z"].low < found["Z"].via < found["Z"].high
+
+
 def test_delays_scale():
     assert delays.scaled("(IOPATH A ZN (0.010:0.010:0.010) (0.020:0.020:0.020))", 3) == (
         "(IOPATH A ZN (0.0300:0.0300:0.0300) (0.0600:0.0600:0.0600))"
