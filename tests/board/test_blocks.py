@@ -1,13 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks of the emulator in Amaranth's simulator: the seeder with several lanes, and the AXI4-Lite
-slave.
+"""Blocks of the emulator in Amaranth's simulator: the seeder with several lanes, the AXI4-Lite slave,
+and the settings of the sources.
 """
 
 import numpy as np
 import pytest
 from amaranth.sim import Simulator
 
-from coincid.board.parameters import LANE_PIXELS, SEED_BIT, STATE_BITS, Emulator
+from coincid.board.parameters import (
+    LANE_PIXELS,
+    LEVEL_BITS,
+    RATE_BITS,
+    SEED_BIT,
+    STATE_BITS,
+    Emulator,
+    background_address,
+    echo_address,
+)
+from coincid.board.rtl.control import EmulatorControl
 from coincid.board.rtl.source import Seeder
 from coincid.board.rtl.top import BusAccess
 from coincid.board.source_model import _tables, advance, seeds
@@ -134,4 +144,62 @@ def test_bus_slave():
     simulator.add_clock(1e-8)
     simulator.add_testbench(control, background=True)
     simulator.add_testbench(master)
+    simulator.run()
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        {"rows": 4, "cols": 8, "subgroup": (4, 4)},
+        {"rows": 6, "cols": 15, "subgroup": (6, 3), "minigroup": (2, 3)},
+        {"rows": 6, "cols": 4, "subgroup": (6, 4)},
+    ],
+    ids=["16 pixels", "18 pixels", "a single subgroup of 24"],
+)
+def test_every_source_keeps_its_own_settings(sizes):
+    """Also where a subgroup's pixels are no power of two."""
+    sensor = Sensor(phases=8, window_max=16, **sizes)
+    dut = EmulatorControl(Emulator(sensor=sensor, buffer_beats=64))
+    rng = np.random.default_rng(1)
+    echoes = [
+        (echo_address(s, i), s, i) for s in range(sensor.subgroups) for i in range(sensor.pixels)
+    ]
+    backgrounds = [(background_address(s), s, None) for s in range(sensor.subgroups)]
+    places = [(*place, LEVEL_BITS + sensor.stamp_bits) for place in echoes]
+    places += [(*place, RATE_BITS) for place in backgrounds]
+    values = [int(rng.integers(1 << bits)) for *_, bits in places]
+    beyond = echo_address(0, sensor.pixels), background_address(sensor.subgroups)
+
+    async def access(ctx, address, write=0, value=0):
+        """Return the answer, and what the sources were told in its cycle."""
+        ctx.set(dut.access.address, address)
+        ctx.set(dut.access.write, write)
+        ctx.set(dut.access.data, value)
+        ctx.set(dut.access.valid, 1)
+        while not ctx.get(dut.access.done):
+            await ctx.tick()
+        answer = ctx.get(dut.access.refused), ctx.get(dut.access.value), ctx.get(dut.write)
+        ctx.set(dut.access.valid, 0)
+        await ctx.tick()
+        return answer
+
+    async def host(ctx):
+        for k in rng.permutation(len(places)):
+            address, s, i, _ = places[k]
+            refused, _, told = await access(ctx, address, 1, values[k])
+            assert not refused
+            assert (told.valid, told.subgroup, told.echo) == (1, s, i is not None)
+            assert told.data == values[k]
+            assert i is None or told.pixel == i
+        for k in rng.permutation(len(places)):
+            refused, value, told = await access(ctx, places[k][0])
+            assert (refused, value, told.valid) == (0, values[k], 0), places[k]
+        for address in beyond:
+            for write in (0, 1):
+                refused, _, told = await access(ctx, address, write)
+                assert (refused, told.valid) == (1, 0)
+
+    simulator = Simulator(dut)
+    simulator.add_clock(1e-8)
+    simulator.add_testbench(host)
     simulator.run()

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is kept for later: digests of sources, arrays in a temporary file, and the latest result."""
 
+import weakref
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,21 @@ def test_arrays_of_other_orders_and_types_come_back_from_a_spool():
         np.testing.assert_array_equal(found, array)
 
 
+def test_a_spool_takes_arrays_between_reads():
+    """Also between the pieces of an array: what was read last does not matter."""
+    first, second, third = (np.arange(k, k + PIECE_ROWS + 2) for k in (0, 10, 20))
+    spool = Spool()
+    blocks = [spool.put(first), spool.put(second)]
+    np.testing.assert_array_equal(spool.joined(blocks[:1]), first)
+    found = []
+    for piece in spool.pieces(blocks[0]):
+        found.append(piece)
+        blocks.append(spool.put(third))
+    np.testing.assert_array_equal(np.concatenate(found), first)
+    arrays = [first, second, third, third]
+    np.testing.assert_array_equal(spool.joined(blocks), np.concatenate(arrays))
+
+
 def test_the_latest_result_is_made_once_for_each_key_in_a_row():
     made = []
 
@@ -93,3 +110,20 @@ def test_the_latest_result_is_made_once_for_each_key_in_a_row():
     latest.forget()
     assert latest.get("a", making(4)) == 4
     assert made == [0, 2, 3, 4]
+
+
+def test_the_latest_result_is_gone_before_another_is_made():
+    """Two of them do not fit into memory."""
+
+    class Result:
+        pass
+
+    latest = Latest()
+    first = weakref.ref(latest.get("a", Result))
+    assert first() is latest.get("a", Result)
+    there = []
+    latest.get("b", lambda: there.append(first()) or Result())
+    assert there == [None]
+    second = weakref.ref(latest.get("b", Result))
+    latest.forget()
+    assert second() is None

@@ -3,13 +3,22 @@
 
 import numpy as np
 import pytest
+from attrs import frozen
 
 from coincid.model.shared.errors import InputError, check_integer
-from coincid.model.shared.quantities import check_real, real_array
+from coincid.model.shared.quantities import check_real, real, real_array
 
 LOW, HIGH = -2.0, 3.0
 INSIDE = (LOW, 0.0, HIGH)
 OUTSIDE = (np.nextafter(LOW, -9), np.nextafter(HIGH, 9), np.inf, -np.inf, np.nan)
+
+
+@frozen
+class Quantities:
+    """Fields with both ends, and without a highest value."""
+
+    share: float = real(1.0, LOW, HIGH)
+    rate_cps: float = real(2.0, LOW)
 
 
 @pytest.mark.parametrize("value", INSIDE)
@@ -70,3 +79,23 @@ def test_an_array_is_a_copy():
     assert checked.tolist() == [1.0, 2.0]
     with pytest.raises(ValueError, match="read-only"):
         checked[0] = 3.0
+
+
+def test_a_field_has_its_default_and_both_ends():
+    assert Quantities() == Quantities(share=1.0, rate_cps=2.0)
+    for value in INSIDE:
+        assert Quantities(share=value, rate_cps=value) == Quantities(value, value)
+    assert Quantities(rate_cps=1e300).rate_cps == 1e300
+
+
+@pytest.mark.parametrize("value", (*OUTSIDE, None, "1", True))
+def test_a_field_refuses_what_is_beyond_its_ends_by_its_name(value):
+    with pytest.raises(InputError, match="^share = .*: must be a number from -2 to 3$") as raised:
+        Quantities(share=value)
+    assert (raised.value.field, raised.value.low, raised.value.high) == ("share", LOW, HIGH)
+
+
+@pytest.mark.parametrize("value", (np.nextafter(LOW, -9), np.inf, -np.inf, np.nan))
+def test_a_field_without_a_highest_value_has_the_lowest(value):
+    with pytest.raises(InputError, match="^rate_cps = .*: must be a number of at least -2$"):
+        Quantities(rate_cps=value)

@@ -11,8 +11,9 @@ from attrs import evolve
 
 from coincid.flow.async_constraints import async_constraints
 from coincid.flow.silicon_report import Domain, domains, latches, netlist
-from coincid.hdl.front_end_views import Asynchronous, view_at
-from coincid.hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit
+from coincid.hdl.export import units_files
+from coincid.hdl.front_end_views import Asynchronous, Polyphase, view_at
+from coincid.hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit, clock_fs, lag_fs
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
@@ -55,6 +56,55 @@ def test_a_circuit_at_another_clock_is_the_same_circuit():
     view = Asynchronous(circuit=circuit)
     assert view.at(400.0).circuit == evolve(circuit, clock_mhz=400.0)
     assert view_at(view, 400.0) == view.at(400.0)
+
+
+def test_a_view_of_words_at_another_clock_is_the_same_view():
+    """Also one of a user."""
+    for view in (Polyphase(), type("Own", (Polyphase,), {"name": "own"})()):
+        assert view.at(400.0) is view
+        assert view_at(view, 400.0) is view
+
+
+def cells_of(circuit: Circuit, sensor: Sensor) -> dict[str, list[dict[str, int]]]:
+    """Return the numbers that a front end and its TDC give to their cells, by kind of cell."""
+    view = Asynchronous(circuit=circuit)
+    text = "".join(units_files([view.front_end(sensor), view.tdc(sensor, 1)]).values())
+    cells: dict[str, list[dict[str, int]]] = {}
+    for kind, given in re.findall(r"^  coincid_(\w+) #\((.*?)\n  \) ", text, re.M | re.S):
+        numbers = re.findall(r"\.(\w+)\((-?)\d+'s?([dh])(\w+)\)", given)
+        cells.setdefault(kind, []).append(
+            {
+                name: int(sign + digits, {"d": 10, "h": 16}[base])
+                for name, sign, base, digits in numbers
+            }
+        )
+    return cells
+
+
+def test_every_property_of_a_circuit_reaches_its_cells():
+    sensor = Sensor(**TINIEST | {"subgroup": (4, 4), "rearm": SYNCHRONISER_REARM})
+    mismatch_fs, skew_fs = (7, -8, 9, -10), tuple(range(0, 160, 10))
+    circuit = Circuit(
+        clock_mhz=400.0,
+        banks=2,
+        mismatch_fs=mismatch_fs,
+        pixel_skew_fs=skew_fs,
+        delay_line=True,
+        gain_ppm=-300,
+    )
+    cells = cells_of(circuit, sensor)
+    cycle = {"PHASES": sensor.phases, "CLOCK_FS": clock_fs(400.0)}
+    window = cycle | {"BITS": sensor.window_bits, "LINE": 1, "GAIN_PPM": -300}
+    assert cells["window"] == [window, window]
+    (phases,) = cells["phases"]
+    errors = phases.pop("MISMATCH_FS")
+    assert phases == cycle | {"LAG_FS": lag_fs(sensor)}
+    found = [
+        np.uint32(errors >> 32 * k & 0xFFFF_FFFF).astype(np.int32) for k in range(sensor.phases)
+    ]
+    assert tuple(found) == mismatch_fs
+    delays = [cell["DELAY_FS"] for cell in cells["delay"]]
+    assert sorted(delay for delay in delays if delay in skew_fs) == list(skew_fs[1:])
 
 
 def config(window=12, pulses=8, **subgroup):

@@ -18,7 +18,7 @@ from coincid.tb.play import play
 from coincid.tb.replay import replay
 from coincid.tb.rtl import of_one_subgroup
 from coincid.tb.scoreboard import check
-from coincid.tb.sliced import SlicedSensor, play_side_by_side
+from coincid.tb.sliced import Engine, SlicedSensor, play_side_by_side
 
 from .. import random_cases
 
@@ -252,6 +252,43 @@ def test_registers_can_be_changed_in_a_frame():
     assert np.any(late & (record.commit_subgroup == 0)) and not np.any(
         late & (record.commit_subgroup == 1)
     )
+
+
+def test_every_sensor_of_an_engine_shows_the_registers_of_its_own_subgroups():
+    """The sensors and their subgroups are as many lanes, each with a threshold of its own."""
+    sensor = random_cases.built_sensor(ODD)
+    engine, threshold = Engine(sensor, 3), "subgroup_0.dpcu.threshold"
+    sensors = [SlicedSensor(sensor, engine, number) for number in range(3)]
+    due = {}
+    for number, rtl in enumerate(sensors):
+        own = {s: 1 + sensor.subgroups * number + s for s in range(sensor.subgroups)}
+        due |= {(number, s): value for s, value in own.items()}
+        tables = ({"subgroups": [s], "threshold": value} for s, value in own.items())
+        config = random_cases.configured(ODD, {}, {}, *tables)
+        rtl.begin(config, random_cases.random_edges(config, 0, 1))
+    engine.call("run", config.period)
+
+    def shown():
+        return {(number, s): sensors[number].peek(s, threshold) for number, s in due}
+
+    assert shown() == due
+    sensors[1].poke(2, threshold, 17)
+    assert shown() == due | {(1, 2): 17}
+    engine.close()
+
+
+def test_the_beats_of_a_frame_are_received_once():
+    """Stream by stream, and those of the latest frame only."""
+    golden = Golden(random_cases.built_sensor(ODD))
+    config = random_cases.configured(ODD, {"period": 60, "pulses": 3}, {"threshold": 1})
+    with SlicedSensor(config.sensor) as rtl:
+        assert [len(rtl.receive(stream)) for stream in range(2)] == [0, 0]
+        for seed in (1, 2):
+            frame = job(golden, config, seed)
+            rtl.frame(config, frame.edges, frame.ready)
+            for stream in (1, 0):
+                assert np.array_equal(rtl.receive(stream), frame.expected.beats[stream])
+                assert len(rtl.receive(stream)) == 0
 
 
 def test_every_signal_is_that_of_the_whole_rtl(tmp_path):
