@@ -48,14 +48,12 @@ def clocks_at(baud: int, clock_mhz: float) -> int:
     return round(clock_hz / check_integer("baud", baud, low, high, f"at {clock_mhz:g} MHz"))
 
 
-def emulator_rtl(emulator: Emulator, serial: bool = True) -> list[Path]:
+def emulator_rtl(emulator: Emulator) -> list[Path]:
     """Return the emulator's Verilog files, emitted once for its parameters and the state of the
     sources.
     """
     name = f"emulator-{emulator.sensor.rows}x{emulator.sensor.cols}"
-    folder = emitted(
-        name, repr((emulator, serial)), lambda: emulator_files(emulator, serial), "board"
-    )
+    folder = emitted(name, repr(emulator), lambda: emulator_files(emulator), "board")
     return listed(folder / EMULATOR_LIST)
 
 
