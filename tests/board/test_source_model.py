@@ -234,6 +234,24 @@ def test_ticks_fit_the_sensor():
     assert len(evolve(source(of), seed=5).register_writes(of.sensor)) == 3 + 2 * 65
 
 
+@pytest.mark.parametrize("kind", (np.uint8, np.int16, np.uint16, np.int32, np.uint32))
+def test_settings_of_every_type_are_the_same_settings(kind):
+    """Numbers of any width of a user's arrays: in the registers and in the predicted light."""
+    of = config(pulses=2)
+    highest = min(np.iinfo(kind).max, of.sensor.period_max * of.sensor.phases - 1)
+    values = {"background": 255, "tick": highest, "level": 255}
+    usual = source(of, seed=7, **values)
+    typed = source(of, seed=7, **{name: kind(value) for name, value in values.items()})
+    assert typed.tick.dtype == kind
+    writes = typed.register_writes(of.sensor)
+    assert writes == usual.register_writes(of.sensor)
+    assert all(type(value) is int for _, value in writes)
+    assert max(value for _, value in writes) == highest << LEVEL_BITS | 255
+    light = [source_edges(of, settings, 3) for settings in (usual, typed)]
+    for name in ("pulse", "pixel", "tick"):
+        np.testing.assert_array_equal(*(getattr(edges, name) for edges in light))
+
+
 def test_the_number_of_a_frame_has_16_bits():
     """Frame 65536 has the light of frame 0, as the sensor counts its frames."""
     of = config(2)

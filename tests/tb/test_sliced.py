@@ -75,15 +75,16 @@ def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
             assert check(frame.config.sensor, frame.expected, other, number) == one.checked
 
 
-def test_the_told_cycles_are_in_the_end_those_of_all_frames():
-    """Summed over the sensors and their frames, which differ in length."""
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_told_cycles_are_in_the_end_those_of_all_frames(threads):
+    """Summed over the sensors and their frames, which differ in length, of one engine or several."""
     told = []
     chains = []
     for number in range(3):
         golden = Golden(random_cases.built_sensor(ODD))
         config = random_cases.configured(ODD, {"period": 60 + 7 * number, "pulses": 3})
         chains.append([job(golden, config, 3 * number + k) for k in range(1 + number)])
-    records = play_side_by_side(chains, told.append, threads=1)
+    records = play_side_by_side(chains, told.append, threads=threads)
     assert told == sorted(told)
     assert told[-1] == sum(record.cycles for chain in records for record in chain)
 

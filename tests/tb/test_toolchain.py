@@ -395,3 +395,23 @@ def test_a_complete_verilator_is_made_anew_if_what_is_written_into_it_changes(
     assert len({usual, other, toolchain.verilator()}) == 3
     header = other.parents[1] / "include" / "verilated_config.h"
     assert "#define VERILATOR_VERSION_INTEGER 5007000\n" in header.read_text(encoding="utf-8")
+
+
+def test_a_python_of_any_path_is_written_as_it_is(empty_build_root, monkeypatch):
+    r"""Also with a backslash, a \\1 and a blank."""
+    monkeypatch.setattr("sys.executable", r"/an other\1\python\g<0>")
+    makefile = toolchain.verilator().parents[1] / "include" / "verilated.mk"
+    assert r"/an other\1\python\g<0>" in makefile.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("headers", "there"),
+    [
+        (["cstdint"], True),
+        (["cstdint", "cstring", "vector"], True),
+        (["cstdint", "no_such_header.h"], False),
+        (["no_such_header.h", "cstdint"], False),
+    ],
+)
+def test_headers_are_there_if_each_of_them_is(headers, there):
+    assert toolchain._compiles(*headers) == there

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the bench in a simulator reads from the sensor's outputs, and in which order it tells it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from coincid.tb.cosim import _Outputs
+from coincid.tb.frame_record import STORED_TO_COMMIT
+
+from ..random_cases import SENSORS, built_sensor
+
+SENSOR = built_sensor(SENSORS["odd"])  # two streams, of three and of two subgroups
+# Subgroups that stored an event in a cycle, by stream.
+STORED = {20: (0b101, 0b10), 21: (0, 0b11), 23: (0b111, 0), 30: (0b001, 0b01)}
+# Valid and last of the streams, by cycle: the first one ends before the other.
+VALID = {40: ((1, 0), (1, 0)), 41: ((1, 1), (1, 0)), 42: ((1, 0), (0, 1)), 43: ((1, 1), (1, 1))}
+
+
+class Board:
+    """Stands for the scoreboard."""
+
+    def __init__(self):
+        self.told, self.checked = [], 77
+
+    def commit(self, subgroup, cycle):
+        self.told.append((subgroup, cycle))
+
+    def beat(self, stream, cycle, data, last):
+        self.told.append((stream, cycle, data, last))
+
+
+@pytest.fixture
+def bench():
+    wires = "stored", "tvalid", "tdata", "tlast"
+    lines = {wire: [SimpleNamespace(value=0) for _ in range(2)] for wire in wires}
+    return SimpleNamespace(sensor=SENSOR, **lines)
+
+
+def word(stream, cycle):
+    return (1 << 63) + 100 * stream + cycle
+
+
+def read(bench, board=None):
+    """Return the outputs of the frame above, read to its end."""
+    outputs = _Outputs(bench, board)
+    for cycle, stored in STORED.items():
+        for stream, bits in enumerate(stored):
+            bench.stored[stream].value = bits
+        outputs.read_commits(cycle)
+    for cycle, streams in VALID.items():
+        for stream, (valid, last) in enumerate(streams):
+            bench.tvalid[stream].value, bench.tlast[stream].value = valid, last
+            bench.tdata[stream].value = word(stream, cycle)
+        outputs.read_beats(cycle)
+    return outputs
+
+
+def test_commits_are_told_by_subgroup_and_then_by_time(bench):
+    first = [SENSOR.stream_subgroups(stream).start for stream in range(2)]
+    due = sorted(
+        (first[stream] + k, cycle - STORED_TO_COMMIT)
+        for cycle, stored in STORED.items()
+        for stream, bits in enumerate(stored)
+        for k in range(3)
+        if bits >> k & 1
+    )
+    record = read(bench).record(50)
+    assert list(zip(record.commit_subgroup, record.commit_cycle, strict=True)) == due
+    assert record.commit_subgroup.dtype == record.commit_cycle.dtype == np.int64
+
+
+def test_beats_of_every_stream_are_read_to_its_end(bench):
+    outputs = read(bench)
+    assert outputs.running == []
+    record = outputs.record(50)
+    cycles = [40, 41], [40, 41, 43]
+    assert [found.tolist() for found in record.beat_cycle] == list(cycles)
+    for stream, found in enumerate(record.beats):
+        assert found.dtype == np.uint64
+        assert found.tolist() == [word(stream, cycle) for cycle in cycles[stream]]
+
+
+def test_a_frame_without_events_has_no_commits(bench):
+    record = _Outputs(bench, None).record(9)
+    assert record.commit_subgroup.shape == record.commit_cycle.shape == (0,)
+    assert (record.cycles, record.checked) == (9, 0)
+
+
+def test_the_board_is_told_what_comes_in_the_order_of_time(bench):
+    board = Board()
+    record = read(bench, board).record(50)
+    assert record.checked == board.checked
+    commits = [told for told in board.told if len(told) == 2]
+    beats = [told for told in board.told if len(told) == 4]
+    assert [cycle for _, cycle in commits] == sorted(record.commit_cycle.tolist())
+    assert beats == [
+        (stream, cycle, word(stream, cycle), bool(last))
+        for cycle, streams in VALID.items()
+        for stream, (valid, last) in enumerate(streams)
+        if valid and cycle <= (41, 43)[stream]
+    ]
