@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from coincid.model.contract.edges import Edges
 from coincid.model.golden.frame import Golden
 from coincid.study import bench
 from coincid.tb import pysim
@@ -39,6 +40,24 @@ def test_amaranths_simulator_plays_what_the_golden_model_predicts():
     )
     check(config.sensor, expected, found)
     assert cycles == list(range(max(int(at[-1]) for at in beat_cycle) + 1))
+
+
+def test_in_amaranths_simulator_a_stream_goes_on_while_another_ends():
+    """All light is on the second stream, which has events left when the first one ends."""
+    sensor = {"rows": 4, "cols": 8, "subgroup": [4, 4], "streams": 2, "phases": 8, "window_max": 16}
+    config = configured(
+        sensor, {"period": 40, "pulses": 2, "format": "full"}, {"window": 1, "threshold": 1}
+    )
+    light = trouble(config, 3, 60.0)
+    right = light.pixel % config.sensor.cols >= 4
+    edges = Edges(light.pulse[right], light.pixel[right], light.tick[right])
+    expected = Golden(config.sensor).frame(config, edges)
+    first, second = expected.beat_cycle
+    assert first[-1] in second[:-1]
+    beats, beat_cycle = pysim.play(config, edges)
+    for stream in range(2):
+        assert np.array_equal(beats[stream], expected.beats[stream])
+        assert np.array_equal(beat_cycle[stream], expected.beat_cycle[stream])
 
 
 def test_page_shows_every_key():
