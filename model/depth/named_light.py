@@ -5,17 +5,18 @@ The lights of the coarse seeds are too far apart for the law of silence (`unhear
 a little too early looks three times as bright, and then the law expects other windows than came.
 """
 
+import math
+
 import numpy as np
 
 from ..contract.config import Config
-from . import portable
 from .clusters import armed_ticks
 from .histograms import Events, hits_away
 from .pulse_ticks import PulseTicks
 from .unheard import Guess, SubgroupWindows, Unheard, share_between
 
 REACH_SIGMAS = 3.0  # from a seed to stamps of windows that may hold its light
-HITS_MIN = 0.5  # of a pixel, at least
+HITS_MIN = 0.5  # of such pixels together, at least
 NAMED_MIN = 0.02  # chance that a photon is named, at least
 FIRED_MAX = 0.99  # share of the pulses in which a pixel fires, at most
 
@@ -32,16 +33,20 @@ def named_light(
     """Return the guess with lights that fit the number of events that name the pixels.
 
     windows, rough: of `windows_of` and `unheard`. pulses: number of pulses in which the events came.
-    Where every window becomes an event, and where events do not name all their pixels, the guess
-    stays as it is.
+    Pixels of a subgroup whose seeds are alike share a light, since each alone has few hits. Where
+    every window becomes an event, and where events do not name all their pixels, the guess stays as
+    it is.
     """
     light = guess.light.copy()
     near = _hits_near(events, guess.time, pulse.sigma)
     for s, one in enumerate(windows):
         if events.mapped and one.tree.kept[1] < 1:
             named = _named(events, one, rough, guess.time[s], config, pulses, pulse, s)
-            fired = np.maximum(near[s], HITS_MIN) / pulses / np.maximum(named, NAMED_MIN)
-            light[s] = -portable.log(1 - np.minimum(fired, FIRED_MAX))
+            for seed in np.unique(guess.light[s]):
+                alike = guess.light[s] == seed
+                hits = max(HITS_MIN, float(near[s][alike].sum()))
+                fired = hits / pulses / max(NAMED_MIN, float(named[alike].sum()))
+                light[s][alike] = -math.log(1 - min(fired, FIRED_MAX))
     return guess._replace(light=light)
 
 

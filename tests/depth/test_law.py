@@ -403,11 +403,12 @@ def test_the_first_lights_fit_the_number_of_events_that_name_the_pixels(behind_m
     light = by_subgroup(signal_per_pulse(scene.distance_m, scene.reflectivity), config.sensor)
     windows = windows_of(events, config, pulses, pulse)
     rough = unheard(windows, config, pulse)
-    guess = Guess(by_subgroup(scene.distance_m / TICK_M, config.sensor), np.full(light.shape, 0.25))
+    dark = by_subgroup(is_dark, config.sensor)
+    seeds = np.where(dark, 0.25, 0.9)
+    guess = Guess(by_subgroup(scene.distance_m / TICK_M, config.sensor), seeds)
     found = named_light(events, config, windows, rough, guess, pulses, pulse)
     assert np.array_equal(found.time, guess.time)
     ratio = found.light / light
-    dark = by_subgroup(is_dark, config.sensor)
     assert abs(np.median(ratio[dark]) - 1) < 0.2
     assert abs(np.median(ratio[~dark]) - 1) < 0.1
 
@@ -441,7 +442,7 @@ def test_a_white_sign_hardly_moves_a_dark_wall_behind_it():
         klux=20.0,
     )
     off_m = [Run(setup.but(seed=seed)).frame().depth_m - distance_m for seed in (1, 2, 3)]
-    assert np.mean(~(np.abs(off_m)[:, ~sign] < 0.035)) < 0.3
+    assert np.mean(~(np.abs(off_m)[:, ~sign] < 0.035)) < 0.35
 
 
 def test_dropped_windows_are_seen_in_the_light_of_the_second_look():
@@ -459,3 +460,20 @@ def test_dropped_windows_are_seen_in_the_light_of_the_second_look():
     )
     off_m = Run(setup).frame().depth_m - distance_m
     assert np.mean(~(np.abs(off_m) < 0.0345)) < 0.025
+
+
+def test_few_events_do_not_spread_the_lights():
+    """At threshold 5, a pixel of the dark object has about one hit in all pulses. If each had a light
+    of its own, three of four of these pixels would be wrong.
+    """
+    setup = Setup.of(
+        "five-objects",
+        frame={"pulses": 100, "link_gbps": 0},
+        subgroup={"threshold": 5},
+        klux=50.0,
+    )
+    wrong = []
+    for seed in (1, 2, 3):
+        frame = Run(setup.but(seed=seed)).frame()
+        wrong.append(np.mean(~(np.abs(frame.depth_m - frame.truth_m) < 0.0345)))
+    assert np.mean(wrong) < 0.06

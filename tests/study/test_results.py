@@ -116,19 +116,19 @@ INTERFERENCE = dict(
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "library": (library, "d880708c6c153e3d"),
     "sim": (sim, "f1c5b9ba362864f6"),
-    "sweep": (sweep, "53d879474bb7945d"),
-    "explorer": (explorer, "678c8806458b415e"),
+    "sweep": (sweep, "3f821c995ad14862"),
+    "explorer": (explorer, "7ba10c3bde3c1f6e"),
     "surfaces": (surface, "aa50220de1a3e5ed"),
-    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "3fe2f3ded4180d35"),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "5d8b7c6530b99e5e"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "8f93d902161c83d1",
+        "31bce489c3248b4d",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
-        "318761116e887f32",
+        "089c44775c5e64e4",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "dc837fe7422296f0"),
+    "interference": (section(interference.interference, **INTERFERENCE), "44a21e750316ca9c"),
 }
 
 
