@@ -37,16 +37,18 @@ def named_light(
     every window becomes an event, and where events do not name all their pixels, the guess stays as
     it is.
     """
+    rejecting = [s for s, one in enumerate(windows) if one.tree.kept[1] < 1]
+    if not events.mapped or not rejecting:
+        return guess
     light = guess.light.copy()
     near = _hits_near(events, guess.time, pulse.sigma)
-    for s, one in enumerate(windows):
-        if events.mapped and one.tree.kept[1] < 1:
-            named = _named(events, one, rough, guess.time[s], config, pulses, pulse, s)
-            for seed in np.unique(guess.light[s]):
-                alike = guess.light[s] == seed
-                hits = max(HITS_MIN, float(near[s][alike].sum()))
-                fired = hits / pulses / max(NAMED_MIN, float(named[alike].sum()))
-                light[s][alike] = -math.log(1 - min(fired, FIRED_MAX))
+    for s in rejecting:
+        named = _named(events, windows[s], rough, guess.time[s], config, pulses, pulse, s)
+        for seed in np.unique(guess.light[s]):
+            alike = guess.light[s] == seed
+            hits = max(HITS_MIN, float(near[s][alike].sum()))
+            fired = hits / pulses / max(NAMED_MIN, float(named[alike].sum()))
+            light[s][alike] = -math.log(1 - min(fired, FIRED_MAX))
     return guess._replace(light=light)
 
 
@@ -77,8 +79,8 @@ def _named(
     window = windows.tree.window
     armed = armed_ticks(stamp, window, config)
     covered = np.minimum(1, windows.of_ticks.covered)
-    deaf = share_between(stamp + window, armed, weight, pulses)
-    waiting = np.maximum(0, 1 - covered - deaf)
+    unarmed = share_between(stamp + window, armed, weight, pulses)
+    waiting = np.maximum(0, 1 - covered - unarmed)
     missed = np.repeat(rough.missed[0, s], rough.every)[: config.period_ticks]
     named = covered + waiting * (1 - missed)
     beside = np.arange(-pulse.reach, pulse.reach + 1)

@@ -192,14 +192,19 @@ def _lights_are_uncertain(frame: _Frame, guess: Guess) -> bool:
     At threshold 1, their light and their time are nearly one number: the brighter they are, the
     earlier they fire. Without coincidence, events do not tell more of the light than that.
     """
-    free = (frame.events.threshold == 1) & (frame.events.window > 1)
+    free = _takes_every_window(frame.events)
     bright = guess.light[free][~np.isnan(guess.time[free])] > BRIGHT_PHOTONS
     return bool(bright.sum() > BRIGHT_SHARE * guess.light.size)
 
 
+def _takes_every_window(events: Events) -> np.ndarray:
+    """bool[subgroups]: whether coincidence is on with a threshold of 1."""
+    return (events.threshold == 1) & (events.window > 1)
+
+
 def _most_are_dropped(events: Events) -> bool:
     """Return whether at threshold 1 fewer than `STORED_FEW` of the windows are stored."""
-    free = (events.threshold == 1) & (events.window > 1)
+    free = _takes_every_window(events)
     stored = np.diff(events.bounds)[free].sum()
     return bool(stored < STORED_FEW * events.committed[free].sum())
 

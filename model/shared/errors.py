@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from numbers import Integral
 
 TOLD_MAX = 100  # characters of a wrong value in a message
+BEHIND_FIELD = (" = ", ": ", "[")  # what follows a field at the beginning of a message
 SEED_MAX = (1 << 63) - 1  # highest seed of random numbers: it fits a column of int64
 
 
@@ -46,9 +47,11 @@ class InputError(ValueError):
     def renamed(self, name: str) -> str:
         """Return the message with another name of the field, as a user knows it."""
         message = str(self)
-        if self.field is None or not message.startswith(self.field):
+        if self.field is None:
             return message
-        return name + message.removeprefix(self.field)
+        behind = message.removeprefix(self.field)
+        # a message may begin with a file, whose name may begin like the field
+        return name + behind if behind.startswith(BEHIND_FIELD) else message
 
 
 def wrong_value(

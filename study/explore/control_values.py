@@ -38,7 +38,6 @@ from .uploads import KINDS, USED_BY, Uploads
 PIXEL_PULSES_MAX = 1 << 25  # pixels x pulses x frames: some ten seconds of work
 PERCENT = 100
 KILO = 1000
-BEHIND_KEY = (" = ", ": ", "[")  # what follows a key at the beginning of a message
 # a key of the configuration, as messages have it
 _KEY = re.compile(r"\b(?:sensor|frame|subgroup)\.(\w+)")
 
@@ -290,13 +289,9 @@ def control_of(error: InputError) -> Control | None:
 def told_by_labels(error: InputError) -> str:
     """Return the message of an error with labels of controls in place of keys of the
     configuration.
-
-    A message may begin with a file instead, whose name may begin like a key.
     """
     control = control_of(error)
-    message = str(error)
-    if control is not None and message.removeprefix(str(error.field)).startswith(BEHIND_KEY):
-        message = error.renamed(control.label)
+    message = str(error) if control is None else error.renamed(control.label)
     return _KEY.sub(lambda key: CONTROL[key[1]].label if key[1] in CONTROL else key[0], message)
 
 
