@@ -12,7 +12,8 @@ from attrs import frozen
 from ..model.contract.config import Config
 from ..model.contract.parameters import Sensor
 from ..model.contract.registers import CONSTANT, COUNTER, PULSE, SETTING, Register
-from ..model.shared.errors import InputError, check_integer, wrong_value
+from ..model.shared.errors import InputError, out_of_range, wrong_value
+from ..model.shared.quantities import integer
 from .serial_link import BAUD, BAUD_TOLERANCE
 
 ADDRESS_BITS = 24
@@ -21,6 +22,7 @@ SENSOR_BASE, OWN_BASE, SOURCE_BASE, BUFFER_BASE = 0x000000, 0x100000, 0x200000, 
 SOURCE_STRIDE = 0x800
 BUFFER_BEATS, BUFFER_BEATS_MAX = 8192, 1 << 16  # size of the frame buffer: default and maximum
 CLOCKS_PER_BIT = 4, 1 << 16  # of the serial link: the fewest and the most
+SUBGROUPS_MAX = 1 << 8
 EMULATOR_ID = 0x454D554C  # "EMUL"
 EMULATOR_VERSION = 0x00010000
 
@@ -60,20 +62,19 @@ class Emulator:
     """
 
     sensor: Sensor
-    buffer_beats: int = BUFFER_BEATS
-    clocks_per_bit: int = 33  # 3 Mbaud at 100 MHz
+    buffer_beats: int = integer(BUFFER_BEATS, 64, BUFFER_BEATS_MAX)
+    clocks_per_bit: int = integer(33, *CLOCKS_PER_BIT)  # 3 Mbaud at 100 MHz
 
     def __attrs_post_init__(self) -> None:
         if self.sensor.streams != 1:
             raise wrong_value("sensor.streams", self.sensor.streams, "1 in an emulator")
-        check_integer("subgroups", self.sensor.subgroups, 1, 1 << 8)
-        check_integer("buffer_beats", self.buffer_beats, 64, BUFFER_BEATS_MAX)
+        if self.sensor.subgroups > SUBGROUPS_MAX:
+            raise out_of_range("sensor.subgroups", self.sensor.subgroups, 1, SUBGROUPS_MAX)
         if self.buffer_beats & (self.buffer_beats - 1):
             legal = f"a power of two from 64 to {BUFFER_BEATS_MAX}"
             raise wrong_value(
                 "buffer_beats", self.buffer_beats, legal, low=64, high=BUFFER_BEATS_MAX
             )
-        check_integer("clocks_per_bit", self.clocks_per_bit, *CLOCKS_PER_BIT)
 
     @classmethod
     def of(cls, config: Config, buffer_beats: int = BUFFER_BEATS) -> "Emulator":

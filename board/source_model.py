@@ -9,14 +9,15 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from attrs import field, frozen
+from attrs import frozen
 
 from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import pixel_table
 from ..model.shared.compiled import njit, part
-from ..model.shared.errors import InputError, check_integer
+from ..model.shared.errors import InputError
+from ..model.shared.quantities import integer
 from . import parameters as chip
 
 MASK = (1 << chip.STATE_BITS) - 1
@@ -29,14 +30,13 @@ class SourceSettings:
     background: np.ndarray  # int64[subgroups], photons per pixel and cycle, in 2^-16
     tick: np.ndarray  # int64[subgroups, pixels of one], earliest tick of a pixel's echo
     level: np.ndarray  # int64[subgroups, pixels of one], probability of an echo, in 2^-8
-    spread: int = field(default=0)  # an echo is up to 2^spread - 1 ticks late
-    dead_cycles: int = field(default=1)  # from an edge to the earliest next edge of its pixel
-    seed: int = field(default=1)  # 32 bits
+    spread: int = integer(0, 0, chip.SPREAD_MAX)  # an echo is up to 2^spread - 1 ticks late
+    dead_cycles: int = integer(
+        1, 1, chip.DEAD_MAX
+    )  # from an edge to the earliest next edge of its pixel
+    seed: int = integer(1, 0, MASK)  # 32 bits
 
     def __attrs_post_init__(self) -> None:
-        check_integer("spread", self.spread, 0, chip.SPREAD_MAX)
-        check_integer("dead_cycles", self.dead_cycles, 1, chip.DEAD_MAX)
-        check_integer("seed", self.seed, 0, MASK)
         _check_integers("background", self.background, (1 << chip.RATE_BITS) - 1)
         _check_integers("level", self.level, (1 << chip.LEVEL_BITS) - 1)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from ..model.shared.errors import told_number
 from .measures import MEASURES, Number
 
 COLUMN_TYPES = {int: pa.int64(), float: pa.float64()}
@@ -49,6 +50,7 @@ def _varied(values: list[Any], real: bool) -> pa.Array:
     """
     if real and any(isinstance(value, str) for value in values):
         return pa.array(
-            [value if isinstance(value, str) else f"{value:g}" for value in values], pa.string()
+            [value if isinstance(value, str) else told_number(value) for value in values],
+            pa.string(),
         )
     return pa.array(values, pa.float64() if real else None)

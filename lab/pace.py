@@ -40,7 +40,7 @@ def gap_for(config: Config, rate_per_s: float) -> int:
     Raises `InputError` if not even a gap of 0 is short enough, or the gap would be longer than the
     longest one. A frame of one pulse has no gap, so it has a single rate.
     """
-    check_real("rate_per_s", rate_per_s, RATE_MIN_PER_S)
+    rate_per_s = check_real("rate_per_s", rate_per_s, RATE_MIN_PER_S)
     cycles = int(Fraction(str(config.clock_mhz)) * 1_000_000 / Fraction(str(rate_per_s)))
 
     def cycles_with(gap: int) -> int:

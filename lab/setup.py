@@ -25,10 +25,10 @@ from ..model.scenes.ambient import Ambient, ambient_klux
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.recorded_light import RecordedLight
 from ..model.scenes.scene import Scene, scene_light
-from ..model.shared.errors import SEED_MAX, InputError, check_integer, wrong_value
+from ..model.shared.errors import SEED_MAX, InputError, wrong_value
 from ..model.shared.own_part import OwnPart
 from ..model.shared.pulse import Pulse, pulse_of
-from ..model.shared.quantities import Numbers, check_choice, check_switch
+from ..model.shared.quantities import Numbers, check_choice, check_switch, integer
 from ..model.shared.sources import digest, sources_digest
 from ..tb.engines import ENGINES
 from ..tb.replay import DEFAULT_VIEW
@@ -157,7 +157,7 @@ class Setup:
     pulse: Pulse | None = field(default=None, converter=pulse_of)
     spad: Spad = field(factory=Spad)
     spad_gate: bool = False
-    seed: int = 1
+    seed: int = integer(1, 0, SEED_MAX)
     edges: Edges | None = None
     engine: str = "golden"
     view: "str | View" = DEFAULT_VIEW
@@ -168,7 +168,6 @@ class Setup:
             raise InputError("pulse: goes with a scene, a Light has its own", field="pulse")
         if not isinstance(self.spad, Spad):
             raise wrong_value("spad", self.spad, "a Spad")
-        check_integer("seed", self.seed, 0, SEED_MAX)
         check_choice("engine", self.engine, ENGINES)
         check_choice("background", self.background, BACKGROUNDS)
         check_switch("spad_gate", self.spad_gate)

@@ -141,7 +141,7 @@ def _axes(tables: object) -> list[dict[str, list[Any]]]:
                 raise InputError(f"axis[{number}]: {shown} comes twice")
         axes.append(axis)
     total = math.prod(map(_length, axes))
-    check_integer("points of the grid", total, 1, POINTS_MAX)
+    total = check_integer("points of the grid", total, 1, POINTS_MAX)
     return axes
 
 

@@ -47,7 +47,7 @@ def stress(
 
     Raises `ToolchainError` if Icarus is missing or fails.
     """
-    check_integer("edges", edges, 1, EDGES_MAX)
+    edges = check_integer("edges", edges, 1, EDGES_MAX)
     front = Front(sensor or Sensor(rows=8, cols=8), circuit or Circuit())
     arguments = [f"+edges={edges}", f"+seed={seed}"]
     return json.loads(run_bench(BENCH, front.files(), arguments=arguments, aperture=True)[-1])

@@ -336,6 +336,23 @@ def test_no_function_leaves_an_argument_unread(room):
     assert not unread
 
 
+CHECKS = {"check_integer", "check_real"}
+
+
+def test_what_a_check_returns_is_used():
+    """A number of NumPy becomes one of Python there, with which sums and products do not wrap."""
+    dropped = {
+        f"{file}: {ast.unparse(node)}"
+        for room in ROOMS
+        for file, node in code_of(room)
+        if isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Call)
+        and isinstance(node.value.func, ast.Name)
+        and node.value.func.id in CHECKS
+    }
+    assert not dropped
+
+
 # Where all subgroups have the same settings.
 ALIKE = {"lab/bound.py", "study/advise.py"}
 

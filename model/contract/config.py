@@ -595,8 +595,7 @@ def parse_config(document: dict[str, Any]) -> Config:
                 low=0,
                 high=last,
             )
-        for s in chosen:
-            check_integer(f"{where}.subgroups", s, 0, sensor.subgroups - 1)
+        chosen = [check_integer(f"{where}.subgroups", s, 0, sensor.subgroups - 1) for s in chosen]
         for name, value in values.items():
             columns[name][chosen] = SUBGROUP[name].checked(f"{where}.{name}", value, sensor)
             if name not in written["subgroup"]:

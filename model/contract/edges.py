@@ -92,8 +92,9 @@ def load_edges(path: FilePath, *, pixels: int, pulses: int, period_ticks: int) -
     suffix = check_path(path).suffix.lower()
     if suffix in OTHER_SUFFIXES and os.path.exists(path):
         raise InputError(f"{path}: is read as NPZ; coincid edges makes one of a {suffix} file")
-    for name, limit in (("pixels", pixels), ("pulses", pulses), ("period_ticks", period_ticks)):
-        check_integer(name, limit, 1, LIMIT_MAX)
+    pixels = check_integer("pixels", pixels, 1, LIMIT_MAX)
+    pulses = check_integer("pulses", pulses, 1, LIMIT_MAX)
+    period_ticks = check_integer("period_ticks", period_ticks, 1, LIMIT_MAX)
     arrays = read_npz(path, NAMES, optional=("offset_ps",))
     return checked_edges(
         arrays, pixels=pixels, pulses=pulses, period_ticks=period_ticks, source=f"{path}: "

@@ -9,7 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ..shared.errors import wrong_value
+from ..shared.errors import told_number, wrong_value
 from .packet import BEAT_BITS, COUNTS, layout
 from .parameters import Sensor
 from .settings import LINK_GBPS_MAX
@@ -32,7 +32,7 @@ def check_link(link_gbps: float, clock_mhz: float) -> None:
     """Raise `InputError` if the link takes beats in less than `SHARE_MIN` of the cycles."""
     low_gbps = float(stream_gbps(clock_mhz) * SHARE_MIN)
     if 0 < link_gbps < low_gbps:
-        legal = f"0 (as fast as the stream) or from {low_gbps:g} to {LINK_GBPS_MAX:g}"
+        legal = f"0 (as fast as the stream) or from {told_number(low_gbps)} to {told_number(LINK_GBPS_MAX)}"
         raise wrong_value("frame.link_gbps", link_gbps, legal, low=low_gbps, high=LINK_GBPS_MAX)
 
 

@@ -56,7 +56,7 @@ def gate_counts(
     frames = len(arrays["gate_cycle"])
     chosen = range(frames)
     if frame is not None:
-        check_integer("frame", frame, 0, frames - 1)
+        frame = check_integer("frame", frame, 0, frames - 1)
         chosen = range(frame, frame + 1)
     of_frames = [_trials_of(arrays, config, k) for k in chosen]
     trials = Trials(

@@ -117,7 +117,7 @@ def estimate_depth(
         pulse = Pulse.of_result(arrays)
     if not isinstance(chosen, str):
         check_no_source(chosen.name, source)
-        check_integer("returns", returns, 1, RETURNS_MAX)
+        returns = check_integer("returns", returns, 1, RETURNS_MAX)
         reading = Reading(
             arrays=_read(chosen, arrays),
             config=config,
@@ -329,7 +329,7 @@ def find_returns(
 ) -> Found:
     """Find the returns of every pixel; the other arguments and errors as in `estimate_depth`."""
     check_choice("method", method, (PLANES, *PEAKS))
-    check_integer("returns", returns, 1, RETURNS_MAX)
+    returns = check_integer("returns", returns, 1, RETURNS_MAX)
     shape = pulse_ticks(config, system_fwhm_s, pulse)
     if config.counting:
         check_counting(method)

@@ -87,7 +87,7 @@ def frame_events(
     check_arrays(arrays, *EVENT_ARRAYS)
     columns = checked_events(arrays, config)
     if frame is not None:
-        check_integer("frame", frame, 0, len(columns["opened"]) - 1)
+        frame = check_integer("frame", frame, 0, len(columns["opened"]) - 1)
     row = _rows_by_subgroup(columns["pulse"], columns["subgroup"], config.pulses, frame)
     subgroup = columns["subgroup"][row]
     stamp = columns["stamp"][row]
@@ -219,7 +219,7 @@ def pixel_histogram(
     check_kind("config", config, Config)
     check_kind("pulse", pulse, Pulse, NoneType)
     table = pixel_table(config.sensor)
-    check_integer("pixel", pixel, 0, config.sensor.array_pixels - 1)
+    pixel = check_integer("pixel", pixel, 0, config.sensor.array_pixels - 1)
     shape = pulse_ticks(config, system_fwhm_s, pulse or Pulse.of_result(arrays))
     of_subgroup = _histogram_maker(arrays, config, shape, source, frame, None)
     return of_subgroup(table.subgroup[pixel])[table.inside[pixel]]

@@ -9,11 +9,9 @@ import math
 
 import numpy as np
 
-from ..contract.config import Config
-from .clusters import armed_ticks
 from .histograms import Events, hits_away
 from .pulse_ticks import PulseTicks
-from .unheard import Guess, SubgroupWindows, Unheard, share_between
+from .unheard import Guess, SubgroupWindows, Unheard
 
 REACH_SIGMAS = 3.0  # from a seed to stamps of windows that may hold its light
 HITS_MIN = 0.5  # of such pixels together, at least
@@ -23,7 +21,6 @@ FIRED_MAX = 0.99  # share of the pulses in which a pixel fires, at most
 
 def named_light(
     events: Events,
-    config: Config,
     windows: list[SubgroupWindows],
     rough: Unheard,
     guess: Guess,
@@ -43,9 +40,10 @@ def named_light(
     light = guess.light.copy()
     near = _hits_near(events, guess.time, pulse.sigma)
     for s in rejecting:
-        named = _named(events, windows[s], rough, guess.time[s], config, pulses, pulse, s)
-        for seed in np.unique(guess.light[s]):
-            alike = guess.light[s] == seed
+        known = np.isfinite(guess.time[s])
+        named = _named(windows[s], rough.missed[0, s], rough.every, guess.time[s], pulse)
+        for seed in np.unique(guess.light[s][known]):
+            alike = known & (guess.light[s] == seed)
             hits = max(HITS_MIN, float(near[s][alike].sum()))
             fired = hits / pulses / max(NAMED_MIN, float(named[alike].sum()))
             light[s][alike] = -math.log(1 - min(fired, FIRED_MAX))
@@ -63,27 +61,19 @@ def _hits_near(events: Events, time: np.ndarray, sigma_ticks: float) -> np.ndarr
 
 
 def _named(
-    events: Events,
-    windows: SubgroupWindows,
-    rough: Unheard,
-    time: np.ndarray,
-    config: Config,
-    pulses: int,
-    pulse: PulseTicks,
-    s: int,
+    windows: SubgroupWindows, missed: np.ndarray, every: int, time: np.ndarray, pulse: PulseTicks
 ) -> np.ndarray:
-    """float64[pixels]: chance that an event names a pixel of subgroup s that fires at its seed."""
-    stamp = events.stamp[events.bounds[s] : events.bounds[s + 1]]
-    stored = max(1, len(stamp))
-    weight = np.full(config.period_ticks, events.committed[s] / stored)
-    window = windows.tree.window
-    armed = armed_ticks(stamp, window, config)
-    covered = np.minimum(1, windows.of_ticks.covered)
-    unarmed = share_between(stamp + window, armed, weight, pulses)
-    waiting = np.maximum(0, 1 - covered - unarmed)
-    missed = np.repeat(rough.missed[0, s], rough.every)[: config.period_ticks]
-    named = covered + waiting * (1 - missed)
+    """float64[pixels]: chance that an event names a pixel that fires at its seed.
+
+    missed, every: of `Unheard`, for this subgroup. A pixel without a seed gets any value.
+    """
+    of_ticks = windows.of_ticks
+    ticks = len(of_ticks.covered)
+    covered = np.minimum(1, of_ticks.covered)
+    waiting = np.maximum(0, 1 - covered - of_ticks.unarmed)
+    kept = 1 - np.repeat(missed, every)[:ticks]
+    named = of_ticks.stored * (covered + waiting * kept)
     beside = np.arange(-pulse.reach, pulse.reach + 1)
     share = pulse.share_before(beside + 0.5) - pulse.share_before(beside - 0.5)
     tick = np.nan_to_num(time).astype(np.int64)[:, None] + beside
-    return (named[np.clip(tick, 0, config.period_ticks - 1)] * share).sum(axis=1)
+    return (named[np.clip(tick, 0, ticks - 1)] * share).sum(axis=1)

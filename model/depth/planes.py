@@ -153,7 +153,7 @@ def _look_coarsely(frame: _Frame) -> tuple[Coarse, Guess, Unheard]:
         time=by_subgroup(time, sensor),
         light=possible[by_subgroup(light, sensor)].astype(np.float64),
     )
-    lit = named_light(events, config, frame.windows, frame.rough, guess, frame.pulses, pulse)
+    lit = named_light(events, frame.windows, frame.rough, guess, frame.pulses, pulse)
     return coarse, guess, _never(frame, lit)
 
 

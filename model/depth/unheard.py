@@ -231,14 +231,16 @@ def _ticks_of(
     dropped = 1 / stored_share
     dropped *= committed / max(1.0, dropped[stamp].sum())  # windows per stored window
     if dropping:
-        nearby = share_between(np.maximum(0, stamp - reach), armed, dropped, pulses)
+        nearby = _share_between(np.maximum(0, stamp - reach), armed, dropped, pulses)
         nearby = np.minimum(1, nearby)
         busy, ready = _busy(stamp, armed, dropped, pulses, sensor.phases)
         gap = _gap(stamp, armed, dropped[stamp] / pulses, ready[:: sensor.phases], sensor.phases)
     seen = open_share_by_tick(config, s)
     of_ticks = _Ticks(
         committed=np.bincount(stamp, minlength=ticks) * dropped,
-        covered=share_between(stamp, stamp + window, dropped, pulses),
+        covered=_share_between(stamp, stamp + window, dropped, pulses),
+        unarmed=_share_between(stamp + window, armed, dropped, pulses),
+        stored=np.divide(1, dropped, out=np.ones(ticks), where=dropped > 0).astype(np.float32),
         nearby=nearby,
         busy=busy,
         ready=ready,
@@ -306,8 +308,8 @@ def _busy(
     next cycle, and the share in which it is armed at the beginning of this cycle, float32[ticks].
     """
     cycle = np.arange(len(dropped)) // phases * phases
-    not_armed = share_between(stamp, armed, dropped, pulses)
-    until_next = share_between(np.maximum(stamp, armed - phases), armed, dropped, pulses)
+    not_armed = _share_between(stamp, armed, dropped, pulses)
+    until_next = _share_between(np.maximum(stamp, armed - phases), armed, dropped, pulses)
     beyond_next = np.pad(not_armed - until_next, (phases, 0))
     ready = 1 - beyond_next[cycle + phases - 1]  # of the last tick of the cycle before
     return until_next, np.maximum(1 - BLIND_MAX, ready).astype(np.float32)
@@ -381,7 +383,7 @@ def _room_found(begin: np.ndarray, end: np.ndarray, rate: np.ndarray) -> np.ndar
     return found
 
 
-def share_between(
+def _share_between(
     begin: np.ndarray, end: np.ndarray, weight: np.ndarray, pulses: int
 ) -> np.ndarray:
     """float32[ticks]: number of the events that have a tick in [begin, end), per pulse, times the
@@ -398,6 +400,8 @@ class _Ticks(NamedTuple):
 
     committed: np.ndarray  # float64[ticks], windows that opened at a tick, in all pulses
     covered: np.ndarray  # windows over a tick
+    unarmed: np.ndarray  # windows that are over, after which the tree is not armed again
+    stored: np.ndarray  # share of the windows that are stored
     nearby: np.ndarray  # the same for windows with their surroundings; 0 if nothing is dropped
     busy: np.ndarray  # windows after which the tree is armed at the next cycle,
     ready: np.ndarray  # and share in which it is at the tick's own cycle; 0 if nothing is dropped

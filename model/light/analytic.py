@@ -314,12 +314,12 @@ def histogram(
     """
     sensor, timing, spad = sensor or Sensor(), timing or Timing(), spad or Spad()
     check_choice("scheme", scheme, SCHEMES)
-    check_integer("threshold", threshold, 1, sensor.pixels)
+    threshold = check_integer("threshold", threshold, 1, sensor.pixels)
     if _literal(form) and sensor.rule != AT_LEAST:
         raise InputError(
             f"form = {form!r}: knows only the paper's rule, not sensor.rule = {sensor.rule.name!r}"
         )
-    check_integer("window_ticks", window_ticks, 1, sensor.window_max)
+    window_ticks = check_integer("window_ticks", window_ticks, 1, sensor.window_max)
     pixels = (sensor.pixels,)
     distance_m = real_array("distance_m", distance_m, pixels, 0, nan=True)
     noise_cps = real_array("noise_cps", noise_cps, pixels, 0)

@@ -32,7 +32,7 @@ def code_density(tick: np.ndarray, phases: int) -> CodeDensity:
 
     Raises `InputError` if there is less than one edge per phase on average.
     """
-    check_integer("phases", phases, 2, 1024)
+    phases = check_integer("phases", phases, 2, 1024)
     tick = np.asarray(tick)
     if tick.ndim != 1 or tick.dtype.kind not in "iu":
         raise InputError(f"tick: holds {tick.dtype}{list(tick.shape)}, must hold integers [n]")

@@ -10,13 +10,13 @@ from types import NoneType
 from typing import Any
 
 import numpy as np
-from attrs import field, frozen
+from attrs import NOTHING, field, frozen
 from numpy.typing import ArrayLike
 
 from ..shared.arguments import check_kind
-from ..shared.errors import InputError, check_integer
+from ..shared.errors import InputError
 from ..shared.pulse import Pulse, pulse_of
-from ..shared.quantities import Numbers, check_choice, given, real, real_array
+from ..shared.quantities import Numbers, check_choice, given, integer, real, real_array
 
 # detected, per pixel; our preset: a level at which thresholds are selective
 BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50
@@ -163,8 +163,8 @@ class Light:
     Gaussian of `system_fwhm_s`; the SPAD's jitter is in it, so no further jitter is drawn.
     """
 
-    rows: int
-    cols: int
+    rows: int = integer(NOTHING, 1, 4096)
+    cols: int = integer(NOTHING, 1, 4096)
     distance_m: np.ndarray = field(converter=given)
     signal_per_pulse: np.ndarray = field(converter=given)
     background_cps: np.ndarray = field(default=0.0, converter=given)
@@ -175,8 +175,6 @@ class Light:
     pulse: Pulse | None = field(default=None, converter=pulse_of)
 
     def __attrs_post_init__(self) -> None:
-        check_integer("rows", self.rows, 1, 4096)
-        check_integer("cols", self.cols, 1, 4096)
         check_kind("arrivals", self.arrivals, Arrivals, NoneType)
         check_kind("interferer", self.interferer, Interferer, NoneType)
         for name in ("distance_m", "signal_per_pulse", "system_fwhm_s"):

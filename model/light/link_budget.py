@@ -45,11 +45,10 @@ class Optics:
     filter_shape: str = FILTERS[0]
     fov_h_deg: float = real(45.0, 1e-3, 179)
     fov_v_deg: float = real(45.0, 1e-3, 179)
-    pixels: int = 32 * 32
+    pixels: float = real(32 * 32, 1)
 
     def __attrs_post_init__(self) -> None:
         check_choice("filter_shape", self.filter_shape, FILTERS)
-        check_real("pixels", self.pixels, 1)
 
 
 @frozen(kw_only=True)
@@ -139,11 +138,11 @@ def link_budget(
     optics, laser, spad = optics or Optics(), laser or Laser(), spad or Spad()
     check_choice("form", form, FORMS)
     check_choice("sbr_reading", sbr_reading, tuple(SBR_READINGS))
-    check_real("reflectivity", reflectivity, 0, 1)
+    reflectivity = check_real("reflectivity", reflectivity, 0, 1)
     if sbr_window_s is None:
         sbr_window_s = COINCIDENCE_WINDOW_S if sbr_reading == "F" else spad.jitter_fwhm_s
-    check_real("sbr_window_s", sbr_window_s, 0, WINDOW_MAX_S)
-    check_real("klux", klux, 0, KLUX_MAX)
+    sbr_window_s = check_real("sbr_window_s", sbr_window_s, 0, WINDOW_MAX_S)
+    klux = check_real("klux", klux, 0, KLUX_MAX)
     shape = np.shape(distance_m)
     distance_m = real_array("distance_m", distance_m, shape, DISTANCE_MIN_M, DISTANCE_MAX_M)
     if not distance_m.size:

@@ -123,7 +123,7 @@ def edge_chunks(
     packing = Packing((light.pixels - 1).bit_length(), (timing.period_ticks - 1).bit_length())
     if chunk_pulses is None:
         chunk_pulses = min(max(1, int(CHUNK_EDGES / (edges_per_pulse.sum() + 1e-9))), CHUNK_EDGES)
-    check_integer(
+    chunk_pulses = check_integer(
         "chunk_pulses", chunk_pulses, 1, 1 << min(31, 63 - sum(packing)), "of this array and period"
     )
     borders = [light.pixels * i // workers for i in range(workers + 1)]
@@ -203,7 +203,9 @@ def _in_ticks(
     other = light.interferer or Interferer(photons_per_pulse=0.0)
     other_sigma = other.fwhm_s * SIGMA_PER_FWHM / tick_s
     if timing.waits:
-        check_integer("pulses", pulse_stop, 0, APART_PULSES_MAX, "with a gap, dither or pauses")
+        pulse_stop = check_integer(
+            "pulses", pulse_stop, 0, APART_PULSES_MAX, "with a gap, dither or pauses"
+        )
     physics = Physics(
         period_ticks=float(period_ticks),
         spacing_ticks=float(timing.spacing_ticks),

@@ -12,7 +12,7 @@ from attrs import frozen
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
 from ..shared.errors import SEED_MAX, check_integer
-from ..shared.quantities import Numbers, check_real, real
+from ..shared.quantities import Numbers, check_real, integer, real
 
 
 @frozen(kw_only=True, eq=False)
@@ -97,13 +97,9 @@ class SpadGate:
     start_cycles: int | np.ndarray
     len_cycles: int | np.ndarray
     step_cycles: int | np.ndarray = 0
-    every_pulses: int = 0
-    steps: int = 1
-    frame_pulses: int = 1 << 62
-
-    def __attrs_post_init__(self) -> None:
-        for name, low in (("every_pulses", 0), ("steps", 1), ("frame_pulses", 1)):
-            check_integer(name, getattr(self, name), low, 1 << 62)
+    every_pulses: int = integer(0, 0, 1 << 62)
+    steps: int = integer(1, 1, 1 << 62)
+    frame_pulses: int = integer(1 << 62, 1, 1 << 62)
 
     @classmethod
     def from_config(cls, config: Config) -> "SpadGate":
@@ -135,9 +131,9 @@ def dark_count_map(
     """Dark count rates, float64[pixels]: `median_cps`, and `hot_cps` in a random share
     `hot_fraction` of the pixels.
     """
-    check_integer("pixels", pixels, 1, 1 << 24)
+    pixels = check_integer("pixels", pixels, 1, 1 << 24)
     hot = round(pixels * check_real("hot_fraction", hot_fraction, 0, 1))
-    check_integer("seed", seed, 0, SEED_MAX)
+    seed = check_integer("seed", seed, 0, SEED_MAX)
     dark_cps = np.full(pixels, check_real("median_cps", median_cps, 0))
     dark_cps[np.random.default_rng(seed).permutation(pixels)[:hot]] = check_real(
         "hot_cps", hot_cps, 0

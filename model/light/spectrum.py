@@ -42,11 +42,13 @@ def irradiance_w_m2(
     """
     check_choice("filter_shape", filter_shape, FILTERS)
     check_choice("spectrum", spectrum, SPECTRA)
-    check_real("klux", klux, 0)
-    check_real("fwhm_nm", fwhm_nm, 1e-3, 1000)
+    klux = check_real("klux", klux, 0)
+    fwhm_nm = check_real("fwhm_nm", fwhm_nm, 1e-3, 1000)
     sigma_nm = fwhm_nm * SIGMA_PER_FWHM
     reach_nm = fwhm_nm / 2 if filter_shape == "box" else _GAUSSIAN_REACH_SIGMA * sigma_nm
-    check_real("wavelength_nm", wavelength_nm, _GRID_NM[0] + reach_nm, _GRID_NM[-1] - reach_nm)
+    wavelength_nm = check_real(
+        "wavelength_nm", wavelength_nm, _GRID_NM[0] + reach_nm, _GRID_NM[-1] - reach_nm
+    )
     band_nm = np.linspace(wavelength_nm - reach_nm, wavelength_nm + reach_nm, _BAND_POINTS)
     density, lux = _spectrum(spectrum)
     passed = np.interp(band_nm, _GRID_NM, density)

@@ -9,8 +9,8 @@ from ..contract.counts import with_pauses
 from ..contract.dither import DITHER_BITS_MAX, GAP_MAX, LFSR_BITS, start_cycles
 from ..contract.parameters import CLOCK_MHZ
 from ..shared.constants import SPEED_OF_LIGHT_M_S
-from ..shared.errors import InputError, check_integer
-from ..shared.quantities import real, real_array
+from ..shared.errors import InputError
+from ..shared.quantities import integer, real, real_array
 
 
 @frozen(kw_only=True, eq=False)
@@ -27,25 +27,17 @@ class Timing:
     """
 
     clock_hz: float = real(CLOCK_MHZ * 1e6, 1)
-    phases: int = 32
-    period_cycles: int = 250
+    phases: int = integer(32, 1, 1024)
+    period_cycles: int = integer(250, 1, 1 << 20)
     tap_width_lsb: np.ndarray | None = None
-    gap_cycles: int = 0
-    dither_bits: int = 0
-    dither_seed: int = 1
-    frame_pulses: int = 0
-    search_pulses: int = 0
-    search_minigroups: int = 0
+    gap_cycles: int = integer(0, 0, GAP_MAX)
+    dither_bits: int = integer(0, 0, DITHER_BITS_MAX)
+    dither_seed: int = integer(1, 1, (1 << LFSR_BITS) - 1)
+    frame_pulses: int = integer(0, 0, 1 << 16)
+    search_pulses: int = integer(0, 0, 1 << 16)
+    search_minigroups: int = integer(0, 0, 1 << 16)
 
     def __attrs_post_init__(self) -> None:
-        check_integer("phases", self.phases, 1, 1024)
-        check_integer("period_cycles", self.period_cycles, 1, 1 << 20)
-        check_integer("gap_cycles", self.gap_cycles, 0, GAP_MAX)
-        check_integer("dither_bits", self.dither_bits, 0, DITHER_BITS_MAX)
-        check_integer("dither_seed", self.dither_seed, 1, (1 << LFSR_BITS) - 1)
-        check_integer("frame_pulses", self.frame_pulses, 0, 1 << 16)
-        check_integer("search_pulses", self.search_pulses, 0, 1 << 16)
-        check_integer("search_minigroups", self.search_minigroups, 0, 1 << 16)
         if self.tap_width_lsb is not None:
             total = real_array("tap_width_lsb", self.tap_width_lsb, (self.phases,), 0).sum()
             if abs(total - self.phases) > 1e-9 * self.phases:

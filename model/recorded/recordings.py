@@ -124,8 +124,8 @@ def recorded_edges(
     every time. Raises `InputError` if no photon is left, and for options that do not fit the
     recording.
     """
-    check_integer("first-sync", first_sync, 0, SYNC_MAX)
-    check_real("delay-ps", delay_ps, -np.inf)
+    first_sync = check_integer("first-sync", first_sync, 0, SYNC_MAX)
+    delay_ps = check_real("delay-ps", delay_ps, -np.inf)
     if not len(recording.sync):
         raise InputError("the recording holds no photons")
     pulses = config.frames * config.pulses
@@ -204,14 +204,16 @@ def _pixels(
         )
     if recording.grid:
         raise InputError("channels: the recording is an image, whose positions are the pixels")
+    pixel_of = {}
     known, index = np.unique(recording.channel, return_inverse=True)
     for channel, pixel in channels.items():
         if channel not in known:
             raise InputError(
                 f"channels: channel {channel} is not in the recording, must be one of {_listed(known)}"
             )
-        check_integer(f"channels: pixel of channel {channel}", pixel, 0, rows * cols - 1)
-    return np.array([channels.get(int(channel), -1) for channel in known], np.int64)[index]
+        name = f"channels: pixel of channel {channel}"
+        pixel_of[int(channel)] = check_integer(name, pixel, 0, rows * cols - 1)
+    return np.array([pixel_of.get(int(channel), -1) for channel in known], np.int64)[index]
 
 
 def _listed(values: np.ndarray, most: int = 16) -> str:

@@ -136,9 +136,9 @@ def load_scene(
     InputError
         If the name is unknown, the file cannot be read, or a value is out of range.
     """
-    check_integer("rows", rows, 1, 4096)
-    check_integer("cols", cols, 1, 4096)
-    check_real("range_m", range_m, NEAREST_M)
+    rows = check_integer("rows", rows, 1, 4096)
+    cols = check_integer("cols", cols, 1, 4096)
+    range_m = check_real("range_m", range_m, NEAREST_M)
     meaning = Meaning(
         unit=unit,
         scale=scale,

@@ -9,7 +9,7 @@ from attrs import frozen
 from ..light.light import NEAREST_M
 from ..shared.arguments import check_kind
 from ..shared.errors import InputError
-from ..shared.quantities import check_real
+from ..shared.quantities import real
 from .conventions import check_unit, convention
 
 # "no depth" of most writers: the largest integer of 16 bits, the largest half float
@@ -31,23 +31,18 @@ class Meaning:
     """
 
     unit: str | None = None
-    scale: float = 1.0
+    scale: float = real(1.0, *SCALES)
     missing: float | Sequence[float] | None = None
-    sky_m: float | None = None
+    sky_m: float | None = real(None, NEAREST_M)
     z: bool = False
-    fov_deg: float | None = None
+    fov_deg: float | None = real(None, 1e-3, 179)
     channel: str | None = None
     bin_ps: float | None = None
     recorded_pulses: int | None = None
 
     def __attrs_post_init__(self) -> None:
-        check_real("scale", self.scale, *SCALES)
         if self.unit is not None:
             check_unit(self.unit)
-        if self.sky_m is not None:
-            check_real("sky_m", self.sky_m, NEAREST_M)
-        if self.fov_deg is not None:
-            check_real("fov_deg", self.fov_deg, 1e-3, 179)
         check_kind("z", self.z, bool, np.bool_)
         if self.bin_ps is None and self.recorded_pulses is not None:
             raise InputError(

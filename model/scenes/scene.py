@@ -8,9 +8,9 @@ from typing import Any, Protocol
 import numpy as np
 from attrs import evolve, field, frozen
 
-from ..light.light import NEAREST_M, Light
+from ..light.light import NEAREST_M, RATE_MAX_CPS, Light
 from ..shared.arguments import check_kind
-from ..shared.errors import InputError
+from ..shared.errors import InputError, told_number
 from ..shared.quantities import Numbers, given, real_array
 from .ambient import Ambient, ambient_klux, told_klux
 from .view import View
@@ -153,6 +153,6 @@ def scene_light(scene: Scene, klux: Ambient, **others: Any) -> Light:
             raise
         message = (
             f"klux = {told_klux(klux)}: is too much ambient light: a pixel would detect more than"
-            f" {error.high:g} photons per second"
+            f" {told_number(RATE_MAX_CPS)} photons per second"
         )
         raise InputError(message, field="klux") from None

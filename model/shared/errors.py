@@ -54,6 +54,12 @@ class InputError(ValueError):
         return name + behind if behind.startswith(BEHIND_FIELD) else message
 
 
+def told_number(value: float) -> str:
+    """Return a number as text from which the same number comes back, as short as possible."""
+    short = f"{value:g}"
+    return short if float(short) == value else str(value)
+
+
 def wrong_value(
     name: str, value: object, legal: str, *, low: float | None = None, high: float | None = None
 ) -> InputError:

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checked physical quantities: attrs fields and arrays with a legal range."""
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from math import inf, isfinite, nan
 from numbers import Real
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
-from attrs import field
+from attrs import Attribute, Converter, field
 from numpy.typing import ArrayLike
 
-from .errors import InputError, wrong_value
+from .errors import InputError, check_integer, told_number, wrong_value
 
 Numbers: TypeAlias = float | np.ndarray  # one number, or one for each of many: they broadcast
 _T = TypeVar("_T")
@@ -43,13 +43,29 @@ def check_switch(name: str, value: Any) -> bool:
     return value
 
 
-def real(default: float, low: float, high: float = inf) -> float:
-    """Return an attrs field that holds a finite number within [`low`, `high`]."""
-    checked: float = field(
-        default=default,
-        validator=lambda _, attribute, value: check_real(attribute.name, value, low, high),
-    )
-    return checked
+def real(default: float | None, low: float, high: float = inf) -> Any:
+    """Return an attrs field that holds a finite float within [`low`, `high`], or None if that is
+    the default.
+    """
+    return _checked_field(default, lambda name, value: check_real(name, value, low, high))
+
+
+def integer(default: Any, low: int, high: int) -> Any:
+    """Return an attrs field that holds an int from `low` to `high`. default: NOTHING = it must be
+    given.
+    """
+    return _checked_field(default, lambda name, value: check_integer(name, value, low, high))
+
+
+def _checked_field(default: Any, checked: Callable[[str, Any], Any]) -> Any:
+    """Return an attrs field that holds what `checked` makes of a value; it takes the field's name,
+    too.
+    """
+
+    def of_field(value: Any, attribute: "Attribute[Any]") -> Any:
+        return None if value is None and default is None else checked(attribute.name, value)
+
+    return field(default=default, converter=Converter(of_field, takes_field=True))
 
 
 def real_array(
@@ -106,5 +122,5 @@ def given(value: ArrayLike) -> np.ndarray:
 
 def _range(low: float, high: float) -> str:
     if isfinite(high):
-        return f"from {low:g} to {high:g}"
-    return f"of at least {low:g}" if isfinite(low) else "that is finite"
+        return f"from {told_number(low)} to {told_number(high)}"
+    return f"of at least {told_number(low)}" if isfinite(low) else "that is finite"

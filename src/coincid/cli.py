@@ -423,7 +423,7 @@ def replay(
     from coincid.tb.replay import replay as run
 
     engine = engine or ("golden" if view == DEFAULT_VIEW else "icarus")
-    check_integer("stall", stall, 0, STALL_CYCLES_MAX)
+    stall = check_integer("stall", stall, 0, STALL_CYCLES_MAX)
     settings = _config(config, changes)
     chosen_view(engine, view, settings.clock_mhz)
     pulses = settings.frames * settings.pulses
@@ -866,7 +866,7 @@ def emulate(
         raise InputError("port: give either --port DEVICE or --simulate")
     if netlist and not simulate:
         raise InputError("netlist: goes with --simulate only")
-    check_integer("frames", frames, 1, FRAMES_MAX)
+    frames = check_integer("frames", frames, 1, FRAMES_MAX)
     settings = _config(config, changes)
     if pulses is not None:
         settings = settings.with_frame(pulses=pulses)
@@ -928,7 +928,7 @@ def bench(
     """Measure the speed of the model, the simulators, whole frames and builds from scratch; takes about ten minutes."""
     with extra("rtl"):
         from coincid.study.bench import benchmark, table
-    check_integer("repeats", repeats, 1, REPEATS_MAX)
+    repeats = check_integer("repeats", repeats, 1, REPEATS_MAX)
     print(table(benchmark(_file(out), repeats=repeats, tell=console.print)), end="")
 
 

@@ -107,7 +107,7 @@ def make_server(port: int | None = None, start: Settings | None = None) -> tuple
 def _sockets(port: int | None) -> tuple[list[socket], int]:
     """Return listening sockets and their port: the given one, or the first free one."""
     if port is not None:
-        check_integer("port", port, 0, 65535)
+        port = check_integer("port", port, 0, 65535)
     for tried in [port] if port is not None else range(PORT, PORT + PORTS_TRIED):
         try:
             sockets = bind_sockets(tried, ADDRESS)

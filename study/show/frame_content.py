@@ -113,8 +113,8 @@ class FrameView:
     def subgroup_of(self, row: int, col: int) -> int:
         """Return the subgroup of a pixel. Raises `InputError`."""
         sensor = self.config.sensor
-        check_integer("row", row, 0, sensor.rows - 1)
-        check_integer("col", col, 0, sensor.cols - 1)
+        row = check_integer("row", row, 0, sensor.rows - 1)
+        col = check_integer("col", col, 0, sensor.cols - 1)
         return int(pixel_table(sensor).subgroup[row * sensor.cols + col])
 
     @cached_property
@@ -126,7 +126,7 @@ class FrameView:
 
     def period(self, subgroup: int, pulse: int) -> Period:
         """Return one laser period of one subgroup. Raises `InputError`."""
-        check_integer("pulse", pulse, 0, self.pulses_seen - 1)
+        pulse = check_integer("pulse", pulse, 0, self.pulses_seen - 1)
         return one_period(self.config, self.edges, self.trace, subgroup, pulse)
 
     def event_bins(self) -> np.ndarray:

@@ -50,7 +50,7 @@ class Shown:
 
 def run_view(run: Run, frame: int = 0, method: Method | None = None) -> FrameView:
     """Return the view of a frame of a run. method: None is the first estimator of the run. Raises `InputError`."""
-    check_integer("frame", frame, 0, run.config.frames - 1)
+    frame = check_integer("frame", frame, 0, run.config.frames - 1)
     return FrameView(f"frame {frame}", run.frame(frame, method))
 
 
@@ -122,7 +122,7 @@ def plot_histogram(run: Run, pixel: int, frame: int = 0, method: Method | None =
         from .figures import HistogramFigure
 
     view = run_view(run, frame, method)
-    check_integer("pixel", pixel, 0, view.config.sensor.array_pixels - 1)
+    pixel = check_integer("pixel", pixel, 0, view.config.sensor.array_pixels - 1)
     one = HistogramFigure(width=860, height=300)
     one.show(view, *divmod(pixel, view.config.sensor.cols))
     return _page([one.figure], 320)
@@ -132,8 +132,8 @@ def plot_timeline(run: Run, subgroup: int, pulse: int, frame: int = 0) -> Shown:
     """Return one laser period of a subgroup: edges with their fates, windows, gate, commits,
     FIFO.
     """
-    check_integer("subgroup", subgroup, 0, run.config.sensor.subgroups - 1)
-    check_integer("pulse", pulse, 0, run.config.pulses - 1)
+    subgroup = check_integer("subgroup", subgroup, 0, run.config.sensor.subgroups - 1)
+    pulse = check_integer("pulse", pulse, 0, run.config.pulses - 1)
     with extra("explore"):
         from .figures import TimelineFigure
 

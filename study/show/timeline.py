@@ -75,8 +75,8 @@ class Timeline:
     def period(self, subgroup: int, pulse: int) -> "Period":
         """Return one laser period of one subgroup. Raises `InputError`."""
         sensor, pulses = self.config.sensor, self.config.pulses
-        check_integer("subgroup", subgroup, 0, sensor.subgroups - 1)
-        check_integer("pulse", pulse, 0, pulses - 1)
+        subgroup = check_integer("subgroup", subgroup, 0, sensor.subgroups - 1)
+        pulse = check_integer("pulse", pulse, 0, pulses - 1)
         k = subgroup * pulses + pulse
         edges = slice(*self.edge_bounds[k : k + 2])
         windows = slice(*self.window_bounds[k : k + 2])

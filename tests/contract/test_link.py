@@ -101,6 +101,13 @@ def test_link_that_makes_no_sense_is_refused(gbps):
         configured(link_gbps=gbps)
 
 
+def test_the_lowest_rate_that_a_message_tells_is_legal():
+    with pytest.raises(InputError, match="as fast as the stream") as raised:
+        configured(link_gbps=0.001, clock_mhz=123.4567)
+    told = re.search(r"or from (\S+) to", str(raised.value))[1]
+    assert configured(link_gbps=float(told), clock_mhz=123.4567).frame.link_gbps == float(told)
+
+
 @pytest.mark.parametrize("wrong", [2, -1, 256])
 def test_levels_of_a_receiver_are_0_or_1(wrong):
     """Another number would be taken for either, by one engine or the other."""

@@ -33,13 +33,18 @@ def events_of_wall(
 
 
 def events_of(
-    scene: Scene | str, klux: float, pulses: int, form: str = "compact", **subgroup: object
+    scene: Scene | str,
+    klux: float,
+    pulses: int,
+    form: str = "compact",
+    link_gbps: float = 0.0,
+    **subgroup: object,
 ) -> tuple[Events, Config, PulseTicks]:
     """Return the events of one subgroup that sees a scene."""
     setup = Setup.of(
         scene,
         sensor={"rows": 8, "cols": 8},
-        frame={"pulses": pulses, "format": form, "link_gbps": 0},
+        frame={"pulses": pulses, "format": form, "link_gbps": link_gbps},
         subgroup=subgroup,
         klux=klux,
     )
@@ -390,27 +395,50 @@ def a_white_sign(behind_m: float) -> tuple[Scene, np.ndarray]:
     return scene, is_dark
 
 
-@pytest.mark.parametrize("threshold", [2, 3])
-@pytest.mark.parametrize("form", ["compact", "id"])
-@pytest.mark.parametrize("behind_m", [0.15, 0.3])
-def test_the_first_lights_fit_the_number_of_events_that_name_the_pixels(behind_m, form, threshold):
-    """They are right for the sign, which opens most windows, and for the wall, the light of which
-    comes in the sign's windows, or while the tree is armed again.
+def first_lights_of_the_sign(
+    behind_m: float, form: str, link_gbps: float, threshold: int, known: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ratio of the first lights to the true ones, and which pixels see the wall, each
+    [subgroups, pixels]. known: of the pixels in the same order, which have a seed.
     """
     pulses = 1000
     scene, is_dark = a_white_sign(behind_m)
-    events, config, pulse = events_of(scene, 20.0, pulses, form, threshold=threshold)
-    light = by_subgroup(signal_per_pulse(scene.distance_m, scene.reflectivity), config.sensor)
+    events, config, pulse = events_of(scene, 20.0, pulses, form, link_gbps, threshold=threshold)
     windows = windows_of(events, config, pulses, pulse)
-    rough = unheard(windows, config, pulse)
+    assert windows[0].dropping == (link_gbps > 0)
+    light = by_subgroup(signal_per_pulse(scene.distance_m, scene.reflectivity), config.sensor)
     dark = by_subgroup(is_dark, config.sensor)
-    seeds = np.where(dark, 0.25, 0.9)
-    guess = Guess(by_subgroup(scene.distance_m / TICK_M, config.sensor), seeds)
-    found = named_light(events, config, windows, rough, guess, pulses, pulse)
-    assert np.array_equal(found.time, guess.time)
-    ratio = found.light / light
+    time = np.where(known, by_subgroup(scene.distance_m / TICK_M, config.sensor), np.nan)
+    guess = Guess(time, np.where(dark, 0.25, 0.9))
+    rough = unheard(windows, config, pulse)
+    found = named_light(events, windows, rough, guess, pulses, pulse)
+    assert np.array_equal(found.time, guess.time, equal_nan=True)
+    assert np.array_equal(found.light[~known], guess.light[~known])
+    return found.light / light, dark
+
+
+@pytest.mark.parametrize("threshold", [2, 3])
+@pytest.mark.parametrize(("form", "link_gbps"), [("compact", 0.0), ("id", 0.0), ("compact", 0.05)])
+@pytest.mark.parametrize("behind_m", [0.15, 0.3])
+def test_the_first_lights_fit_the_number_of_events_that_name_the_pixels(
+    behind_m, form, link_gbps, threshold
+):
+    """They are right for the sign, which opens most windows, and for the wall, the light of which
+    comes in the sign's windows, or while the tree is armed again. They are nearly right where the
+    link drops six of seven windows.
+    """
+    known = np.ones((1, 64), bool)
+    ratio, dark = first_lights_of_the_sign(behind_m, form, link_gbps, threshold, known)
     assert abs(np.median(ratio[dark]) - 1) < 0.2
-    assert abs(np.median(ratio[~dark]) - 1) < 0.1
+    assert abs(np.median(ratio[~dark]) - 1) < (0.35 if link_gbps else 0.1)
+
+
+def test_pixels_without_a_seed_have_no_part_in_the_first_lights():
+    """A pixel that is masked, or named by no event, has no time at which its light could be."""
+    known = (np.arange(64) % 2 == 0)[None]
+    ratio, dark = first_lights_of_the_sign(0.3, "compact", 0.0, 2, known)
+    assert abs(np.median(ratio[dark & known]) - 1) < 0.2
+    assert abs(np.median(ratio[~dark & known]) - 1) < 0.1
 
 
 @pytest.mark.parametrize(("form", "threshold"), [("compact", 1), ("short", 2)])
@@ -422,7 +450,7 @@ def test_the_first_lights_stay_where_events_do_not_tell_of_them(form, threshold)
     rough = unheard(windows, config, pulse)
     time = by_subgroup(scene.distance_m / TICK_M, config.sensor)
     guess = Guess(time, np.full(time.shape, 0.25))
-    found = named_light(events, config, windows, rough, guess, pulses, pulse)
+    found = named_light(events, windows, rough, guess, pulses, pulse)
     assert np.array_equal(found.light, guess.light)
 
 

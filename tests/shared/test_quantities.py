@@ -3,10 +3,12 @@
 
 import numpy as np
 import pytest
-from attrs import frozen
+from attrs import NOTHING, evolve, frozen
+from hypothesis import given
+from hypothesis import strategies as st
 
-from coincid.model.shared.errors import InputError, check_integer
-from coincid.model.shared.quantities import check_real, real, real_array
+from coincid.model.shared.errors import InputError, check_integer, told_number
+from coincid.model.shared.quantities import check_real, integer, real, real_array
 
 LOW, HIGH = -2.0, 3.0
 INSIDE = (LOW, 0.0, HIGH)
@@ -19,6 +21,15 @@ class Quantities:
 
     share: float = real(1.0, LOW, HIGH)
     rate_cps: float = real(2.0, LOW)
+    pulses: int = integer(5, 1, 100)
+    far_m: float | None = real(None, 1, 100)
+
+
+@frozen
+class Rows:
+    """A field that must be given."""
+
+    rows: int = integer(NOTHING, 1, 8)
 
 
 @pytest.mark.parametrize("value", INSIDE)
@@ -99,3 +110,52 @@ def test_a_field_refuses_what_is_beyond_its_ends_by_its_name(value):
 def test_a_field_without_a_highest_value_has_the_lowest(value):
     with pytest.raises(InputError, match="^rate_cps = .*: must be a number of at least -2$"):
         Quantities(rate_cps=value)
+
+
+@pytest.mark.parametrize("value", (0, 101, 5.0, True, None))
+def test_a_field_of_an_integer_refuses_all_else_by_its_name(value):
+    with pytest.raises(InputError, match="^pulses = .*: must be an integer from 1 to 100$"):
+        Quantities(pulses=value)
+    with pytest.raises(InputError, match="^pulses = "):
+        evolve(Quantities(), pulses=value)
+
+
+def test_a_field_may_be_none_if_that_is_its_default():
+    assert Quantities().far_m is None
+    assert Quantities(far_m=None).far_m is None
+    assert Quantities(far_m=7).far_m == 7.0
+    with pytest.raises(InputError, match="^far_m = 0: must be a number from 1 to 100$"):
+        Quantities(far_m=0)
+
+
+def test_a_field_without_a_default_must_be_given():
+    assert Rows(rows=8).rows == 8
+    with pytest.raises(TypeError, match="rows"):
+        Rows()
+
+
+@pytest.mark.parametrize("kind", (np.int8, np.uint8, np.int64))
+def test_a_field_of_numpy_holds_a_number_of_python(kind):
+    """So what is computed from it does not wrap."""
+    made = Quantities(rate_cps=kind(100), pulses=kind(100), far_m=kind(100))
+    assert [type(one) for one in (made.rate_cps, made.pulses, made.far_m)] == [float, int, float]
+    assert made == Quantities(rate_cps=100.0, pulses=100, far_m=100.0)
+
+
+@given(st.floats(allow_nan=False) | st.integers(-(10**18), 10**18))
+def test_a_told_number_comes_back(value):
+    assert float(told_number(value)) == value
+
+
+@pytest.mark.parametrize(
+    ("value", "told"), [(3.0, "3"), (0.25, "0.25"), (1e12, "1e+12"), (1234567, "1234567")]
+)
+def test_a_told_number_is_short(value, told):
+    assert told_number(value) == told
+
+
+def test_a_limit_that_is_told_is_legal():
+    low = 1 / 3
+    with pytest.raises(InputError, match="must be a number of at least 0.3333333333333333$"):
+        check_real("x", 0.333333, low)
+    assert check_real("x", 0.3333333333333333, low) == low

@@ -122,7 +122,7 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "5d8b7c6530b99e5e"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "31bce489c3248b4d",
+        "2b7d5b96c5138756",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
