@@ -104,7 +104,7 @@ def of_subgroups(number):
 @pytest.mark.parametrize(
     ("field", "low", "high", "built"),
     [
-        ("subgroups", 1, 256, lambda number: Emulator(sensor=of_subgroups(number))),
+        ("sensor.subgroups", 1, 256, lambda number: Emulator(sensor=of_subgroups(number))),
         ("buffer_beats", 64, 65536, lambda beats: Emulator(sensor=SENSOR, buffer_beats=beats)),
         ("clocks_per_bit", 4, 65536, lambda clocks: Emulator(sensor=SENSOR, clocks_per_bit=clocks)),
     ],
@@ -113,7 +113,7 @@ def test_the_ends_of_every_range_can_be_built_and_nothing_beyond(field, low, hig
     built(low)
     built(high)
     # no sensor has fewer than one subgroup
-    for beyond in (low - 1, high + 1) if field != "subgroups" else (high + 1,):
+    for beyond in (low - 1, high + 1) if field != "sensor.subgroups" else (high + 1,):
         with pytest.raises(InputError) as refused:
             built(beyond)
         assert str(refused.value).startswith(f"{field} = {beyond}: ")
