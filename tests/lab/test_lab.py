@@ -401,13 +401,13 @@ def test_klux_of_maps_among_numbers_are_texts_in_a_table():
     found = [{"photons": 1}, {"photons": 2}]
     found.append({"photons": 3})
     varied = [
-        {"klux": 0.5, "threshold": 1},
+        {"klux": 50.0, "threshold": 1},
         {"klux": "map.npy", "threshold": 2},
         {"klux": 123456.75, "threshold": 3},
     ]
     table = to_table(varied, found, error=("what went wrong", ["", "no", ""]))
     assert table.to_pydict() == {
-        "klux": ["0.5", "map.npy", "123456.75"],
+        "klux": ["50", "map.npy", "123456.75"],
         "threshold": [1, 2, 3],
         "photons": [1, 2, 3],
         "error": ["", "no", ""],
