@@ -108,6 +108,13 @@ def exit_code(check: list[str], folder: Path, environment: dict[str, str]) -> in
     return done.returncode
 
 
+def notices(code: int) -> bool:
+    """Return whether a check that ends with an exit code has noticed a bug: it failed, or a signal
+    ended it, as with a wrong address in compiled code.
+    """
+    return code == FAILED or code < 0
+
+
 class Workshop:
     """Places for copies of the sources, as many as there are workers.
 
@@ -156,7 +163,7 @@ def caught_by(bug: Bug, thorough: bool, workshop: Workshop) -> dict[str, bool]:
     result: dict[str, bool] = {}
     with workshop.copy_with(bug) as (folder, environment):
         for name, check in checks_of(bug).items():
-            result[name] = exit_code(check, folder, environment) == FAILED
+            result[name] = notices(exit_code(check, folder, environment))
             if result[name] and not thorough:
                 break
     return result
