@@ -21,7 +21,8 @@ from ..shared.compiled import njit, part
 from . import portable
 from .evidence import WAYS, Pixels
 from .histograms import by_subgroup
-from .lights import add_light_chances, learned_prior, mean_over_lights
+from .light_prior import LightPrior, fall, learned_prior, mean_prior, own_priors
+from .lights import add_light_chances, mean_over_lights
 from .likelihood import Grid, Levels
 from .pulse_ticks import PulseTicks
 from .unheard import Spread
@@ -89,6 +90,7 @@ def count_likelihood(
     light = np.empty((sensor.array_pixels, bins), np.uint8)
     place = by_subgroup(np.arange(sensor.array_pixels), sensor)
     where = portable.log(lights).astype(np.float32)
+    fallen = fall((first + bins / 2) * grid.step)
 
     def evidence(s: int) -> Pixels:
         total = np.empty((sensor.pixels, bins * len(lights)), np.float32)
@@ -97,16 +99,18 @@ def count_likelihood(
         _add_up(own, law, first[s], grid.step, total)
         return _pixels_of(total, config.mask[s], bins)
 
-    def average(s: int, prior: np.ndarray, pixels: Pixels) -> None:
+    def average(s: int, prior: LightPrior, pixels: Pixels) -> None:
         common = np.zeros(bins * len(lights), np.float32)
-        mean_over_lights(common, pixels, prior, where, 0, place[s], level, light, ALONE_BELOW)
+        own = own_priors(prior, lights, fallen[s])
+        even = mean_prior(own, pixels.mask)
+        mean_over_lights(common, pixels, even, own, where, 0, place[s], level, light, ALONE_BELOW)
 
-    def chances(s: int) -> np.ndarray:
+    def chances(s: int) -> tuple[np.ndarray, np.ndarray]:
         pixels = found[s]
         known = pixels.mask & (np.max(pixels.total, axis=1) > MISSED)
         chance = np.zeros((len(known), len(lights)), np.float32)
         add_light_chances(np.zeros(bins * len(lights), np.float32), pixels, known, chance)
-        return chance[known]
+        return chance[known], fallen[s][known]
 
     subgroups = range(sensor.subgroups)
     if grid.prior is not None:
@@ -114,7 +118,8 @@ def count_likelihood(
         list(spread(lambda s: average(s, prior, evidence(s)), subgroups))
     else:
         found = list(spread(evidence, subgroups))
-        prior = learned_prior(np.concatenate(list(spread(chances, subgroups))))
+        of_known, fallen_of_known = zip(*spread(chances, subgroups), strict=True)
+        prior = learned_prior(np.concatenate(of_known), lights, np.concatenate(fallen_of_known))
         list(spread(lambda s: average(s, prior, found[s]), subgroups))
     shape = (sensor.rows, sensor.cols, bins)
     return Levels(level.reshape(shape), light.reshape(shape), prior)

@@ -27,6 +27,7 @@ from .count_likelihood import NO_TICK, Seen, count_likelihood
 from .gates import open_pulses
 from .histograms import Events, by_subgroup, pixel_image, winner_map
 from .intensity import Intensity
+from .light_prior import EVEN, LightPrior
 from .likelihood import DEAD_S, Grid, Levels
 from .pulse_ticks import PulseTicks
 from .seeds import seed_scores
@@ -187,14 +188,14 @@ def find_surfaces(
     rate = first_background(counts.trials, config) if background is None else background
     seen = Seen(*counts.trials[:3], rate, counts.trials.width)
     zero = np.zeros(config.mask.shape, np.int64)
-    grid = Grid(fitter.step, fitter.coarse_lights, fitter.even_prior)
+    grid = Grid(fitter.step, fitter.coarse_lights, EVEN)
     looked = count_likelihood(seen, config, pulse, grid, zero, fitter.coarse_times, threads.map)
     coarse = fitter.coarse(looked.level, looked.light)
     if background is None:
         rate = better_background(counts.trials, config, pulse, _time_of(coarse, config), rate)
         seen = seen._replace(background=rate)
 
-    def around(prior: np.ndarray | None, width: int, first: np.ndarray) -> Levels:
+    def around(prior: LightPrior | None, width: int, first: np.ndarray) -> Levels:
         return count_likelihood(
             seen,
             config,

@@ -1,25 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How bright the pixels are.
-
-The lights that a pixel may have, their prior from the frame, and the mean over them.
-"""
+"""The lights that a pixel may have, how likely each is, and the mean over them."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from ..shared.compiled import njit, part
-from . import portable
 from .evidence import Pixels
 from .vector_math import fast_exp, fast_log, top_of
 
-LIGHT_FLOOR = 0.01  # share of the pixels that is assumed for a light that no pixel has
-BESIDE_SHARE = 0.25  # of the share of a light, that the one before and the one after it get each
-LEARNING_ROUNDS = 30  # in which the shares of the lights converge, from each pixel alone,
-ROUNDS_ON_SURFACES = 60  # and from pixels that see one surface
-OFF_SIGMAS = 0.9  # of a pulse: standard deviation of what surfaces are off with such a prior,
-OFFSETS_SIGMAS = np.linspace(-1.5, 1.5, 11)  # and the offsets that are tried
-RARE = 1e-30  # likelihood of a pixel that contradicts an offset
 LIGHT_SPAN = 4.0  # lights more than so many times from those of a subgroup's seeds are left out
 NARROW = np.float32(4.0)  # second difference from which on the steps of the lights are too coarse
 CLIMBS = 2  # steps to the highest point between the lights
@@ -40,113 +29,6 @@ def lights_near(known: np.ndarray, lights: np.ndarray) -> slice:
     return slice(max(0, low - 1), min(len(lights), high + 1))
 
 
-def prior_in_doubt(prior: np.ndarray, doubt: float) -> np.ndarray:
-    """Return the prior for windows that met a threshold above 1, if their law is in doubt: no light
-    counts as rarer than a brighter one.
-
-    If such windows are rejected less often than the law says, pixels look brighter than they are.
-    doubt: from 0, where the prior stays as it is, to 1.
-    """
-    met = np.maximum.accumulate(prior[::-1])[::-1]
-    return prior + np.float32(doubt) * (met - prior)
-
-
-def learned_prior(chance: np.ndarray) -> np.ndarray:
-    """float32[lights]: log share of the pixels with each light.
-
-    The shares make the pixels likeliest. chance: float32[n, lights], likelihood of each light, in a
-    unit of the pixel's own.
-    """
-    number = len(chance)
-    return _likeliest_prior(chance[:, None], np.arange(number + 1), np.zeros(1), LEARNING_ROUNDS)
-
-
-def prior_on_surfaces(chance: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """float32[lights]: the same, where the pixels of a group see one surface.
-
-    chance: float32[n, offsets, lights], likelihood of each light if the surface is off by one of
-    `OFFSETS_SIGMAS`. group: int64[n], in ascending order.
-    """
-    bounds = np.flatnonzero(np.diff(group, prepend=-1, append=-1))
-    weight = -0.5 * (OFFSETS_SIGMAS / OFF_SIGMAS) ** 2
-    return _likeliest_prior(chance, bounds, weight, ROUNDS_ON_SURFACES)
-
-
-def _likeliest_prior(
-    chance: np.ndarray, bounds: np.ndarray, weight: np.ndarray, rounds: int
-) -> np.ndarray:
-    """float32[lights]: log share of the pixels with each light, by expectation and maximisation.
-
-    chance, bounds, weight: of `_gain`.
-    """
-    number, _, lights = chance.shape
-    share = np.full(lights, 1 / lights)
-    for _ in range(rounds if number else 0):
-        share = share * _gain(chance, bounds, weight, share) / number
-    share = _between_steps(share) + LIGHT_FLOOR
-    return portable.log(share / share.sum()).astype(np.float32)
-
-
-def _between_steps(share: np.ndarray) -> np.ndarray:
-    """Return the shares of the lights, float64[lights], for pixels whose light is between two steps.
-
-    Most shares go to the step that is nearest to the lights of the pixels. Without their neighbours,
-    a pixel between two steps would be taken for darker or brighter than it is, and so for nearer or
-    farther away.
-    """
-    beside = np.pad(share, 1, mode="edge")
-    return BESIDE_SHARE * (beside[:-2] + beside[2:]) + (1 - 2 * BESIDE_SHARE) * share
-
-
-def measured_prior(signal: np.ndarray, error: np.ndarray, lights: np.ndarray) -> np.ndarray:
-    """float32[lights]: the same, from lights that were measured, float64[n], with these errors.
-
-    The log likelihood of a light is taken as that of a number of hits: a log(light) - b light, with
-    the highest point and the width that were measured.
-    """
-    known = signal > 0
-    own = signal[known, None]
-    weight = own / error[known, None] ** 2
-    highest = own * portable.log(own) - own
-    levels = weight * (own * portable.log(lights) - lights - highest)
-    return learned_prior(portable.exp(levels).astype(np.float32))
-
-
-@njit
-def _gain(
-    chance: np.ndarray, bounds: np.ndarray, weight: np.ndarray, share: np.ndarray
-) -> np.ndarray:
-    """float64[lights]: sum over the pixels of each light's likelihood, relative to the mean over
-    the lights, where the offset of a group is as likely as all its pixels make it.
-
-    chance: float32[n, offsets, lights]. bounds: int64[groups + 1], first pixels of the groups.
-    weight: float64[offsets], log probability of an offset. share: float64[lights].
-    """
-    offsets, lights = chance.shape[1:]
-    gain = np.zeros(lights)
-    mean = np.zeros((len(chance), offsets))
-    level = np.empty(offsets, np.float32)
-    for g in range(len(bounds) - 1):
-        level[:] = weight
-        for i in range(bounds[g], bounds[g + 1]):
-            for k in range(offsets):
-                for x in range(lights):
-                    mean[i, k] += chance[i, k, x] * share[x]
-                level[k] += fast_log(np.float32(max(RARE, mean[i, k])))
-        top = top_of(level)
-        total = 0.0
-        for k in range(offsets):
-            level[k] = fast_exp(level[k] - top)
-            total += level[k]
-        for i in range(bounds[g], bounds[g + 1]):
-            for k in range(offsets):
-                if mean[i, k] == 0:  # the likelihoods are too small for a number: they tell nothing
-                    continue
-                for x in range(lights):
-                    gain[x] += level[k] / total * (chance[i, k, x] / mean[i, k])
-    return gain
-
-
 class _Work(NamedTuple):
     """Workspace of a mean over the lights, for `BLOCK` times."""
 
@@ -155,7 +37,8 @@ class _Work(NamedTuple):
     ratio: np.ndarray  # float32[BLOCK], logarithm of the mean over the highest
     best: np.ndarray  # int32[BLOCK], number of the likeliest light
     line: np.ndarray  # float32[BLOCK * lights], log likelihoods of a pixel
-    prior: np.ndarray  # float32[lights]
+    prior: np.ndarray  # float32[lights], that the log likelihoods have
+    more: np.ndarray  # float32[lights], by which it exceeds that of all pixels
     where: np.ndarray  # float32[lights], logarithms of the lights
     alone_below: np.float32  # level, below which the likeliest light counts alone
 
@@ -265,6 +148,7 @@ def mean_over_lights(
     common: np.ndarray,
     pixels: Pixels,
     prior: np.ndarray,
+    own_prior: np.ndarray,
     where: np.ndarray,
     lightest: int,
     place: np.ndarray,
@@ -275,7 +159,8 @@ def mean_over_lights(
     """Compute the logarithm of the mean over the lights, and the likeliest light.
 
     A masked pixel favours no time. common, pixels: from `add_events`; `common` is used up. prior:
-    float32[lights]. where: float32[lights], logarithms of the lights. lightest: index of the first
+    float32[lights], where no event hit a pixel; own_prior: float32[pixels, lights], where one did.
+    where: float32[lights], logarithms of the lights. lightest: index of the first
     of them in the grid. place: int64[pixels], row of each pixel in the results, level and light.
     alone_below: level, below which the likeliest light counts alone instead of the mean.
     """
@@ -287,7 +172,8 @@ def mean_over_lights(
         ratio=np.zeros(BLOCK, np.float32),
         best=np.zeros(BLOCK, np.int32),
         line=np.empty(BLOCK * lights, np.float32),
-        prior=prior,
+        prior=prior.copy(),
+        more=np.zeros(lights, np.float32),
         where=where,
         alone_below=np.float32(alone_below),
     )
@@ -296,6 +182,9 @@ def mean_over_lights(
     for i in range(len(pixels.total)):
         own = _Levels(level[place[i]], light[place[i]])
         if pixels.mask[i]:
+            for x in range(lights):
+                work.prior[x] = own_prior[i, x]
+                work.more[x] = own_prior[i, x] - prior[x]
             _mean_of_pixel(common, pixels, i, lightest, work, of_all, own)
         else:
             own.level[:] = 0
@@ -356,8 +245,9 @@ def _mean_of_pixel(
         everywhere = common[(first + k) * lights : (first + end) * lights]
         here = total[k * lights : end * lights]
         line = work.line[: len(here)]
-        for j in range(len(here)):
-            line[j] = everywhere[j] + here[j]
+        for j in range(0, len(here), lights):
+            for x in range(lights):
+                line[j + x] = everywhere[j + x] + here[j + x] + work.more[x]
         _mean(line, lightest, work, _Levels(own.level[k:end], own.light[k:end]))
         k = end
 

@@ -10,7 +10,8 @@ likelihoods are relative to a pixel that sees no surface, whose hits are backgro
    photon of a surface makes an event (`heard.py`);
 3. with the law of a subgroup (`law.py`), add up what the events say about each time and light of a
    pixel (`evidence.py`);
-4. learn how bright the pixels of the frame are, and average over the lights (`lights.py`).
+4. learn how bright the pixels of the frame are (`light_prior.py`), and average over the lights
+   (`lights.py`).
 """
 
 from collections.abc import Sequence
@@ -27,16 +28,17 @@ from .evidence import WAYS, Pixels, Shape, add_events, first_shares
 from .heard import heard_in, nothing_heard
 from .histograms import Events, by_subgroup
 from .law import Law, fired_table
-from .lights import (
+from .light_prior import (
     OFFSETS_SIGMAS,
-    add_chances_on_surfaces,
-    add_light_chances,
+    LightPrior,
+    fall,
     learned_prior,
-    lights_near,
-    mean_over_lights,
+    mean_prior,
+    own_priors,
     prior_in_doubt,
     prior_on_surfaces,
 )
+from .lights import add_chances_on_surfaces, add_light_chances, lights_near, mean_over_lights
 from .others import OwnWindows, moves_with_others
 from .pulse_ticks import PulseTicks
 from .unheard import BLIND_MAX, Guess, Spread, Unheard
@@ -50,7 +52,7 @@ class Grid(NamedTuple):
 
     step: int  # ticks between times, which are step * (k + 1/2)
     lights: np.ndarray  # float32[L], photons per pulse
-    prior: np.ndarray | None  # float32[L], log probability of each light; None: to be learned
+    prior: LightPrior | None  # of the lights; None: to be learned
 
 
 class Levels(NamedTuple):
@@ -58,7 +60,7 @@ class Levels(NamedTuple):
 
     level: np.ndarray  # float32, log likelihood ratio
     light: np.ndarray  # uint8, index of the likeliest light
-    prior: np.ndarray  # float32[L], log probability of each light
+    prior: LightPrior  # of the lights
 
 
 class _Frame(NamedTuple):
@@ -77,6 +79,7 @@ class _Frame(NamedTuple):
     guess: Guess | None
     known: np.ndarray  # bool[subgroups, pixels]: does the guess know the pixel's time?
     lights: list[slice]  # by subgroup, the lights of the grid that its pixels may have
+    fallen: np.ndarray  # float64[subgroups, pixels], of `fall`, in the middle of a pixel's times
     clusters: list[SubgroupEvents]  # by subgroup
     origins: np.ndarray  # int64[subgroups], first time that some pixel wants
     spans: np.ndarray  # int64[subgroups], times from it to the last one that some pixel wants
@@ -153,6 +156,7 @@ def log_likelihood(
         guess=guess,
         known=known,
         lights=lights,
+        fallen=fall((first + bins / 2) * grid.step),
         clusters=[],
         origins=origins,
         spans=np.clip(first.max(axis=1) + bins, origins + 1, times) - origins,
@@ -167,15 +171,23 @@ def log_likelihood(
     place = by_subgroup(np.arange(sensor.array_pixels), sensor)
     where = portable.log(grid.lights).astype(np.float32)
 
-    def average(s: int, prior: np.ndarray, evidence: _Evidence) -> None:
-        own_prior = prior
+    def average(s: int, prior: LightPrior, evidence: _Evidence) -> None:
+        own = own_priors(prior, grid.lights, frame.fallen[s])
         if events.mapped and events.threshold[s] > 1:
-            own_prior = prior_in_doubt(prior, never.doubt[s])
-        own_prior = np.ascontiguousarray(own_prior[lights[s]])
-        lightest = lights[s].start
+            own = prior_in_doubt(own, never.doubt[s])
+        own = np.ascontiguousarray(own[:, lights[s]])
         common, pixels = evidence
         mean_over_lights(
-            common, pixels, own_prior, where[lights[s]], lightest, place[s], level, light, -np.inf
+            common,
+            pixels,
+            mean_prior(own, config.mask[s]),
+            own,
+            where[lights[s]],
+            lights[s].start,
+            place[s],
+            level,
+            light,
+            -np.inf,
         )
         if frame.with_others(s):
             level[place[s]] += _moves(frame, s)
@@ -311,7 +323,7 @@ def _blind_before(blind: np.ndarray, every: int, window: int, config: Config) ->
     return mean.astype(np.float32)
 
 
-def _learned_prior(frame: _Frame, found: Sequence[_Evidence], spread: Spread) -> np.ndarray:
+def _learned_prior(frame: _Frame, found: Sequence[_Evidence], spread: Spread) -> LightPrior:
     """Return the prior of the lights, learned from the pixels whose time the guess knows."""
     chance = np.zeros((*frame.known.shape, len(frame.grid.lights)), np.float32)
 
@@ -320,10 +332,10 @@ def _learned_prior(frame: _Frame, found: Sequence[_Evidence], spread: Spread) ->
         add_light_chances(common, pixels, frame.known[s], chance[s, :, frame.lights[s]])
 
     list(spread(add, range(len(found))))
-    return learned_prior(chance[frame.known])
+    return learned_prior(chance[frame.known], frame.grid.lights, frame.fallen[frame.known])
 
 
-def _prior_on_surfaces(frame: _Frame, found: Sequence[_Evidence], spread: Spread) -> np.ndarray:
+def _prior_on_surfaces(frame: _Frame, found: Sequence[_Evidence], spread: Spread) -> LightPrior:
     """Return the prior of the lights, learned at the guess's times from the pixels of minigroups: most
     see one surface.
     """
@@ -345,4 +357,9 @@ def _prior_on_surfaces(frame: _Frame, found: Sequence[_Evidence], spread: Spread
     list(spread(add, range(len(found))))
     there = there[:, order]
     group = np.arange(len(found))[:, None] * len(order) + minigroup[order]
-    return prior_on_surfaces(chance[:, order][there], group[there])
+    return prior_on_surfaces(
+        chance[:, order][there],
+        frame.grid.lights,
+        frame.fallen[:, order][there],
+        group[there],
+    )

@@ -17,7 +17,7 @@ from ..contract.config import Config
 from ..shared.threads import Threads
 from .histograms import Events, by_subgroup, hits_away, pixel_image
 from .intensity import find_intensity
-from .lights import measured_prior
+from .light_prior import EVEN, LightPrior, measured_prior
 from .likelihood import Grid, Levels, log_likelihood
 from .named_light import named_light
 from .pulse_ticks import PulseTicks
@@ -137,7 +137,7 @@ def _look_coarsely(frame: _Frame) -> tuple[Coarse, Guess, Unheard]:
         config,
         pulse,
         frame.pulses,
-        Grid(fitter.step, possible, fitter.even_prior),
+        Grid(fitter.step, possible, EVEN),
         frame.rough,
         np.zeros((sensor.subgroups, sensor.pixels), np.int64),
         fitter.coarse_times,
@@ -170,7 +170,7 @@ def _never(frame: _Frame, guess: Guess) -> Unheard:
     )
 
 
-def _counted_light(frame: _Frame, guess: Guess, threads: Threads) -> tuple[Guess, np.ndarray]:
+def _counted_light(frame: _Frame, guess: Guess, threads: Threads) -> tuple[Guess, LightPrior]:
     """Return the guess with the lights that the events' numbers of hits ask for, and the prior of
     these lights on the grid in single ticks.
 
@@ -181,7 +181,8 @@ def _counted_light(frame: _Frame, guess: Guess, threads: Threads) -> tuple[Guess
     time = pixel_image(guess.time, config.sensor)[:, :, None]
     counted = find_intensity(frame.events, config, frame.pulse, frame.pulses, time, threads)
     signal = counted.signal[:, :, 0]
-    prior = measured_prior(signal, counted.error[:, :, 0], frame.fitter.lights)
+    error = counted.error[:, :, 0]
+    prior = measured_prior(signal, error, frame.fitter.lights, time[:, :, 0])
     light = by_subgroup(np.nan_to_num(signal), config.sensor)
     return guess._replace(light=light), prior
 
@@ -212,7 +213,7 @@ def _most_are_dropped(events: Events) -> bool:
 def _around(
     frame: _Frame,
     near: _Near,
-    prior: np.ndarray | None,
+    prior: LightPrior | None,
     width: int,
     first: np.ndarray,
     *,

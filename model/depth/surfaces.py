@@ -131,12 +131,6 @@ class Fitter(NamedTuple):
         return down_to(COARSE_LIGHTS, COARSE_HITS / self.pulses)
 
     @property
-    def even_prior(self) -> np.ndarray:
-        """float32: log probabilities of these lights, before anything is known."""
-        number = len(self.coarse_lights)
-        return np.full(number, -math.log(number), np.float32)
-
-    @property
     def lights(self) -> np.ndarray:
         """float32: lights of the grid in single ticks."""
         return down_to(LIGHTS, HITS / self.pulses)

@@ -8,6 +8,7 @@ from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import Config
 from coincid.model.depth.histograms import Events, by_subgroup, frame_events
+from coincid.model.depth.light_prior import EVEN
 from coincid.model.depth.likelihood import Grid, log_likelihood
 from coincid.model.depth.named_light import named_light
 from coincid.model.depth.pulse_ticks import PulseTicks, pulse_ticks
@@ -134,7 +135,7 @@ def leans(
             config,
             pulse,
             pulses,
-            Grid(1, light[own][:1].astype(np.float32), np.zeros(1, np.float32)),
+            Grid(1, light[own][:1].astype(np.float32), EVEN),
             never,
             first[None],
             BINS,

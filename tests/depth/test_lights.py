@@ -10,41 +10,13 @@ from hypothesis.extra.numpy import arrays
 from coincid.model.depth.evidence import WAYS, Pixels
 from coincid.model.depth.lights import (
     LIGHT_SPAN,
-    OFFSETS_SIGMAS,
     add_chances_on_surfaces,
     add_light_chances,
-    learned_prior,
     lights_near,
     mean_over_lights,
-    prior_in_doubt,
-    prior_on_surfaces,
 )
 
 LIGHTS = np.geomspace(1e-3, 10.0, 20)
-
-
-@given(prior=arrays(np.float32, 20, elements=st.floats(-20, 0, width=32)))
-def test_no_light_counts_as_rarer_than_a_brighter_one_where_the_law_is_in_doubt(prior):
-    met = prior_in_doubt(prior, 1.0)
-    assert np.all(np.diff(met) <= 1e-5)
-    for light in range(20):
-        assert met[light] == pytest.approx(prior[light:].max(), abs=1e-5)
-    assert np.array_equal(prior_in_doubt(prior, 0.0), prior)
-    assert prior_in_doubt(prior, 0.25) == pytest.approx(prior + (met - prior) / 4, abs=1e-5)
-
-
-def test_the_shares_of_lights_reach_the_steps_beside_them():
-    """Pixels between two steps are all nearest to one; the other must not be ruled out for them."""
-    chance = np.zeros((10, 7), np.float32)
-    chance[:, 3] = 1.0
-    shares = np.exp(learned_prior(chance))
-    assert shares[[2, 3, 4]] == pytest.approx([0.26 / 1.07, 0.51 / 1.07, 0.26 / 1.07], abs=1e-3)
-    assert shares[[0, 1, 5, 6]] == pytest.approx([0.01 / 1.07] * 4, abs=1e-3)
-    chance = np.zeros((10, 7), np.float32)
-    chance[:, 0] = 1.0
-    assert np.exp(learned_prior(chance))[[0, 1]] == pytest.approx(
-        [0.76 / 1.07, 0.26 / 1.07], abs=1e-3
-    )
 
 
 @pytest.mark.parametrize("hit", (False, True), ids=("silent", "hit"))
@@ -70,7 +42,9 @@ def test_the_mean_over_the_lights_has_no_step_where_it_is_low(hit, shape):
     level = np.empty((1, times), np.float32)
     light = np.empty((1, times), np.uint8)
     place = np.zeros(1, int)
-    mean_over_lights(common.ravel(), pixels, prior, where, 0, place, level, light, -np.inf)
+    mean_over_lights(
+        common.ravel(), pixels, prior, prior[None], where, 0, place, level, light, -np.inf
+    )
     assert level[0] - lower == pytest.approx(np.full(times, level[0, 0] - lower[0]), abs=1e-3)
 
 
@@ -89,34 +63,6 @@ def test_the_lights_near_the_seeds_are_all_within_the_span_and_one_beyond(known)
 
 def test_without_seeds_all_lights_are_possible():
     assert lights_near(np.empty(0), LIGHTS) == slice(0, 20)
-
-
-def test_pixels_that_see_one_surface_tell_their_lights_together():
-    """A pixel cannot tell its light from that beside it on a surface that is farther or nearer.
-
-    Half of the pixels have the first of three lights, half have the last. Alone, all may have the
-    middle one, which is likeliest. A bright and a dark pixel of one surface cannot. Surfaces are off by
-    different times.
-    """
-    offsets = len(OFFSETS_SIGMAS)
-    chance = np.zeros((40, offsets, 3), np.float32)
-    for pixel in range(40):
-        bright = pixel % 2
-        surface = offsets // 2 - 1 + pixel // 4 % 3
-        chance[pixel, surface, 2 * bright] = 1
-        chance[pixel, surface + (-3 if bright else 3), 1] = 1
-    alone = np.exp(learned_prior(chance.sum(axis=1)))
-    assert np.argmax(alone) == 1
-    assert alone == pytest.approx([0.25, 0.5, 0.25], abs=0.03)
-    together = np.exp(prior_on_surfaces(chance, np.repeat(np.arange(10), 4)))
-    assert together == pytest.approx([0.375, 0.25, 0.375], abs=0.03)
-    assert together.sum() == pytest.approx(1)
-
-
-def test_without_pixels_all_lights_are_alike():
-    none = np.zeros((0, len(OFFSETS_SIGMAS), 4), np.float32)
-    for prior in (learned_prior(none[:, 0]), prior_on_surfaces(none, np.zeros(0, int))):
-        assert np.exp(prior) == pytest.approx([0.25] * 4)
 
 
 def pixels_of(total, touched, first):
@@ -210,6 +156,7 @@ def test_sharp_lights_between_the_steps_are_averaged_over_all_lights(cubic):
         np.zeros(times * lights, np.float32),
         pixels,
         np.zeros(lights, np.float32),
+        np.zeros((1, lights), np.float32),
         where,
         3,
         np.zeros(1, np.int64),
@@ -219,3 +166,26 @@ def test_sharp_lights_between_the_steps_are_averaged_over_all_lights(cubic):
     )
     assert light[0].tolist() == (3 + steps).tolist()
     assert level[0] == pytest.approx(expected, abs=0.02)
+
+
+def test_a_pixel_that_was_hit_has_its_own_prior_of_the_lights():
+    """One that was not has that of all; and where it was not, a pixel that was hit has it, too."""
+    rng = np.random.default_rng(8)
+    times, lights = 5, 4
+    common = rng.normal(0, 0.3, (times, lights)).astype(np.float32)
+    total = rng.normal(0, 0.3, (3, times, lights)).astype(np.float32)
+    touched = np.array([[True] * times, [False] * times, [True, False, True, True, False]])
+    pixels = pixels_of(total.reshape(3, -1), touched, [0, 0, 0])
+    prior = rng.normal(0, 0.3, lights).astype(np.float32)
+    own_prior = rng.normal(0, 0.3, (3, lights)).astype(np.float32)
+    where = (0.4 * np.arange(lights)).astype(np.float32)
+    level = np.empty((3, times), np.float32)
+    light = np.empty((3, times), np.uint8)
+    place = np.array([2, 0, 1])
+    mean_over_lights(
+        common.ravel().copy(), pixels, prior, own_prior, where, 0, place, level, light, -np.inf
+    )
+    hit = touched[:, :, None]
+    expected = common + np.where(hit, total + own_prior[:, None], prior)
+    assert level[place] == pytest.approx(np.log(np.exp(expected).sum(axis=2)), abs=1e-4)
+    np.testing.assert_array_equal(light[place], expected.argmax(axis=2))

@@ -114,21 +114,21 @@ INTERFERENCE = dict(
     PHOTONS=(0.0, 0.2), OFFSETS=(0.0, 1e-3), BITS_SHOWN=(0, 2), DITHER_BITS=(0, 2), SEEDS=1
 )
 RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
-    "library": (library, "d880708c6c153e3d"),
-    "sim": (sim, "f1c5b9ba362864f6"),
-    "sweep": (sweep, "3f821c995ad14862"),
-    "explorer": (explorer, "7ba10c3bde3c1f6e"),
+    "library": (library, "3b359193304cb412"),
+    "sim": (sim, "e8b5ef8f920d74cb"),
+    "sweep": (sweep, "e8ecf2b562fd07d7"),
+    "explorer": (explorer, "d21e76f8101f00ad"),
     "surfaces": (surface, "aa50220de1a3e5ed"),
-    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "5d8b7c6530b99e5e"),
+    "noisy SPADs": (section(noisy_spads.noisy_spads, SPADS=DARK, SEEDS=1), "43f117d06fcdbcec"),
     "modes": (
         section(four_modes.background, KLUX=(10.0, 50.0), DISTANCES_M=(5.0,), SEEDS=1),
-        "2b7d5b96c5138756",
+        "ddc638dac1cba6cb",
     ),
     "figure 8": (
         section(reconstruction.figure_8, THRESHOLDS_8=(2, 3), SEEDS=1, MANY=1),
-        "089c44775c5e64e4",
+        "da7992655edd0764",
     ),
-    "interference": (section(interference.interference, **INTERFERENCE), "44a21e750316ca9c"),
+    "interference": (section(interference.interference, **INTERFERENCE), "16a5ab28decf3176"),
 }
 
 
