@@ -25,12 +25,12 @@ def plain_verilog(files: Mapping[str, str]) -> dict[str, str]:
 
 
 def _with_plain_names(text: str) -> str:
-    taken = set(PLAIN.findall(text))
+    escaped = dict.fromkeys(ESCAPED.findall(text))
+    stays_escaped = {name for name in escaped if name.isidentifier()}
+    taken = set(PLAIN.findall(text)) | stays_escaped
     plain: dict[str, str] = {}
-    for name in dict.fromkeys(ESCAPED.findall(text)):
-        if name.isidentifier():
-            taken.add(name)
-        else:
+    for name in escaped:
+        if name not in stays_escaped:
             plain[name] = _free(_plain(name), taken)
             taken.add(plain[name])
 

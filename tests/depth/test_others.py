@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from coincid.model.depth.others import ALONE, MOST, OwnWindows, moves_with_others
+from coincid.model.depth.others import ALONE, GUESS_ERROR, MOST, OwnWindows, moves_with_others
 from coincid.model.depth.pulse_ticks import PulseTicks
 
 PIXELS = 8
@@ -13,18 +13,25 @@ LATER_TICKS = np.arange(-4, 5)
 AT_GUESS = 4  # of these
 
 
-def ratios(stamp, winner, others, *, time=None, mask=None):
-    """float64[pixels, bins]: log likelihood ratios if the surfaces of all pixels move together."""
+LIGHT = {"window": 6, "noise": 1e-4, "alive": 1.0, "light": 0.5}
+
+
+def ratios(stamp, winner, others, *, time=None, mask=None, **changed):
+    """float64[pixels, bins]: log likelihood ratios if the surfaces of all pixels move together.
+
+    changed: of `LIGHT`.
+    """
     known = np.full(PIXELS, GUESS_TICK) if time is None else time
+    seen = LIGHT | changed
     move = moves_with_others(
         OwnWindows(*map(np.asarray, (stamp, winner, others))),
-        window=6,
+        window=seen["window"],
         pulse=PulseTicks(4.0),
-        noise=1e-4,
-        alive=1.0,
+        noise=seen["noise"],
+        alive=seen["alive"],
         mask=np.ones(PIXELS, bool) if mask is None else mask,
         time=known,
-        light=np.full(PIXELS, 0.5),
+        light=np.full(PIXELS, seen["light"]),
         times=np.broadcast_to(GUESS_TICK + LATER_TICKS, (PIXELS, len(LATER_TICKS))),
     )
     together = (np.exp(move.astype(np.float64)) - ALONE) / (1 - ALONE)
@@ -67,3 +74,34 @@ def test_a_pixel_without_a_guess_has_no_ratio_and_masked_ones_do_not_fire():
     fewer = ratios([98], [2], [2], mask=masked)[2]
     more = ratios([98], [2], [2])[2]
     assert fewer[AT_GUESS + 1] > more[AT_GUESS + 1]
+
+
+def chance_to_fire(tick, window, noise, alive, light):
+    """Return the chance of one pixel in a window from a tick on, by its surface at the guess."""
+    shares = PulseTicks(4.0).share_before(np.array([tick, tick + window]) - GUESS_TICK)
+    before, until = alive * (1 - np.exp(-light * shares))
+    return min(1.0, noise * window + (until - before) / (1 - before))
+
+
+@pytest.mark.parametrize("mask", [np.full(PIXELS, True), np.arange(PIXELS) < 5])
+@pytest.mark.parametrize(
+    "changed",
+    [{}, {"alive": 0.4}, {"noise": 0.02}, {"window": 9}, {"light": 2.0}, {"noise": 1.0}],
+    ids=str,
+)
+def test_a_time_is_as_likely_as_the_number_of_others_that_fire_in_the_window(changed, mask):
+    """That of a window which begins earlier by as much as the time is later. The number has the
+    variance of independent pixels, and an error of its own.
+    """
+    stamp, winner, count = 98, 2, 3
+    found = ratios([stamp], [winner], [count], mask=mask, **changed)
+    others = np.count_nonzero(mask) - 1
+    chances = [chance_to_fire(stamp - later, **LIGHT | changed) for later in LATER_TICKS]
+    means = [others * chance for chance in chances]
+    for direction in (1, -1):
+        ratio = 0.0
+        for k in range(AT_GUESS + direction, 2 * AT_GUESS * (direction > 0) + direction, direction):
+            mean, before = means[k], means[k - direction]
+            variance = max(1e-6, mean * (1 - chances[k])) + (GUESS_ERROR * mean) ** 2
+            ratio += (count - (mean + before) / 2) / variance * (mean - before)
+            assert found[winner, k] == pytest.approx(min(MOST, ratio), abs=1e-3)

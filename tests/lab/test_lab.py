@@ -321,12 +321,14 @@ def test_a_campaign_continues_and_plays_equal_setups_once(tmp_path):
 
 
 def test_setups_that_share_the_words_of_the_rtl_come_out_as_alone():
-    """Three setups are played at once; one that cannot be read fails alone."""
+    """Setups of two scenes are played at once; one that cannot be read fails alone."""
     built = SMALL | {"sensor": {"rows": 8, "cols": 16}}  # which other tests compile, too
-    led = Setup.of("flat:5,0.4", **built, engine="sliced").but(subgroup={"auto": True})
-    setups = {seed: led.but(seed=seed) for seed in (1, 2, 3)} | {
-        "bad": led.but(estimators=("guess",))
-    }
+    far, near = (
+        Setup.of(wall, **built, engine="sliced").but(subgroup={"auto": True})
+        for wall in ("flat:5,0.4", "flat:3,0.4")
+    )
+    setups = {1: far.but(seed=1), 2: near.but(seed=2), 3: far.but(seed=3)}
+    setups["bad"] = near.but(estimators=("guess",))
     alone = {seed: read(Run(setup)) for seed, setup in setups.items() if seed != "bad"}
     for opened in (Processes(1), nullcontext(Dask(2))):
         failed = {}

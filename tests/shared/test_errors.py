@@ -3,13 +3,17 @@
 message apart.
 """
 
+import ast
 import pickle
+from itertools import chain
+from pathlib import Path
 
 import pytest
 
 from coincid.lab.setup import Setup
+from coincid.model.contract.coincidence import Rule, check_rule
 from coincid.model.contract.config import load_config, parse_config
-from coincid.model.shared.errors import InputError, check_integer
+from coincid.model.shared.errors import BEHIND_FIELD, InputError, check_integer
 from coincid.model.shared.quantities import check_choice, check_real
 
 
@@ -109,3 +113,60 @@ def test_an_error_keeps_its_field_and_range_behind_the_name_of_its_file(tmp_path
     for name in ("field", "low", "high"):
         of_both = [getattr(one.value, name) for one in (alone, in_file)]
         assert of_both[0] is not None and of_both[0] == of_both[1]
+
+
+class WithoutCircuit(Rule):
+    """A rule of a user's own that only the golden model plays."""
+
+    name, version = "mine", "1"
+
+
+@pytest.mark.parametrize(
+    ("refused", "message"),
+    [
+        (lambda: check_rule(3), "sensor.rule = 3: must be a Rule"),
+        (WithoutCircuit().check_circuit, "sensor.rule = 'mine': has no circuit"),
+    ],
+)
+def test_an_error_of_the_rule_has_its_field(refused, message):
+    with pytest.raises(InputError) as raised:
+        refused()
+    assert str(raised.value).startswith(message)
+    assert raised.value.field == "sensor.rule"
+
+
+ROOT = Path(__file__).parents[2]
+ROOMS = ("model", "tools", "host", "hdl", "slices", "tb", "formal", "flow", "lab", "study", "board")
+
+
+def told_fields(function):
+    """Yield (message, field) of the errors that a function makes, as far as both are in its text.
+
+    A message is what stands before its first part that is computed.
+    """
+    texts = {}
+    for node in sorted(ast.walk(function), key=lambda node: getattr(node, "lineno", 0)):
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            texts[node.targets[0].id] = node.value
+        if not (isinstance(node, ast.Call) and getattr(node.func, "id", "") == "InputError"):
+            continue
+        fields = [word.value for word in node.keywords if word.arg == "field"]
+        message = node.args[0]
+        if isinstance(message, ast.Name):
+            message = texts.get(message.id)
+        begin = message.values[0] if isinstance(message, ast.JoinedStr) else message
+        if fields and isinstance(begin, ast.Constant) and isinstance(fields[0], ast.Constant):
+            yield begin.value, fields[0].value
+
+
+def test_a_message_begins_with_the_field_that_its_error_names():
+    """Or with a part of it, such as one of its arrays. Readers put another name in its place."""
+    found = []
+    for path in sorted(chain(*((ROOT / room).rglob("*.py") for room in ROOMS))):
+        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(function, ast.FunctionDef):
+                found += [(path.name, *told) for told in told_fields(function)]
+    assert len(found) > 10
+    for path, message, field in found:
+        begins = [f"{field}{behind}" for behind in (*BEHIND_FIELD, ".")]
+        assert message.startswith(tuple(begins)), (path, message, field)

@@ -22,6 +22,7 @@ from PIL import Image
 from coincid.lab import dask_workers
 from coincid.lab.measures import MEASURES, SWEPT, Measure
 from coincid.model.contract.config import parse_config
+from coincid.model.shared.files import whole_file
 from coincid.study import sweep as job
 from coincid.study.sweep_plot import PANELS, write_plot
 from coincid.study.sweep_spec import SETTINGS, read_spec
@@ -411,6 +412,22 @@ def test_two_sweeps_at_once_on_one_output(tmp_path, quick):
     with job.Finished(tmp_path / "s.parquet"):
         assert_refused(sweep(tmp_path), "another sweep is writing it")
         assert sweep(tmp_path, name="other").exit_code == 0
+
+
+def test_what_a_killed_sweep_left_half_written_goes_and_nothing_else(tmp_path):
+    """When the next one begins: points, and files that are no sweep's, stay."""
+    finished = job.Finished(tmp_path / "s.parquet")
+    with finished:
+        finished.store("0123456789ab", {"edges": 1})
+    for name in (".mine.json", "mine.json.old"):
+        (finished.folder / name).write_text("mine", encoding="utf-8")
+    kept = set(finished.folder.iterdir())
+    killed = whole_file(finished.folder / "ba9876543210.json")
+    killed.__enter__()
+    assert set(finished.folder.iterdir()) > kept
+    with finished:
+        assert set(finished.folder.iterdir()) == kept
+    assert json.loads((finished.folder / "0123456789ab.json").read_text()) == {"edges": 1}
 
 
 BAD = [  # rules of the SPEC; the others' errors name the point

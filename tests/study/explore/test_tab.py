@@ -78,6 +78,26 @@ def test_a_that_is_smaller_shows_its_last_pixel_and_pulse(page):
     assert title.text.startswith("row 3, column 9:")
     page._picked(9, 40)  # beside the map
     assert title.text.startswith("row 3, column 9:")
+    assert look(page, "which", "A") == ""
+    page._ordered(messages.DropA())
+    assert title.text.startswith("row 3, column 9:")
+    words = page.link.new_words["words"]
+    assert (words["look"]["which"], words["ab"]) == ("B", False)
+
+
+def test_a_is_what_was_kept_last_and_is_gone_once_dropped(page):
+    """A second one takes the place of the first; a new result changes B alone."""
+    results = []
+    for threshold in (1, 2, 3):
+        page._ordered(messages.KeepA())
+        results.append(answered(page, threshold=threshold, frames=1))
+    first, second, third = (number_rows(result.view(0)) for result in results)
+    beside = [[*row, kept[1]] for row, kept in zip(third, second, strict=True)]
+    assert [list(row) for row in page.link.answer["words"]["numbers"]] == beside
+    assert second != first
+    for _ in range(2):  # the second time, nothing is left to drop
+        page._ordered(messages.DropA())
+        assert [list(row) for row in page.link.new_words["words"]["numbers"]] == third
 
 
 @pytest.mark.parametrize(("name", "last"), [("row", 7), ("col", 15), ("pulse", 19), ("frame", 2)])

@@ -45,6 +45,43 @@ def test_each_number_stands_beside_its_name():
     assert [second for _, _, second in rows][:2] == ["7", "2,000"]
 
 
+COUNTED = NUMBERS | {"counted": 4_321, "opened": None, "sun_share": None, "mean_gbps": None}
+TOLD_OF_COUNTS = [
+    ("edges", "12,345"),
+    ("counted hits", "4,321"),
+    ("data per frame", "65,432 bits"),
+    ("stream load", "25.0%"),
+    ("link load", "50.0%"),
+    ("wrong, above 3.4 cm", "6.2%"),
+    ("wrong, above 15 cm", "not known"),
+]
+
+
+@pytest.mark.parametrize("hits", [0, 4_321])
+def test_counts_have_hits_and_no_windows(hits):
+    """Also a frame in which no gate had a hit."""
+    view = SimpleNamespace(numbers=COUNTED | {"counted": hits})
+    view.objects, view.config = [], SimpleNamespace(gap=0)
+    told = [(label, f"{hits:,}" if label == "counted hits" else n) for label, n in TOLD_OF_COUNTS]
+    assert [tuple(row) for row in number_rows(view)] == told
+    assert [tuple(row) for row in number_rows(view, view)] == [(*row, row[1]) for row in told]
+    assert story(view) == (
+        f"The pixels counted {hits:,} hits in their gates; 65,432 bits left the sensor."
+    )
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_events_beside_counts_keep_their_windows(order):
+    """Whichever is the first of the two; of counts, those numbers are not known."""
+    views = [
+        SimpleNamespace(numbers=NUMBERS | {"counted": None}),
+        SimpleNamespace(numbers=COUNTED),
+    ][::order]
+    rows = number_rows(*views)
+    assert [label for label, *_ in rows] == [label for label, _ in TOLD]
+    assert rows[1] == ["windows", *["2,000", "not known"][::order]]
+
+
 @pytest.mark.parametrize("gap", [0, 7])
 def test_the_pace_is_told_where_there_are_gaps(gap):
     numbers = NUMBERS | {"committed": 1_700, "frames_per_s": 30.0, "mean_gbps": 0.0125}
