@@ -48,6 +48,14 @@ def test_a_saved_run_is_read_back(run, tmp_path):
     assert not differences(coincid.read_result(tmp_path / "events.npz"), run.result)
 
 
+@pytest.mark.parametrize("klux", [0, 0.0, "0"], ids=repr)
+def test_a_scene_in_the_dark_has_no_ambient_light(klux):
+    """A light of 0 is one that is given."""
+    dark = coincid.simulate(coincid.parse_config(SMALL), "flat:5,0.5", klux=klux, seed=3)
+    assert dark.setup.klux == klux
+    assert not dark.light.total_background_cps.any()
+
+
 @pytest.mark.parametrize(
     ("write", "suffix"),
     [
