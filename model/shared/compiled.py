@@ -3,8 +3,9 @@
 sources changes.
 
 Numba only checks the file of the compiled function itself, but a kernel includes functions and
-constants from other files. The kernel's package, the contract and this room hold everything that
-it may use, so the folder of its compiled code is named by their digest.
+constants from other files. The kernel's package, those of the kernels and parts that its module
+imports, the contract and this room hold everything that it may use, so the folder of its compiled
+code is named by their digest.
 
 Kernels consist of `part`s, which are compiled into them and never called from Python. So what
 takes time for each
@@ -81,7 +82,7 @@ def njit(
     if _NUMBA.DISABLE_JIT:
         return function
     kernel = _dispatcher(_Compiled, function, allocates, options)
-    folder = _folder(_package(function.__module__))
+    folder = _folder(*sorted(_packages_of(function)))
     if folder is None:
         return kernel
     others = _NUMBA.CACHE_DIR  # cache folder of other packages
@@ -144,12 +145,18 @@ def _package(module: str) -> str:
     return module.rpartition(".")[0]
 
 
+def _packages_of(function: Callable[..., Any]) -> set[str]:
+    """Return the package of a kernel, and those of the kernels and parts that its module takes in."""
+    taken_in = [one for one in function.__globals__.values() if isinstance(one, _Compiled)]
+    return {_package(function.__module__), *(_package(one.py_func.__module__) for one in taken_in)}
+
+
 @cache
-def _folder(package: str) -> Path | None:
-    """Return the folder for a package's compiled code, or None if it cannot be written: then
-    every process compiles anew.
+def _folder(*packages: str) -> Path | None:
+    """Return the folder for the compiled code of kernels that packages are the sources of, or None
+    if it cannot be written: then every process compiles anew.
     """
     try:
-        return build_root() / "numba" / packages_digest(*sorted({package, *_SHARED_BY_ALL}))
+        return build_root() / "numba" / packages_digest(*sorted({*packages, *_SHARED_BY_ALL}))
     except InputError:
         return None

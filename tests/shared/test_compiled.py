@@ -66,6 +66,43 @@ def test_a_change_in_a_file_that_a_kernel_takes_in_is_seen(run, tmp_path):
     assert run() == f"{OPENED_LATE} 1"
 
 
+PARTS = """
+from coincid.model.shared.compiled import part
+
+@part
+def changed(number):
+    return number + 1
+"""
+KERNELS = """
+from coincid.model.shared.compiled import njit
+from parts_of.others import changed
+
+@njit
+def twice(number):
+    return 2 * changed(number)
+"""
+
+
+def test_a_change_in_a_part_of_another_package_is_seen(tmp_path):
+    """As where a kernel of a test, or of a user's own, has parts of this project."""
+    for package, module, text in (("parts_of", "others", PARTS), ("kernels", "own", KERNELS)):
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "__init__.py").write_text("", encoding="utf-8")
+        (tmp_path / package / f"{module}.py").write_text(text, encoding="utf-8")
+    program = "from kernels.own import twice; print(twice(3), sum(twice.stats.cache_hits.values()))"
+    settings = os.environ | {"COINCID_BUILD": str(tmp_path / "build")}
+
+    def run():
+        command = [sys.executable, "-c", program]
+        return subprocess.check_output(command, cwd=tmp_path, env=settings, encoding="utf-8")
+
+    assert run() == "8 0\n"
+    assert run() == "8 1\n"
+    parts = tmp_path / "parts_of" / "others.py"
+    parts.write_text(PARTS.replace("+ 1", "+ 5"), encoding="utf-8")
+    assert run() == "16 0\n"
+
+
 def test_without_a_folder_to_write_to_nothing_is_kept(run, tmp_path):
     (tmp_path / "file").touch()
     assert run(COINCID_BUILD=str(tmp_path / "file" / "build")) == f"{OPENED} 0"

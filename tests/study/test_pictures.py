@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from coincid.model.depth.belief import SENTENCES, Reason
 from coincid.study import animation, pictures
 from coincid.study.pictures import Panel, draw_row, light_row
 from coincid.study.plot_style import legend_below, new_figure, save_figure, share_axis, style
@@ -45,6 +46,28 @@ def test_wrong_pixels_are_framed_and_pixels_without_a_truth_are_crossed():
     figure, shares = draw_row([Panel("depth", depth_m)], truth_m, tolerance_m=3.0)
     assert shares == [0.0]
     assert not any(one.get_paths() for one in figure.axes[1].collections)
+
+
+def test_depths_that_are_not_believed_have_dots_of_their_reason():
+    """Each on its own pixel; the legend has the reasons that occur."""
+    depth_m = np.full((ROWS, COLS), 5.0)
+    reason = np.full((ROWS, COLS), Reason.BELIEVED, np.uint8)
+    reason[6, 3] = reason[1, 20] = Reason.BACKGROUND
+    reason[2, 9] = Reason.FEW_PHOTONS
+    panels = [Panel("all", depth_m), Panel("some", depth_m, reason)]
+    figure, _ = draw_row(panels, depth_m)
+    _, everything, some = figure.axes[:3]
+    assert not everything.lines
+    dots = {line.get_label(): (line.get_color(), line.get_xydata().tolist()) for line in some.lines}
+    expected = {
+        Reason.BACKGROUND: [[20, 1], [3, 6]],
+        Reason.FEW_PHOTONS: [[9, 2]],
+    }
+    assert dots == {
+        SENTENCES[one].partition(":")[0]: (pictures.REASONS[one], places)
+        for one, places in expected.items()
+    }
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == list(dots)
 
 
 def test_a_figure_is_written_in_the_format_of_each_name(tmp_path):

@@ -17,11 +17,13 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 from distributed import Client, LocalCluster
+from distributed.scheduler import KilledWorker
 from PIL import Image
 
 from coincid.lab import dask_workers
 from coincid.lab.measures import MEASURES, SWEPT, Measure
 from coincid.model.contract.config import parse_config
+from coincid.model.shared.errors import InputError
 from coincid.model.shared.files import whole_file
 from coincid.study import sweep as job
 from coincid.study.sweep_plot import PANELS, write_plot
@@ -428,6 +430,21 @@ def test_what_a_killed_sweep_left_half_written_goes_and_nothing_else(tmp_path):
     with finished:
         assert set(finished.folder.iterdir()) == kept
     assert json.loads((finished.folder / "0123456789ab.json").read_text()) == {"edges": 1}
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (InputError("frame.period = 1:\n  must be\tmore"), "frame.period = 1: must be more"),
+        (ValueError("no\n such  thing"), "ValueError: no such thing"),
+        (KeyError("x"), "KeyError: 'x'"),
+        (KilledWorker("task", None, 20), "every worker that ran it was lost"),
+    ],
+    ids=lambda given: type(given).__name__,
+)
+def test_the_reason_of_a_failed_point_is_one_line(error, told):
+    """An error of the input needs no name of its class."""
+    assert dask_workers.reason(error) == told
 
 
 BAD = [  # rules of the SPEC; the others' errors name the point

@@ -13,11 +13,14 @@ from bokeh.models import ColorBar, ColumnDataSource
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.depth.belief import Reason
+from coincid.model.shared.errors import InputError
 from coincid.study.pictures import REASONS
+from coincid.study.show import notebook
 from coincid.study.show.figures import (
     COUNTS,
     LIGHT,
     MAPS,
+    HistogramFigure,
     MapFigure,
     cursor_columns,
     map_columns,
@@ -135,3 +138,19 @@ def test_a_map_draws_its_own_picture_bar_and_frames(shows):
         assert [line.line_color for line in lines] == ["black", "white"]
         assert lines[0].line_width > lines[1].line_width
         assert all(line.line_dash == dash for line in lines)
+
+
+def test_a_histogram_in_a_notebook_is_that_of_the_pixel_by_rows(monkeypatch):
+    """Of the frame and by the method that were asked for."""
+    asked, shown = [], []
+    view = view_of(1)
+    monkeypatch.setattr(notebook, "run_view", lambda *given: asked.append(given) or view)
+    monkeypatch.setattr(HistogramFigure, "show", lambda self, *given: shown.append(given))
+    for pixel in (0, COLS - 1, COLS, 3 * COLS + 7, ROWS * COLS - 1):
+        notebook.plot_histogram("a run", pixel, 2, "planes")
+        assert asked[-1] == ("a run", 2, "planes")
+        assert shown[-1] == (view, pixel // COLS, pixel % COLS)
+    for pixel in (-1, ROWS * COLS):
+        told = f"pixel = {pixel}: must be an integer from 0 to {ROWS * COLS - 1}"
+        with pytest.raises(InputError, match=told):
+            notebook.plot_histogram("a run", pixel)
