@@ -9,11 +9,12 @@ from attrs import frozen
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
+from coincid.model.contract.config import parse_config
 from coincid.model.contract.counts import COUNT_MOST, GATE_CYCLES, GATES, NO_GATE
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.result import ResultBuilder
 from coincid.model.depth.belief import LAW, Reason, signs_of
-from coincid.model.depth.count_light import first_background
+from coincid.model.depth.count_light import Trials, first_background
 from coincid.model.depth.count_likelihood import Seen
 from coincid.model.depth.counts import (
     _without_last_hits,
@@ -438,3 +439,19 @@ def test_the_last_hit_of_a_pixel_and_its_pulse_are_left_out_in_its_own_frame(gat
     fewer_misses[0, 1, GATES + gate, 2] = 0
     fewer_misses[0, 1, GATES + 1 - gate, 0] = 0.5
     assert np.array_equal(misses - left.misses, fewer_misses)
+
+
+@pytest.mark.parametrize("minigroup", [(1, 4), (2, 2), (4, 1)], ids=str)
+def test_what_is_summed_over_minigroups_is_of_their_own_pixels(minigroup):
+    """Also where these do not follow each other in the subgroup."""
+    sensor = {"rows": 8, "cols": 16, "subgroup": [4, 8], "minigroup": list(minigroup)}
+    config = parse_config({"sensor": sensor})
+    values = np.random.default_rng(3).integers(0, 99, (4, 32, 2, 3))
+    empty = np.zeros((4, 32, 2))
+    found = Trials(empty, values, values, 4).of_minigroups(values, config)
+    across = 8 // minigroup[1]
+    expected = np.zeros((4, 32 // np.prod(minigroup), 2, 3), np.int64)
+    for pixel in range(32):
+        row, col = divmod(pixel, 8)
+        expected[:, row // minigroup[0] * across + col // minigroup[1]] += values[:, pixel]
+    assert np.array_equal(found, expected)

@@ -312,6 +312,14 @@ def test_unknown_scene(source, words):
         load_scene(source, 8, 8)
 
 
+def test_a_folder_is_no_scene(tmp_path):
+    """Though its name ends as that of one does."""
+    folder = tmp_path / "walls.xml"
+    folder.mkdir()
+    with pytest.raises(InputError, match=f"^{re.escape(str(folder))}: no such file"):
+        load_scene(str(folder), 8, 8)
+
+
 @pytest.fixture(scope="module")
 def tracer():
     """The renderer."""
