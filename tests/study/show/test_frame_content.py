@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maps of a frame in a scene with several targets per pixel, in an array that is no square."""
 
-import copy
 import re
 from types import SimpleNamespace
 
@@ -13,7 +12,6 @@ from coincid.lab.setup import Setup
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene
-from coincid.model.shared.errors import InputError
 from coincid.study.show import report
 from coincid.study.show.frame_content import FrameView, seen_objects
 
@@ -158,27 +156,6 @@ def test_a_scene_without_objects_has_two_halves_of_what_is_seen():
     ]
     assert (darker.signal, brighter.signal) == pytest.approx((0.15, 0.35))
     assert (darker.wrong_share, brighter.wrong_share) == (0.0, 1.0)
-
-
-def test_a_period_is_that_of_the_whole_timeline(view):
-    """Of the subgroup and the pulse that were asked for, of those whose edges are kept."""
-    for subgroup, pulse in ((0, 0), (0, 19), (2, 0), (1, 7), (2, 19)):
-        found, expected = view.period(subgroup, pulse), view.timeline.period(subgroup, pulse)
-        assert np.array_equal(found.tick, expected.tick) and len(found.tick)
-        assert np.array_equal(found.pixel, expected.pixel)
-        assert np.array_equal(found.fate, expected.fate)
-        assert np.array_equal(found.windows.start, expected.windows.start)
-        assert found.threshold == expected.threshold == subgroup + 1
-
-
-def test_a_period_whose_edges_are_not_kept_is_refused(view):
-    """Though the frame has it."""
-    long = copy.copy(view)
-    long.pulses_seen = 7
-    assert len(long.period(1, 6).tick) == len(view.period(1, 6).tick)
-    for pulse in (-1, 7, 19):
-        with pytest.raises(InputError, match=f"pulse = {pulse}: must be an integer from 0 to 6"):
-            long.period(1, pulse)
 
 
 @pytest.mark.parametrize("frames", (1, 2))
