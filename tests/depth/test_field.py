@@ -6,7 +6,15 @@ are no squares.
 import numpy as np
 import pytest
 
-from coincid.model.depth.patchmatch import HALF, PART, Field, fit_planes, level_on
+from coincid.model.depth.patchmatch import (
+    HALF,
+    PART,
+    SLOPE,
+    SLOPE_COST,
+    Field,
+    fit_planes,
+    level_on,
+)
 from coincid.model.depth.refine import refine
 
 BINS = 32
@@ -83,3 +91,15 @@ def test_every_pixel_of_a_plane_has_its_time_slopes_and_error(shape):
     assert refined.planes.down == pytest.approx(np.full(shape, DOWN), abs=0.02)
     assert refined.planes.right == pytest.approx(np.full(shape, RIGHT), abs=0.02)
     assert np.all((refined.error > 0) & (refined.error < SIGMA_TICKS / 2))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_plane_has_the_score_of_all_pixels_at_its_times(shape):
+    """At every pixel: its own level and those of its neighbours, less what the slopes cost."""
+    field, _ = field_of(plane_ticks(*shape))
+    planes = fit_planes(field, in_blocks(shape[0]))
+    rarity = (1 + (planes.down / SLOPE) ** 2) * (1 + (planes.right / SLOPE) ** 2)
+    # The neighbours of an exact plane all have their most on it, but for what is between their bins.
+    most = field.left[:, :, 0] - SLOPE_COST * np.log(rarity)
+    assert most.min() > 3.0
+    assert planes.score == pytest.approx(most, rel=0.03)

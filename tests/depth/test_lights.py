@@ -110,6 +110,64 @@ def test_what_was_never_written_of_a_pixel_counts_as_0(on_surfaces):
     np.testing.assert_array_equal(found[0], found[1])
 
 
+def test_the_lights_on_a_surface_are_those_between_the_two_times_beside_it():
+    """For each time by which the surface may be off, also earlier; the unit is the same for all."""
+    rng = np.random.default_rng(9)
+    bins, lights, times = 7, 3, 9
+    offset = np.array([-1.25, 0.0, 0.5, 1.75])
+    common = rng.normal(0, 1, (times, lights)).astype(np.float32)
+    total = rng.normal(0, 1, (3, bins, lights)).astype(np.float32)
+    first, at = np.array([0, 2, -2]), np.array([2.5, 1.25, 4.0])
+    pixels = pixels_of(total.reshape(3, -1), np.ones((3, bins), bool), first)
+    known = np.ones(3, bool)
+    chance = np.zeros((3, len(offset), lights), np.float32)
+    add_chances_on_surfaces(common.ravel(), pixels, at, offset, known, chance)
+    assert known.all()
+    for i in range(3):
+        level = [
+            [
+                np.interp(
+                    at[i] + off,
+                    np.arange(bins),
+                    total[i, :, x]
+                    + np.interp(first[i] + np.arange(bins), np.arange(times), common[:, x]),
+                )
+                for x in range(lights)
+            ]
+            for off in offset
+        ]
+        assert chance[i] == pytest.approx(np.exp(np.array(level) - np.max(level)), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("first", "at", "is_known"),
+    [
+        (1, 0.5, True),  # from the pixel's first time
+        (1, 0.45, False),
+        (1, 4.0, True),
+        (1, 4.25, False),  # beyond its last one
+        (-2, 2.5, True),  # from the first time of all
+        (-2, 2.25, False),
+        (5, 2.0, True),
+        (5, 2.25, False),  # beyond the last one of all
+    ],
+)
+def test_a_surface_whose_times_are_not_all_there_tells_no_lights(first, at, is_known):
+    """The pixel is not known then, and neither is one that was not known before."""
+    bins, lights, times = 6, 2, 9
+    pixels = pixels_of(
+        np.zeros((2, bins * lights), np.float32), np.ones((2, bins), bool), [first] * 2
+    )
+    known = np.array([True, False])
+    chance = np.full((2, 2, lights), 7, np.float32)
+    common = np.zeros(times * lights, np.float32)
+    offset = np.array([-0.5, 0.75])
+    add_chances_on_surfaces(common, pixels, np.array([at, at]), offset, known, chance)
+    assert known.tolist() == [is_known, False]
+    assert chance[0] == pytest.approx(1 if is_known else 7, rel=1e-5)
+    assert np.all(chance[1] == 7)
+
+
 def test_a_pixels_lights_are_those_of_all_its_times():
     rng = np.random.default_rng(6)
     bins, lights, times = 5, 2, 9

@@ -28,7 +28,7 @@ from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
 from coincid.tb.sliced import SlicedSensor
 
-from ..random_cases import SENSORS, built_sensor, configured, random_edges
+from ..random_cases import GOLDEN_SENSORS, SENSORS, built_sensor, configured, random_edges
 
 SENSOR = Sensor(rows=8, cols=16)
 ODD = built_sensor(SENSORS["odd"])  # streams of three and two subgroups
@@ -237,10 +237,10 @@ def test_no_sensor(name, value, says):
         read_sensor(memory)
 
 
-@pytest.mark.parametrize("counts", (0, 1))
-def test_parameters_are_those_as_built(counts):
+@pytest.mark.parametrize("name", GOLDEN_SENSORS)
+def test_parameters_are_those_as_built(name):
     """A register that is not built is not read."""
-    sensor = Sensor(rows=8, cols=16, counts=counts)
+    sensor = built_sensor(GOLDEN_SENSORS[name])
     assert read_sensor(Memory(sensor)) == sensor
 
 

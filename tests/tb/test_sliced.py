@@ -256,13 +256,16 @@ def test_registers_can_be_changed_in_a_frame():
 
 
 def test_every_sensor_of_an_engine_shows_the_registers_of_its_own_subgroups():
-    """The sensors and their subgroups are as many lanes, each with a threshold of its own."""
+    """The sensors and their subgroups are as many lanes, in two parts of a word; no two that are
+    together in a part have the same threshold.
+    """
     sensor = random_cases.built_sensor(ODD)
-    engine, threshold = Engine(sensor, 3), "subgroup_0.dpcu.threshold"
-    sensors = [SlicedSensor(sensor, engine, number) for number in range(3)]
+    number_of_sensors = 64 // sensor.subgroups + 2
+    engine, threshold = Engine(sensor, number_of_sensors), "subgroup_0.dpcu.threshold"
+    sensors = [SlicedSensor(sensor, engine, number) for number in range(number_of_sensors)]
     due = {}
     for number, rtl in enumerate(sensors):
-        own = {s: 1 + sensor.subgroups * number + s for s in range(sensor.subgroups)}
+        own = {s: 1 + (7 * number + s) % sensor.pixels for s in range(sensor.subgroups)}
         due |= {(number, s): value for s, value in own.items()}
         tables = ({"subgroups": [s], "threshold": value} for s, value in own.items())
         config = random_cases.configured(ODD, {}, {}, *tables)
@@ -273,8 +276,10 @@ def test_every_sensor_of_an_engine_shows_the_registers_of_its_own_subgroups():
         return {(number, s): sensors[number].peek(s, threshold) for number, s in due}
 
     assert shown() == due
-    sensors[1].poke(2, threshold, 17)
-    assert shown() == due | {(1, 2): 17}
+    pokes = {(1, 2): 18, (number_of_sensors - 1, 3): 18}
+    for (number, s), value in pokes.items():
+        sensors[number].poke(s, threshold, value)
+    assert shown() == due | pokes
     engine.close()
 
 

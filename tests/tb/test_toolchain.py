@@ -72,13 +72,17 @@ def run(built, out_dir, behave="pass", **options):
 
 @each_simulator
 def test_run_leaves_log_and_results_and_nothing_on_the_terminal(simulator, toy, tmp_path, capfd):
+    """Nor the waveform of a run before it."""
+    wave = tmp_path / "out" / "toy.fst"
+    wave.parent.mkdir()
+    wave.touch()
     done = run(build(simulator, toy), tmp_path / "out", seed=7)
     assert capfd.readouterr() == ("", "")
     assert "random number" in done.log.read_text(
         encoding="utf-8"
     ) and "testcase" in done.results.read_text(encoding="utf-8")
     assert {done.log.parent, done.results.parent} == {tmp_path / "out"}
-    assert done.wave is None
+    assert done.wave is None and not wave.exists()
 
 
 def test_seed_decides_the_random_numbers(toy, tmp_path):
@@ -139,6 +143,15 @@ def test_second_build_is_the_first_and_a_change_is_not(simulator, toy, tmp_path)
     shutil.rmtree(first.directory)
     for left in first.directory.parent.glob(f"{first.directory.name}.*"):
         left.unlink()
+
+
+@each_simulator
+def test_a_build_keeps_its_sources_and_of_the_compilers_files_the_program(simulator, toy):
+    built = build(simulator, toy)
+    assert (built.directory / "toy.v").read_text(encoding="utf-8") == TOY
+    own = {"verilator": "design.vlt", "icarus": "timescale.f"}[simulator]
+    kept = {"toy.v", own, toolchain.SIM_FILE[simulator]}
+    assert {path.name for path in built.directory.iterdir()} == kept
 
 
 @each_simulator

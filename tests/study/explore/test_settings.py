@@ -106,6 +106,12 @@ def test_the_command_gives_the_same_settings_again():
             given_settings([given])
 
 
+@pytest.mark.parametrize("kind", ["depth", "colour", "sun", "pulse"])
+def test_a_folder_in_place_of_a_file_is_refused(kind, tmp_path):
+    with pytest.raises(InputError, match=f"{tmp_path}: no such file"):
+        given_settings([f"{kind}_file={tmp_path}"])
+
+
 @pytest.mark.parametrize(
     "values, control, sentence",
     [

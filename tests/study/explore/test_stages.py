@@ -20,7 +20,7 @@ from coincid.model.golden.frame import golden_result
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.messages import Question
 from coincid.study.explore.out import SAVES, events_csv
-from coincid.study.explore.stages import Explorer, Runner, check_on_rtl
+from coincid.study.explore.stages import THREADS, Explorer, Runner, check_on_rtl
 from coincid.study.explore.tab import Page
 from coincid.study.explore.uploads import Kept, Uploads
 
@@ -96,6 +96,32 @@ def test_only_the_newest_answer_is_delivered():
     assert got.get(timeout=60) == (newest, "done", "new")
     newest = runner.start(bad)
     assert got.get(timeout=60)[:2] == (newest, "failed") and got.empty()
+    runner.close()
+
+
+def test_work_that_is_cancelled_before_it_begins_is_never_done():
+    """Neither that which an order took back, nor that which a newer one replaced."""
+    begun, go, played = threading.Barrier(THREADS + 1), threading.Event(), []
+
+    def busy(progress):
+        begun.wait(60)
+        go.wait(60)
+
+    def work(name):
+        return lambda progress: played.append(name)
+
+    got = queue.Queue()
+    runner = Runner(lambda *answer: answer[1] == "progress" or got.put(answer))
+    for _ in range(THREADS):
+        runner.start(busy)
+    begun.wait(60)
+    runner.start(work("taken back"))
+    runner.cancel()
+    runner.start(work("replaced"))
+    newest = runner.start(work("newest"))
+    go.set()
+    assert got.get(timeout=60) == (newest, "done", None)
+    assert played == ["newest"]
     runner.close()
 
 
