@@ -4,8 +4,13 @@
 import numpy as np
 import pytest
 
+from coincid.lab.outcomes import Run
+from coincid.lab.setup import Setup
+from coincid.model.depth import likelihood
+from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.others import ALONE, GUESS_ERROR, MOST, OwnWindows, moves_with_others
 from coincid.model.depth.pulse_ticks import PulseTicks
+from coincid.model.golden.frame import golden_result
 
 PIXELS = 8
 GUESS_TICK = 100.0
@@ -105,3 +110,30 @@ def test_a_time_is_as_likely_as_the_number_of_others_that_fire_in_the_window(cha
             variance = max(1e-6, mean * (1 - chances[k])) + (GUESS_ERROR * mean) ** 2
             ratio += (count - (mean + before) / 2) / variance * (mean - before)
             assert found[winner, k] == pytest.approx(min(MOST, ratio), abs=1e-3)
+
+
+@pytest.mark.parametrize("form", ("short", "id"))
+@pytest.mark.parametrize("coincidence", ([False, True, True], [True, True, False]))
+def test_counts_tell_of_others_where_windows_are_long_and_no_map_names_them(
+    coincidence, form, monkeypatch
+):
+    """Each subgroup has a window of its own; without coincidence, an event is one photon."""
+    setup = Setup.of(
+        "flat:4.0,0.4",
+        sensor={"rows": 8, "cols": 24},
+        frame={"pulses": 20, "format": form, "link_gbps": 0},
+        klux=10.0,
+    )
+    windows = np.array([16, 9, 24])
+    config = setup.config.with_settings(coincidence=np.array(coincidence), window=windows)
+    asked = set()
+    real = likelihood.moves_with_others
+
+    def noted(own, window, *rest):
+        asked.add(window)
+        return real(own, window, *rest)
+
+    monkeypatch.setattr(likelihood, "moves_with_others", noted)
+    estimate_depth(golden_result(config, Run(setup).edges), config)
+    expected = set(windows[coincidence].tolist()) if form == "short" else set()
+    assert asked == expected

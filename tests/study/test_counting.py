@@ -3,6 +3,7 @@
 
 import io
 import json
+import math
 
 import numpy as np
 import pytest
@@ -12,12 +13,14 @@ from rich.console import Console
 
 from coincid.lab import long_frames, measures
 from coincid.lab.outcomes import Run
+from coincid.lab.pace import frames_per_s
 from coincid.lab.setup import Setup
+from coincid.model.contract.config import parse_config
 from coincid.model.contract.packet import BEAT_BITS
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.errors import InputError
-from coincid.study.advise import advise
+from coincid.study.advise import HEADS, Tried, advise
 from coincid.study.explore.control_values import check_settings
 from coincid.study.show.notebook import run_view
 from coincid.study.show.words import number_rows, story
@@ -199,6 +202,31 @@ def test_advice_tells_what_counts_would_do():
     assert f"{counted.bits:,} bits per frame" in without.counts
     assert f"{counted.wrong:.1%} of the pixels would be wrong" in without.counts
     assert not any(one.config.counting for one in without.tried)
+
+
+@pytest.mark.parametrize(
+    ("frame", "subgroup", "threshold", "window_ns"),
+    [
+        ({"format": "counts"}, {}, "none", math.nan),
+        ({"format": "counts"}, {"threshold": 3, "window": 12}, "none", math.nan),
+        ({}, {"threshold": 3, "window": 12}, "3", 3.0),
+        ({}, {"auto": True, "window": 20}, "controller", 5.0),
+    ],
+)
+def test_a_row_of_an_advice_has_the_threshold_and_window_that_its_format_has(
+    frame, subgroup, threshold, window_ns
+):
+    """With ticks of 0.25 ns. The other cells are numbers that no two of them share."""
+    frame = {"link_gbps": 2.5, "pulses": 70, "clock_mhz": 500.0} | frame
+    tables = {"sensor": COUNTS["sensor"] | {"phases": 8}, "frame": frame, "subgroup": subgroup}
+    config = parse_config(tables)
+    shares = {"wrong": 0.1, "far": 0.2, "error_mm": 30.0, "bits": 4, "dropped": 0.5, "load": 0.6}
+    row = Tried(config=config, **shares).row()
+    assert len(row) == len(HEADS)
+    assert row[0] == threshold
+    assert row[1] == pytest.approx(window_ns, nan_ok=True)
+    cells = (config.format, 2.5, *shares.values(), frames_per_s(config))
+    assert row[2:] == cells
 
 
 def test_explorer_builds_the_sensor_with_counts_if_they_are_chosen():
