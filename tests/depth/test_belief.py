@@ -6,7 +6,17 @@ import pytest
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.depth.belief import LAW, NOISE_M, SENTENCES, Reason, Signs, believe, find_signs
+from coincid.model.depth.belief import (
+    LAW,
+    NOISE_M,
+    SENTENCES,
+    Lit,
+    Reason,
+    Signs,
+    _folded,
+    believe,
+    find_signs,
+)
 from coincid.model.depth.histograms import frame_events
 from coincid.model.depth.methods import METHODS
 from coincid.model.depth.pulse_ticks import PulseTicks
@@ -104,6 +114,31 @@ def test_places_that_a_gate_does_not_reach_in_a_frame_have_no_edge():
         with Threads(1) as threads:
             signs = find_signs(events, dark.config, 2.0, 120, ticks, ticks, False, threads)
         assert np.all(signs.at_edge == is_edge), cycle
+
+
+@pytest.mark.parametrize(
+    ("ticks", "hits", "is_folded"),
+    [
+        (1000.0, 3, True),
+        (3000.0, 3, True),
+        (3500.0, 3, False),  # a dark pixel that may be there
+        (1000.0, 30, True),
+        (1500.0, 30, False),
+        (1000.0, 0, False),
+        (np.nan, 3, False),
+    ],
+)
+def test_light_falls_with_the_square_of_the_distance_unless_it_comes_from_beyond_the_range(
+    ticks, hits, is_folded
+):
+    """A pixel of a wall at 4000 ticks, from which all others have 200 hits in 1000 pulses."""
+    pulses = 1000
+    near = np.full((2, 16), 200)
+    time = np.full(near.shape, 4000.0)
+    near[1, 3], time[1, 3] = hits, ticks
+    found = _folded(Lit(near, near / pulses, pulses), time)
+    assert found[1, 3] == is_folded
+    assert found.sum() == is_folded
 
 
 @pytest.mark.parametrize("subgroup", [(4, 8), (8, 4)])

@@ -5,10 +5,41 @@ import numpy as np
 import pytest
 
 from coincid.model.contract.coincidence import AT_LEAST, rises
+from coincid.model.depth.histograms import frame_events
 from coincid.model.depth.law import RARE
-from coincid.model.depth.unheard import BLIND_MAX, SHARES, _busy, _event_share, _room_found, _shares
+from coincid.model.depth.pulse_ticks import PulseTicks
+from coincid.model.depth.unheard import (
+    BLIND_MAX,
+    SHARES,
+    _busy,
+    _event_share,
+    _room_found,
+    _shares,
+    windows_of,
+)
+from coincid.model.golden.frame import golden_result
+
+from ..random_cases import SENSORS, configured, random_edges
 
 PHASES, CYCLES, PULSES = 4, 12, 40
+
+
+def test_the_windows_of_a_subgroup_are_those_that_are_in_effect():
+    """Those of a subgroup without coincidence have one tick and threshold 1, whatever is set."""
+    tables = [
+        {"subgroups": [0], "threshold": 5, "window": 9, "coincidence": False},
+        {"subgroups": [2], "threshold": 3, "window": 14},
+    ]
+    config = configured(SENSORS["tiny"], {"pulses": 5}, {"threshold": 2, "window": 6}, *tables)
+    pulse = PulseTicks(2.0)
+    events = frame_events(golden_result(config, random_edges(config, 200, 1)), config, pulse)
+    found = windows_of(events, config, 5, pulse)
+    assert [one.tree.window for one in found] == [1, 6, 14]
+    sensor = config.sensor
+    for s, (one, threshold) in enumerate(zip(found, (1, 2, 3), strict=True)):
+        assert one.law == rises(sensor.rule, sensor.subgroup, threshold)
+        assert (one.tree.phases, one.tree.rearm) == (sensor.phases, sensor.rearm)
+        assert one.photon_rate == events.photon_rate[s]
 
 
 def windows(number=60):

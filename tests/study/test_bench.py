@@ -7,8 +7,10 @@ import itertools
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from coincid.model.contract.edges import Edges
 from coincid.model.golden.frame import Golden
@@ -65,6 +67,35 @@ def test_page_shows_every_key():
     assert re.findall(r"^\| `(\w+)` \|", page.read_text(encoding="utf-8"), re.MULTILINE) == list(
         bench.KEYS
     )
+
+
+@pytest.mark.parametrize("name", bench.PULSES)
+def test_the_rate_of_a_slow_engine_is_that_between_its_first_and_its_last_message(
+    name, monkeypatch
+):
+    """With a clock of our own. The engine plays the first pulses of the frame, and no more."""
+    clock_s = iter([10.0, 12.5, 15.0])
+    config = configured({"rows": 4, "cols": 4, "subgroup": [4, 4]}, {"pulses": 50})
+    pulse = np.arange(50).repeat(2)
+    edges = Edges(pulse=pulse, pixel=0 * pulse, tick=np.tile([3, 90], 50))
+    played = []
+
+    def play(of, light, progress):
+        played.append((of.pulses, light.pulse.tolist()))
+        for cycle in (1000, 3000, 6000):
+            progress(cycle)
+
+    def play_frames(jobs, engine, folder, progress):
+        (job,) = jobs
+        assert name == f"cocotb_{engine}" and folder.is_dir()
+        play(job.config, job.edges, progress)
+
+    monkeypatch.setattr(bench, "play", play_frames)
+    monkeypatch.setattr(bench.pysim, "play", play)
+    monkeypatch.setattr(bench, "time", SimpleNamespace(perf_counter=lambda: next(clock_s)))
+    assert bench._rate(config, edges, name) == 1000.0
+    pulses = bench.PULSES[name]
+    assert played == [(pulses, np.arange(min(pulses, 50)).repeat(2).tolist())]
 
 
 def test_benchmark_measures_every_key(tmp_path, monkeypatch):

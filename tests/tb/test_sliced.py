@@ -75,6 +75,19 @@ def test_chains_side_by_side_equal_one_by_one(threads, tmp_path):
             assert check(frame.config.sensor, frame.expected, other, number) == one.checked
 
 
+def test_settings_that_come_back_are_programmed_again():
+    """Of a subgroup and of the frame: what the sensor has is what the frame before wrote."""
+    golden = Golden(random_cases.built_sensor(ODD))
+    chain = []
+    for number, (threshold, period) in enumerate([(1, 60), (2, 70), (1, 60), (2, 60)]):
+        frame = {"period": period, "pulses": 3}
+        config = random_cases.configured(ODD, frame, {"threshold": threshold})
+        chain.append(job(golden, config, number))
+    (records,) = play_side_by_side([chain])
+    for number, (frame, record) in enumerate(zip(chain, records, strict=True)):
+        check(frame.config.sensor, frame.expected, record, number)
+
+
 @pytest.mark.parametrize("threads", [1, 3])
 def test_the_told_cycles_are_in_the_end_those_of_all_frames(threads):
     """Summed over the sensors and their frames, which differ in length, of one engine or several."""

@@ -24,6 +24,7 @@ from coincid.study.explore.control_values import (
     control_of,
     given_settings,
     told_by_labels,
+    values_of_link,
     without_lost_pictures,
 )
 from coincid.study.explore.controls import CONTROL, CONTROLS
@@ -104,6 +105,18 @@ def test_the_command_gives_the_same_settings_again():
     for given in ("threshold", "threshold=many", "moon=1", "depth_file=/none.png"):
         with pytest.raises(InputError, match="must be|no such file"):
             given_settings([given])
+
+
+def test_a_link_tells_everything_of_it_that_is_ignored_in_its_order():
+    given = {"klux": "999", "threshold": "7", "moon": "1", "pulses": "many", "frames": "3"}
+    values, told = values_of_link(given)
+    assert values == {"threshold": 7, "frames": 3}
+    ignored = re.findall(r"Ignored in the link: (.*?)\. ?(?=Ignored|$)", told)
+    assert len(ignored) == told.count("Ignored") == 3
+    assert ignored[0].startswith(f"{CONTROL['klux'].label} = 999.0: must be")
+    assert "moon" in ignored[1]
+    assert ignored[2].startswith(CONTROL["pulses"].label)
+    assert values_of_link({"klux": "7"}) == ({"klux": 7}, "")
 
 
 @pytest.mark.parametrize("kind", ["depth", "colour", "sun", "pulse"])

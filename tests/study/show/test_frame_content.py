@@ -168,6 +168,21 @@ def test_a_report_keeps_no_more_edges_than_fit_for_all_its_frames(recorded, fram
     assert pulses == 10
 
 
+def test_a_report_that_is_written_is_that_of_all_its_frames(recorded, tmp_path):
+    """In place of an older one. Bokeh numbers the figures of a process."""
+
+    def unnumbered(page):
+        return re.sub(r"\bp\d{4,}\b", "figure", page)
+
+    path = tmp_path / "report.html"
+    path.write_text("an older one", encoding="utf-8")
+    report.write_report(path, "a <run>", recorded[:2])
+    page = unnumbered(path.read_text(encoding="utf-8"))
+    assert page == unnumbered(report.report_html("a <run>", recorded[:2]))
+    assert "a &lt;run&gt;" in page
+    assert [one.name for one in tmp_path.iterdir()] == ["report.html"]
+
+
 def test_a_report_holds_the_numbers_of_a_sensor_that_is_no_square():
     """By hand, each under its own name; it needs no network."""
     sensor = {"rows": 8, "cols": 48, "subgroup": [4, 24], "minigroup": [2, 4], "phases": 16}
