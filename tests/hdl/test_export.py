@@ -7,9 +7,11 @@ import pytest
 from amaranth.hdl import Module, Signal
 from amaranth.lib.wiring import In, Out
 
-from coincid.hdl.export import units_files
+from coincid.hdl.export import elaborated, units_files
+from coincid.hdl.sensor import SensorTop
 from coincid.hdl.unit import Unit
 
+from ..random_cases import SENSORS, built_sensor
 from .test_memory import simulated
 
 CHOSEN = {1: 7, 2: 9}  # what a block chooses by its register
@@ -52,6 +54,16 @@ def text():
 def test_what_depends_on_registers_is_known_before_they_change(text, tmp_path):
     told = simulated(tmp_path, text, BEFORE_THE_FIRST_EDGE)
     assert told.split() == [f"{CHOSEN[1]:04b}", f"{CHOSEN[2]:04b}"]
+
+
+@pytest.mark.parametrize("name", ("odd", "tiny", "default"))
+def test_blocks_of_one_name_have_the_same_ports(name):
+    """There is one file for all of them, also where the last module has one subgroup only."""
+    ports = {}
+    for block in elaborated([SensorTop(built_sensor(SENSORS[name]))]):
+        for unit in block.placed.values():
+            assert ports.setdefault(unit.unit_name, unit.ports()) == unit.ports(), unit.unit_name
+    assert len(ports) > 10
 
 
 def test_no_text_names_its_generator(text):

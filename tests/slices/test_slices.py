@@ -249,10 +249,12 @@ def test_any_word_on_any_processor_gives_the_same_bits(lanes, flag):
 def test_registers_can_be_read_and_written():
     with Slices(sliced("counters")) as slices:
         assert slices.peek("kept") == [0x5A5A5A] * 64
-        slices.poke("kept", list(range(64)))
+        written = [0x123400 + lane for lane in range(64)]  # no two bytes of a number are alike
+        slices.poke("kept", written)
+        assert slices.peek("kept") == written
         slices.set("value", 1)
         slices.step()
-        assert slices.peek("sum") == [lane for lane in range(64)]  # 255 + kept + 1
+        assert slices.peek("sum") == [lane for lane in range(64)]  # 255 + kept's lowest byte + 1
         # logic that nothing keeps
         assert slices.peek("odd") == [lane % 2 ^ 1 for lane in range(64)]
         with pytest.raises(KeyError):
