@@ -56,8 +56,10 @@ class InputError(ValueError):
 
 def told_number(value: float) -> str:
     """Return a number as text from which the same number comes back, as short as possible."""
-    short = f"{value:g}"
-    return short if float(short) == value else str(value)
+    for text in (f"{value:g}", f"{value:.15g}"):
+        if float(text) == value:
+            return text
+    return str(value)
 
 
 def wrong_value(

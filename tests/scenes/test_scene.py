@@ -477,8 +477,12 @@ def test_the_ends_of_the_range_of_each_array_of_a_scene_are_legal(field, low, hi
         ("reflectivity", -0.01, "reflectivity[1, 2] = -0.01: must be from 0 to 1"),
         ("sunlit", 1.01, "sunlit[1, 2] = 1.01: must be from 0 to 1"),
         ("sunlit", -0.01, "sunlit[1, 2] = -0.01: must be from 0 to 1"),
-        ("labels", 2.0**31, "labels[1, 2] = 2147483648.0: must be from -2.14"),
-        ("labels", -(2.0**31), "labels[1, 2] = -2147483648.0: must be from -2.14"),
+        ("labels", 2.0**31, "labels[1, 2] = 2147483648.0: must be from -2147483647 to 2147483647"),
+        (
+            "labels",
+            -(2.0**31),
+            "labels[1, 2] = -2147483648.0: must be from -2147483647 to 2147483647",
+        ),
     ],
 )
 def test_each_array_of_a_scene_has_its_range(field, value, words):

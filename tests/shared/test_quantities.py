@@ -148,7 +148,7 @@ def test_a_told_number_comes_back(value):
 
 
 @pytest.mark.parametrize(
-    ("value", "told"), [(3.0, "3"), (0.25, "0.25"), (1e12, "1e+12"), (1234567, "1234567")]
+    ("value", "told"), [(3.0, "3"), (0.25, "0.25"), (1e12, "1e+12"), (1234567.0, "1234567")]
 )
 def test_a_told_number_is_short(value, told):
     assert told_number(value) == told
