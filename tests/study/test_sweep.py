@@ -429,7 +429,9 @@ def test_what_a_killed_sweep_left_half_written_goes_and_nothing_else(tmp_path):
     assert set(finished.folder.iterdir()) > kept
     with finished:
         assert set(finished.folder.iterdir()) == kept
-    assert json.loads((finished.folder / "0123456789ab.json").read_text(encoding="utf-8")) == {"edges": 1}
+    assert json.loads((finished.folder / "0123456789ab.json").read_text(encoding="utf-8")) == {
+        "edges": 1
+    }
 
 
 @pytest.mark.parametrize(
