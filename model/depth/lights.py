@@ -38,7 +38,7 @@ class _Work(NamedTuple):
     best: np.ndarray  # int32[BLOCK], number of the likeliest light
     line: np.ndarray  # float32[BLOCK * lights], log likelihoods of a pixel
     prior: np.ndarray  # float32[lights], that the log likelihoods have
-    more: np.ndarray  # float32[lights], by which it exceeds that of all pixels
+    more: np.ndarray  # float32[BLOCK * lights], by which it exceeds that of all pixels
     where: np.ndarray  # float32[lights], logarithms of the lights
     alone_below: np.float32  # level, below which the likeliest light counts alone
 
@@ -173,7 +173,7 @@ def mean_over_lights(
         best=np.zeros(BLOCK, np.int32),
         line=np.empty(BLOCK * lights, np.float32),
         prior=prior.copy(),
-        more=np.zeros(lights, np.float32),
+        more=np.zeros(BLOCK * lights, np.float32),
         where=where,
         alone_below=np.float32(alone_below),
     )
@@ -184,7 +184,9 @@ def mean_over_lights(
         if pixels.mask[i]:
             for x in range(lights):
                 work.prior[x] = own_prior[i, x]
-                work.more[x] = own_prior[i, x] - prior[x]
+            for k in range(BLOCK):
+                for x in range(lights):
+                    work.more[k * lights + x] = own_prior[i, x] - prior[x]
             _mean_of_pixel(common, pixels, i, lightest, work, of_all, own)
         else:
             own.level[:] = 0
@@ -245,9 +247,9 @@ def _mean_of_pixel(
         everywhere = common[(first + k) * lights : (first + end) * lights]
         here = total[k * lights : end * lights]
         line = work.line[: len(here)]
-        for j in range(0, len(here), lights):
-            for x in range(lights):
-                line[j + x] = everywhere[j + x] + here[j + x] + work.more[x]
+        more = work.more[: len(here)]
+        for j in range(len(here)):
+            line[j] = everywhere[j] + here[j] + more[j]
         _mean(line, lightest, work, _Levels(own.level[k:end], own.light[k:end]))
         k = end
 
