@@ -31,9 +31,8 @@ class SourceSettings:
     tick: np.ndarray  # int64[subgroups, pixels of one], earliest tick of a pixel's echo
     level: np.ndarray  # int64[subgroups, pixels of one], probability of an echo, in 2^-8
     spread: int = integer(0, 0, chip.SPREAD_MAX)  # an echo is up to 2^spread - 1 ticks late
-    dead_cycles: int = integer(
-        1, 1, chip.DEAD_MAX
-    )  # from an edge to the earliest next edge of its pixel
+    # from an edge to the earliest next edge of its pixel
+    dead_cycles: int = integer(1, 1, chip.DEAD_MAX)
     seed: int = integer(1, 0, MASK)  # 32 bits
 
     def __attrs_post_init__(self) -> None:

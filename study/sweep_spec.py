@@ -24,7 +24,7 @@ from ..model.light.timing import Timing
 from ..model.scenes.ambient import ambient_klux
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.scene import Scene
-from ..model.shared.errors import SEED_MAX, InputError, check_integer
+from ..model.shared.errors import SEED_MAX, InputError, check_integer, out_of_range
 from ..model.shared.files import FilePath
 from ..model.shared.quantities import check_choice, check_real, check_switch
 from .simulate import settings_of
@@ -140,9 +140,14 @@ def _axes(tables: object) -> list[dict[str, list[Any]]]:
                 shown = ", ".join(f"{name} = {values[i]!r}" for name, values in axis.items())
                 raise InputError(f"axis[{number}]: {shown} comes twice")
         axes.append(axis)
-    total = math.prod(map(_length, axes))
-    total = check_integer("points of the grid", total, 1, POINTS_MAX)
+    _check_points(math.prod(map(_length, axes)))
     return axes
+
+
+def _check_points(total: int) -> None:
+    """Raise `InputError` if a grid has no points, or too many."""
+    if not 1 <= total <= POINTS_MAX:
+        raise out_of_range("points of the grid", total, 1, POINTS_MAX)
 
 
 def _placed(name: str) -> str:

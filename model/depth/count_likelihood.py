@@ -21,7 +21,7 @@ from ..shared.compiled import njit, part
 from . import portable
 from .evidence import WAYS, Pixels
 from .histograms import by_subgroup
-from .light_prior import LightPrior, fall, learned_prior, mean_prior, own_priors
+from .light_prior import LightPrior, learned_prior, mean_prior, own_priors
 from .lights import add_light_chances, mean_over_lights
 from .likelihood import Grid, Levels
 from .pulse_ticks import PulseTicks
@@ -90,7 +90,7 @@ def count_likelihood(
     light = np.empty((sensor.array_pixels, bins), np.uint8)
     place = by_subgroup(np.arange(sensor.array_pixels), sensor)
     where = portable.log(lights).astype(np.float32)
-    fallen = fall((first + bins / 2) * grid.step)
+    fallen = grid.fallen(first, bins)
 
     def evidence(s: int) -> Pixels:
         total = np.empty((sensor.pixels, bins * len(lights)), np.float32)

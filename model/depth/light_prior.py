@@ -33,9 +33,7 @@ class LightPrior(NamedTuple):
     """How frequent lights are, for surfaces at a distance of one tick."""
 
     first: float  # logarithm of the first light
-    share: (
-        np.ndarray
-    )  # float64[n], of the pixels with each light; empty: all lights are as frequent
+    share: np.ndarray  # float64[n], of the pixels with each light; empty: all are as frequent
 
 
 EVEN = LightPrior(first=0.0, share=np.empty(0))

@@ -160,8 +160,8 @@ def mean_over_lights(
 
     A masked pixel favours no time. common, pixels: from `add_events`; `common` is used up. prior:
     float32[lights], where no event hit a pixel; own_prior: float32[pixels, lights], where one did.
-    where: float32[lights], logarithms of the lights. lightest: index of the first
-    of them in the grid. place: int64[pixels], row of each pixel in the results, level and light.
+    where: float32[lights], logarithms of the lights. lightest: index of the first of them in the
+    grid. place: int64[pixels], row of each pixel in the results, level and light.
     alone_below: level, below which the likeliest light counts alone instead of the mean.
     """
     lights = len(prior)

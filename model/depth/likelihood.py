@@ -54,6 +54,13 @@ class Grid(NamedTuple):
     lights: np.ndarray  # float32[L], photons per pulse
     prior: LightPrior | None  # of the lights; None: to be learned
 
+    def fallen(self, first: np.ndarray, bins: int) -> np.ndarray:
+        """float64, as `first`: of `fall`, in the middle of each pixel's times.
+
+        first: int64, index of a pixel's first time. bins: number of its times.
+        """
+        return fall((first + bins / 2) * self.step)
+
 
 class Levels(NamedTuple):
     """What is known of each pixel's times, [rows, cols, bins]."""
@@ -79,7 +86,7 @@ class _Frame(NamedTuple):
     guess: Guess | None
     known: np.ndarray  # bool[subgroups, pixels]: does the guess know the pixel's time?
     lights: list[slice]  # by subgroup, the lights of the grid that its pixels may have
-    fallen: np.ndarray  # float64[subgroups, pixels], of `fall`, in the middle of a pixel's times
+    fallen: np.ndarray  # float64[subgroups, pixels], of the grid
     clusters: list[SubgroupEvents]  # by subgroup
     origins: np.ndarray  # int64[subgroups], first time that some pixel wants
     spans: np.ndarray  # int64[subgroups], times from it to the last one that some pixel wants
@@ -156,7 +163,7 @@ def log_likelihood(
         guess=guess,
         known=known,
         lights=lights,
-        fallen=fall((first + bins / 2) * grid.step),
+        fallen=grid.fallen(first, bins),
         clusters=[],
         origins=origins,
         spans=np.clip(first.max(axis=1) + bins, origins + 1, times) - origins,

@@ -99,7 +99,8 @@ def test_a_plane_has_the_score_of_all_pixels_at_its_times(shape):
     field, _ = field_of(plane_ticks(*shape))
     planes = fit_planes(field, in_blocks(shape[0]))
     rarity = (1 + (planes.down / SLOPE) ** 2) * (1 + (planes.right / SLOPE) ** 2)
-    # The neighbours of an exact plane all have their most on it, but for what is between their bins.
+    # The neighbours of an exact plane all have their most on it, except for what is between their
+    # bins.
     most = field.left[:, :, 0] - SLOPE_COST * np.log(rarity)
     assert most.min() > 3.0
     assert planes.score == pytest.approx(most, rel=0.03)

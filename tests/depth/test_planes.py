@@ -210,7 +210,7 @@ def test_the_light_is_learned_from_the_frame(link_gbps):
     )  # fmt: skip
     share = np.exp(own_priors(levels.prior, LIGHTS, fall(time.ravel())))
     light = light.ravel()[:, None]
-    near = (light / 4 < LIGHTS) & (light * 4 > LIGHTS)
+    near = (light / 3 < LIGHTS) & (light * 3 > LIGHTS)
     assert np.all((share * near).sum(axis=1) > 0.75)
 
 

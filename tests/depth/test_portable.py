@@ -19,7 +19,7 @@ FUNCTIONS = [
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
 @pytest.mark.parametrize(("function", "of_numpy", "values"), FUNCTIONS)
-def test_they_are_those_of_numpy_but_for_the_last_bits(function, of_numpy, values, kind):
+def test_they_are_those_of_numpy_except_for_the_last_bits(function, of_numpy, values, kind):
     values = values.astype(kind)
     found = function(values)
     assert found.dtype == kind
