@@ -7,11 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from coincid.lab import long_frames
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene
+from coincid.model.shared.errors import InputError
 from coincid.study.show import report
 from coincid.study.show.frame_content import FrameView, seen_objects
 
@@ -235,3 +237,20 @@ def test_a_report_holds_the_times_of_a_frame_with_the_longest_gaps():
     assert line.fill_cycle.max() > 1 << 31
     assert np.array_equal(found["fill"].data["cycle"], line.fill_cycle)
     assert found["starts"] == line.start_cycles.tolist()
+
+
+def test_periods_of_a_long_frame_are_those_whose_edges_are_kept(scene, monkeypatch):
+    """Of the subgroup and the pulse that were asked for."""
+    setup = Setup.of(scene, sensor={"rows": ROWS, "cols": COLS}, frame={"pulses": 20}, klux=20.0)
+    monkeypatch.setattr(long_frames, "EDGES_MAX", 0)
+    monkeypatch.setattr(long_frames, "EDGES_SHOWN_MAX", 600)
+    view = FrameView("a frame", Run(setup).frame())
+    kept = view.pulses_seen
+    assert 1 < kept < 20
+    found, whole = view.period(1, kept - 1), view.timeline.period(1, kept - 1)
+    assert len(found.tick)
+    for name in ("tick", "pixel", "fate"):
+        assert np.array_equal(getattr(found, name), getattr(whole, name))
+    for pulse in (-1, kept, 19):
+        with pytest.raises(InputError, match=f"pulse.*{pulse}.*from 0 to {kept - 1}"):
+            view.period(1, pulse)
