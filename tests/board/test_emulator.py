@@ -41,6 +41,7 @@ from coincid.board.serial_link import (
 from coincid.board.serial_transport import Deframer, SerialTransport, frame
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.board.source_model import SourceSettings, source_edges
+from coincid.host.driver import Status
 from coincid.host.transport import DeviceResetError, HostError, LinkError, RefusedError
 from coincid.model.contract.config import sensor_table
 from coincid.model.contract.packet import built_formats
@@ -241,6 +242,20 @@ def test_a_frame_larger_than_the_buffer(port):
     driver.program(config())
     driver.write_settings(settings.register_writes(SENSOR))
     check_frames(driver, config(), settings, [1, 2])
+
+
+@pytest.mark.parametrize(
+    ("busy", "told"), [(False, "nothing more came for 0.05 s"), (True, "no frame end after 0.05 s")]
+)
+def test_a_frame_is_waited_for_as_long_as_asked(port, busy, told):
+    """For its beats, and for its end."""
+    driver = programmed(port, config(pulses=1), source())
+    if busy:
+        driver.status = lambda: Status(busy=True, done=False)
+    else:
+        driver.start = lambda: None
+    with pytest.raises(HostError, match=told):
+        driver.frame(seconds=0.05)
 
 
 def test_a_line_that_spoils_bytes(port):

@@ -294,6 +294,11 @@ def test_outcomes_do_not_depend_on_the_workers():
     assert [len(group) for group in found[0].values()] == [2, 1]
 
 
+@pytest.mark.parametrize(("asked", "taken"), [(None, os.cpu_count()), (1, 1), (3, 3)])
+def test_there_is_one_worker_per_core_unless_a_number_is_asked_for(asked, taken):
+    assert Processes(asked).workers == taken
+
+
 def test_a_campaign_continues_and_plays_equal_setups_once(tmp_path):
     finished = FinishedFiles(tmp_path, NAMES)
     asked = []

@@ -401,6 +401,17 @@ def test_channel_maps(tmp_path):
             edges_of(tmp_path / "a.csv", channels=channels)
 
 
+@pytest.mark.parametrize(
+    ("last", "told"), [(18, ", ".join(map(str, range(3, 19)))), (20, r"3, 4, .*, 18, \.\.\. 20")]
+)
+def test_of_many_channels_the_first_and_the_last_are_told(last, told, tmp_path):
+    """16 of them, and the last one."""
+    lines = [f"0,{channel},5\n" for channel in range(3, last + 1)]
+    (tmp_path / "a.csv").write_text("sync,channel,time_ps\n" + "".join(lines), encoding="utf-8")
+    with pytest.raises(InputError, match=f"channel 2 is not .* one of {told}$"):
+        edges_of(tmp_path / "a.csv", channels={2: 0})
+
+
 @pytest.mark.long
 def test_recording_replays_alike_through_model_and_rtl(tmp_path):
     """From a scene's photons to a recording and back to edges, on the command line."""

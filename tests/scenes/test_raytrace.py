@@ -172,6 +172,19 @@ def test_transient_file_and_depth(tmp_path):
     )
 
 
+def test_shade_lies_on_a_ray_traced_scene_as_on_another_one():
+    """The sun leaves as much light as the scene's part of it says."""
+    transient = synthetic(np.full((1, 2, 5), 1e-4))
+    scene = Scene(
+        name="t", distance_m=[[5.0, 6.0]], reflectivity=0.4, transient=transient, sunlit=[[1, 0.1]]
+    )
+    in_sun, in_shade = (
+        scene_light(scene, 50.0).total_background_cps - scene_light(scene, 0.0).total_background_cps
+    )
+    assert in_sun > 0
+    assert in_shade == pytest.approx(0.1 * in_sun)
+
+
 @pytest.fixture
 def stub(monkeypatch, tmp_path):
     """A renderer that returns `stub.transient` for any file, and counts its calls; it does not need

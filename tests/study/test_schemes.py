@@ -10,7 +10,13 @@ from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.scenes.catalogue import load_scene
 from coincid.study.progress import Bar
-from coincid.study.schemes import best_threshold, long_scheme_runs, scheme_runs, seeing_all
+from coincid.study.schemes import (
+    PROGRESS_PARTS,
+    best_threshold,
+    long_scheme_runs,
+    scheme_runs,
+    seeing_all,
+)
 from coincid.study.simulate import LINK_FORMAT, LINK_GBPS, with_link
 
 
@@ -68,6 +74,18 @@ def test_all_frames_are_for_the_controller_and_for_what_moves(sensor, form, stil
     assert seeing_all(config, load_scene(walls_m, 8, 8)) == moving
 
 
+class Recording(Bar):
+    """amounts: the finished amounts that its last stage showed."""
+
+    def stage(self, name, total=None):
+        super().stage(name, total)
+        self.amounts = []
+
+    def done(self, amount, total=None):
+        super().done(amount, total)
+        self.amounts.append(amount)
+
+
 @pytest.mark.parametrize("threshold", [None, 2])
 @pytest.mark.parametrize("controller", [0, 1])
 def test_schemes_of_a_long_run_see_the_pictures_of_their_frames(controller, threshold):
@@ -76,9 +94,11 @@ def test_schemes_of_a_long_run_see_the_pictures_of_their_frames(controller, thre
     given = None if threshold is None else np.full_like(run.config.threshold, threshold)
     fixed = np.full_like(run.config.threshold, best_threshold(run)) if given is None else given
     usual = scheme_runs(run, fixed)
-    with Bar(Console(quiet=True)) as bar:
+    with Recording(Console(quiet=True)) as bar:
         long, found = long_scheme_runs(run, given, bar)
     assert found.tolist() == fixed.tolist()
+    assert bar.amounts == sorted(bar.amounts)
+    assert 0 < bar.amounts[0] < PROGRESS_PARTS == bar.amounts[-1]
     assert list(long) == list(usual)
     for name, one in long.items():
         other = usual[name]
