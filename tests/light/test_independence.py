@@ -6,6 +6,7 @@ show in rank correlations.
 import itertools
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from coincid.model.light.light import Light
@@ -73,6 +74,37 @@ def test_sides_and_successive_avalanches_of_crosstalk():
             )
     assert all(0.2 < column.mean() < 0.3 for column in struck.values())
     assert_independent(struck)
+
+
+@pytest.mark.parametrize(
+    "jitter",
+    [
+        {"jitter_fwhm_s": 300e-12},
+        {"jitter_fwhm_s": 0, "jitter_tail_fraction": 1, "jitter_tail_s": 300e-12},
+        {"jitter_fwhm_s": 50e-12, "jitter_tail_fraction": 0.5, "jitter_tail_s": 900e-12},
+    ],
+)
+def test_jitter_of_successive_avalanches(jitter):
+    """For a pixel that fires three times per pulse: when each of the three avalanches is seen; its
+    Gaussian, the length of its tail, and whether it has one.
+    """
+    pulses, distances_m = 6000, np.array([10.0, 10.0 + APART_M, 10.0 + 2 * APART_M])
+    light = Light(
+        rows=1,
+        cols=1,
+        distance_m=distances_m[None],
+        signal_per_pulse=np.full((1, 3), ALWAYS),
+        background_cps=0.0,
+        system_fwhm_s=max(10e-12, jitter["jitter_fwhm_s"]),
+    )
+    edges = generate_edges(light, Spad(**jitter), TIMING, pulses=pulses, seed=6)
+    half = APART_M / SPEED_OF_LIGHT_M_S / TIMING.tick_s
+    seen = {}
+    for avalanche, distance_m in enumerate(distances_m):
+        at = 2 * distance_m / SPEED_OF_LIGHT_M_S / TIMING.tick_s
+        seen[f"avalanche {avalanche}"] = first_ticks(edges, 0, pulses, at - half, at + half)
+    assert all(np.all(column >= 0) for column in seen.values())
+    assert_independent(seen)
 
 
 def test_pixels_and_pulses():

@@ -403,9 +403,27 @@ def test_light_in_bins_is_as_wide_as_that_of_the_first_target():
         system_fwhm_s=[[500e-12, 5e-9]],
         arrivals=arrivals,
     )
+    assert bins.total_signal.tolist() == [0.5]
     edges = edges_of(bins, pulses=2000)
     expected_s = 500e-12 * SIGMA_PER_FWHM
     assert np.std(time_s(edges)) == pytest.approx(expected_s, rel=0.1)
+
+
+def test_targets_and_light_in_bins_add_up():
+    """In the edges, and in the signal that a light tells of each pixel."""
+    both = Light(
+        rows=1,
+        cols=3,
+        distance_m=np.array([[10.0, 20.0]] * 3),
+        signal_per_pulse=np.array([[0.1, 0.05], [0.2, 0.0], [0.0, 0.0]]),
+        background_cps=0.0,
+        arrivals=Arrivals(first=[0, 2, 2, 3], start_s=np.ones(3) * 90e-9, photons=[0.1, 0.2, 0.4]),
+    )
+    assert both.total_signal == pytest.approx([0.45, 0.2, 0.4])
+    pulses = 4000
+    fired = np.bincount(edges_of(both, pulses=pulses).pixel, minlength=3)
+    for edges_of_pixel, mean in zip(fired, both.total_signal * pulses, strict=True):
+        assert_mean(edges_of_pixel, mean, math.sqrt(mean))
 
 
 def test_targets_of_a_pixel_share_its_edges():

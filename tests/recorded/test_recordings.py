@@ -875,10 +875,11 @@ def test_a_divider_of_0_in_the_header_is_none(tmp_path):
         "# Sync,Channel,Time_ps",
     ],
 )
+@pytest.mark.parametrize("numbers", ["3,3,250031.25", '"3","3","250031.25"'])
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
-def test_names_of_columns_as_programs_write_them(tmp_path, head, separator):
-    """In capitals, in quotes, with spaces, as a comment."""
+def test_names_of_columns_as_programs_write_them(tmp_path, head, separator, numbers):
+    """In capitals, in quotes, with spaces, as a comment; with numbers in quotes."""
     path = tmp_path / "a.csv"
-    lines = [head, "3,3,250031.25"]
+    lines = [head, numbers]
     path.write_text("\n".join(lines).replace(",", separator) + "\n", encoding="utf-8")
     assert edges_of(path) == ([(3, 3, 4000)], {})
