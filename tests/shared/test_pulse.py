@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from coincid.model.shared.errors import InputError
-from coincid.model.shared.pulse import Pulse, pulse_of, with_pulse
+from coincid.model.shared.pulse import SAMPLES_MAX, TIME_MAX_S, Pulse, pulse_of, with_pulse
 
 TIME_PS = [-100.0, 0.0, 300.0, 400.0]  # unevenly apart
 DENSITY = [0.0, 2.0, 2.0, 0.0]
@@ -41,3 +41,42 @@ def test_a_result_has_both_arrays_of_its_pulse_or_none():
     for name in set(arrays) - {"stamp"}:
         with pytest.raises(InputError, match="must have both"):
             Pulse.of_result({name: arrays[name]})
+
+
+@pytest.mark.parametrize(
+    "time_s", [(0.0, 1e-9), (-1e-9, 0.0), (-TIME_MAX_S, TIME_MAX_S), (-1e-12, 0.0, 1e-12)]
+)
+def test_time_0_and_the_ends_of_the_range_are_legal_samples(time_s):
+    pulse = Pulse(time_s=np.array(time_s), density=np.ones(len(time_s)))
+    assert pulse.share_before[[0, -1]].tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("time_s", [(1e-12, 1e-9), (-1e-9, -1e-12)])
+def test_time_0_lies_within_the_samples(time_s):
+    with pytest.raises(InputError, match=r"pulse.time_s: 0, .* must lie within"):
+        Pulse(time_s=np.array(time_s), density=np.ones(2))
+
+
+@pytest.mark.parametrize("time_s", [(0.0, 0.0, 1e-9), (-1e-9, 1e-9, 0.5e-9)])
+def test_samples_ascend(time_s):
+    with pytest.raises(InputError, match="pulse.time_s: must ascend"):
+        Pulse(time_s=np.array(time_s), density=np.ones(3))
+
+
+@pytest.mark.parametrize("samples", [2, SAMPLES_MAX])
+def test_a_pulse_has_any_legal_number_of_samples(samples):
+    pulse = Pulse(time_s=np.linspace(-1e-9, 1e-9, samples), density=np.ones(samples))
+    assert pulse.share_before == pytest.approx(np.linspace(0, 1, samples))
+
+
+@pytest.mark.parametrize("samples", [1, SAMPLES_MAX + 1])
+def test_other_numbers_of_samples_are_refused(samples):
+    with pytest.raises(InputError, match=f"must have 2 to {SAMPLES_MAX} samples"):
+        Pulse(time_s=np.linspace(0, 1e-9, samples), density=np.ones(samples))
+
+
+@pytest.mark.parametrize("kind", [np.int16, np.uint16, np.int64, np.float32, np.float64])
+def test_an_array_of_a_pulse_may_hold_any_real_numbers(kind):
+    pulse = pulse_of(np.array([(0, 1), (100, 2), (400, 0)], kind))
+    assert pulse.time_s == pytest.approx([0, 100e-12, 400e-12])
+    assert pulse.density.tolist() == [1, 2, 0]
