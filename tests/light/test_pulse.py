@@ -51,11 +51,20 @@ def test_pulse_of_csv_and_npy_files(tmp_path):
 
 
 def test_array_of_a_pulse_is_its_file(tmp_path):
+    """With every digit, whatever kind of numbers it has."""
+    path = tmp_path / "pulse.npy"
     columns = np.stack([TIME_S * 1e12, DENSITY], axis=1)
-    np.save(tmp_path / "pulse.npy", columns)
-    for source in (columns, tmp_path / "pulse.npy", str(tmp_path / "pulse.npy")):
-        np.testing.assert_array_equal(pulse_of(source).density, DENSITY)
+    for kind in (np.float64, ">f8", np.int16):
+        own = (columns + 1 / 3).astype(kind)
+        np.save(path, own)
+        for source in (own, path, str(path)):
+            pulse = pulse_of(source)
+            np.testing.assert_array_equal(pulse.time_s, own[:, 0].astype(float) * 1e-12)
+            np.testing.assert_array_equal(pulse.density, own[:, 1])
     assert pulse_of(None) is None
+    np.save(path, columns.astype(object), allow_pickle=True)
+    with pytest.raises(InputError, match="pulse.npy: is not a readable NPY file"):
+        pulse_of(path)
     for source in (5, columns.T, columns.astype(str)):
         with pytest.raises(InputError, match="^pulse"):
             pulse_of(source)

@@ -3,6 +3,7 @@
 format; errors are reported.
 """
 
+import re
 import struct
 
 import h5py
@@ -145,8 +146,13 @@ def test_t2_by_hand(tmp_path, kind, wrap):
 def test_t2_of_the_picoharp(tmp_path):
     """4 bits of channel, with 0 as the sync input; 4 ps."""
     records = [0 << 28 | 1000, 1 << 28 | 1000 + 16, 2 << 28 | 1000 + 32]
-    found, _ = edges_of(ptu(tmp_path / "a.ptu", records, kind=PICOHARP_T2, clock_s=4e-12))
-    assert found == [(0, 0, 1), (0, 1, 2)]
+    path = ptu(tmp_path / "a.ptu", records, kind=PICOHARP_T2, clock_s=4e-12)
+    found, lost = edges_of(path)
+    assert found == [(0, 0, 1), (0, 1, 2)] and not lost
+    found, lost = edges_of(path, sync_channel=0)  # a trigger on an input
+    assert found == [(0, 1, 1)] and not lost
+    with pytest.raises(InputError, match=r"on input 2: .*\(inputs with events: 0, 1\)"):
+        edges_of(path, sync_channel=2)
 
 
 @pytest.mark.parametrize("lines", [5, 6])
@@ -486,6 +492,28 @@ def test_times_keep_their_picoseconds(tmp_path):
     np.savez(tmp_path / "c.npz", channel=channel, time_ps=ps.astype(float))
     with pytest.raises(InputError, match="below 2.53 in a column of floats"):
         edges_of(tmp_path / "c.npz", sync_channel=0)
+
+
+@pytest.mark.parametrize("column", ["sync", "channel"])
+def test_numbers_of_triggers_and_channels_are_exact_or_refused(tmp_path, column):
+    """Integers of any size are; floats are up to 2^53."""
+    table = {"sync": [0, 1, 2], "channel": [3, 3, 3], "time_ps": [5, 6, 7]}
+
+    def read(numbers):
+        np.savez(tmp_path / "a.npz", **table | {column: numbers})
+        return getattr(read_recording(tmp_path / "a.npz"), column).tolist()
+
+    whole = [0, 2**62 + 1, 1]
+    assert read(np.array(whole)) == read(np.array(whole, np.uint64)) == whole
+    for kind in (np.uint8, np.float32):
+        assert read(np.array([0, 200, 1], kind)) == [0, 200, 1]
+    assert read(np.array([0.0, 2.0**53 - 1, 1.0])) == [0, 2**53 - 1, 1]
+    for wrong in (2.0**53, 0.5, np.nan, np.inf):
+        says = re.escape(
+            f"a.npz: {column}[1] = {wrong}: must be an integer, below 2^53 in a column"
+        )
+        with pytest.raises(InputError, match=says):
+            read(np.array([0.0, wrong, 1.0]))
 
 
 def scan(tmp_path, records, rows, cols):

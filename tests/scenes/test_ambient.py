@@ -7,14 +7,23 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from coincid.model.scenes.ambient import ambient_klux
+from coincid.model.scenes.ambient import ambient_klux, told_klux
 from coincid.model.scenes.catalogue import load_scene, usual_klux
 from coincid.model.scenes.scene import scene_light
 from coincid.model.shared.errors import InputError
 
 
-def test_numbers_and_halves():
-    assert ambient_klux("50", 4, 4) == ambient_klux(50, 4, 4) == 50
+@pytest.mark.parametrize("text", ["0", "0.0", "50", "0.25", "1e-3", "2.5e2", " 7 "])
+def test_the_text_of_a_number_is_the_number(text):
+    """Also no light at all, in which case nothing is a file of that name."""
+    klux = float(text)
+    assert ambient_klux(text, 4, 4) == ambient_klux(klux, 4, 4) == klux
+    assert told_klux(text) == told_klux(klux) == klux
+    assert np.array_equal(ambient_klux(f"{text}|3", 1, 2), [[klux, 3]])
+    assert np.array_equal(ambient_klux(f"3|{text}", 1, 2), [[3, klux]])
+
+
+def test_halves():
     half = ambient_klux("2|100", 3, 6)
     assert np.all(half[:, :3] == 2) and np.all(half[:, 3:] == 100)
 
