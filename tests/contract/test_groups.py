@@ -213,7 +213,13 @@ def test_only_the_damaged_group_is_told(form):
     for first, _ in _bounds(ends):
         shown = beats.copy()
         shown[first] ^= np.uint64(1)
-        assert decode_frame(shown, config.sensor, 2).damaged.tolist() == [first]
+        found = decode_frame(shown, config.sensor, 2)
+        assert found.damaged.tolist() == [first]
+        says = (
+            f"^{found.missing} events of the frame were damaged on their way, near beats {first}$"
+        )
+        with pytest.raises(StreamError, match=says):
+            found.check()
 
 
 def _bounds(ends):

@@ -58,6 +58,24 @@ def test_frames_have_all_edges_and_events_once(run):
         assert own.pulse.max() < FRAME["pulses"]
 
 
+@pytest.mark.parametrize(("workers", "begun"), [(1, [0, 1, 2]), (2, [0, 2])])
+def test_a_run_tells_which_part_of_its_frames_is_played(workers, begun):
+    """When it begins those that are played side by side; and how many edges there are."""
+    told = []
+    frame = {"frames": FRAMES, "pulses": 4, "period": 60}
+    sensor = {"rows": 8, "cols": 8}
+    setup = Setup.of("flat:4", klux=20.0, sensor=sensor, frame=frame, estimators=("background",))
+    run = Run(setup, workers=workers, watch=lambda *of: told.append(of))
+    _ = run.result
+    edges = len(run.edges)
+    assert edges > 0
+    played = [of[1:] for of in told if of[0] == "golden model"]
+    assert played == [(number / FRAMES, edges) for number in begun]
+    made = [of[1:] for of in told if of[0] == "photons"]
+    assert len(played) + len(made) == len(told) and made == sorted(made)
+    assert all(0 <= share <= 1 and number <= edges for share, number in made)
+
+
 @pytest.mark.parametrize("wrong", [{"pulse": 40}, {"pixel": 64}, {"tick": 10_000}])
 def test_edges_of_ones_own_are_checked(wrong):
     """Also the last ones, which a frame of its own would not have."""

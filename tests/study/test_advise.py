@@ -12,7 +12,7 @@ from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup, for_pictures
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.scenes.catalogue import load_scene
-from coincid.study.advise import Advice, Tried, advise, cheapest, write_advice
+from coincid.study.advise import Advice, Tried, advise, cheapest, links_of, write_advice
 from coincid.study.advise import _limit as limit
 from coincid.study.explain import meaning, warnings
 from coincid.study.price import (
@@ -238,6 +238,19 @@ def test_links_are_tried_with_the_coincidence_that_was_chosen(auto):
     for tried in (advice.best, *advice.links):
         assert tried.config.coincidence.all(), tried.config
         assert np.array_equal(tried.config.threshold, advice.chosen.config.threshold)
+
+
+@pytest.mark.parametrize(
+    ("clock_mhz", "gap", "slowest_gbps"),
+    [(500, 0, 1.0), (500, 1, 0.05), (800, 1, 0.05), (801, 1, 0.1), (1600, 1, 0.1), (1601, 1, 0.25)],
+)
+def test_all_links_are_tried_that_a_sensor_may_have(clock_mhz, gap, slowest_gbps):
+    """From the slowest legal one on; those below 1 Gbit/s only if the pulses are apart."""
+    config = parse_config({"frame": {"clock_mhz": clock_mhz, "gap": gap}})
+    rates_gbps = [0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0]
+    tried = links_of(config)
+    assert tried == [one for one in rates_gbps if one >= slowest_gbps]
+    assert [config.with_frame(link_gbps=one).frame.link_gbps for one in tried] == tried
 
 
 def test_what_would_help_a_near_scene_stays_in_front_of_the_sensor(monkeypatch):
