@@ -13,10 +13,13 @@ from amaranth.hdl import ClockDomain, Module
 from amaranth.sim import Simulator
 
 from coincid.flow.contract_tables import counts_table
+from coincid.flow.limits import beats_beside_cycles
 from coincid.flow.ports import EXAMPLE, UNDEFINED, instantiation, pages, port_rows, stream_words
 from coincid.flow.release import README, release_files
+from coincid.flow.release import _readme as readme
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.front_end_views import POLYPHASE, view_at
+from coincid.hdl.registers import read_cycles_max, write_cycles_max
 from coincid.hdl.sensor import FPGA_TOP, SensorTop
 from coincid.model.contract.latency import BEAT_TO_PORT, COMMIT, GRANT_TO_BEAT, STORE_TO_GRANT
 from coincid.model.contract.packet import FORMATS, header_field
@@ -69,6 +72,25 @@ def check_rows(sensor, top, view, text):
     )
     assert instantiation(sensor, top, view) in text(README)
     assert all(row.meaning and bool(row.reset) == (row.direction == "out") for row in rows)
+
+
+def test_the_readme_has_the_limits_of_its_sensor():
+    """Of the stream that has the most subgroups."""
+    table = {"rows": 8, "cols": 24, "streams": 2}
+    of = configured(table, {"pulses": 7, "period": 90, "gap": 5, "clock_mhz": 400})
+    write, read = write_cycles_max(of.sensor), read_cycles_max(of.sensor)
+    beside = [beats_beside_cycles(of.sensor, stream) for stream in range(2)]
+    assert write != read and beside[0] != beside[1]
+    text = readme(of, {TOP: [f"{TOP}.v"]}, POLYPHASE)
+    for told in (
+        f"A write is answered at most {write} cycles after its address and its data were taken",
+        f"a read at most {read} cycles after its address was.",
+        f"(cycles of gaps and dither) + {max(beside)} beats on a stream:",
+        f": {7 * 90 + 6 * 5 + max(beside)} with 7 pulses of 90 cycles.",
+        "8 x 24",
+        "400 MHz",
+    ):
+        assert told in text, told
 
 
 def test_outputs_after_a_reset_are_as_told():

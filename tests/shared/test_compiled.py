@@ -9,6 +9,7 @@ import subprocess
 import sys
 
 import numba
+import numpy as np
 import pytest
 
 from coincid.model.shared.compiled import njit, part
@@ -168,3 +169,30 @@ def test_kernels_never_run_in_the_interpreter_and_never_hold_its_lock(kind):
     options = kind(lambda x: x).targetoptions
     assert options["nopython"] is True
     assert options["nogil"] is True
+
+
+@njit(error_model="numpy")
+def _inverse(number):
+    return 1 / number
+
+
+@njit
+def _plain_inverse(number):
+    return 1 / number
+
+
+def test_a_kernel_has_the_options_that_it_asks_for():
+    """Here what a division by zero is."""
+    assert _inverse(0.0) == np.inf
+    with pytest.raises(ZeroDivisionError):
+        _plain_inverse(0.0)
+
+
+@pytest.mark.parametrize("kind", [njit, part])
+@pytest.mark.parametrize("allocates", [False, True])
+def test_only_what_makes_no_arrays_counts_no_references(kind, allocates):
+    """Whatever else is asked for."""
+    for more in ({}, {"error_model": "numpy"}):
+        options = kind(allocates=allocates, **more)(lambda x: x).targetoptions
+        assert options.get("_nrt", True) is allocates
+        assert options.get("error_model") == more.get("error_model")

@@ -3,11 +3,15 @@
 
 import io
 import re
+import threading
 
 import pytest
 from rich.console import Console
 
+from coincid.study import progress
 from coincid.study.progress import Bar
+
+PATIENCE_S = 60.0  # that only a failure needs
 
 
 def all_shown(*steps, lines=False):
@@ -63,3 +67,42 @@ def test_without_a_terminal_nothing_is_shown_unless_lines_are_asked_for():
             for stage in (("photons", 0, 8), ("photons", 8, 8), ("depth", 0, 2)):
                 bar.at(*stage)
         assert text.getvalue() == told
+
+
+class Told(io.StringIO):
+    """Text that knows when a line has come twice."""
+
+    def __init__(self, line):
+        super().__init__()
+        self._line, self.twice = line, threading.Event()
+
+    def write(self, text):
+        written = super().write(text)
+        if self.getvalue().count(self._line) >= 2:
+            self.twice.set()
+        return written
+
+
+def test_a_long_stage_says_that_it_lasts(monkeypatch):
+    monkeypatch.setattr(progress, "LINE_EVERY_S", 0.05)
+    text = Told("photons: 0 s")
+    with Bar(Console(file=text), lines=True) as bar:
+        bar.stage("photons")
+        assert text.twice.wait(PATIENCE_S)
+        bar.stage("depth")
+    lines = text.getvalue().splitlines()
+    assert lines[0] == "photons" and lines[1] == "photons: 0 s" and "depth" in lines
+
+
+@pytest.mark.parametrize("terminal", (False, True))
+@pytest.mark.parametrize("lines", (False, True))
+def test_stages_that_last_are_watched_only_where_lines_tell_of_them(terminal, lines):
+    """Up to the end of the bar."""
+    others = set(threading.enumerate())
+    with Bar(Console(file=io.StringIO(), force_terminal=terminal), lines=lines):
+        watching = set(threading.enumerate()) - others
+        own = [thread for thread in watching if thread.name == "progress"]
+        assert len(own) == (lines and not terminal)
+    for thread in own:
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive()

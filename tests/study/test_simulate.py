@@ -8,7 +8,6 @@ import itertools
 import json
 import re
 import sys
-import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -350,18 +349,6 @@ def test_views_name_signals_of_the_waveform(tmp_path, simulator):
 def test_a_stage_that_compiles_says_so(compiled, told, monkeypatch):
     monkeypatch.setattr(progress, "is_compiled", lambda module: compiled)
     assert progress.first_time("photons", "coincid.model.light.photons") == told
-
-
-def test_a_long_stage_says_that_it_lasts(monkeypatch):
-    monkeypatch.setattr(progress, "LINE_EVERY_S", 0.05)
-    text = io.StringIO()
-    with progress.Bar(Console(file=text), lines=True) as bar:
-        bar.stage("photons")
-        while text.getvalue().count("photons: 0 s") < 2:
-            time.sleep(0.01)
-        bar.stage("depth")
-    lines = text.getvalue().splitlines()
-    assert lines[0] == "photons" and lines[1] == "photons: 0 s" and "depth" in lines
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
