@@ -171,6 +171,8 @@ def test_a_told_background_is_hardly_better():
                 threads=alone,
                 background=background,
             )
+        if background is not None:
+            assert np.array_equal(found.seen.background, background)
         depth_m = found.time[:, :, 0] * config.tick_m
         wrong.append(np.mean(~(np.abs(depth_m - run.scene.truth_m) < TOLERANCE_M)))
     learned, with_truth = wrong

@@ -613,6 +613,19 @@ def test_pane_and_fog_take_their_share(tracer, tmp_path):
     assert foggy.ambient == pytest.approx(1 + (0.4 - 1) * np.exp(-0.1 * ways_m), rel=0.01)
 
 
+CLEAR = '<medium type="homogeneous" id="clear"/>'
+UNEVEN = (
+    '<medium type="heterogeneous" id="uneven"><volume name="sigma_t" type="constvolume">'
+    '<float name="value" value="1"/></volume></medium>'
+)
+
+
+def cube(**sides):
+    """Return a cube with these media, by the side of its surface."""
+    media = "".join(f'<ref name="{side}" id="{medium}"/>' for side, medium in sides.items())
+    return f'<shape type="cube"><bsdf type="null"/>{media}</shape>'
+
+
 @pytest.mark.parametrize(
     "body, words",
     [
@@ -623,10 +636,14 @@ def test_pane_and_fog_take_their_share(tracer, tmp_path):
             "could not parse floating point value",
         ),
         ("<shape", "is not a scene that Mitsuba reads"),
-        (
-            '<medium type="heterogeneous" id="m"><volume name="sigma_t" type="constvolume"><float name="value" value="1"/></volume></medium>'
-            '<shape type="cube"><bsdf type="null"/><ref name="interior" id="m"/></shape>',
-            "heterogeneous medium, must be homogeneous",
+        *(
+            (CLEAR + UNEVEN + cubes, "heterogeneous medium, must be homogeneous")
+            for cubes in (
+                cube(interior="uneven"),
+                cube(exterior="uneven"),
+                cube(interior="clear", exterior="uneven"),
+                cube() + cube(interior="uneven", exterior="clear"),
+            )
         ),
         (
             '<shape type="sphere"><bsdf type="retroreflective"><float name="divergence" value="0"/></bsdf></shape>',

@@ -9,7 +9,9 @@ from pywellen import Waveform
 
 from coincid.hdl.export import units_files
 from coincid.hdl.subgroup_pair import SensorModule, Slice
+from coincid.host.transport import RefusedError
 from coincid.model.contract.parameters import TOP
+from coincid.model.contract.registers import address
 from coincid.model.contract.result import differences
 from coincid.model.golden.frame import Golden
 from coincid.tb import sliced
@@ -266,6 +268,32 @@ def test_registers_can_be_changed_in_a_frame():
     assert np.any(late & (record.commit_subgroup == 0)) and not np.any(
         late & (record.commit_subgroup == 1)
     )
+
+
+def test_a_refusal_names_its_access_and_is_over_after_it():
+    config = random_cases.configured(ODD, {"period": 60, "pulses": 3}, {"threshold": 1})
+    frame = job(Golden(config.sensor), config, 1)
+    nowhere, period = 0xFFC, address("period")
+    with SlicedSensor(config.sensor) as rtl:
+        rtl.driver.program(config)
+        for _ in range(2):
+            with pytest.raises(RefusedError, match="^read of 0x00ffc: SLVERR$"):
+                rtl.read(nowhere)
+            assert rtl.read(period) == config.period
+            with pytest.raises(RefusedError, match=f"^write of 0x0 to {period:#07x}: SLVERR$"):
+                rtl.write(period, 0)
+            assert rtl.read(period) == config.period
+        assert set(rtl.driver.status().errors) == {"bad_address", "bad_value"}
+        rtl.driver.clear()
+        rtl.write(period, config.sensor.guard)
+        rtl.begin(config, frame.edges)
+        with pytest.raises(RefusedError, match="^start: SLVERR, status 0x[0-9a-f]+$"):
+            rtl.end()
+        assert rtl.driver.status().errors == ("start_period",)
+        rtl.driver.clear()
+        rtl.write(period, config.period)
+        record = rtl.frame(config, frame.edges, frame.ready)
+        assert all(map(np.array_equal, record.beats, frame.expected.beats))
 
 
 def test_every_sensor_of_an_engine_shows_the_registers_of_its_own_subgroups():

@@ -61,6 +61,19 @@ def test_beside_a_frame_stands_that_of_a_or_its_last(
     assert page.link.new_words["words"]["number_heads"] == ["", ""]
 
 
+def test_what_is_kept_as_a_stands_beside_itself_at_once(page):
+    """In the tables, in the words about A, and in the pictures, before anything else is asked."""
+    kept = answered(page, threshold=2)
+    alone = page.views.histogram.figure.title.text
+    page._ordered(messages.KeepA())
+    words = page.link.new_words["words"]
+    expected = number_rows(kept.view(2), kept.view(2))
+    assert [list(row) for row in words["numbers"]] == [list(row) for row in expected]
+    assert words["number_heads"] == ["", "B", "A"] and words["ab"]
+    assert words["a_says"].removeprefix("A: ") in words["status"]
+    assert page.views.histogram.figure.title.text == alone
+
+
 def test_a_that_is_smaller_shows_its_last_pixel_and_pulse(page):
     """As long as it is looked at; B keeps its own."""
     answered(page, pulses=5)
