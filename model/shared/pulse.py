@@ -139,7 +139,7 @@ def pulse_of(source: PulseSource | None) -> Pulse | None:
     if isinstance(source, str | os.PathLike):
         return Pulse.load(source)
     if isinstance(source, np.ndarray) and source.dtype.kind in "iuf":
-        return Pulse._of_columns("pulse", source)
+        return Pulse._of_columns("pulse", np.asarray(source, np.float64))
     raise wrong_value("pulse", source, "a Pulse, an array [n, 2] of time_ps and density, or a file")
 
 

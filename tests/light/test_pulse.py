@@ -54,7 +54,7 @@ def test_array_of_a_pulse_is_its_file(tmp_path):
     """With every digit, whatever kind of numbers it has."""
     path = tmp_path / "pulse.npy"
     columns = np.stack([TIME_S * 1e12, DENSITY], axis=1)
-    for kind in (np.float64, ">f8", np.int16):
+    for kind in (np.float64, ">f8", np.float32, np.float16, np.int16):
         own = (columns + 1 / 3).astype(kind)
         np.save(path, own)
         for source in (own, path, str(path)):
