@@ -19,6 +19,7 @@ LEVEL = 1e-3  # of a test, for all its pairs together
 TIMING = Timing(clock_hz=10e9, phases=64, period_cycles=5000)  # 500 ns in ticks of 1.6 ps
 ALWAYS = 40.0  # photons per pulse: such a pixel fires in every one
 APART_M = 6.0  # between targets: 40 ns, five dead times
+TARGETS_M = 10.0 + APART_M * np.arange(3)  # of a pixel that fires three times per pulse
 
 
 def assert_independent(columns: dict[str, np.ndarray]) -> None:
@@ -47,12 +48,19 @@ def first_ticks(edges, pixel, pulses, low=0, high=1 << 62):
     return np.where(first == 1 << 62, -1, first)
 
 
+def first_ticks_by_target(edges, pixel, pulses):
+    """Return the `first_ticks` of a pixel around the time of each of `TARGETS_M`."""
+    half = APART_M / SPEED_OF_LIGHT_M_S / TIMING.tick_s
+    at_ticks = 2 * TARGETS_M / SPEED_OF_LIGHT_M_S / TIMING.tick_s
+    return [first_ticks(edges, pixel, pulses, at - half, at + half) for at in at_ticks]
+
+
 def test_sides_and_successive_avalanches_of_crosstalk():
     """For a pixel that fires three times per pulse: which neighbours each of the three avalanches
     hits.
     """
-    pulses, distances_m = 6000, np.array([10.0, 10.0 + APART_M, 10.0 + 2 * APART_M])
-    signal, distance = np.zeros((35, 3)), np.broadcast_to(distances_m, (35, 3))
+    pulses = 6000
+    signal, distance = np.zeros((35, 3)), np.broadcast_to(TARGETS_M, (35, 3))
     signal[17] = ALWAYS
     light = Light(
         rows=5,
@@ -64,14 +72,11 @@ def test_sides_and_successive_avalanches_of_crosstalk():
     )
     spad = Spad(jitter_fwhm_s=0, crosstalk_probability=0.25)
     edges = generate_edges(light, spad, TIMING, pulses=pulses, seed=3)
-    half = APART_M / SPEED_OF_LIGHT_M_S / TIMING.tick_s
-    struck = {}
-    for avalanche, distance_m in enumerate(distances_m):
-        at = 2 * distance_m / SPEED_OF_LIGHT_M_S / TIMING.tick_s
-        for side, pixel in (("above", 10), ("left", 16), ("right", 18), ("below", 24)):
-            struck[f"{side} of avalanche {avalanche}"] = (
-                first_ticks(edges, pixel, pulses, at - half, at + half) >= 0
-            )
+    struck = {
+        f"{side} of avalanche {avalanche}": ticks >= 0
+        for side, pixel in (("above", 10), ("left", 16), ("right", 18), ("below", 24))
+        for avalanche, ticks in enumerate(first_ticks_by_target(edges, pixel, pulses))
+    }
     assert all(0.2 < column.mean() < 0.3 for column in struck.values())
     assert_independent(struck)
 
@@ -88,21 +93,18 @@ def test_jitter_of_successive_avalanches(jitter):
     """For a pixel that fires three times per pulse: when each of the three avalanches is seen; its
     Gaussian, the length of its tail, and whether it has one.
     """
-    pulses, distances_m = 6000, np.array([10.0, 10.0 + APART_M, 10.0 + 2 * APART_M])
+    pulses = 6000
     light = Light(
         rows=1,
         cols=1,
-        distance_m=distances_m[None],
+        distance_m=TARGETS_M[None],
         signal_per_pulse=np.full((1, 3), ALWAYS),
         background_cps=0.0,
         system_fwhm_s=max(10e-12, jitter["jitter_fwhm_s"]),
     )
     edges = generate_edges(light, Spad(**jitter), TIMING, pulses=pulses, seed=6)
-    half = APART_M / SPEED_OF_LIGHT_M_S / TIMING.tick_s
-    seen = {}
-    for avalanche, distance_m in enumerate(distances_m):
-        at = 2 * distance_m / SPEED_OF_LIGHT_M_S / TIMING.tick_s
-        seen[f"avalanche {avalanche}"] = first_ticks(edges, 0, pulses, at - half, at + half)
+    by_target = first_ticks_by_target(edges, 0, pulses)
+    seen = {f"avalanche {avalanche}": ticks for avalanche, ticks in enumerate(by_target)}
     assert all(np.all(column >= 0) for column in seen.values())
     assert_independent(seen)
 
