@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every stage of a run gives the same result, for every pair of features."""
+
+import json
+
+import pytest
+
+from .result_pairs import DIGESTS, cases, digests_of, told
+
+CASES = cases()
+EXPECTED = json.loads(DIGESTS.read_text(encoding="utf-8"))
+
+
+def test_every_case_has_its_digests():
+    assert len(EXPECTED) == len(CASES)
+
+
+@pytest.mark.parametrize("number", range(len(CASES)))
+def test_the_same_photons_words_and_depth(number):
+    assert digests_of(CASES[number], number) == EXPECTED[number], told(CASES[number])
