@@ -16,7 +16,6 @@ from attrs import asdict, evolve, frozen
 from coincid.lab.measures import MEASURES
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
-from coincid.model.contract.config import parse_config
 from coincid.model.contract.packet import COUNTS, FORMAT_NAMES, UNBUILT, WITH_MAP
 from coincid.model.depth.depth import SAVED, Depth
 from coincid.model.depth.estimate import PEAKS
@@ -27,6 +26,7 @@ from coincid.model.scenes.scene import Scene
 from coincid.model.shared.pulse import Pulse
 
 from ..feature_pairs import Case, Features, Pair, covering_cases
+from ..random_cases import built_sensor, configured
 from ..study.test_results import digest
 
 DIGESTS = Path(__file__).with_suffix(".json")
@@ -46,6 +46,15 @@ SPADS = {
     "paralyzable": Spad(paralyzable=True, dead_time_s=4e-8, jitter_fwhm_s=3e-10),
 }
 TAIL_S = 2.5e-10
+# Settings of the last subgroup that differ from those of the others.
+LAST_SUBGROUP: dict[str, dict[str, Any]] = {
+    "alike": {},
+    "wider window": {"window": 16, "threshold": 2},
+    "no coincidence": {"coincidence": False},
+    "later gate": {"gating": True, "gate_start": 20, "gate_len": 30},
+    "never gated": {"gating": False},
+    "nearly dark": {"mask": "6"},
+}
 FEATURES: Features = {
     "sensor": tuple(SENSORS),
     "scene": ("wall", "tilted", "steps", "pane", "holes", "moving"),
@@ -62,11 +71,12 @@ FEATURES: Features = {
     "window": (16, 3, 1),
     "gate": ("none", "inner", "moving"),
     "mask": ("all", "half"),
+    "last subgroup": tuple(LAST_SUBGROUP),
     "link_gbps": (0.0, 0.4),
     "gap": (0, 7),
     "dither_bits": (0, 3),
     "frames": (1, 2),
-    "frame": (None, 0),
+    "frame": (None, "first", "last"),
     "pulses": (40, 160),
     "method": PEAKS,
     "source": tuple(SOURCES),
@@ -164,7 +174,9 @@ def setup_of(case: Case, number: int) -> Setup:
     }
     if case["mask"] == "half":
         subgroup["mask"] = "5a3c"
-    config = parse_config({"sensor": table, "frame": frame, "subgroup": subgroup})
+    last = LAST_SUBGROUP[case["last subgroup"]]
+    override = [{"subgroups": [built_sensor(table).subgroups - 1], **last}] if last else []
+    config = configured(table, frame, subgroup, *override)
     spad = SPADS[case["spad"]]
     pulse = None
     if case["pulse"] == "with a tail":
@@ -193,7 +205,8 @@ def source_of(case: Case) -> str:
 def play(case: Case, number: int) -> Made:
     """Return what a case gives."""
     run = Run(setup_of(case, number))
-    asked = {"frame": case["frame"], "returns": case["returns"]}
+    number_of = {None: None, "first": 0, "last": case["frames"] - 1}
+    asked = {"frame": number_of[case["frame"]], "returns": case["returns"]}
     peaks = None
     if case["format"] in WITH_MAP:
         peaks = _arrays(run.depth(f"{case['method']}/{source_of(case)}", **asked))
