@@ -133,6 +133,17 @@ def lively_pairs(features: Features, impossible: frozenset[Pair] = IMPOSSIBLE) -
     return legal_pairs({**features, **LIVELY}, impossible | DARK)
 
 
+def cases_in_turns(features: Features, impossible: frozenset[Pair], turns: int) -> list[Case]:
+    """Return cases in which every legal pair comes up in each of so many turns, beside other values."""
+    names = list(features)
+    cases = []
+    for turn in range(turns):
+        begin = turn * len(names) // turns
+        order = names[begin:] + names[:begin]
+        cases += covering_cases({name: features[name] for name in order}, impossible)
+    return cases
+
+
 def covering_cases(features: Features, impossible: frozenset[Pair]) -> list[Case]:
     """Return cases that together have every legal pair, the same in every run.
 

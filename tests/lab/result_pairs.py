@@ -25,7 +25,7 @@ from coincid.model.light.spad import Spad
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.pulse import Pulse
 
-from ..feature_pairs import Case, Features, Pair, covering_cases
+from ..feature_pairs import Case, Features, Pair, cases_in_turns
 from ..random_cases import built_sensor, configured
 from ..study.test_results import digest
 
@@ -69,7 +69,7 @@ FEATURES: Features = {
     "threshold": (1, 2, 3, "no coincidence"),
     "auto": (False, True),
     "window": (16, 3, 1),
-    "gate": ("none", "inner", "moving"),
+    "gate": ("none", "inner", "moving", "moving slowly"),
     "mask": ("all", "half"),
     "last subgroup": tuple(LAST_SUBGROUP),
     "link_gbps": (0.0, 0.4),
@@ -85,19 +85,8 @@ FEATURES: Features = {
 NO_COUNTS = tuple(name for name, table in SENSORS.items() if not table.get("counts"))
 COUNTED = ("format", COUNTS.name)
 REFUSED: frozenset[Pair] = frozenset(frozenset([COUNTED, ("sensor", name)]) for name in NO_COUNTS)
-TURNS = 3  # cases in which every pair comes up
+CASES = cases_in_turns(FEATURES, REFUSED, 3)
 DECIMALS = 9  # of a float: processors differ far behind them
-
-
-def cases() -> list[Case]:
-    """Return cases that have every pair of values that is not refused, in each of the `TURNS`."""
-    names = list(FEATURES)
-    found = []
-    for turn in range(TURNS):
-        begin = turn * len(names) // TURNS
-        order = names[begin:] + names[:begin]
-        found += covering_cases({name: FEATURES[name] for name in order}, REFUSED)
-    return found
 
 
 @frozen
@@ -146,10 +135,16 @@ def with_tail() -> Pulse:
 def setup_of(case: Case, number: int) -> Setup:
     """Return the setup of a case. number: seed of its photons. Raises `InputError`."""
     table = SENSORS[case["sensor"]]
+    early = {"gating": True, "gate_start": 2, "gate_len": 25}
     gates: dict[str, dict[str, Any]] = {
         "none": {},
         "inner": {"gating": True, "gate_start": 8, "gate_len": 40},
-        "moving": {"gating": True, "gate_start": 2, "gate_len": 25},
+        "moving": early,
+        "moving slowly": early,
+    }
+    steps: dict[str, dict[str, int]] = {
+        "moving": {"gate_step": 6, "gate_every": 5, "gate_steps": 4},
+        "moving slowly": {"gate_step": 9, "gate_every": 30, "gate_steps": 8},  # not all in a frame
     }
     frame = {
         "period": PERIOD_CYCLES,
@@ -162,8 +157,7 @@ def setup_of(case: Case, number: int) -> Setup:
         "frames": case["frames"],
         "pulses": case["pulses"],
     }
-    if case["gate"] == "moving":
-        frame |= {"gate_step": 6, "gate_every": 5, "gate_steps": 4}
+    frame |= steps.get(case["gate"], {})
     without = case["threshold"] == "no coincidence"
     subgroup = {
         "window": case["window"],
@@ -241,6 +235,6 @@ def told(case: Case) -> str:
 
 
 if __name__ == "__main__":
-    found = [digests_of(case, number) for number, case in enumerate(cases())]
+    found = [digests_of(case, number) for number, case in enumerate(CASES)]
     lines = ",\n".join(json.dumps(one) for one in found)
     DIGESTS.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
