@@ -25,6 +25,7 @@ from coincid.board.source_model import SourceSettings
 from coincid.model.contract.config import load_config
 from coincid.model.shared.errors import InputError
 
+from ..file_digests import expected, of_emulator, smallest_emulator
 from .sensors import SENSOR, config
 
 
@@ -58,7 +59,13 @@ def test_the_netlist_boots_and_sends_frames():
 
 @cache
 def released(kind):
-    return MappingProxyType(emulator_release(config(), kind, 64))
+    return MappingProxyType(smallest_emulator(kind))
+
+
+@pytest.mark.xdist_group("boards")
+@pytest.mark.parametrize("kind", TOPS)
+def test_what_is_exported_changes_only_on_purpose(kind):
+    assert of_emulator(released(kind)) == expected()["emulators"][kind]
 
 
 @pytest.mark.xdist_group("boards")
