@@ -37,11 +37,16 @@ from .planted import ROOT
 # those behind it are not played.
 ROOMS = {
     "model/shared": ["tests/shared", "tests/scenes/test_ambient.py"],
-    "model/contract": ["tests/contract", "tests/golden/test_golden.py", "tests/host"],
+    "model/contract": [
+        "tests/contract",
+        "tests/golden/test_golden.py",
+        "tests/host",
+        "tests/lab/test_result_pairs.py",
+    ],
     "model/recorded": ["tests/recorded"],
     "model/scenes": ["tests/scenes"],
-    "model/light": ["tests/light"],
-    "model/depth": ["tests/depth"],
+    "model/light": ["tests/light", "tests/lab/test_result_pairs.py"],
+    "model/depth": ["tests/lab/test_result_pairs.py", "tests/depth"],
     "lab": ["tests/lab", "tests/study/test_sweep.py"],
     "host": ["tests/host", "tests/board"],
     "board": ["tests/board"],
