@@ -309,7 +309,7 @@ class Driver:
             reasons = error.reasons or self.status().errors
             if reasons:
                 self.clear(*reasons)
-            raise RefusedError(str(error), reasons) from None
+            raise RefusedError(error.message, reasons) from None
 
 
 def _frames_between(first: np.uint64, second: np.uint64) -> int:

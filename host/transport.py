@@ -19,13 +19,13 @@ class HostError(RuntimeError):
 
 
 class RefusedError(HostError):
-    """The sensor refused an access (SLVERR). reasons: sticky bits of `status` that give the
-    reason, if they were read.
+    """The sensor refused an access (SLVERR). message: without the reasons. reasons: sticky bits of
+    `status` that give the reason, if they were read.
     """
 
     def __init__(self, message: str, reasons: tuple[str, ...] = ()):
         super().__init__(f"{message}{f' ({chr(44).join(reasons)})' if reasons else ''}")
-        self.reasons = reasons
+        self.message, self.reasons = message, reasons
 
 
 class LinkError(HostError):
@@ -65,9 +65,15 @@ def changes(
     writes: Iterable[tuple[int, int]], programmed: Mapping[int, int]
 ) -> list[tuple[int, int]]:
     """Return the (address, value) of `writes` that differ from the values known to be
-    programmed, in order.
+    programmed, or written before them, in order.
     """
-    return [(address, value) for address, value in writes if programmed.get(address) != value]
+    known = dict(programmed)
+    found = []
+    for address, value in writes:
+        if known.get(address) != value:
+            found.append((address, value))
+            known[address] = value
+    return found
 
 
 def runs(writes: Iterable[tuple[int, int]]) -> list[tuple[int, list[int]]]:

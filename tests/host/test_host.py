@@ -3,6 +3,9 @@
 library and a mapped file.
 """
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -111,11 +114,95 @@ def test_a_setting_that_is_not_known_is_written_whatever_its_value():
     assert fresh.write_settings(list(registers.reset_values(SENSOR).items())) == 0
 
 
+def test_of_several_writes_to_one_setting_the_last_one_stays():
+    """Also where that is the value which is known, and the one before is not."""
+    memory = Memory()
+    driver = Driver(memory, SENSOR, fresh=True)
+    at = address("period")
+    usual = memory.words[at]
+    assert driver.write_settings([(at, 99), (at, usual)]) == 2
+    assert memory.written == [(at, 99), (at, usual)]
+    assert driver.write_settings([(at, usual), (at, 98), (at, 98)]) == 1
+    assert memory.words[at] == driver.programmed[at] == 98
+
+
+@pytest.mark.parametrize("reasons", [ERRORS[:1], ERRORS[-1:], ERRORS[:2]])
+@pytest.mark.parametrize("told", [False, True])
+def test_a_refusal_tells_each_of_its_reasons_once(reasons, told):
+    """Whether the transport has read them already, or the driver reads them."""
+
+    class Refused(Memory):
+        def write(self, at, value):
+            if at != address("status"):
+                raise RefusedError("write of 2", reasons if told else ())
+            super().write(at, value)
+
+    memory = Refused()
+    memory.words[address("status")] = sum(1 << STATUS.bit(reason) for reason in reasons)
+    with pytest.raises(RefusedError) as refused:
+        Driver(memory, SENSOR)["threshold", 1] = 2
+    assert str(refused.value) == f"write of 2 ({','.join(reasons)})"
+    assert refused.value.reasons == reasons
+
+
+def polled(polls):
+    """Return a transport whose frame is done after so many reads of the status, and a list of what
+    happens.
+    """
+    memory, happened = Memory(), []
+    status = address("status")
+
+    def read(at):
+        if at == status:
+            happened.append("poll")
+            done = happened.count("poll") > polls
+            return done << STATUS.bit("done") | (not done) << STATUS.bit("busy")
+        return memory.words[at]
+
+    memory.read = read
+    return memory, happened
+
+
+@pytest.mark.parametrize("polls", [0, 1, 3])
+def test_something_is_done_between_two_polls(polls):
+    """And nothing after the last one."""
+    memory, happened = polled(polls)
+    Driver(memory, SENSOR).finish(meanwhile=lambda: happened.append("meanwhile"))
+    assert happened == ["poll", "meanwhile"] * polls + ["poll"]
+    assert memory.written == [(address("status"), 1 << STATUS.bit("done"))]
+
+
+def test_a_frame_that_does_not_end_is_an_error_after_the_time_that_was_given():
+    """It is not cleared then."""
+    memory, happened = polled(10**9)
+    with pytest.raises(HostError, match=r"^no frame end after 0\.01 s$"):
+        Driver(memory, SENSOR).finish(seconds=0.01)
+    assert happened and not memory.written
+
+
 def test_names():
     assert find(SENSOR, "period").address == address("period")
     assert find(SENSOR, ("auto_bounds", 2)).address == address("auto_bounds", index=2)
     assert find(SENSOR, ("mask", 1, 1)).address == address("mask", 1, 1)
     assert find(SENSOR, ("mask", 1)).address == address("mask", 1)
+
+
+@pytest.mark.parametrize(
+    ("key", "shown"),
+    [
+        ("period", "period"),
+        (("period",), "period"),
+        (("threshold", 1), "threshold[1]"),
+        ("auto_bounds", "auto_bounds[0]"),
+        (("auto_bounds", 2), "auto_bounds[2]"),
+        (("mask", 1), "mask[1, 0]"),
+        (("mask", 0, 1), "mask[0, 1]"),
+    ],
+)
+def test_a_message_names_a_word_by_its_subgroup_and_then_its_index(key, shown):
+    told = re.escape(f"{shown} = -1: must be an integer from ")
+    with pytest.raises(InputError, match=f"^{told}"):
+        Driver(Memory(), SENSOR)[key] = -1
 
 
 @pytest.mark.parametrize(
@@ -427,6 +514,21 @@ def test_a_reset_after_an_error_leaves_no_frame_that_one_stream_has_sent():
     assert all(map(np.array_equal, driver.receive(seconds=0.05), first))
 
 
+@pytest.mark.parametrize("silent", range(ODD.streams))
+def test_a_stream_that_sends_nothing_is_told_by_its_number(silent):
+    delivery = Delivery()
+    driver = Driver(delivery, ODD, fresh=True)
+    (frame, *_) = three_frames()
+    for stream, portions in delivery.streams.items():
+        if stream != silent:
+            portions.append(frame[stream])
+    told = rf"^stream {silent}: nothing more came for 0\.01 s; the frame is not whole$"
+    with pytest.raises(HostError, match=told):
+        driver.receive(seconds=0.01)
+    delivery.streams[silent].append(frame[silent])
+    assert all(map(np.array_equal, driver.receive(seconds=0.01), frame))
+
+
 def test_a_slow_stream_is_waited_for_as_long_as_beats_come(monkeypatch):
     now_s = [0.0]
 
@@ -458,8 +560,32 @@ def test_mapped_file(tmp_path):
         assert driver.sensor == SENSOR
         driver.program(of)
         assert all(image[at // 4] == value for at, value in of.register_writes())
-    with pytest.raises(InputError, match="cannot be mapped"):
-        MemoryTransport(tmp_path / "none")
+
+
+@pytest.mark.parametrize(("base", "size"), [(0, 4096), (0x3000, 8192)])
+def test_a_file_that_cannot_be_mapped_is_named_with_what_was_asked_of_it(tmp_path, base, size):
+    short = tmp_path / "short"
+    short.write_bytes(bytes(16))
+    for path in (tmp_path / "none", short):
+        told = re.escape(f"{path}: {size} bytes from {base:#x} on cannot be mapped (")
+        with pytest.raises(InputError, match=f"^{told}"):
+            MemoryTransport(path, base, size)
+
+
+def test_a_mapped_file_is_free_after_its_use(tmp_path):
+    """Also after an error, and however long the transport itself is kept."""
+    path = tmp_path / "uio"
+    path.write_bytes(bytes(8192))
+
+    def is_mapped():
+        return str(path) in Path("/proc/self/maps").read_text(encoding="utf-8")
+
+    with MemoryTransport(path, 4096, 4096) as kept:
+        assert is_mapped()
+    assert not is_mapped()
+    with pytest.raises(KeyError), MemoryTransport(path, 0, 4096) as other:
+        raise KeyError
+    assert not is_mapped() and kept is not other
 
 
 class StickyWords(dict):
@@ -506,7 +632,8 @@ def mapped(tmp_path):
 def test_a_mapped_sensor_tells_its_refusal_after_the_access(mapped):
     """Not after the next one."""
     mapped.write(address("period"), 99)
-    with pytest.raises(RefusedError, match="write of 0x0 .*bad_value"):
+    at = f"{address('period'):#07x}"
+    with pytest.raises(RefusedError, match=rf"^write of 0x0 to {at} \(bad_value\)$"):
         mapped.write(address("period"), 0)
     mapped.write(address("period"), 98)
     with pytest.raises(RefusedError, match="read of 0x00ffc .*bad_address"):
