@@ -4,6 +4,7 @@ write, and a release.
 """
 
 import importlib.util
+import json
 import os
 import re
 import shutil
@@ -251,6 +252,306 @@ def test_what_is_left_out_takes_no_module_with_it_whose_name_only_begins_alike(t
     assert {"coincid.room.tree", "coincid.room.tree.leaf"} < {*whole}
     left = sources.closure("coincid.room.program", without=["coincid.room.tree"]).modules
     assert left == ("coincid", "coincid.room", "coincid.room.program", "coincid.room.tree_view")
+
+
+@pytest.fixture
+def made_up(tmp_path):
+    """Return a function that makes a checkout of these files, in the room `room`, and returns its
+    sources.
+    """
+
+    def made(**texts):
+        package = tmp_path / PACKAGE
+        room = tmp_path / "room"
+        (package / "room").mkdir(parents=True)
+        (tmp_path / "docs").mkdir()
+        (room / "tables").mkdir(parents=True)
+        for path in (package, tmp_path / "docs", room):
+            (path / "__init__.py").write_text("", encoding="utf-8")
+        files = {
+            "room/other.py": "",
+            "room/third.py": "",
+            "room/program.v": "module a;",
+            "room/other.v": "module b;",
+            "room/tables/one.toml": "a = 1",
+            "room/tables/two.toml": "a = 2",
+            "room/smoke_words.x": "",
+            "room/smoke_lines.x": "",
+            "room/__pycache__/other.v": "",
+            "requirements.lock": "numpy==2.1\nPillow==11.0  # pictures\n# dask==1\n",
+            "requirements-rtl.lock": "cocotb==2.0\nruamel.yaml==0.18\n",
+        }
+        for name, text in (files | texts).items():
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / name).write_text(text, encoding="utf-8")
+        return Sources(tmp_path)
+
+    return made
+
+
+# the text of a program, and what it depends on: modules, files and packages
+DEPENDENCIES = [
+    ("from . import other", ("other",), (), ()),
+    ("from .other import NAME", ("other",), (), ()),
+    ("import coincid.room.other", ("other",), (), ()),
+    ("def late():\n    from .other import NAME", ("other",), (), ()),
+    ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from . import other", (), (), ()),
+    (
+        "if TYPE_CHECKING:\n    from . import other\nelse:\n    from . import third",
+        ("third",),
+        (),
+        (),
+    ),
+    ("if other:\n    from . import third", ("third",), (), ()),
+    ("NAME = 'coincid.room.third'", ("third",), (), ()),
+    ("NAME = 'third.py'", ("third",), (), ()),
+    ("NAME = 'third'", (), (), ()),
+    ("NAME = 'other.v'", (), ("other.v",), ()),
+    ("NAME = 'a/b/other.v'", (), ("other.v",), ()),
+    ("NAME = '.v'", (), ("program.v",), ()),
+    ("NAME = 'tables'", (), ("tables/one.toml", "tables/two.toml"), ()),
+    ("NAME = f'smoke_{light}.x'", (), ("smoke_lines.x", "smoke_words.x"), ()),
+    ("NAME = f'smok{light}.x'", (), ("smoke_lines.x", "smoke_words.x"), ()),
+    ("NAME = f'smo{light}.x'", (), (), ()),
+    (f"NAME = 'other.v{' ' * 60}'", (), (), ()),
+    ("import numpy.fft as fft, os", (), (), ("numpy",)),
+    ("from PIL import Image", (), (), ("pillow",)),
+    ("NAME = 'ruamel_yaml'", (), (), ("ruamel-yaml",)),
+    ("import cocotb_tools.runner\nimport pandas", (), (), ("cocotb",)),
+    ("NAME = 'dask'", (), (), ()),
+]
+
+
+@pytest.mark.parametrize(("text", "modules", "files", "packages"), DEPENDENCIES)
+def test_a_program_depends_on_what_it_imports_and_names(made_up, text, modules, files, packages):
+    """Wherever that stands, except for types."""
+    sources = made_up(**{"room/program.py": text + "\n"})
+    found = sources.closure("coincid.room.program")
+    own = {"coincid", "coincid.room", "coincid.room.program"}
+    assert {*found.modules} - own == {f"coincid.room.{name}" for name in modules}
+    assert found.data == tuple(sources.root / "room" / name for name in files)
+    assert found.packages == packages
+
+
+def test_versions_of_packages_are_those_of_all_lock_files(made_up):
+    """A line of a comment names none."""
+    versions = {"numpy": "2.1", "pillow": "11.0", "cocotb": "2.0", "ruamel-yaml": "0.18"}
+    assert made_up().versions == versions
+
+
+def test_what_no_lock_file_has_and_what_is_no_module_are_refused(made_up):
+    sources = made_up(**{"room/program.py": "import scipy\n"})
+    told = "^coincid.room.program: imports scipy, which no lock file has$"
+    with pytest.raises(InputError, match=told):
+        sources.closure("coincid.room.program")
+    with pytest.raises(InputError, match="^coincid.room.lost: is no module of the project$"):
+        sources.closure("coincid.room.lost")
+
+
+# the text of a module before and after a change, and whether its code is another one
+CODE_CHANGES = [
+    ("A = 1\n", "A = 2\n", True),
+    ("A = 1\n", "# why\n\nA = 1\n", False),
+    ("A = 1\n", "A = 1  # why\n", True),  # only whole lines of comments are left out
+    ('"""One."""\nA = 1\n', '"""Other.\n\nMore.\n"""\nA = 1\n', False),
+    ("def f():\n    return 1\n", 'def f():\n    """One."""\n    return 1\n', False),
+    ("class C:\n    a = 1\n", 'class C:\n    """One."""\n\n    a = 1\n', False),
+    ('A = """\n# a\n"""\n', 'A = """\n# b\n"""\n', True),
+    ('A = """\na\n"""\n', 'A = """\n\na\n"""\n', True),
+    ("def f():\n    return 1\n", "def f():\n        return 1\n", True),
+]
+
+
+@pytest.mark.parametrize(("before", "after", "other"), CODE_CHANGES)
+def test_comments_docstrings_and_empty_lines_are_no_code(made_up, before, after, other):
+    """A line within a text is code, whatever it looks like."""
+    sources = made_up(**{"room/other.py": before, "room/third.py": after})
+    facts = [sources.facts(f"coincid.room.{name}") for name in ("other", "third")]
+    assert (facts[0].digest != facts[1].digest) == other
+
+
+@pytest.mark.parametrize("kept", [None, "", "[]", "no JSON", '{"a": [1]}'])
+def test_what_an_earlier_process_left_changes_nothing(made_up, kept):
+    """Nor does its lack; what is left afterwards is what was read, and no more."""
+    text = "from . import other\nimport numpy\nNAME = 'other.v'\n"
+    root = made_up(**{"room/program.py": text}).root
+    cache = root / "build" / "facts.json"
+    cache.parent.mkdir()
+    if kept is not None:
+        cache.write_text(kept, encoding="utf-8")
+    plain, first = Sources(root), Sources(root, cache)
+    expected = plain.closure("coincid.room.program")
+    assert first.closure("coincid.room.program") == expected
+    first.keep()
+    assert len(json.loads(cache.read_text(encoding="utf-8"))) == len(expected.modules)
+    again = Sources(root, cache)
+    assert again.closure("coincid.room.program") == expected
+    assert again.digest(expected) == plain.digest(expected)
+    (root / "room" / "program.py").write_text("import numpy\n", encoding="utf-8")
+    assert "coincid.room.other" not in Sources(root, cache).closure("coincid.room.program").modules
+
+
+@pytest.mark.parametrize(
+    ("total", "told"),
+    [
+        (9, []),
+        (10, range(1, 11)),
+        (25, [3, 5, 8, 10, 13, 15, 18, 20, 23, 25]),
+        (1000, range(100, 1001, 100)),
+    ],
+)
+def test_progress_is_told_ten_times_and_at_the_end(capsys, total, told):
+    """Of few tasks, it is not told."""
+    for done in range(1, total + 1):
+        writing.counted(done, total)
+    assert capsys.readouterr().out == "".join(f"  {done} of {total}\n" for done in told)
+
+
+PAGE = """# A page
+
+<!-- begin one: make one; stamp {one} -->
+
+first
+
+<!-- end one -->
+
+between
+
+<!-- begin two: make two; stamp {two} -->
+
+second
+
+<!-- end two -->
+"""
+TABLE = """without.slow = ["coincid.room.other", "coincid.room.third"]
+[one]
+command = "make one"
+run = "coincid.room.program:one"
+writes."docs/page.md" = ["one"]
+[two]
+command = "make two"
+run = "coincid.room.program:two"
+writes."docs/page.md" = ["two"]
+without = ["slow", "coincid.room.more"]
+"""
+
+
+@pytest.fixture
+def checkout(made_up, monkeypatch):
+    """Return a made-up checkout with a page of two regions, the second of which is stale."""
+    text = "from . import other, third\nimport numpy\n"
+    root = made_up(**{"room/program.py": text, "docs/pages.toml": TABLE}).root
+    pages = Pages(root)
+    stamp = pages.stamp(pages.programs["one"])
+    page = root / "docs" / "page.md"
+    page.write_text(PAGE.format(one=stamp, two="unknown"), encoding="utf-8")
+    monkeypatch.delenv(writing.FOLDER, raising=False)
+    monkeypatch.setattr(writing, "checkout", lambda: root)
+    monkeypatch.setattr(writing, "_pages", lambda: Pages(root))
+    monkeypatch.setattr(writing, "_stamp", writing._stamp.__wrapped__)
+    return root
+
+
+def test_a_program_is_stale_until_it_writes_its_region(checkout):
+    """Nothing else on the page changes, and no other region."""
+    page = checkout / "docs" / "page.md"
+    ((name, (region,)),) = Pages(checkout).stale().items()
+    assert (name, region.name, region.stamp) == ("two", "two", "unknown")
+    before = page.read_text(encoding="utf-8")
+    writing.put("docs/page.md", "two", "new words")
+    stamp = Pages(checkout).stamp(Pages(checkout).programs["two"])
+    expected = before.replace("second", "new words").replace("stamp unknown", f"stamp {stamp}")
+    assert page.read_text(encoding="utf-8") == expected
+    assert Pages(checkout).stale() == {}
+    (checkout / "room" / "other.py").write_text("A = 1\n", encoding="utf-8")
+    assert set(Pages(checkout).stale()) == {"one"}  # the other one is without it
+    writing.put("docs/page.md", "one")
+    assert Pages(checkout).stale() == {}
+    assert "\n\nfirst\n\n" in page.read_text(encoding="utf-8")
+
+
+def test_a_group_of_modules_is_left_out_as_each_of_them(checkout):
+    programs = Pages(checkout).programs
+    assert programs.keys() == {"one", "two"}
+    left_out = ["coincid.room.other", "coincid.room.third", "coincid.room.more"]
+    assert (programs["one"].without, programs["two"].without) == ([], left_out)
+
+
+def test_the_folder_of_the_pages_may_be_another_one(checkout, monkeypatch, tmp_path_factory):
+    """Then the page of the checkout stays, with the stamp of the checkout on the other one."""
+    other = tmp_path_factory.mktemp("other")
+    (other / "docs").mkdir()
+    before = (checkout / "docs" / "page.md").read_text(encoding="utf-8")
+    (other / "docs" / "page.md").write_text(before, encoding="utf-8")
+    assert writing.picture("docs/images/a.png") == checkout / "docs" / "images" / "a.png"
+    monkeypatch.setenv(writing.FOLDER, str(other))
+    assert writing.picture("docs/images/a.png") == other / "docs" / "images" / "a.png"
+    writing.put("docs/page.md", "two", "new words")
+    assert (checkout / "docs" / "page.md").read_text(encoding="utf-8") == before
+    stamp = Pages(checkout).stamp(Pages(checkout).programs["two"])
+    text = (other / "docs" / "page.md").read_text(encoding="utf-8")
+    assert "new words" in text and f"stamp {stamp} -->" in text
+
+
+def test_a_page_has_its_title_where_it_is_a_file_of_its_own(checkout, tmp_path_factory):
+    """In the page of the checkout there is a title already."""
+    out = tmp_path_factory.mktemp("out") / "new" / "page.md"
+    before = (checkout / "docs" / "page.md").read_text(encoding="utf-8")
+    writing.put_page("docs/page.md", "two", "# Title\n\nwords\n", out)
+    assert out.read_text(encoding="utf-8") == "# Title\n\nwords\n"
+    assert (checkout / "docs" / "page.md").read_text(encoding="utf-8") == before
+    writing.put_page("docs/page.md", "two", "# Title\n\nwords\n")
+    assert "-->\n\nwords\n\n<!-- end two" in (checkout / "docs" / "page.md").read_text(
+        encoding="utf-8"
+    )
+
+
+@pytest.mark.parametrize(
+    ("region", "told"),
+    [
+        ("three", "^docs/pages.toml: no program writes 'three' into docs/page.md$"),
+        ("one", "^docs/page.md: has no region 'one'"),
+    ],
+)
+def test_a_region_that_the_table_or_the_page_lacks_is_refused(checkout, region, told):
+    page = checkout / "docs" / "page.md"
+    page.write_text(page.read_text(encoding="utf-8").replace("begin one", "begin x"), "utf-8")
+    before = page.read_text(encoding="utf-8")
+    with pytest.raises(InputError, match=told):
+        writing.put("docs/page.md", region, "new")
+    assert page.read_text(encoding="utf-8") == before
+
+
+def test_a_key_that_no_program_has_is_told_with_its_program(checkout):
+    table = checkout / "docs" / "pages.toml"
+    table.write_text(TABLE + "minuts = 3\n", encoding="utf-8")
+    with pytest.raises(InputError, match="^docs/pages.toml: two: .*minuts"):
+        Pages(checkout)
+
+
+def test_without_a_checkout_no_page_is_written(monkeypatch):
+    monkeypatch.delenv(writing.FOLDER, raising=False)
+    monkeypatch.setattr(writing, "checkout", lambda: None)
+    with pytest.raises(InputError, match="^docs/: .* in a checkout of the project only$"):
+        writing.picture("docs/images/a.png")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PAGE.replace("<!-- end one -->\n", ""),
+        PAGE.replace("<!-- end two -->\n", ""),
+        PAGE.replace("<!-- end one -->\n", "").replace(
+            "between", "<!-- begin three: a; stamp b -->"
+        ),
+    ],
+    ids=["first", "last", "inner"],
+)
+def test_a_region_ends_before_the_next_one_begins(text):
+    with pytest.raises(
+        InputError, match="^p: region '.*' does not end before the next one begins$"
+    ):
+        list(regions("p", text.format(one="a", two="b")))
 
 
 def test_a_region_is_replaced_whole():

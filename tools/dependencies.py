@@ -49,7 +49,7 @@ DISTRIBUTIONS = {
 }
 OPTIONAL = {"pandas"}  # gives results another form, and changes no number
 STEM_MIN = 4  # characters that a pattern of file names must begin with
-FORMAT = "2"  # of what is kept; another one when `Facts` or their meaning changes
+FORMAT = "3"  # of what is kept; another one when `Facts` or their meaning changes
 NAME_MAX = 60  # characters of a name; longer strings name nothing
 
 
@@ -312,8 +312,7 @@ def _imported(tree: ast.AST, package: str) -> Iterator[tuple[str, str]]:
             and isinstance(node.test, ast.Name)
             and node.test.id == "TYPE_CHECKING"
         ):
-            for other in node.orelse:
-                yield from _imported(other, package)
+            yield from _imported(ast.Module(node.orelse, []), package)
         else:
             yield from _imported(node, package)
 
