@@ -18,6 +18,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from coincid.tools import locked, system
 from coincid.tools.locked import _what_to_do, missing, uv_options
 
 ROOT = Path(__file__).parents[1]
@@ -106,6 +107,60 @@ def test_folders_of_wheels_are_found_by_their_addresses(tmp_path, name):
         assert uv_options(f":env:.find-links='{place}'\n") == ["--find-links", place]
 
 
+UV = ["/bin/uv", "--quiet", "pip", "install", "--python", sys.executable]
+PIP = ["python", "-m", "pip"]
+
+
+@pytest.mark.parametrize(
+    ("uv", "failing", "programs"),
+    [
+        ("/bin/uv", (), ["/bin/uv"]),
+        ("/bin/uv", ("/bin/uv",), ["/bin/uv", "python"]),
+        ("/bin/uv", ("/bin/uv", "python"), ["/bin/uv", "python"]),
+        (None, (), ["python"]),
+        ("", ("python",), ["python"]),
+    ],
+)
+def test_uv_installs_all_locks_and_pip_where_uv_cannot(
+    monkeypatch, tmp_path, uv, failing, programs
+):
+    """Neither takes what the packages ask for. If both fail, a sentence says what to do."""
+    locks = [str(tmp_path / name) for name in ("a.lock", "b.lock")]
+    for lock in locks:
+        Path(lock).write_text("not-there==1.0\n", encoding="utf-8")
+    run = []
+
+    def noted(command, log):
+        run.append(command)
+        return command[0] not in failing
+
+    monkeypatch.setattr(locked, "_run", noted)
+    monkeypatch.setattr(locked, "_pip_settings", lambda pip: "global.no-index='true'\n")
+    monkeypatch.setattr(locked, "LOG", tmp_path / "log")
+    monkeypatch.setenv("COINCID_PIP", " ".join(PIP))
+    monkeypatch.delenv("COINCID_UV", raising=False)
+    if uv is not None:
+        monkeypatch.setenv("COINCID_UV", uv)
+    if programs[-1] in failing:
+        with pytest.raises(SystemExit, match="^missing Python packages: not-there==1.0, .* says"):
+            locked.install(locks)
+    else:
+        locked.install(locks)
+    files = ["-r", locks[0], "-r", locks[1]]
+    commands = {
+        "/bin/uv": [*UV, "--no-index", "--no-deps", *files],
+        "python": [*PIP, "install", *locked.PIP_OPTIONS, "--no-deps", "--no-compile", *files],
+    }
+    assert run == [commands[program] for program in programs]
+
+
+@pytest.mark.parametrize("yes", ["1", "true", "Yes", "on"])
+def test_an_index_is_left_out_only_where_pip_leaves_it_out(yes):
+    for no in ("0", "false", "no", "off", ""):
+        assert uv_options(f"global.no-index='{no}'\n") == []
+    assert uv_options(f"install.no-index='{yes}'\n") == ["--no-index"]
+
+
 def test_missing_packages_are_found(tmp_path):
     lock = tmp_path / "some.lock"
     lock.write_text(
@@ -141,6 +196,67 @@ def test_the_set_up_ends_where_system_packages_cannot_be_installed(tmp_path):
     assert done.returncode == 1
     assert done.stderr.startswith("missing system packages; run")
     assert done.stderr.endswith("apt-get install -y one two\n")
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    """Return a function that makes up a machine: its programs, the user, and the commands that fail
+    there. The commands that are run are noted.
+    """
+    run = []
+
+    def machine(*programs, root=False, failing=()):
+        run.clear()
+        monkeypatch.setattr(system.os, "geteuid", lambda: 0 if root else 1000)
+        monkeypatch.setattr(system, "which", lambda name: name if name in programs else None)
+
+        def noted(*command):
+            run.append(" ".join(command))
+            failed = any(word in run[-1] for word in failing)
+            return subprocess.CompletedProcess(command, int(failed), stdout="apt's words")
+
+        monkeypatch.setattr(system, "_run", noted)
+        return run
+
+    return machine
+
+
+APT = "env DEBIAN_FRONTEND=noninteractive apt-get -qq"
+WANTED = "install -y --no-install-recommends one two"
+
+
+@pytest.mark.parametrize(("root", "prefix"), [(True, ""), (False, "sudo -n ")])
+def test_system_packages_are_installed_as_root_or_by_sudo(machine, capsys, root, prefix):
+    """A list that cannot be renewed is no error, if the packages are found."""
+    for failing in ((), (" update",)):
+        run = machine("apt-get", "sudo", root=root, failing=failing)
+        system.system_packages("one", "two")
+        assert run[0] == f"{prefix}true"
+        assert run[1] == f"{prefix}{APT} update"
+        assert run[2].startswith(f"{prefix}{APT} -o DPkg::Lock::Timeout=")
+        assert run[2].endswith(f" {WANTED}") and len(run) == 3
+        assert capsys.readouterr().err == "installing system packages: one two\n"
+
+
+@pytest.mark.parametrize(
+    ("programs", "root", "failing", "told"),
+    [
+        (("apt-get",), False, (), "; run as root: apt-get update && apt-get install -y one two"),
+        (("sudo",), False, (), "; run: sudo apt-get update && sudo apt-get install -y one two"),
+        (("apt-get", "sudo"), False, ("-n true",), "; run: sudo apt-get update && sudo apt-get"),
+        (("apt-get", "sudo"), True, ("install",), "; run: apt-get update && apt-get install"),
+        ((), True, (), "; run: apt-get update && apt-get install -y one two"),
+    ],
+)
+def test_who_may_not_install_is_told_the_command(machine, capsys, programs, root, failing, told):
+    """With sudo where it is there and the user is not root."""
+    run = machine(*programs, root=root, failing=failing)
+    with pytest.raises(system.MissingPackagesError) as refused:
+        system.system_packages("one", "two")
+    assert str(refused.value).startswith(f"missing system packages{told}")
+    tried = any("install" in command for command in run)
+    assert tried == ("install" in failing)
+    assert ("apt's words" in capsys.readouterr().err) == tried
 
 
 def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):

@@ -11,6 +11,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,8 +20,17 @@ from coincid.model.shared.errors import InputError
 from coincid.tb import toolchain
 from coincid.tb.engines import SIMULATORS
 from coincid.tb.rtl_errors import SimulationError
+from coincid.tools import build as build_tools
 from coincid.tools import wheels
-from coincid.tools.build import ToolchainError, build_once, compile_in, compile_once
+from coincid.tools.build import (
+    COMPILER_VARIABLES,
+    ToolchainError,
+    build_once,
+    compile_in,
+    compile_once,
+    execute,
+    tail,
+)
 from coincid.tools.libraries import array_at
 from coincid.tools.system import MissingPackagesError, system_packages
 
@@ -323,6 +333,127 @@ def test_the_log_is_that_of_the_last_build(tmp_path):
     later = build_that_says("syntax error")
     assert "syntax error" in later
     assert "No space left" not in later
+
+
+def run_here(words, folder, **options):
+    """Run a program of Python by `execute`; return its exit code and what its log has."""
+    log = folder / "log"
+    command = [sys.executable, "-c", words]
+    code = execute(command, folder, log, dict(os.environ), **options)
+    return code, log.read_text(encoding="utf-8")
+
+
+def test_a_program_runs_in_its_folder_and_adds_to_its_log(tmp_path, capfd):
+    """Output and errors; nothing is shown, and nobody is asked."""
+    (tmp_path / "log").write_text("before\n", encoding="utf-8")
+    words = "import sys, os; print(os.getcwd(), sys.stdin.read()); sys.exit('bad')"
+    assert run_here(words, tmp_path) == (1, f"before\n{tmp_path} \nbad\n")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_a_program_says_is_also_shown_if_that_is_asked_for(tmp_path, capsys):
+    """Line by line, to a function or on the terminal; an odd byte does no harm."""
+    words = "import sys; sys.stdout.buffer.write(b'one\\nt\\xffwo\\n'); sys.exit(3)"
+    lines = []
+    assert run_here(words, tmp_path, echo=lines.append) == (3, "one\nt\ufffdwo\n")
+    assert lines == ["one\n", "t\ufffdwo\n"] and capsys.readouterr().out == ""
+    (tmp_path / "log").unlink()
+    assert run_here(words, tmp_path, echo=True)[0] == 3
+    assert capsys.readouterr().out == "one\nt\ufffdwo\n"
+
+
+def test_settings_of_the_calling_make_do_not_reach_a_compiler(tmp_path, monkeypatch):
+    """All others do."""
+    for name in (*COMPILER_VARIABLES, "OTHER_VARIABLE"):
+        monkeypatch.setenv(name, "given")
+    words = "import os; print(*sorted(name for name in os.environ if os.environ[name] == 'given'))"
+    compile_in(tmp_path, tmp_path / "log", [sys.executable, "-c", words])
+    assert (tmp_path / "log").read_text(encoding="utf-8") == "OTHER_VARIABLE\n"
+    assert {"MAKEFLAGS", "CXXFLAGS", "LDFLAGS", "VERILATOR_ROOT"} <= COMPILER_VARIABLES
+
+
+def test_of_a_long_log_the_last_lines_are_told_and_where_the_rest_is(tmp_path):
+    log = tmp_path / "log"
+    for lines in (1, 39, 40, 41, 100):
+        said = [f"line {k}" for k in range(lines)]
+        log.write_text("\n".join([*said, ""]), encoding="utf-8")
+        assert tail(log) == "\n".join(["", *said[-40:], f"the whole log: {log}"])
+
+
+def test_programs_that_are_missing_are_installed_once_and_then_looked_for(monkeypatch):
+    """A package that does not bring its program is told by the program's name."""
+    installed = []
+    there = {"make"}
+    monkeypatch.setattr(build_tools, "install", lambda *packages: installed.append(packages))
+    monkeypatch.setattr(build_tools.shutil, "which", lambda name: name if name in there else None)
+    needed = {"g++": "gcc-c++", "make": "make-package", "vvp": "icarus"}
+    with pytest.raises(ToolchainError, match="^g\\+\\+: not on PATH, though its package is"):
+        build_tools.require_programs(needed)
+    assert installed == [("gcc-c++", "icarus")]
+    there |= {"g++", "vvp"}
+    build_tools.require_programs(needed)
+    assert len(installed) == 1
+
+
+@pytest.mark.parametrize(
+    ("package", "told"),
+    [
+        ("pyosys", "pyosys is not installed; run: pip install 'coincid[rtl]'"),
+        ("yowasp_other", "yowasp-other is not installed; run: pip install 'coincid[flow]'"),
+    ],
+)
+def test_a_wheel_that_is_missing_is_told_with_its_extra(monkeypatch, package, told):
+    monkeypatch.setattr(wheels, "find_spec", lambda name: None)
+    with pytest.raises(ToolchainError) as refused:
+        wheels.wheel_folder(package)
+    assert str(refused.value) == told
+
+
+def test_a_program_of_a_wheel_gets_its_arguments_and_returns_what_it_says(tmp_path, monkeypatch):
+    """In the folder that is asked for; its exit code is that of its function."""
+    wheel = tmp_path / "made_up_wheel.py"
+    wheel.write_text(
+        "import os\ndef run(words):\n    print(os.getcwd(), *words)\n    return len(words) - 2\n",
+        encoding="utf-8",
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(wheels, "find_spec", lambda name: SimpleNamespace(origin=str(wheel)))
+    folder = tmp_path / "inner"
+    folder.mkdir()
+    said = wheels.run_wheel("made_up_wheel", "run", ["a b", "-c"], folder)
+    assert said == f"{folder} a b -c\n"
+    with pytest.raises(ToolchainError) as failed:
+        wheels.run_wheel("made_up_wheel", "run", ["a"], folder)
+    assert str(failed.value).splitlines() == [f"made_up_wheel failed in {folder}", f"{folder} a"]
+
+
+def test_of_a_failed_program_the_last_lines_are_told(tmp_path):
+    """Of its output and of its errors."""
+    words = "import sys; [print('line', k) for k in range(50)]; sys.stdout.flush(); sys.exit('end')"
+    with pytest.raises(ToolchainError) as failed:
+        wheels.run_program([sys.executable, "-c", words], tmp_path, "it")
+    expected = [f"it failed in {tmp_path}", *(f"line {k}" for k in range(31, 50)), "end"]
+    assert str(failed.value).splitlines() == expected
+
+
+def test_yosys_shows_its_output_or_writes_it_to_a_log_or_drops_it(tmp_path):
+    """Errors are always shown, and in the exit code."""
+    (tmp_path / "good.ys").write_text("log told by the script\n", encoding="utf-8")
+    (tmp_path / "bad.ys").write_text("no-such-command\n", encoding="utf-8")
+
+    def shown(*words):
+        command = [*wheels.yosys_command(), *words]
+        done = subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, check=False, encoding="utf-8"
+        )
+        return done.returncode, "told by the script" in done.stdout, done.stderr
+
+    assert shown("good.ys") == (0, True, "")
+    assert shown("-q", "good.ys") == (0, False, "")
+    assert shown("-q", "-l", "own.log", "good.ys") == (0, False, "")
+    assert "told by the script" in (tmp_path / "own.log").read_text(encoding="utf-8")
+    code, _, errors = shown("-q", "bad.ys")
+    assert code != 0 and "no-such-command" in errors
 
 
 def test_missing_verilator_is_named(empty_build_root, monkeypatch):
