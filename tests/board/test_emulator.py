@@ -42,10 +42,12 @@ from coincid.board.serial_transport import Deframer, SerialTransport, frame
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.board.source_model import SourceSettings, source_edges
 from coincid.host.driver import Status
-from coincid.host.transport import DeviceResetError, HostError, LinkError, RefusedError
+from coincid.host.transport import STATUS, DeviceResetError, HostError, LinkError, RefusedError
 from coincid.model.contract.config import sensor_table
 from coincid.model.contract.packet import built_formats
 from coincid.model.contract.parameters import Sensor
+from coincid.model.contract.registers import address as register_address
+from coincid.model.contract.registers import control
 from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
 
@@ -265,6 +267,7 @@ def test_a_line_that_spoils_bytes(port):
     driver = programmed(line, of, settings, tries=30)
     check_frames(driver, of, settings, range(2))
     assert line.faults > 5 and driver.transport.repeats > 3
+    assert 0 < driver["link_errors"] <= line.faults
 
 
 def test_a_cable_that_is_pulled_in_a_frame(port):
@@ -430,6 +433,9 @@ def test_no_emulator():
         EmulatorDriver(SerialTransport(Nothing(), tries=3, patience_s=PATIENCE_S))
 
 
+_FLAGS = bytes([FLAG]) * 3
+
+
 def test_frames_of_bytes():
     rng = np.random.default_rng(1)
     bodies = [rng.integers(0, 256, n).astype(np.uint8).tobytes() for n in range(2, 60)]
@@ -447,6 +453,18 @@ def test_frames_of_bytes():
             spoilt[int(rng.integers(1, len(spoilt) - 1))] = int(rng.integers(256))
         right += sum(part != body for part in Deframer().add(bytes(spoilt)))
     assert right == 0
+
+
+def test_every_damaged_frame_is_dropped_and_counted():
+    """Also one that is too short; flags without anything between them are no frames."""
+    whole = frame(b"whole body")
+    damaged = [b"\1", b"12345", b"no right check", whole[1:-1] + b"\0", whole[2:-1]]
+    deframer = Deframer()
+    for number, inside in enumerate(damaged, 1):
+        assert deframer.add(_FLAGS + inside + _FLAGS) == []
+        assert deframer.dropped == number
+        assert deframer.add(_FLAGS + whole + whole) == [b"whole body"] * 2
+    assert deframer.dropped == len(damaged)
 
 
 def test_blocks_of_the_page_run(tmp_path, monkeypatch):
@@ -479,14 +497,83 @@ def test_a_port_is_opened_as_it_is_asked_for(monkeypatch):
     assert opened == [("/dev/ttyUSB3", BAUD), ("/dev/ttyUSB4", 115_200)]
 
 
-class Counting:
-    """A port to a device that gives each word its address; it loses the answers to some requests.
+class OpenedError(Exception):
+    """Stands for pyserial's own error."""
 
-    asked: operation, number of words and address of every request.
+
+class Opened:
+    """Stands for a port of pyserial, on which `waiting` bytes wait. error: what it raises."""
+
+    def __init__(self, waiting=b"", error=None):
+        self.waiting, self.error, self.sent, self.closed = waiting, error, b"", False
+
+    @property
+    def in_waiting(self):
+        if self.error:
+            raise self.error
+        return len(self.waiting)
+
+    def read(self, number):
+        assert number > 0  # otherwise nobody waits for the next byte
+        found, self.waiting = self.waiting[:number], self.waiting[number:]
+        return found
+
+    def write(self, data):
+        if self.error:
+            raise self.error
+        self.sent += data
+
+    def close(self):
+        self.closed = True
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """Return a function that opens a serial port over a stand-in."""
+
+    def opened(line):
+        module = ModuleType("serial")
+        module.SerialException = OpenedError
+        module.Serial = lambda device, baud, **options: line
+        monkeypatch.setitem(sys.modules, "serial", module)
+        return serial_transport.SerialPort("/dev/ttyUSB3")
+
+    return opened
+
+
+@pytest.mark.parametrize("waiting", [b"", b"a", b"abc" * 50])
+def test_a_port_gives_all_that_waits_and_is_closed_after_its_use(opened, waiting):
+    line = Opened(waiting)
+    with opened(line) as port:
+        assert port.read() == waiting and port.read() == b""
+        port.write(b"sent")
+        assert not line.closed
+    assert line.sent == b"sent" and line.closed
+
+
+@pytest.mark.parametrize("error", [OpenedError("no bytes"), OSError("no device")])
+def test_a_port_that_is_gone_is_an_error_of_the_link(opened, error):
+    """Whatever the library or the system says; it is closed all the same."""
+    line = Opened(error=error)
+    told = rf"^the serial port is gone \({error}\)$"
+    with opened(line) as port:
+        with pytest.raises(LinkError, match=told):
+            port.read()
+        with pytest.raises(LinkError, match=told):
+            port.write(b"sent")
+    assert line.closed
+
+
+class Counting:
+    """A port to a device that gives each word its address; it loses the answers to some requests,
+    and refuses the words from the address `refused` on.
+
+    asked: operation, number of words and address of every request. written: address -> value.
     """
 
-    def __init__(self, lost=()):
+    def __init__(self, lost=(), refused=1 << 24):
         self.lost, self.asked, self.time, self.answers = set(lost), [], 0.0, []
+        self.refused, self.written = refused, {}
 
     def write(self, data):
         (body,) = Deframer().add(data)
@@ -495,10 +582,20 @@ class Counting:
         self.asked.append((Operation(operation), words, address))
         if len(self.asked) - 1 in self.lost:
             return
+        addresses = range(address, min(address + 4 * words, self.refused), 4)
         content = b""
         if operation == Operation.READ:
-            content = b"".join((address + 4 * k).to_bytes(4, "little") for k in range(words))
-        self.answers.append(frame(bytes([number]) + content + bytes([Answer.OKAY])))
+            content = b"".join(at.to_bytes(4, "little") for at in addresses)
+        elif operation == Operation.WRITE:
+            values = np.frombuffer(body[6:], "<u4").tolist()
+            self.written |= dict(zip(addresses, values, strict=False))
+            content = bytes([len(addresses)])
+        status = Answer.OKAY if len(addresses) == words else Answer.REFUSED
+        self.answers += self.parts(frame(bytes([number]) + content + bytes([status])))
+
+    def parts(self, answer):
+        """Return what each reading gives of an answer."""
+        return [answer]
 
     def read(self):
         self.time += 0.25
@@ -522,6 +619,76 @@ def test_reads_are_shorter_on_a_bad_line_and_grow_again_on_a_good_one():
     assert transport.repeats == 2
     answered = [asked for k, asked in enumerate(line.asked) if k not in (0, 2, 3)]
     assert sum(count for _, count, _ in answered) == words
+
+
+LENGTHS = (1, WRITE_WORDS_MAX - 1, WRITE_WORDS_MAX, WRITE_WORDS_MAX + 1, 2 * WRITE_WORDS_MAX + 5)
+
+
+@pytest.mark.parametrize("words", LENGTHS)
+def test_a_block_of_any_length_is_written_word_by_word_at_its_address(words):
+    """In as few requests as there may be; none is empty."""
+    line = Counting()
+    values = [0xFFFF_FF00 + k % 200 for k in range(words)]
+    SerialTransport(line, patience_s=1.0).write_block(0x100, values)
+    assert line.written == {0x100 + 4 * k: value for k, value in enumerate(values)}
+    writes = [count for operation, count, _ in line.asked if operation == Operation.WRITE]
+    assert len(writes) == -(-words // WRITE_WORDS_MAX) and 0 not in writes
+    assert max(writes) <= WRITE_WORDS_MAX
+
+
+REFUSED = (0, 1, WRITE_WORDS_MAX - 1, WRITE_WORDS_MAX, WRITE_WORDS_MAX + 3, READ_WORDS_MAX + 2)
+
+
+@pytest.mark.parametrize("word", REFUSED)
+def test_a_refusal_names_the_first_word_that_is_refused(word):
+    """By its address, also in a later request of the block; a write with its value."""
+    refused = 0x100 + 4 * word
+    values = list(range(500, 500 + READ_WORDS_MAX + 9))
+    line = Counting(refused=refused)
+    transport = SerialTransport(line, patience_s=1.0)
+    told = f"write of {values[word]:#x} to {refused:#08x}"
+    with pytest.raises(RefusedError, match=f"^{told}$"):
+        transport.write_block(0x100, values)
+    assert line.written == {0x100 + 4 * k: values[k] for k in range(word)}
+    with pytest.raises(RefusedError, match=f"^read of {refused:#08x}$"):
+        transport.read_block(0x100, len(values))
+    assert transport.read_block(0x100, word) == list(range(0x100, refused, 4))
+
+
+class Slow(Counting):
+    """A device whose answers come in parts, each a little later."""
+
+    def parts(self, answer):
+        return [answer[k : k + 3] for k in range(0, len(answer), 3)]
+
+
+def test_an_answer_is_waited_for_as_long_as_it_goes_on():
+    """Also where all of it takes longer than the patience."""
+    line = Slow()
+    transport = SerialTransport(line, tries=1, patience_s=0.6)
+    assert transport.read_block(0x100, 20) == list(range(0x100, 0x150, 4))
+    assert line.time > 5 and transport.repeats == 0
+
+
+@pytest.mark.parametrize("change", [-4, -1, 3])
+def test_an_answer_of_another_length_than_was_asked_for_is_an_error(change):
+    """A write tells as many words as there were; a read has whole words."""
+
+    class Wrong(Counting):
+        def parts(self, answer):
+            (body,) = Deframer().add(answer)
+            number, content, status = body[:1], body[1:-1], body[-1:]
+            if len(content) == 1:
+                content = bytes([content[0] + change])
+            elif content:
+                content = (content + bytes(4))[: len(content) + change]
+            return [frame(number + content + status)]
+
+    transport = SerialTransport(Wrong(), tries=1, patience_s=1.0)
+    with pytest.raises(LinkError, match="^write to 0x000200: .* of 9 words$"):
+        transport.write_block(0x200, [7] * 9)
+    with pytest.raises(LinkError, match=f"^read of 0x000200: {4 + change} bytes for 1 words$"):
+        transport.read_block(0x200, 1)
 
 
 def test_requests_have_numbers_of_one_byte():
@@ -565,6 +732,53 @@ def test_what_is_no_emulator_that_the_driver_knows_is_refused(found, told):
     words = {own_address(name): value for name, value in (known | found).items()}
     with pytest.raises(HostError, match=f"^{told}$"):
         EmulatorDriver(Words(words))
+
+
+class Resting(dict):
+    """A transport to an emulator of which a few words are known: its status is busy for so many
+    readings after an abort.
+    """
+
+    def __init__(self, busy, status=0):
+        super().__init__(
+            {
+                own_address("emulator_id"): EMULATOR_ID,
+                own_address("emulator_version"): EMULATOR_VERSION,
+                own_address("buffer_beats"): 64,
+                own_address("buffer_level"): 0,
+                own_address("buffer_first"): 0,
+                register_address("status"): status,
+            }
+        )
+        self.busy, self.written = busy, []
+
+    def read(self, address):
+        if address != register_address("status"):
+            return self[address]
+        self.busy -= bool(self.written)
+        return self[address] | (self.busy > 0) << STATUS.bit("busy")
+
+    def write(self, address, value):
+        self.written.append((address, value))
+
+
+def test_an_emulator_is_brought_to_rest_and_all_sticky_bits_are_cleared():
+    """Only a running frame is ended. Afterwards, no setting is known."""
+    sticky = sum(1 << bits.lsb for bits in STATUS.bits if bits.clears)
+    clear = (register_address("status"), sticky)
+    for busy, ended in ((0, []), (3, [control("abort")])):
+        line = Resting(busy)
+        driver = EmulatorDriver(line, SENSOR, fresh=True)
+        driver.resume()
+        assert line.written == [*ended, clear]
+        assert not driver.programmed
+
+
+def test_an_emulator_that_does_not_come_to_rest_is_an_error():
+    line = Resting(10**9)
+    with pytest.raises(HostError, match=r"^the sensor is still busy 0\.01 s after an abort$"):
+        EmulatorDriver(line, SENSOR).resume(seconds=0.01)
+    assert line.written == [control("abort")]
 
 
 def test_a_later_map_of_the_same_version_is_known():

@@ -3,21 +3,27 @@
 release and the netlist take from their options.
 """
 
+import json
 import re
+from types import SimpleNamespace
 
 import pytest
 from attrs import evolve
 
-from coincid.board import netlist, place
+from coincid.board import lint as board_lint
+from coincid.board import netlist, place, release
 from coincid.board.parameters import DEAD_MAX, Emulator
 from coincid.board.place import ulx3s
-from coincid.board.release import TOPS, emulator_release
+from coincid.board.release import PINS, TOPS, emulator_release
 from coincid.board.rtl.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, board_files, board_pins
 from coincid.board.run import source_settings
+from coincid.flow import pnr
+from coincid.flow.pnr import BITSTREAM, Placement
 from coincid.lab.setup import scene_of
 from coincid.model.contract.config import load_config
 from coincid.model.light.spad import Spad
 
+from ..command import command
 from .sensors import SENSOR, config
 
 BEATS = 64, 128
@@ -98,6 +104,7 @@ def test_every_kind_of_release_has_the_buffer_that_is_asked_for(kind, beats, fil
     (emulator,) = files
     assert emulator.sensor == SENSOR and emulator.buffer_beats == beats
     assert released["emulator.v"] == f"{beats} {kind != 'axi'}"
+    assert (PINS in released) == (kind == "ulx3s")
     if kind != "axi":
         assert emulator == evolve(Emulator.of(config(clock_mhz=80)), buffer_beats=beats)
 
@@ -111,8 +118,13 @@ def test_the_netlist_is_that_of_the_emulator_it_is_returned_with(files, monkeypa
         return tmp_path
 
     monkeypatch.setattr(netlist, "synthesize", synthesized)
-    monkeypatch.setattr(netlist, "build_line", lambda sources, *_: sources[0])
+    built = []
+    monkeypatch.setattr(netlist, "build_line", lambda *given: built.append(given) or given[0][0])
     emulator, library = netlist.emulator_netlist(config(), 128, 7)
+    ((sources, top, options, optimise),) = built
+    assert f"module {top}" in (sources[1]).read_text(encoding="utf-8")
+    assert options[:-1] == list(netlist.NETLIST_OPTIONS) and optimise == "-O0"
+    assert options[-1] == f"-I{sources[-1].parent}" and sources[-1].exists()
     assert (emulator.buffer_beats, emulator.clocks_per_bit) == (128, 7)
     assert files == [emulator] and boards[0].options == "-nobram"
     assert library.parent == tmp_path
@@ -127,3 +139,77 @@ def test_a_pixel_of_the_source_is_dead_for_at_least_its_dead_time(clock_mhz):
     of = config(clock_mhz=clock_mhz)
     settings = source_settings(of, scene_of(of, "flat:3,0.4"), 5.0)
     assert settings.dead_cycles == expected
+
+
+@pytest.fixture
+def building(monkeypatch, tmp_path):
+    """Let `coincid emulator` build nothing; return what its parts are given, and its placements.
+
+    Of three placements, the second one is the fastest.
+    """
+    given = {}
+
+    def note(name, result):
+        def noted(*values):
+            given[name] = values
+            return result
+
+        return noted
+
+    placements = []
+    for seed, mhz in ((1, 90.0), (2, 99.0), (3, 95.0)):
+        folder = tmp_path / f"seed-{seed}"
+        folder.mkdir()
+        report = {"fmax": {"clk": {"achieved": mhz}}}
+        (folder / "report.json").write_text(json.dumps(report), encoding="utf-8")
+        (folder / BITSTREAM).write_bytes(b"bits of %d" % seed)
+        placements.append(Placement(seed, folder))
+    (tmp_path / "a.v").write_bytes(bytes(2500))
+    board = SimpleNamespace(top="top", page="docs/page.md", goal_mhz=95.0)
+    monkeypatch.setattr(release, "emulator_release", note("release", {"a.v": ""}))
+    monkeypatch.setattr(release, "write_emulator", note("written", [tmp_path / "a.v"]))
+    monkeypatch.setattr(board_lint, "lint_emulator", note("lint", {"verilator": ""}))
+    monkeypatch.setattr(place, "ulx3s", note("board", board))
+    monkeypatch.setattr(pnr, "place", note("placed", placements))
+    monkeypatch.setattr(pnr, "write_placement_page", note("page", None))
+    return given
+
+
+@pytest.mark.parametrize("kind", TOPS)
+def test_every_kind_of_emulator_has_its_own_preset_and_top(building, tmp_path, kind):
+    """Unless another one is given. Only for the board, something is placed."""
+    preset = load_config("emulator-axi" if kind == "axi" else "emulator")
+    out = tmp_path / "out"
+    done = command(f"emulator {kind} --buffer-beats 128 --out {out}")
+    (settings, asked, beats) = building["release"]
+    assert (settings.sensor, settings.clock_mhz) == (preset.sensor, preset.clock_mhz)
+    assert (asked, beats) == (kind, 128)
+    assert building["lint"] == ({"a.v": ""}, TOPS[kind])
+    assert building["written"] == (out, {"a.v": ""})
+    assert f"{out}: 1 files, 2 kB" in done.output
+    assert ("placed" in building) == (kind == "ulx3s")
+    command(f"emulator {kind} --config fpga --set clock_mhz=100 --out {out}")
+    assert building["release"][0].sensor == load_config("fpga").sensor
+
+
+def test_the_bitstream_of_a_board_is_that_of_the_fastest_placement(building, tmp_path):
+    """A clock that misses its goal in another one is in the exit code."""
+    out = tmp_path / "out"
+    out.mkdir()
+    page = tmp_path / "page.md"
+    for words, told, shown in (("", None, "docs/page.md"), (f"--page {page}", page, page)):
+        done = command(f"emulator --buffer-beats 256 --out {out} {words}")
+        assert (out / "top.bit").read_bytes() == b"bits of 2"
+        assert f"{out / 'top.bit'}\n{shown}\n" in done.stdout
+        assert building["page"][2] == told
+        assert done.exit_code == 1
+        assert done.stderr == "coincid: seed 1: clk reaches 90.0 MHz, must be 95\n"
+    settings, emulator = building["board"]
+    assert emulator == Emulator.of(settings, 256)
+
+
+def test_an_emulator_in_which_lint_finds_something_is_not_placed(building, monkeypatch, tmp_path):
+    monkeypatch.setattr(board_lint, "lint_emulator", lambda *_: {"icarus": "odd\n"})
+    done = command(f"emulator --out {tmp_path}")
+    assert done.exit_code == 1 and "icarus: found\nodd" in done.stdout
+    assert "placed" not in building

@@ -3,20 +3,27 @@
 ports are refused.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from attrs import evolve
 
-from coincid.board import run, simulated
+from coincid.board import driver as board_driver
+from coincid.board import run, serial_transport, simulated
 from coincid.board.driver import EmulatorDriver
-from coincid.board.run import Session, source_settings
+from coincid.board.run import RECOVERIES_MAX, Session, Tally, source_settings
+from coincid.board.serial_link import BAUD
 from coincid.board.serial_transport import SerialTransport
 from coincid.board.simulated import PATIENCE_S, SimulatedPort
 from coincid.board.source_model import source_edges
+from coincid.host.transport import DeviceResetError, LinkError
 from coincid.lab.setup import scene_of
 from coincid.model.contract.config import changes_of_text, load_config
 from coincid.model.depth.histograms import by_subgroup
+from coincid.model.depth.quality import OTHER_SURFACE_M
 from coincid.model.golden.frame import Golden
+from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.errors import InputError
 from coincid.tb.rtl_errors import Mismatch
@@ -191,6 +198,247 @@ def test_depth_of_counts():
     session.frame()
     depth_m = session.depth().depth_m[:, :, 0]
     assert np.nanmedian(depth_m) == pytest.approx(5, abs=2 * config.tick_m)
+
+
+LIT = source_settings(CONFIG, scene_of(CONFIG, "flat:5"), 50.0)
+
+
+class Changing(Predicted):
+    """The same, with one frame that is changed by a function."""
+
+    change = staticmethod(lambda beats: beats)
+
+    def frame(self):
+        return self.change(super().frame())
+
+
+@pytest.mark.parametrize("at", [0, 3, -1])
+def test_a_wrong_word_is_told_with_its_place_and_both_words(at):
+    """First what came, then what the golden model says; a frame may also be too short or too
+    long.
+    """
+    (beats,) = Golden(CONFIG.sensor).frame(CONFIG, source_edges(CONFIG, LIT, 0)).beats
+    place = range(len(beats))[at]
+    driver = Changing(CONFIG, LIT)
+    wrong = beats.copy()
+    wrong[place] ^= 1
+    word, wanted = (f"{int(words[place]):#018x}" for words in (wrong, beats))
+    more = np.append(beats, wrong[place])
+    cases = [
+        (wrong, f"beat {place}: {word}, golden model {wanted}"),
+        (beats[:-1], f"beat {len(beats) - 1}: nothing, golden model {int(beats[-1]):#018x}"),
+        (more, f"beat {len(beats)}: {word}, golden model nothing"),
+    ]
+    for came, told in cases:
+        driver.change = lambda _, came=came: came
+        session = Session(driver, CONFIG, LIT)
+        with pytest.raises(Mismatch, match=f"^frame 0, {told}$"):
+            session.frame()
+        assert session.tally.frames == 0
+
+
+class Clock:
+    """A clock of which each reading adds a second, and the port of a line with another clock."""
+
+    def __init__(self):
+        self.seconds = 0
+
+    def monotonic(self):
+        self.seconds += 1
+        return float(self.seconds)
+
+    @property
+    def port(self):
+        return self
+
+    def now(self):
+        return 1e-3 * self.seconds
+
+
+def test_a_tally_has_the_time_of_both_clocks_since_the_first_start(monkeypatch):
+    """What comes before the first frame does not count; words are those of all frames."""
+    clock = Clock()
+    monkeypatch.setattr(run, "time", clock)
+    driver = Predicted(CONFIG, LIT)
+    driver.transport = clock
+    session = Session(driver, CONFIG, LIT)
+    clock.seconds += 1000
+    beats = []
+    for frames in (1, 2, 3):
+        beats.append(session.frame())
+        tally = session.tally
+        assert tally.frames == frames and tally.beats == sum(map(len, beats))
+        assert tally.seconds == frames
+        assert tally.seconds_on_line == pytest.approx(1e-3 * frames)
+        assert tally.recoveries == 0
+
+
+class Stalling(Predicted):
+    """The same, of which each reading of the stalls gives the next of these numbers."""
+
+    buffer_beats = 256
+
+    def __getitem__(self, name):
+        assert name == "stalls"
+        return self.stalls.pop(0)
+
+
+def test_only_a_buffer_that_was_full_in_this_session_is_an_error():
+    """It may have been full before, and other sessions may have waited for it."""
+    driver = Stalling(CONFIG, LIT)
+    driver.stalls = [7, 7, 7, 8]
+    session = Session(driver, CONFIG, LIT)
+    session.frame()
+    session.frame()
+    told = "^frame.pulses = 8: the frame buffer of 256 beats was full; must be fewer$"
+    with pytest.raises(InputError, match=told):
+        session.frame()
+    assert session.tally.frames == 2
+
+
+class Losing(Predicted):
+    """The same, whose line fails: `frames` and `rests` are numbers of failures to come."""
+
+    frames = rests = programmed = 0
+
+    def resume(self):
+        if self.rests:
+            self.rests -= 1
+            raise LinkError("no answer")
+
+    def program(self, config):
+        self.programmed += 1
+
+    def frame(self):
+        if self.frames:
+            self.frames -= 1
+            raise DeviceResetError("reset") if self.frames % 2 else LinkError("no answer")
+        return super().frame()
+
+
+@pytest.mark.parametrize("failures", range(RECOVERIES_MAX))
+def test_a_session_recovers_from_each_failure_and_counts_it(failures):
+    """It programs the emulator anew each time; failures of the recovery itself are not counted."""
+    driver = Losing(CONFIG, LIT)
+    session = Session(driver, CONFIG, LIT)
+    driver.frames, driver.rests = failures, failures
+    session.frame()
+    assert (session.tally.frames, session.tally.recoveries) == (1, failures)
+    assert driver.programmed == 1 + failures
+    session.frame()
+    assert (session.tally.frames, session.tally.recoveries) == (2, failures)
+
+
+def test_a_session_gives_up_after_some_failures_in_a_row():
+    driver = Losing(CONFIG, LIT)
+    session = Session(driver, CONFIG, LIT)
+    driver.frames = RECOVERIES_MAX
+    with pytest.raises(LinkError, match=f"^no whole frame in {RECOVERIES_MAX} tries$"):
+        session.frame()
+    driver.frames, driver.rests = 1, RECOVERIES_MAX
+    told = f"^the emulator does not recover in {RECOVERIES_MAX} tries$"
+    with pytest.raises(LinkError, match=told):
+        session.frame()
+    assert session.tally.frames == 0
+    session.frame()
+    assert session.tally.frames == 1
+
+
+def test_what_the_emulator_does_not_have_is_refused():
+    """A controller, of any subgroup, and pictures that follow each other."""
+    automatic = CONFIG.with_settings(auto=np.arange(CONFIG.sensor.subgroups) == 1)
+    with pytest.raises(InputError, match="^subgroup.auto = true: .* must be false$"):
+        Session(Unused(), automatic, LIT)
+    sensor = CONFIG.sensor
+    moving = load_scene(np.full((3, sensor.rows, sensor.cols), 5.0), sensor.rows, sensor.cols)
+    with pytest.raises(InputError, match="^scene: has 3 pictures, must have one for the emulator"):
+        source_settings(CONFIG, moving, 0.0)
+
+
+def test_the_picture_is_held_against_the_truth_of_its_scene(monkeypatch, tmp_path):
+    """With the tolerance for coarse ticks; a frame is told when it has been checked."""
+    drawn, told = [], []
+    monkeypatch.setattr(run, "depth_row", lambda *given, **named: drawn.append((given, named)))
+    scene = scene_of(CONFIG, "flat:5")
+    settings = source_settings(CONFIG, scene, 50.0, seed=3)
+    tally = run.emulate(
+        Predicted(CONFIG, settings),
+        CONFIG,
+        scene,
+        tmp_path / "new",
+        klux=50.0,
+        frames=3,
+        seed=3,
+        tell=lambda so_far: told.append((so_far.frames, so_far.beats > 0)),
+    )
+    assert told == [(1, True), (2, True), (3, True)] and tally.frames == 3
+    ((path, (panel,), truth_m), named) = drawn[-1]
+    assert path == tmp_path / "new" / run.DEPTH and path.parent.is_dir()
+    assert panel.title == "3 frames of the emulator"
+    assert np.array_equal(truth_m, scene.truth_m)
+    assert named == {"tolerance_m": OTHER_SURFACE_M}
+
+
+class Line:
+    """Stands for a line that is used in a `with`."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """Let `coincid emulate` run on nothing; return what its parts are given."""
+    given = {}
+
+    def note(name, result):
+        def noted(*values, **named):
+            given[name] = values, named
+            return result
+
+        return noted
+
+    tally = Tally(frames=4, beats=321, recoveries=2, seconds=0.5, seconds_on_line=0.008)
+    monkeypatch.setattr(simulated, "SimulatedPort", note("simulated", Line()))
+    monkeypatch.setattr(serial_transport, "SerialPort", note("board", Line()))
+    transport = SimpleNamespace(repeats=7)
+    monkeypatch.setattr(serial_transport, "SerialTransport", note("transport", transport))
+    monkeypatch.setattr(board_driver, "EmulatorDriver", note("driver", None))
+    monkeypatch.setattr(run, "emulate", note("run", tally))
+    return given
+
+
+COUNTED = [
+    "4 frames, 321 words, all as the golden model predicts",
+    "8 frames per second; 7 requests repeated, 2 recoveries",
+]
+
+
+def test_what_a_session_counted_is_told_number_by_number(told, tmp_path):
+    """In simulation, also the time of a frame by the clock of the line."""
+    end = f"{tmp_path / run.DEPTH}"
+    shown = command(f"emulate --simulate --scene flat:5 --out {tmp_path}").stdout.splitlines()
+    assert shown == ["2 ms of simulated time per frame", *COUNTED, end]
+    shown = command(f"emulate --port /dev/a --scene flat:5 --out {tmp_path}").stdout.splitlines()
+    assert shown == [*COUNTED, end]
+
+
+@pytest.mark.parametrize(("baud", "times"), [(25_000_000, 1), (5_000_000, 5), (100_000, 250)])
+def test_a_slower_simulated_line_gets_as_much_more_patience(told, baud, times):
+    command(f"emulate --simulate --scene flat:5 --set clock_mhz=100 --baud {baud}")
+    (built, clock_mhz, library), _ = told["simulated"]
+    assert (built.clocks_per_bit, clock_mhz, library) == (4 * times, 100, None)
+    assert told["transport"][1] == {"patience_s": pytest.approx(PATIENCE_S * times)}
+
+
+@pytest.mark.parametrize(("words", "baud"), [("", BAUD), ("--baud 9600", 9600)])
+def test_a_board_has_its_own_rate_and_the_usual_patience(told, words, baud):
+    command(f"emulate --port /dev/a --scene flat:5 {words}")
+    assert told["board"] == (("/dev/a", baud), {})
+    assert told["transport"][1] == {}
 
 
 def test_a_wrong_word_is_found(driver):
