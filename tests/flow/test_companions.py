@@ -13,7 +13,7 @@ import pytest
 from attrs import frozen
 from peakrdl_ipxact import IPXACTImporter
 from systemrdl import RDLCompiler
-from systemrdl.node import RegNode
+from systemrdl.node import RegfileNode, RegNode
 
 from coincid.flow.register_files import HEADER, HTML, IP_XACT, JSON, MARKDOWN, RDL, register_files
 from coincid.host.transport import RefusedError
@@ -27,6 +27,7 @@ from ..random_cases import built_sensor
 SENSOR = built_sensor(random_cases.SENSORS["odd"])  # which other tests build, too
 LAST = SENSOR.subgroups - 1
 WORD_MAX = (1 << 32) - 1
+BLOCK = re.compile(r"At (0x\w+) \+ (0x\w+) \* s")
 RANGE = re.compile(r"Range: (\d+) to (\d+)\.")
 
 
@@ -136,7 +137,7 @@ class Tables(HTMLParser):
     def handle_data(self, data):
         if self._tag == "td":
             self.rows[-1][-1] += data
-        elif self._tag == "p" and (at := re.match(r"At (0x\w+) \+ (0x\w+) \* s", data)):
+        elif self._tag == "p" and (at := BLOCK.match(data)):
             self.rows.append([at[1], at[2]])
 
 
@@ -144,8 +145,26 @@ def by_page(files, folder):
     """Return what the table of the HTML says."""
     tables = Tables()
     tables.feed(files[HTML])
+    return _of_rows(tables.rows)
+
+
+def by_markdown(files, folder):
+    """Return what the table of the Markdown says."""
+    rows = []
+    for line in files[MARKDOWN].splitlines():
+        if at := BLOCK.match(line):
+            rows.append([at[1], at[2]])
+        elif line.startswith("| ") and "---" not in line and not line.startswith("| offset"):
+            rows.append([cell.strip() for cell in line[1:-1].split(" | ")])
+    return _of_rows(rows)
+
+
+def _of_rows(rows):
+    """Return what the rows of the tables say. A row of two cells has the place of the registers
+    behind it.
+    """
     base, found, register = 0, {}, None
-    for row in tables.rows:
+    for row in rows:
         if len(row) == 2:
             base = int(row[0], 16) + LAST * int(row[1], 16)
         if len(row) != 6:
@@ -262,7 +281,13 @@ def test_only_formats_and_modes_that_are_built_are_described(file, built):
     assert "1 id (map)" in text and "3 compact (id in groups)" in text
 
 
-READERS = {IP_XACT: by_ip_xact, HTML: by_page, JSON: by_json, HEADER: by_c_compiler}
+READERS = {
+    IP_XACT: by_ip_xact,
+    HTML: by_page,
+    MARKDOWN: by_markdown,
+    JSON: by_json,
+    HEADER: by_c_compiler,
+}
 
 
 @pytest.fixture(scope="module")
@@ -283,6 +308,39 @@ def test_descriptions_agree(files, described, tmp_path, file):
         if file != HEADER:
             of_bits = found.cleared, found.state, found.pulse
             assert of_bits == (said.cleared, said.state, said.pulse), name
+
+
+def test_sizes_of_the_map_are_those_of_the_sensor(files, tmp_path):
+    """Of words, addresses and subgroups, for programs that read the JSON or the header."""
+    said = json.loads(files[JSON])
+    (tmp_path / RDL).write_text(files[RDL], encoding="utf-8")
+    compiler = RDLCompiler()
+    compiler.compile_file(str(tmp_path / RDL))
+    nodes = list(compiler.elaborate().descendants(unroll=True))
+    registers = [node for node in nodes if isinstance(node, RegNode)]
+    blocks = [node for node in nodes if isinstance(node, RegfileNode)]
+    assert said["subgroups"] == len(blocks) == SENSOR.subgroups
+    assert f"#define COINCID_SUBGROUPS {len(blocks)}u\n" in files[HEADER]
+    first, second, *_ = (block.absolute_address for block in blocks)
+    assert (said["subgroup_base"], said["subgroup_stride"]) == (first, second - first)
+    assert {node.get_property("regwidth") for node in registers} == {said["data_bits"]}
+    last = max(node.absolute_address for node in registers)
+    assert last < 1 << said["address_bits"] <= 1 << 32
+
+
+def test_masks_of_the_header_are_the_bits_of_the_registers(files):
+    """Each with its meaning; no two bits of a register overlap."""
+    found = re.findall(r"^#define COINCID_(\w+) (0x\w+)u  /\* (.*) \*/$", files[HEADER], re.M)
+    masks = {name: (int(mask, 16), doc) for name, mask, doc in found}
+    expected = {}
+    for one in _registers(files):
+        taken = 0
+        for bits in one.get("bits", ()):
+            mask = sum(1 << bits["lsb"] + k for k in range(bits["width"]))
+            assert not taken & mask
+            taken |= mask
+            expected[f"{one['name']}_{bits['name']}".upper()] = mask, bits["doc"]
+    assert masks == expected and len(masks) > 10
 
 
 def refused(rtl, where, value):

@@ -76,6 +76,49 @@ def test_a_path_ends_at_the_port_of_a_block_that_stays():
     assert depths({"cells": cells, "ports": ports}) == {"": 2}
 
 
+def gates_in_a_row(*kinds):
+    """Return cells from net 2 on, each behind the one before it."""
+    return {
+        f"gate_{n}": {
+            "type": kind,
+            "port_directions": {"A": "input", "Y": "output"},
+            "connections": {"A": [n], "Y": [n + 1]},
+        }
+        for n, kind in enumerate(kinds, 2)
+    }
+
+
+@pytest.mark.parametrize("free", ["$_NOT_", "$_BUF_"])
+def test_inverters_and_buffers_are_no_levels(free):
+    cells = gates_in_a_row(free, "$_AND_", free, free, "$_MUX_", free)
+    ports = {
+        "a": {"direction": "input", "bits": [2]},
+        "y": {"direction": "output", "bits": [8]},
+    }
+    assert depths({"cells": cells, "ports": ports}) == {"": 2}
+
+
+@pytest.mark.parametrize(
+    ("name", "block"),
+    [
+        (r"$auto$ff$1", ""),
+        (r"$flatten\a.$auto$ff$1", "a"),
+        (r"$flatten\a.\b.$auto$ff$1", "a.b"),
+        (r"$flatten\a.\b_2.\c.$procdff$3", "a.b_2.c"),
+    ],
+)
+def test_a_register_is_one_of_the_innermost_block_that_holds_it(name, block):
+    """Its depth is that of its data."""
+    flop = {
+        "type": "$_DFF_P_",
+        "port_directions": {"D": "input", "Q": "output", "C": "input"},
+        "connections": {"D": [4], "Q": [9], "C": [2]},
+    }
+    cells = gates_in_a_row("$_AND_", "$_OR_") | {name: flop}
+    ports = {"a": {"direction": "input", "bits": [2]}}
+    assert depths({"cells": cells, "ports": ports}) == {block: 2}
+
+
 def test_a_loop_is_reported():
     gate = {"type": "$_AND_", "port_directions": {"A": "input", "B": "input", "Y": "output"}}
     pins = {"g": {"A": [2], "B": [4], "Y": [3]}, "h": {"A": [3], "B": [2], "Y": [4]}}

@@ -97,6 +97,22 @@ def test_own_models_take_the_place_of_published_ones(target, monkeypatch, tmp_pa
     assert published_rest.count("endmodule") == 2
 
 
+def test_each_netlist_is_told_with_its_words_and_its_cycles(monkeypatch):
+    """When it has been played, and in turn."""
+    played = []
+
+    def gate_level(sensor, target):
+        assert sensor == gls.SENSOR
+        played.append(target)
+        return 10 * len(played), 1000 * len(played)
+
+    monkeypatch.setattr(gls, "gate_level", gate_level)
+    lines = gls.gate_levels()
+    assert next(lines) == f"{GATES}: 10 words and commits in 1000 cycles, 0 mismatches"
+    assert played == [GATES]
+    assert list(lines) == [f"{CELLS}: 20 words and commits in 2000 cycles, 0 mismatches"]
+
+
 def test_totals_of_played_frames(monkeypatch):
     """Words and commits first, then cycles."""
 

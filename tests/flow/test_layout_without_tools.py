@@ -525,3 +525,443 @@ def test_each_slack_of_a_layout_stands_beside_its_name(module):
         "+0.12",
         "-0.03",
     ]
+
+
+@pytest.fixture
+def flow(module, monkeypatch, tmp_path):
+    """Return the module of the flow, for a folder with a BLIF file of three kinds of cells."""
+    flow = module("flow")
+    blif = ".model top\n.gate INV A=a ZN=n\n.subckt DFF D=n Q=y\n.gate INV A=y ZN=b\n.end\n"
+    (tmp_path / flow.BLIF).write_text(blif, encoding="utf-8")
+    strip = flow.Strip(0.1, 0.3, 1.1, 0.5, True)
+
+    def strips(lef, kinds):
+        assert lef == Path("cells") / "stdcells.lef"
+        return {kind: {"A": strip} for kind in sorted(kinds)}
+
+    monkeypatch.setattr(flow, "strips", strips)
+    return flow
+
+
+@pytest.mark.parametrize("routed_by", [0, 1, 3])
+def test_attempts_get_more_room_in_turn_until_one_routes_every_net(
+    flow, monkeypatch, tmp_path, routed_by
+):
+    """Each has its own job, with all cells that the block or its clock tree has."""
+    jobs, told = [], []
+
+    def run_coriolis(folder):
+        jobs.append(json.loads((folder / flow.JOB).read_text(encoding="utf-8")))
+        return len(jobs) > routed_by
+
+    monkeypatch.setattr(flow, "run_coriolis", run_coriolis)
+    flow.route("top", Path("cells"), tmp_path, told.append)
+    assert len(jobs) == routed_by + 1
+    for job, attempt, line in zip(jobs, flow.ATTEMPTS, told, strict=False):
+        assert (job["margin"], job["um2_per_pin"]) == (attempt.margin, attempt.um2_per_pin)
+        assert job["tracks_reserved"] == list(attempt.tracks_reserved)
+        assert job["clock"] == "clk" and job["blif"] == "mapped"
+        assert job["lef"] == ["cells/rtk-tech.lef", "cells/stdcells.lef"]
+        assert line == f"top: placing and routing, {attempt.margin:.0%} of the area free"
+    stored = json.loads((tmp_path / jobs[0]["strips"]).read_text(encoding="utf-8"))
+    kinds = {"INV", "DFF", "BUF_X4", "BUF_X1", "LOGIC0_X1", "LOGIC1_X1"}
+    assert stored == {kind: {"A": [0.1, 0.3, 1.1, 0.5, True]} for kind in kinds}
+    margins = [(one.margin, one.um2_per_pin) for one in flow.ATTEMPTS]
+    assert margins == sorted(margins) and len(set(margins)) == len(margins)
+
+
+def test_a_block_that_no_attempt_routes_is_an_error_with_the_end_of_the_log(
+    flow, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(flow, "run_coriolis", lambda folder: False)
+    lines = [f"line {k}" for k in range(50)]
+    (tmp_path / flow.LOG).write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(flow.ToolchainError) as failed:
+        flow.route("top", Path("cells"), tmp_path, print)
+    first, *others = str(failed.value).splitlines()
+    assert first == f"top: {len(flow.ATTEMPTS)} attempts did not route every net"
+    assert others == lines[-flow.TAIL_LINES :]
+
+
+@pytest.mark.parametrize(("code", "routed"), [(0, True), (3, False), (1, None), (-11, None)])
+def test_an_attempt_that_fails_otherwise_than_in_routing_is_an_error(
+    flow, monkeypatch, tmp_path, code, routed
+):
+    """What it says is added to the log, and its hashes do not vary."""
+
+    def run(command, *, cwd, stdout, stderr, timeout, check, env):
+        assert command[-1] == flow.JOB and cwd == tmp_path and timeout == flow.LIMIT_S
+        assert env["PYTHONHASHSEED"] == "0" and stdout is stderr
+        stdout.write("words\n")
+        return SimpleNamespace(returncode=code)
+
+    monkeypatch.setattr(flow.subprocess, "run", run)
+    (tmp_path / flow.LOG).write_text("before\n", encoding="utf-8")
+    if routed is None:
+        with pytest.raises(flow.ToolchainError, match="Coriolis failed in .*\nbefore\nwords$"):
+            flow.run_coriolis(tmp_path)
+    else:
+        assert flow.run_coriolis(tmp_path) is routed
+    assert (tmp_path / flow.LOG).read_text(encoding="utf-8") == "before\nwords\n"
+
+
+def test_an_attempt_that_takes_too_long_has_not_routed(flow, monkeypatch, tmp_path):
+    def run(command, **_):
+        raise flow.subprocess.TimeoutExpired(command, 1)
+
+    monkeypatch.setattr(flow.subprocess, "run", run)
+    assert flow.run_coriolis(tmp_path) is False
+
+
+TIMED = """\
+FLOPS
+   0.40   slack (MET)
+LATCHES
+OPENING
+ENABLES
+  -0.20   slack (VIOLATED)
+SHORTEST
+   0.07   slack (MET)
+   0.03   slack (MET)
+"""
+
+
+def test_slacks_of_a_routed_block_are_those_with_its_wires(flow, monkeypatch, tmp_path):
+    """The longest path of every kind of end, and the shortest of all; the delays have a middle."""
+    asked = []
+
+    def timing_report(folder, top, netlist, clock_ns, commands):
+        asked.append((folder, top, netlist, clock_ns))
+        assert f"read_spef {flow.SPEF}" in commands and "propagated" in commands
+        (folder / flow.SDF).write_text("(IOPATH A Z (0.010::0.030) (-0.02::0.04))", "utf-8")
+        return reports.pop(0)
+
+    monkeypatch.setattr(flow, "timing_report", timing_report)
+    longest, shortest = TIMED.split("SHORTEST")
+    without = [f"{longest}SHORTEST\nNo paths found.\n", f"FLOPS\nSHORTEST{shortest}"]
+    reports = [TIMED, *without]
+    assert flow.time_wires("top", 400.0, tmp_path) == (-0.2, 0.03)
+    assert asked == [(tmp_path, "top", flow.VERILOG, 2.5)]
+    delays = (tmp_path / flow.SDF).read_text(encoding="utf-8")
+    assert delays == "(IOPATH A Z (0.010:0.030:0.030) (-0.02:0.04:0.04))"
+    for _ in without:
+        with pytest.raises(flow.ToolchainError, match="^sta: no timing of top: "):
+            flow.time_wires("top", 400.0, tmp_path)
+
+
+def test_a_block_with_opens_shorts_or_bare_pins_has_no_files(flow, monkeypatch, tmp_path):
+    """They are told, up to five of each kind."""
+    for name in (flow.PLACED, flow.STRIPS):
+        (tmp_path / name).write_text("{}", encoding="utf-8")
+    monkeypatch.setattr(flow, "cell_widths_um", lambda lef: {})
+    monkeypatch.setattr(flow.drawn, "draw", lambda *_: None)
+    before = sorted(tmp_path.iterdir())
+    many = [f"n{k}" for k in range(9)]
+    for opens, shorts, off in ((many, [], []), ([], [["a", "b"]], []), ([], [], ["p"])):
+        found = (20, opens, shorts, off)
+        monkeypatch.setattr(flow.drawn, "connect", lambda *_, found=found: found)
+        told = f"top: open nets {opens[:5]}, shorts {shorts[:5]}, pins without metal of {off[:5]}"
+        with pytest.raises(flow.ToolchainError) as failed:
+            flow.finish("top", Path("cells"), 500.0, tmp_path)
+        assert str(failed.value) == told
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_delays_that_have_no_effect_are_a_mismatch(module, monkeypatch):
+    """A layout must fail with delays that are much too long, and pass with its own."""
+    document = module("document")
+    unit, played, told = Minigroup(SMALL), [], []
+
+    def play_with_delays(sensor, of, folder, factor, view):
+        assert (sensor, of, folder, view) == (document.SMALL, unit, Path("a"), "a view")
+        played.append(factor)
+        if factor in failing:
+            raise document.Mismatch(f"with {factor}")
+        return 123, 4567
+
+    monkeypatch.setattr(document, "play_with_delays", play_with_delays)
+    given = unit, "a view", Path("a"), told.append
+    failing = {document.TOO_SLOW}
+    assert document.played_with_delays(*given) == [
+        ("words and commits", "123"),
+        ("cycles", "4567"),
+        ("mismatches", "0"),
+    ]
+    assert played == [1.0, document.TOO_SLOW] and unit.unit_name in told[0]
+    failing = {1.0, document.TOO_SLOW}
+    with pytest.raises(document.Mismatch, match="^with 1.0$"):
+        document.played_with_delays(*given)
+    failing = set()
+    with pytest.raises(document.Mismatch, match="delays 6 times as long, so the delays have no"):
+        document.played_with_delays(*given)
+
+
+def test_a_block_with_delays_takes_the_place_of_its_rtl(module, monkeypatch, tmp_path):
+    """In a folder for each factor, with the delays times the factor; the rest of the sensor stays."""
+    delays = module("delays")
+    unit, view = Minigroup(SMALL), SimpleNamespace(by_words=False)
+    name = unit.unit_name
+    bit = next(port.name for port in unit.ports() if port.width == 1 and port.is_input)
+    (tmp_path / delays.VERILOG).write_text(
+        f"module {name} (clk, {bit});\n  input clk;\n  input {bit};\nendmodule\n", "utf-8"
+    )
+    (tmp_path / delays.SDF).write_text("(0.010:0.020:0.030)", encoding="utf-8")
+    rtl = [tmp_path / f"{stem}.v" for stem in (name, "coincid_tree", "coincid_sensor")]
+    built = []
+
+    def build(simulator, sources, top, key, options):
+        built.append((simulator, sources, top, key, options))
+        return "a build"
+
+    monkeypatch.setattr(delays, "rtl", lambda sensor, of: rtl)
+    monkeypatch.setattr(delays, "sensor_key", lambda sensor, of: "small")
+    monkeypatch.setattr(delays.toolchain, "build", build)
+    monkeypatch.setattr(delays, "random_frames", lambda sensor, frames: [sensor, frames])
+    monkeypatch.setattr(delays, "cell_models", lambda: "models")
+    monkeypatch.setattr(delays, "played", lambda *given, lines: (given, lines))
+    for factor in (1.0, 2.5):
+        given, lines = delays.play_with_delays(SMALL, unit, tmp_path, factor, view)
+        key = f"routed-small-{factor:g}"
+        assert given == ("a build", [SMALL, delays.FRAMES], key) and lines
+        simulator, sources, top, built_key, options = built[-1]
+        assert (simulator, top, built_key) == ("icarus", delays.TOP, key)
+        assert options == ["-gspecify"]
+        folder = tmp_path / f"delays-{factor:g}"
+        own = [folder / f"{name}.v", folder / "routed.v", folder / "cells.v"]
+        assert sources == [*rtl[1:], *own]
+        sdf = (folder / delays.SDF).read_text(encoding="utf-8")
+        scaled = ":".join(f"{factor * ns:.4f}" for ns in (0.01, 0.02, 0.03))
+        assert sdf == f"({scaled})"
+        shell, routed, cells = (path.read_text(encoding="utf-8") for path in own)
+        assert f'$sdf_annotate("{folder / delays.SDF}", routed)' in shell
+        assert f".{bit}(late_{bit}[0])" in shell and ".clk(" in shell
+        assert routed.startswith(f"`timescale 1ns/1ps\nmodule {name}_routed (clk, ")
+        assert cells == "models"
+
+
+def test_facts_of_a_layout_count_its_cells_and_its_wires(flow, monkeypatch, tmp_path):
+    """Fillers are no cells. Width and area are in um, slacks as they are timed."""
+    cells = [
+        {"name": f"u{k}", "kind": kind, "nets": {}}
+        for k, kind in enumerate(["INV", "DFF", "INV", flow.CLOCK_BUFFER, "FILLCELL_X4"])
+    ]
+    placed = {"width": 30.4, "height": 22.4, "cells": cells, "ports": {}}
+    strip = [0.1, 0.3, 1.1, 0.5, True]
+    stored = {flow.PLACED: placed, flow.STRIPS: {"INV": {"A": strip}}}
+    for name, content in stored.items():
+        (tmp_path / name).write_text(json.dumps(content), encoding="utf-8")
+    widths_um = {"INV": 0.38, "DFF": 3.23, flow.CLOCK_BUFFER: 1.33, "FILLCELL_X4": 0.76}
+    places = {"INV": {"A": flow.Strip(*strip)}}
+    drawing = SimpleNamespace(write=lambda path: Path(path).write_bytes(b"gds"))
+    wired = flow.wires.Wired("spef", 123.5, {"a": 2.0, "b": 3.5}, 7)
+
+    def draw(routed, gds, of, strips, widths, top):
+        assert (routed, gds) == (tmp_path / "top.gds", Path("cells") / flow.GDS)
+        assert (of, strips, widths, top) == (placed, places, widths_um, "top")
+        return drawing
+
+    def read_cells(path, kinds):
+        assert path == tmp_path / flow.LIBERTY
+        assert kinds == {"INV", "DFF", flow.CLOCK_BUFFER}
+        return "a library"
+
+    def clock_tree_mw(of, wires, library, volts, clock_mhz):
+        assert (of, wires, library, volts, clock_mhz) == (placed, wired, "a library", 1.1, 400.0)
+        return 0.25
+
+    monkeypatch.setattr(flow, "cell_widths_um", lambda lef: widths_um)
+    monkeypatch.setattr(flow.drawn, "draw", draw)
+    monkeypatch.setattr(flow.drawn, "connect", lambda *_: (11, [], [], []))
+    monkeypatch.setattr(flow.drawn, "draw_picture", lambda gds, png: png.write_bytes(b"png"))
+    monkeypatch.setattr(flow.drawn, "check_rules", lambda *_: [("metal1: width", 2)])
+    monkeypatch.setattr(flow.wires, "lengths_um", lambda routed: routed.name)
+    monkeypatch.setattr(flow.wires, "wired", lambda *_: wired)
+    monkeypatch.setattr(flow.wires, "netlist", lambda *_: "verilog")
+    monkeypatch.setattr(flow.wires, "clock_tree_mw", clock_tree_mw)
+    monkeypatch.setattr(flow, "time_wires", lambda *_: (0.125, -0.5))
+    monkeypatch.setattr(flow, "read_cells", read_cells)
+    monkeypatch.setattr(flow, "supply_v", lambda path: 1.1)
+    assert flow.finish("top", Path("cells"), 400.0, tmp_path) == {
+        "cells": 4,
+        "cell_area_um2": pytest.approx((2 * 0.38 + 3.23 + 1.33) * 1.4),
+        "width_um": 30.4,
+        "height_um": 22.4,
+        "buffers": 1,
+        "nets": 11,
+        "slack_ns": 0.125,
+        "hold_ns": -0.5,
+        "clock_tree_mw": 0.25,
+        "wire_um": 123.5,
+        "wire_ff": 5.5,
+        "sinks": 7,
+        "rules": [("metal1: width", 2)],
+    }
+    left = {flow.SPEF: "spef", flow.VERILOG: "verilog", flow.FINAL: "gds", "top.png": "png"}
+    for name, text in left.items():
+        assert (tmp_path / name).read_text(encoding="utf-8") == text
+
+
+def test_a_layout_is_made_once_for_its_clock_and_the_code_that_makes_it(
+    flow, monkeypatch, tmp_path
+):
+    """Not for the code behind it. Its facts are those that were left in its folder."""
+    asked, routed = [], []
+    view = SimpleNamespace(cells=(tmp_path / "own_cell.v",), macros=(tmp_path / "macro.v",))
+    for path in (*view.cells, *view.macros):
+        path.write_text(f"// {path.name}", encoding="utf-8")
+
+    def yosys_once(place, files, script, state, then):
+        asked.append((place.name, files, script, list(state)))
+        then(tmp_path)
+        return tmp_path
+
+    monkeypatch.setattr(flow, "layout_cells", lambda: Path("cells"))
+    monkeypatch.setattr(flow, "units_files", lambda units, cells: {"unit.v": f"{cells}"})
+    monkeypatch.setattr(flow, "library_files", lambda: {"lib": "cells"})
+    monkeypatch.setattr(flow, "yosys_once", yosys_once)
+    monkeypatch.setattr(flow, "route", lambda top, cells, folder, tell: routed.append(top))
+    monkeypatch.setattr(flow, "finish", lambda top, cells, mhz, folder: {"mhz": mhz})
+    unit = SimpleNamespace(unit_name="unit")
+    folder, facts = flow.lay_out(unit, 400.0, print, view)
+    assert (folder, facts, routed) == (tmp_path, {"mhz": 400.0}, ["unit"])
+    assert json.loads((tmp_path / flow.FACTS).read_text(encoding="utf-8")) == facts
+    flow.lay_out(unit, 500.0, print, view)
+    (name, files, script, state), (_, _, _, other) = asked
+    assert name == "unit" and state != other and state[1:] == other[1:]
+    assert files == {
+        "unit.v": "True",
+        "own_cell.v": "// own_cell.v",
+        "macro.v": "// macro.v",
+        "lib": "cells",
+    }
+    assert script[0] == "read_verilog -sv unit.v own_cell.v macro.v"
+    assert script[-1] == f"write_blif -buf BUF_X1 A Z {flow.BLIF}"
+    own = Path(flow.__file__).parent
+    texts = {
+        path.name: path.read_text(encoding="utf-8") for path in own.iterdir() if path.is_file()
+    }
+    counted = {name for name, text in texts.items() if text in state}
+    without = {"document.py", "delays.py", "page.md"}
+    assert counted == texts.keys() - without
+
+
+def test_the_page_of_layouts_has_a_column_and_a_picture_for_each_view(
+    module, monkeypatch, tmp_path
+):
+    """In the order of the views, at the clock of the preset, and each with its own numbers."""
+    from PIL import Image
+
+    document = module("document")
+    clock_mhz = document.load_config("silicon").clock_mhz
+    numbers, pictured = {}, []
+
+    def lay_out(unit, mhz, tell, view):
+        assert mhz == clock_mhz
+        own = numbers.setdefault(unit.unit_name, len(numbers) + 1)
+        folder = tmp_path / unit.unit_name
+        folder.mkdir()
+        Image.new("RGB", (own, 1)).save(folder / f"{unit.unit_name}.png")
+        found = {
+            "width_um": 10.0 * own,
+            "height_um": 20.0,
+            "cells": 1000 + own,
+            "cell_area_um2": 100.0 * own,
+            "buffers": own,
+            "clock_tree_mw": 0.5,
+            "nets": 2000 + own,
+            "wire_um": 3000.0 * own,
+            "sinks": 500,
+            "wire_ff": 250.0,
+            "slack_ns": 0.1 * own,
+            "hold_ns": -0.1 * own,
+            "rules": [("metal1: width", own), ("via1: distance", 0)],
+        }
+        return folder, found
+
+    def map_block(unit, view, gated):
+        assert not gated  # the layout has no gates, either
+        return SimpleNamespace(folder=None, name=unit.unit_name, area_um2=70.0)
+
+    def slacks_ns(folder, name, clock_ns):
+        assert clock_ns == 1000 / clock_mhz
+        return {"FLOPS": 0.75, "LATCHES": 0.25}
+
+    def played(unit, view, folder, tell):
+        assert folder.name == unit.unit_name
+        return [("words and commits", str(10 * numbers[unit.unit_name]))]
+
+    monkeypatch.setattr(document, "lay_out", lay_out)
+    monkeypatch.setattr(document, "map_block", map_block)
+    monkeypatch.setattr(document, "slacks_ns", slacks_ns)
+    monkeypatch.setattr(document, "played_with_delays", played)
+    page = tmp_path / "out" / "page.md"
+    document.write_layout_page(page, print)
+    text = page.read_text(encoding="utf-8")
+    rows = [line for line in text.splitlines() if line.startswith("| ")]
+    for row in (
+        "| cells with the clock tree | 1001 | 1002 |",
+        "| cells before layout, um2 | 70 | 70 |",
+        "| metal1: width | 1 | 2 |",
+        "| via1: distance | 0 | 0 |",
+        "| longest, before layout: no wires, ideal clock | +0.25 | +0.25 |",
+        "| longest, with wires and clock tree | +0.10 | +0.20 |",
+        "| words and commits | 10 | 20 |",
+    ):
+        assert row in rows
+    assert f"at a cycle of {1000 / clock_mhz:g} ns" in " ".join(text.split())
+    for unit, number in numbers.items():
+        name = f"layout-{unit.removeprefix('coincid_')}.png"
+        assert f"(images/{name})" in text
+        with Image.open(page.parent / "images" / name) as shown:
+            pictured.append(shown.size == (number, 1))
+    assert pictured == [True, True]
+
+
+@pytest.mark.parametrize("margin", [0.45, 0.6])
+def test_a_job_is_told_to_the_placer_and_the_router(module, monkeypatch, margin):
+    """Its clock, its free area, and the tracks that it reserves in each direction. Cells stay out of
+    the ring of the block.
+    """
+    block = module("block")
+    clocks = []
+
+    class Conf(SimpleNamespace):
+        def __init__(self, cell, ioPins, ioPads):
+            sections = ("etesian", "anabatic", "katana", "block")
+            cfg = SimpleNamespace(**{name: SimpleNamespace() for name in sections})
+            super().__init__(cell=cell, pins=ioPins, pads=ioPads, cfg=cfg, useHTree=clocks.append)
+
+    monkeypatch.setattr(block, "BlockConf", Conf)
+    monkeypatch.setattr(block, "Box", lambda *corners: corners)
+    cell = block_of([Instance(f"u{k}", 0, 0, 3 * SITE) for k in range(300)], 0)
+    job = SimpleNamespace(clock="own_clk", margin=margin, tracks_reserved=[4, 6, 3])
+    conf = block.configuration(cell, job)
+    assert (conf.cell, conf.pins, conf.pads, clocks) == (cell, [], [], ["own_clk"])
+    assert conf.cfg.etesian.spaceMargin == margin
+    katana = conf.cfg.katana
+    assert (katana.hTracksReservedLocal, katana.vTracksReservedLocal) == (4, 6)
+    assert (katana.hTracksReservedMin, katana.vTracksReservedMin) == (3, 3)
+    assert conf.useClockTree and conf.useHFNS and conf.useSpares
+    width, height = (round(um * UNITS_PER_UM) for um in block.core_size_um(cell, margin))
+    assert conf.coreSize == (width, height)
+    left, bottom, right, top = conf.placeArea
+    assert (left, width - right) == (8 * SITE, 8 * SITE)
+    assert (bottom, height - top) == (2 * ROW, 2 * ROW)
+
+
+def test_cells_are_on_sites_before_they_are_recorded_and_routed(module, monkeypatch):
+    block = module("block")
+    happened = []
+    base = block.SnappedBlock.__mro__[1]
+    conf = SimpleNamespace(cell="a cell")
+    monkeypatch.setattr(base, "place", lambda self: happened.append("place"), raising=False)
+    monkeypatch.setattr(
+        base, "route", lambda self: happened.append("route") or "routed", raising=False
+    )
+    for name in ("snap", "record"):
+        monkeypatch.setattr(block, name, lambda cell, name=name: happened.append((name, cell)))
+    one = block.SnappedBlock()
+    one.conf = conf
+    one.place()
+    assert one.route() == "routed"
+    assert happened == ["place", ("snap", "a cell"), ("record", "a cell"), "route"]

@@ -2,6 +2,7 @@
 """What is told about placements with several seeds, from nextpnr's reports, written by hand."""
 
 import json
+import re
 
 import pytest
 from attrs import evolve
@@ -17,6 +18,7 @@ from coincid.flow.pnr import (
     skewed,
     write_placement_page,
 )
+from coincid.model.contract.config import load_config
 
 BOARD = Board(
     title="Placement",
@@ -230,6 +232,80 @@ def test_the_page_of_the_module_has_all_its_placements(monkeypatch):
     monkeypatch.setattr(fpga_module, "write_placement_page", lambda *given: written.append(given))
     fpga_module.place_fpga_module()
     assert written == [(BOARD, ["top 0", "top 1", "top 2"])]
+
+
+# pads of a chip with four columns and three rows, in no order: side by side, as a board sees them
+PADS_IN_ORDER = [
+    ("L2A", 2, 0, "A"), ("L2B", 2, 0, "B"), ("L1A", 1, 0, "A"),
+    ("T1A", 0, 1, "A"), ("T1B", 0, 1, "B"), ("T2A", 0, 2, "A"),
+    ("R1A", 1, 3, "A"), ("R2A", 2, 3, "A"), ("R2B", 2, 3, "B"),
+    ("B2A", 3, 2, "A"), ("B1A", 3, 1, "A"), ("B1B", 3, 1, "B"),
+]  # fmt: skip
+OF_WRAPPER = """\
+// a wrapper
+module coincid_ecp5 (
+  input clk_in,
+  input rst_in,
+  input [3:0] spad,
+  output [1:0] said,
+  output last
+);
+"""
+
+
+@pytest.fixture
+def module_of(monkeypatch, tmp_path):
+    """Return the board of the module for a made-up chip; the Verilog is left out."""
+    sites = {
+        name: {"row": row, "col": col, "pio": pio}
+        for name, row, col, pio in sorted(PADS_IN_ORDER, reverse=True)
+    }
+    pads = tmp_path / fpga_module.PADS
+    pads.parent.mkdir(parents=True)
+    packages = {fpga_module.PACKAGE: sites, "OTHER": {"X": {"row": 9, "col": 99, "pio": "A"}}}
+    pads.write_text(json.dumps({"packages": packages}), encoding="utf-8")
+    wrapper = tmp_path / "ecp5.v"
+    wrapper.write_text(OF_WRAPPER, encoding="utf-8")
+    sensors = []
+
+    def files_of(names):
+        def files(sensor):
+            sensors.append(sensor)
+            return dict.fromkeys(names, "")
+
+        return files
+
+    own = [fpga_module.FILE_LIST, f"{fpga_module.TOP}.v", "coincid_tree.v"]
+    monkeypatch.setattr(fpga_module, "verilog_files", files_of(own))
+    monkeypatch.setattr(fpga_module, "fpga_files", files_of(["coincid_fpga.v"]))
+    monkeypatch.setattr(fpga_module, "wheel_folder", lambda wheel: tmp_path)
+    monkeypatch.setattr(fpga_module, "WRAPPER", wrapper)
+    board = fpga_module.fpga_module()
+    assert len(set(sensors)) == 1
+    return board, sensors[0]
+
+
+def test_the_module_that_is_placed_is_that_of_the_preset(module_of):
+    """Its tick, in which the lines of a SPAD must arrive, is that of its clock and phases."""
+    board, sensor = module_of
+    preset = load_config("fpga")
+    assert evolve(sensor, rows=preset.sensor.rows, cols=preset.sensor.cols) == preset.sensor
+    assert sensor.subgroups == 2 and "two subgroups" in board.what
+    assert board.goal_mhz == preset.clock_mhz
+    assert board.tick_ns == pytest.approx(preset.tick_s * 1e9)
+    assert f" {board.sampled}" in OF_WRAPPER and board.top in OF_WRAPPER
+    assert board.files == {"coincid_tree.v": "", "coincid_fpga.v": "", "ecp5.v": OF_WRAPPER}
+    assert fpga_module.PACKAGE in board.device and fpga_module.PACKAGE in board.chip
+
+
+def test_ports_of_the_module_lie_along_the_edge_of_the_chip_bit_by_bit(module_of):
+    """From the lower left corner upwards and round; the placer chooses the pin of the clock."""
+    board, _ = module_of
+    located = re.findall(r'^LOCATE COMP "(.*)" SITE "(.*)";$', board.pins, re.MULTILINE)
+    ports = ["rst_in", *(f"spad[{k}]" for k in range(4)), "said[0]", "said[1]", "last"]
+    pads = [name for name, *_ in PADS_IN_ORDER]
+    assert located == list(zip(ports, pads, strict=False))
+    assert len(board.pins.splitlines()) == len(ports)
 
 
 def test_no_placement_is_taken_for_another(monkeypatch, tmp_path):

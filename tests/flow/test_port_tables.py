@@ -74,6 +74,28 @@ def check_rows(sensor, top, view, text):
     assert all(row.meaning and bool(row.reset) == (row.direction == "out") for row in rows)
 
 
+CLOCKLESS = {"polyphase": "line_", "async": "spad_"}  # beginnings of the ports without a clock
+
+
+@pytest.mark.parametrize(
+    ("view", "top"), [("polyphase", TOP), ("polyphase", FPGA_TOP), ("async", TOP)]
+)
+def test_every_port_has_the_clock_by_which_it_is_sampled(view, top):
+    """Lines of SPADs have none; words of edges and all others have the system's."""
+    rows = port_rows(EXAMPLE, top, view_at(view, 400))
+    told = {row.name: row.clock for row in rows}
+    assert told.pop("clk") == "is one" and told.pop("phase_clocks", "is one") == "is one"
+    without = {name for name, clock in told.items() if clock == "none"}
+    lines = {name for name in told if re.fullmatch(rf"{CLOCKLESS[view]}\d+", name)}
+    assert without == lines and bool(lines) == (view == "async" or top == FPGA_TOP)
+    assert {told[name] for name in told.keys() - lines} == {"clk"}
+    light = [row.meaning for row in rows if re.match(r"(spad|line)_\d", row.name)]
+    kinds = {"async": "lines of", "polyphase": "levels of" if top == FPGA_TOP else "edge words of"}
+    assert len(light) == EXAMPLE.subgroups
+    for number, meaning in enumerate(light):
+        assert meaning.startswith(kinds[view]) and f"subgroup {number}:" in meaning
+
+
 def test_the_readme_has_the_limits_of_its_sensor():
     """Of the stream that has the most subgroups."""
     table = {"rows": 8, "cols": 24, "streams": 2}

@@ -3,7 +3,9 @@
 and it is consistent.
 """
 
+import errno
 import hashlib
+import io
 import json
 import os
 import re
@@ -19,22 +21,29 @@ import numpy as np
 import pytest
 from attrs import evolve
 
+from coincid.flow import release
+from coincid.flow.captured import captured_files
 from coincid.flow.limits import beats_beside_cycles, largest_frame
 from coincid.flow.plain_names import plain_verilog
 from coincid.flow.ports import stream_words
+from coincid.flow.prefix import checked_prefix
 from coincid.flow.register_files import IP_XACT
 from coincid.flow.release import CELLS_LIST, MANIFEST, phase_clock, write_release
+from coincid.flow.release import _manifest as manifest_of
 from coincid.flow.smoke import FPGA_SMOKE, SMOKE, smoke_configs, smoke_edges, smoke_test
 from coincid.flow.yosys import LIBERTY, cells_folder
 from coincid.hdl.deserialiser import CYCLES
 from coincid.hdl.export import FILE_LIST
-from coincid.hdl.front_end_views import view_at
+from coincid.hdl.front_end_views import POLYPHASE, view_at
 from coincid.hdl.sensor import FPGA_TOP, SensorTop
 from coincid.hdl.unit import Port
+from coincid.model.contract import latency
 from coincid.model.contract.config import load_config, parse_config
+from coincid.model.contract.counts import GATES
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.packet import built_formats
 from coincid.model.contract.parameters import TOP
+from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.registers import reset_values
 from coincid.model.contract.stream import COLUMN, decode_frame
 from coincid.model.golden.frame import Golden
@@ -161,6 +170,51 @@ def test_captured_streams_decode_to_their_rows(releases, preset):
             assert [
                 int(line.split(",")[2]) for line, own in zip(events, mine, strict=True) if own
             ] == list(result["stamp"][mine])
+
+
+def of_events(name, value):
+    """Return how a field of an event is written in a table."""
+    if name == "hits":
+        return "".join(f"{int(part):016x}" for part in value[::-1])
+    return " ".join(map(str, value.tolist())) if name == "mg_offset" else str(int(value))
+
+
+def test_columns_of_captured_rows_are_named_as_the_arrays(releases):
+    """A reader by name finds what the whole result has."""
+    for csv in sorted(releases.glob("*/captured/*.csv")):
+        (head, *rows) = (line.split(",") for line in csv.read_text(encoding="utf-8").splitlines())
+        result = read_npz(csv.with_suffix(".npz"), head)
+        assert {"subgroup", "pulse", "stamp", "count"} <= set(head)
+        for number, name in enumerate(head):
+            shown = [row[number] for row in rows]
+            assert shown == [of_events(name, value) for value in result[name]], (csv.name, name)
+        stream = csv.with_suffix(".txt").read_text(encoding="utf-8").splitlines()[0]
+        assert stream == "stream beat last"
+
+
+def test_columns_of_captured_counts_are_those_of_their_gates():
+    """Pixel by pixel of each subgroup, in the order of the minigroups."""
+    sensor = built_sensor(SENSORS["counting"])
+    made = captured_files(sensor)
+    (csv,) = (name for name in made if name.endswith("_counts.csv"))
+    head, *rows = (line.split(",") for line in made[csv].decode().splitlines())
+    with np.load(io.BytesIO(made[csv.replace(".csv", ".npz")])) as result:
+        cycles, hits = result["gate_cycle"][0], result["gate_hits"][0]
+        pulses = result["count_pulses"][0]
+    table = pixel_table(sensor)
+    assert len(rows) == sensor.array_pixels and hits.any()
+    pixels = []
+    for row in rows:
+        of = dict(zip(head, row, strict=True))
+        s, pixel = int(of.pop("subgroup")), int(of.pop("pixel"))
+        pixels.append((s, table.minigroup[pixel], table.bit[pixel]))
+        assert of.pop("count_pulses") == str(pulses[s, pixel])
+        for gate in range(GATES):
+            assert of.pop(f"gate_cycle_{gate}") == str(cycles[s, table.minigroup[pixel], gate])
+            shown = of.pop(f"gate_hits_{gate}")
+            assert shown == " ".join(map(str, hits[s, pixel, gate]))
+        assert not of
+    assert pixels == sorted(pixels) and len(set(pixels)) == len(pixels)
 
 
 @pytest.fixture(scope="module")
@@ -342,7 +396,15 @@ def test_an_export_replaces_only_that_with_its_prefix(two_sensors, tmp_path):
     assert (folder / f"near_{TOP}.v").read_bytes() == (two_sensors / f"near_{TOP}.v").read_bytes()
 
 
-@pytest.mark.parametrize("prefix", ["1st_", "a-", "a b", "x" * 41])
+@pytest.mark.parametrize("prefix", ["", "a", "A1_", "x" * 40])
+def test_a_prefix_may_be_of_letters_digits_and_underscores(prefix):
+    """So long as the longest that a simulator takes."""
+    assert checked_prefix(prefix) == prefix
+    with pytest.raises(InputError, match="at most 40 characters"):
+        checked_prefix(prefix + "\n")
+
+
+@pytest.mark.parametrize("prefix", ["1st_", "a-", "a b", "_a", "ä_", "x" * 41])
 def test_a_prefix_that_begins_no_name_is_refused(prefix, tmp_path):
     with pytest.raises(InputError, match="prefix .*must be letters"):
         write_release(tmp_path / "rtl", parse_config(EXPORTS["smallest"][0]), prefix=prefix)
@@ -596,6 +658,88 @@ def test_manifest(releases, preset):
     )
 
 
+@pytest.mark.parametrize("preset", SMALL)
+def test_the_manifest_has_all_from_which_the_sensor_can_be_made_again(releases, preset):
+    """And what follows from it: sizes, tops, and the latencies of the contract."""
+    manifest = json.loads((releases / preset / MANIFEST).read_text(encoding="utf-8"))
+    sensor = config(preset).sensor
+    assert parse_config({"sensor": manifest["parameters"]}).sensor == sensor
+    assert manifest["derived"]["subgroups"] == sensor.subgroups
+    assert manifest["derived"] == {name: getattr(sensor, name) for name in manifest["derived"]}
+    assert manifest["tops"] == [
+        top for preset_of, top, _ in dict.fromkeys(TOPS) if preset_of == preset
+    ]
+    latencies = manifest["latency_cycles"]
+    assert ("deserialiser" in latencies) == (FPGA_TOP in manifest["tops"])
+    assert latencies.pop("deserialiser", CYCLES) == CYCLES
+    told = {name.upper(): cycles for name, cycles in latencies.items()}
+    assert told == {name: getattr(latency, name) for name in vars(latency) if name.isupper()}
+    assert manifest["name"] == TOP
+
+
+@pytest.mark.parametrize(("clock_mhz", "told"), [(400.0, "400"), (62.5, "62.5")])
+def test_the_clock_of_a_manifest_is_a_whole_number_only_if_it_is_one(clock_mhz, told):
+    of = config("silicon").with_frame(clock_mhz=clock_mhz)
+    text = manifest_of(of, {f"a_{TOP}.sdc": b""}, POLYPHASE, "a_")
+    assert f'"clock_mhz": {told},' in text
+    assert json.loads(text)["tops"] == [f"a_{TOP}"]
+
+
+def of_core(folder):
+    """Return the file sets and the targets of FuseSoC's core."""
+    text = (folder / f"{TOP}.core").read_text(encoding="utf-8")
+    return [
+        json.loads(re.search(rf"^{key}: (\{{.*?^\}})$", text, re.M | re.S)[1])
+        for key in ("filesets", "targets")
+    ]
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_each_target_of_the_core_has_its_top_and_all_modules_in_it(releases, preset):
+    """Of a view with macros, lint has black boxes in their place."""
+    sets, targets = of_core(releases / preset)
+    fpga = preset == "fpga"
+    kinds = {"lint": TOP, "sim": SMOKE, "verilate": SMOKE}
+    tops = {"default": TOP, "cells": TOP, **kinds, "driver": None}
+    if fpga:
+        tops |= {"fpga": FPGA_TOP, "lint_fpga": FPGA_TOP}
+        tops |= {"sim_fpga": FPGA_SMOKE, "verilate_fpga": FPGA_SMOKE}
+    assert {name: target.get("toplevel") for name, target in targets.items()} == tops
+    for name, target in targets.items():
+        files_of = {one: sets[one]["files"] for one in target["filesets"]}
+        if name == "driver":
+            continue
+        verilog = [file for one in files_of.values() for file in one if file.endswith(".v")]
+        assert len(verilog) == len(set(verilog))
+        text = "".join((releases / preset / file).read_text(encoding="utf-8") for file in verilog)
+        modules = set(re.findall(r"^module (\w+)", text, re.M))
+        used = set(re.findall(r"^  (coincid_\w+) (?:#\(|\w+ \()", text, re.M))
+        assert target["toplevel"] in modules and used <= modules, name
+        constrained = any(file.endswith(".sdc") for one in files_of.values() for file in one)
+        assert constrained == (name in ("default", "cells", "fpga")), name
+        waived = any(file.endswith(".vlt") for one in files_of.values() for file in one)
+        assert waived == name.startswith(("lint", "verilate")), name
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_targets_of_the_core_have_the_tools_and_the_options_of_the_readme(releases, preset):
+    _, targets = of_core(releases / preset)
+    for name, target in targets.items():
+        if "flow" not in target:
+            continue
+        assert target["flow"] == ("lint" if name.startswith("lint") else "sim")
+        of_flow = target["flow_options"]
+        tool = of_flow["tool"]
+        assert tool == ("icarus" if name.startswith("sim") else "verilator")
+        options = of_flow["iverilog_options" if tool == "icarus" else "verilator_options"]
+        pattern = {"sim": "iverilog", "lint": "verilator --lint-only"}
+        begin = pattern.get(name.partition("_")[0], "verilator --binary")
+        top = "-s" if tool == "icarus" else "--top-module"
+        line = line_of_readme(releases / preset, f"{begin} .*{target['toplevel']} ")
+        assert line.startswith(f"{begin} {' '.join(options)} {top} {target['toplevel']} "), name
+        assert of_flow.get("mode") == ("binary" if "binary" in begin else None)
+
+
 def test_exported_verilog_is_what_the_other_tests_simulate(releases):
     """With plain names."""
     paths = rtl(config("silicon").sensor)
@@ -656,6 +800,12 @@ def test_core_has_constraints_cells_and_driver(releases):
     listed = (releases / "fpga" / CELLS_LIST).read_text(encoding="utf-8").split()
     assert sets["cells"]["files"] == listed
     assert sets["driver"]["file_type"] == "cSource"
+    source, *headers = sets["driver"]["files"]
+    own = {path.name for path in (releases / "fpga").glob("*.h")}
+    assert source == "coincid.c" and {name for one in headers for name in one} == own
+    assert all(one[name] == {"is_include_file": True} for one in headers for name in one)
+    included = set(re.findall('#include "(.*)"', (releases / "fpga" / source).read_text("utf-8")))
+    assert included and included <= own
     for files_of_set in sets.values():
         for file in files_of_set["files"]:
             name = file if isinstance(file, str) else next(iter(file))
@@ -687,6 +837,36 @@ def test_ip_xact_has_the_ports_and_bus_interfaces_of_the_top(releases, preset):
         sends = f"{name}_tvalid" in found and found[f"{name}_tvalid"][0] == "output"
         assert (one.find("ipxact:master", names) is not None) == sends
         assert (one.find("ipxact:slave", names) is None) == sends
+
+
+# kind of a bus, by the beginning of its name: its name, and that of its signals at the RTL
+BUS_TYPES = {
+    "s_axi": ("AXI4-Lite", "AXI4-Lite_rtl"),
+    "m_axis": ("AXI4Stream", "AXI4Stream_rtl"),
+    "clk": ("clock", "clock_rtl"),
+    "rst": ("reset", "reset_rtl"),
+}
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_ip_xact_maps_each_signal_of_a_bus_to_the_port_of_its_name(releases, preset):
+    """Buses are of the types that tools know."""
+    root = ElementTree.parse(releases / preset / IP_XACT).getroot()
+    names = {"ipxact": root.tag.partition("}")[0].strip("{")}
+    for one in root.findall("ipxact:busInterfaces/ipxact:busInterface", names):
+        name = one.findtext("ipxact:name", "", names)
+        of = one.find("ipxact:busType", names).attrib
+        signals = one.find(".//ipxact:abstractionRef", names).attrib
+        assert (of["name"], signals["name"]) == BUS_TYPES[re.match("[a-z_]+", name)[0]]
+        assert (of["vendor"], of["library"]) == (signals["vendor"], signals["library"])
+        vendor = "xilinx.com" if name in ("clk", "rst") else "amba.com"
+        assert of["vendor"] == vendor
+        for pair in one.iterfind(".//ipxact:portMap", names):
+            logical = pair.findtext("ipxact:logicalPort/ipxact:name", "", names)
+            port = pair.findtext("ipxact:physicalPort/ipxact:name", "", names)
+            whole = f"{name}_{logical.lower()}"
+            assert port == (name if name in ("clk", "rst") else whole)
+            assert logical == logical.upper()
 
 
 @pytest.mark.parametrize("preset", SMALL)
@@ -741,6 +921,47 @@ def test_another_export_into_a_folder_keeps_the_files_of_others(tmp_path):
     for name, text in own.items():
         assert (folder / name).read_text(encoding="utf-8") == text
     assert not (folder / "old.v").exists()
+
+
+@pytest.mark.parametrize("failing", ["fresh", "rtl"])
+def test_an_export_that_cannot_be_put_in_place_leaves_the_earlier_one(
+    monkeypatch, tmp_path, failing
+):
+    """Whether the earlier one cannot be moved away, or the new one not into its place; nothing is
+    left beside it.
+    """
+    folder = tmp_path / "rtl"
+    folder.mkdir()
+    own = {FILE_LIST: "a.v\n", "a.v": "module a; endmodule\n"}
+    for name, text in own.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    rename = Path.rename
+
+    def refused(path, target):
+        if path.name == failing:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return rename(path, target)
+
+    monkeypatch.setattr(release, "_contents", lambda *_: {"b.v": b"new"})
+    monkeypatch.setattr(release.Path, "rename", refused)
+    with pytest.raises(InputError, match=f"^{folder}: cannot be written: Permission denied$"):
+        write_release(folder, load_config("silicon"))
+    assert {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()} == own
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_files_of_an_export_are_returned_in_order(monkeypatch, tmp_path):
+    """Those of this export only, each in its place."""
+    monkeypatch.setattr(release, "_contents", lambda *_: {"b/c.v": b"2", "b.v": b"1", "a.v": b"0"})
+    written = write_release(tmp_path / "new" / "rtl", load_config("silicon"))
+    folder = tmp_path / "new" / "rtl"
+    assert written == sorted(written)
+    assert {path.relative_to(folder).as_posix(): path.read_bytes() for path in written} == {
+        "a.v": b"0",
+        "b.v": b"1",
+        "b/c.v": b"2",
+    }
+    assert list((tmp_path / "new").iterdir()) == [folder]
 
 
 @pytest.mark.parametrize("text", ['{"a": 1}', "[]", '{"sha256": {"not-there.v": "0"}}', "no JSON"])

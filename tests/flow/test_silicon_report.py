@@ -3,6 +3,8 @@
 
 import re
 
+import pytest
+
 from coincid.flow import silicon_report
 from coincid.hdl.silicon.circuit import Circuit
 
@@ -80,3 +82,40 @@ def test_the_report_has_the_edge_and_the_reset_of_each_clock():
         ["clk", "spads", "1.98", "0.75"],
         ["spads", "clk", "0.50", "0.60"],
     ]
+
+
+@pytest.fixture
+def written(monkeypatch, tmp_path):
+    """Return a function that writes a report, with these latches and complaints of the tools."""
+
+    def written(latches=(), complaints=()):
+        cells = {name: {"type": "$dlatch"} for name in latches}
+        module = {"cells": cells, "netnames": {}}
+        monkeypatch.setattr(silicon_report, "netlist", lambda *_: ("top", module))
+        monkeypatch.setattr(silicon_report, "mapped", lambda *_: None)
+        monkeypatch.setattr(silicon_report, "timing", lambda *_: (list(complaints), []))
+        return silicon_report.write(SMALL, Circuit(), tmp_path)
+
+    return written
+
+
+def test_latches_and_complaints_are_errors_and_leave_no_report(written, tmp_path):
+    """Both are told, each by itself or together."""
+    latches, complaints = ["a.latch", "b.latch"], ["Warning 2: clock taps has no source."]
+    for given in ((latches, ()), ((), complaints), (latches, complaints)):
+        with pytest.raises(ValueError) as refused:
+            written(*given)
+        told = ", ".join(one for part in given for one in part)
+        assert str(refused.value).endswith(f" do not hold on: {told}")
+        assert not list(tmp_path.glob("*.md"))
+
+
+def test_the_constraints_that_are_written_begin_with_the_clock_of_the_circuit(written):
+    """Its cycle is in nanoseconds; the lines are those of the module, which has no top."""
+    top, report, sdc = written()
+    first, rest = sdc.read_text(encoding="utf-8").split("\n", 1)
+    cycle_ns = 1000 / Circuit().clock_mhz
+    assert first == f"create_clock -name clk -period {cycle_ns:g} [get_ports clk]"
+    assert "words_*" in rest and "spad_0" not in rest
+    assert (top, report.exists()) == ("top", True)
+    assert f"a cycle of {cycle_ns:g} ns" in report.read_text(encoding="utf-8")
