@@ -13,11 +13,13 @@ import sys
 import zipfile
 from functools import partial
 from inspect import getdoc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.main import get_command
 
+from coincid import __main__ as program
 from coincid.cli import Commands, app
 from coincid.flow.lint import findings
 from coincid.flow.register_files import HEADER, JSON, MARKDOWN
@@ -33,6 +35,7 @@ from coincid.model.contract.registers import BY_NAME, SUBGROUP, address
 from coincid.model.contract.result import differences, read_result, stall
 from coincid.model.golden.frame import golden_result
 from coincid.model.light.link_budget import link_budget
+from coincid.model.scenes.catalogue import usual_klux
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.interrupts import Terminated
 from coincid.study.advise import Advice, Tried
@@ -234,6 +237,9 @@ def test_files_that_are_no_edges(files):
         ("verilog --config config.toml --out edges.npz/out.npz", ("out.npz", "cannot be written")),
         (REPLAY.replace("out/result.npz", "edges.npz/out.npz"), ("out.npz", "cannot be written")),
         (REPLAY.replace("out/result.npz", "."), ("is a folder",)),
+        ("sim --out out --spad dead_time_s=fast", ("--spad dead_time_s=fast: must be a number",)),
+        ("sim --out out --spad dead_time_s", ("--spad dead_time_s: must be a number",)),
+        ("sim --out out --spad dead=1", ("--spad dead=1: must be NAME=VALUE", "dead_time_s")),
         ("budget --form printed", ("form = 'printed'", "literal", "corrected")),
         ("budget --reflectivity 2", ("reflectivity = 2", "from 0 to 1")),
     ],
@@ -241,6 +247,15 @@ def test_files_that_are_no_edges(files):
 def test_bad_options(files, words, told):
     assert_refused(command(words), *told)
     assert sorted(path.name for path in files.iterdir()) == ["config.toml", "edges.npz"]
+
+
+@pytest.mark.parametrize("words", ["sim --out out/deep", "photons --out out/a.npz"])
+def test_a_folder_that_is_not_writable_is_told(files, monkeypatch, words):
+    """The nearest one that there is: the others would be made."""
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    told = f"cannot be written: {files} is not writable"
+    assert_refused(command(words), "out = 'out/", told)
+    assert not (files / "out").exists()
 
 
 def test_result_is_the_golden_models(files):
@@ -326,6 +341,27 @@ def test_a_full_standard_output_is_told_in_one_line(words):
     assert (done.returncode, done.stderr) == (2, told)
 
 
+@pytest.mark.parametrize(
+    ("told", "kept"),
+    [("80", "80"), ("999", "999"), ("1000", "999"), ("²", "999"), ("", ""), (None, None)],
+)
+@pytest.mark.parametrize("name", ["COLUMNS", "LINES"])
+def test_only_sizes_of_a_terminal_that_are_too_large_are_replaced(monkeypatch, name, told, kept):
+    monkeypatch.delenv(name, raising=False)
+    if told is not None:
+        monkeypatch.setenv(name, told)
+    program._bound_terminal()
+    assert os.environ.get(name) == kept
+
+
+@pytest.mark.parametrize(("told", "stays"), [("0", True), ("1700000000", True), ("-1", False)])
+def test_a_time_of_the_build_stays_if_it_is_a_number(monkeypatch, told, stays):
+    """Files of a build have it."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", told)
+    program._forget_bad_epoch()
+    assert os.environ.get("SOURCE_DATE_EPOCH") == (told if stays else None)
+
+
 @pytest.mark.parametrize("size", ["99999999", "²"])
 def test_help_for_a_terminal_of_an_odd_size_is_short(size):
     environment = os.environ | {"COLUMNS": size, "LINES": size}
@@ -347,6 +383,8 @@ def test_where_nothing_can_be_said_the_exit_code_tells():
         ("MemoryError()", "not enough memory"),
         ("ImportError('a.so: failed to map segment')", "a.so: failed to map segment"),
         ("OSError('no more files')", "no more files"),
+        ("OSError(13, 'Permission denied', 'a.npz')", "a.npz: Permission denied"),
+        ("OSError(28, 'No space left')", "standard output: No space left"),
     ],
 )
 def test_a_lack_of_memory_is_told_in_one_line(tmp_path, error, told):
@@ -492,6 +530,138 @@ def test_the_table_of_an_advice_has_each_number_under_its_head(monkeypatch, tmp_
     shares = "1.2%", "0.5%", "7.8", "1,234,567", "3.1%", "42%"
     assert cells == ["4", window_ns, config.format, "2.5", *shares, rate]
     assert asked == [pytest.approx(20.0)]
+
+
+def test_show_has_a_line_for_each_value_and_each_warning(monkeypatch):
+    """Names are in one column; warnings begin with a star."""
+    rows = [("first", "1 m"), ("a second one", "2 GHz")]
+    sentences = ["Nothing is seen.", "The link is too slow."]
+    asked = []
+    monkeypatch.setattr("coincid.study.explain.meaning", lambda of: asked.append(of) or rows)
+    monkeypatch.setattr("coincid.study.explain.warnings", lambda of: asked.append(of) or sentences)
+    shown = command("show fpga --set threshold=3").stdout.splitlines()
+    expected = ["first            1 m", "a second one     2 GHz"]
+    assert shown == [*expected, *(f"* {sentence}" for sentence in sentences)]
+    assert all(of.sensor.phases == 8 and set(of.threshold) == {3} for of in asked)
+    assert len(asked) == 2
+
+
+def test_an_export_is_told_with_its_number_of_files_and_their_size(monkeypatch, tmp_path):
+    """In kB of 1000 bytes."""
+
+    def write_release(out, config, view, prefix):
+        files = [out / f"{prefix}{number}.v" for number in range(3)]
+        for number, path in enumerate(files):
+            path.write_bytes(bytes(1000 + 400 * number))
+        return files
+
+    monkeypatch.setattr("coincid.flow.release.write_release", write_release)
+    shown = command("verilog --prefix near_ --out", tmp_path).stdout
+    assert shown == f"{tmp_path}: 3 files, 4 kB\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "page", "writer"),
+    [
+        ("synth", "docs/synthesis.md", "coincid.flow.synth.write_synthesis_page"),
+        ("pnr", "docs/own.md", "coincid.flow.pnr.write_placement_page"),
+    ],
+)
+def test_the_page_that_is_written_is_told(monkeypatch, tmp_path, name, page, writer):
+    """That of the project, unless another file is named."""
+    written = []
+    board = SimpleNamespace(page="docs/own.md", goal_mhz=1.0, sampled="")
+    monkeypatch.setattr("coincid.flow.fpga_module.fpga_module", lambda: board)
+    monkeypatch.setattr("coincid.flow.pnr.place", lambda board: [])
+    monkeypatch.setattr(writer, lambda *given: written.append(given[-1]))
+    assert command(name).stdout == f"{page}\n"
+    own = tmp_path / "own.md"
+    assert command(f"{name} --out", own).stdout == f"{own}\n"
+    assert written == [None, own]
+    assert_refused(command(f"{name} --out", tmp_path), "is a folder, must be a file")
+
+
+@pytest.mark.parametrize("failing", [(), ("tree",), ("tree", "fifo", "tdc")])
+def test_proofs_that_hold_are_counted_and_the_others_are_named(monkeypatch, tmp_path, failing):
+    """Each with the place of its log; one of them is enough for the exit code."""
+
+    def prove(names, tell):
+        tell(f"asked for {' '.join(names)}")
+        return [
+            SimpleNamespace(
+                proof=SimpleNamespace(name=name),
+                reason="step 3" if name in failing else "",
+                folder=tmp_path / name,
+            )
+            for name in names
+        ]
+
+    monkeypatch.setattr("coincid.formal.prove.prove", prove)
+    done = command("formal tree fifo tdc sequencer")
+    assert done.exit_code == bool(failing)
+    assert "asked for tree fifo tdc sequencer" in done.stdout
+    assert done.stdout.splitlines()[-1] == f"{4 - len(failing)} of 4 proofs hold"
+    assert done.stderr.splitlines() == [
+        f"coincid: {name}: step 3; log: {tmp_path / name / 'log'}" for name in failing
+    ]
+
+
+@pytest.fixture
+def doubtful(monkeypatch):
+    """Let scenes have doubts and notes, and photons be none; return what is asked for."""
+    asked = []
+
+    class Doubtful:
+        doubts = ("It is dark.", "It is far.")
+        notes = ("12 pixels are left out.", "The rest is there.")
+
+    def setup(**fields):
+        asked.append(fields)
+        return SimpleNamespace(
+            photons=SimpleNamespace(edges=lambda workers: Edges(*[np.zeros(3, np.int64)] * 3)),
+            seen=Doubtful,
+            config=fields["config"],
+        )
+
+    monkeypatch.setattr("coincid.lab.setup.scene_of", lambda config, scene, **_: Doubtful)
+    monkeypatch.setattr("coincid.lab.setup.for_pictures", lambda config, scene: config)
+    monkeypatch.setattr("coincid.lab.setup.Setup", setup)
+    return asked
+
+
+def test_doubts_about_a_scene_are_told_first_and_notes_at_the_end(doubtful, files):
+    result = command("photons --scene room.npy --set frames=2 --set pulses=7 --out a.npz")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.splitlines() == [
+        "Check this first: It is dark.",
+        "Check this first: It is far.",
+        "12 pixels are left out.",
+        "The rest is there.",
+        "a.npz: 3 edges of 14 pulses",
+    ]
+
+
+@pytest.mark.parametrize("scene", ["flat:5", "flat", "five-objects", "sun-and-shade"])
+def test_the_light_is_that_which_is_given_or_the_usual_one_of_the_scene(doubtful, files, scene):
+    command(f"photons --scene {scene} --out a.npz")
+    command(f"photons --scene {scene} --klux 0 --out a.npz")
+    assert [fields["klux"] for fields in doubtful] == [usual_klux(scene), "0"]
+
+
+@pytest.mark.parametrize("view", ["polyphase", "async"])
+def test_pulses_of_a_frame_scale_the_bounds_of_the_controller(monkeypatch, tmp_path, view):
+    """So that it chooses the same thresholds in a shorter frame."""
+    asked = []
+    monkeypatch.setattr(
+        "coincid.study.simulate.simulate_to_folder", lambda setup, **_: asked.append(setup.config)
+    )
+    words = f"sim --scene flat:5 --out {tmp_path / 'out'} --view {view} --pulses 20"
+    given = "--set", "pulses=100", "--set", "auto_bounds=[0, 200, 400, 600, 800, 1000]"
+    result = command(words, *given)
+    assert result.exit_code == 0, result.output
+    (config,) = asked
+    assert config.pulses == 20
+    assert list(config.frame.auto_bounds) == [0, 40, 80, 120, 160, 200]
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ The work itself is left out. Each command is called with one option after the ot
 work is given, or what it prints, must differ from that without the option.
 """
 
+import os
 import re
 from contextlib import nullcontext
 from types import SimpleNamespace
@@ -239,6 +240,12 @@ def test_every_command_with_options_is_here():
     ],
 )
 def test_every_option_changes_what_is_done(work, tmp_path, name, parameter):
+    usual, changed = words_of(name, parameter, tmp_path)
+    assert begun(work, changed) != begun(work, usual)
+
+
+def words_of(name, parameter, tmp_path):
+    """Return the words of a command without an option and with it."""
     pulse = tmp_path / "pulse.csv"
     pulse.write_text("time_ps,density\n0,0\n100,1\n300,0\n", encoding="utf-8")
     usual = f"{name} {COMMANDS[name]}{'' if name in PLAIN else f' {SMALL}'}"
@@ -249,5 +256,65 @@ def test_every_option_changes_what_is_done(work, tmp_path, name, parameter):
     else:
         changed = f"{usual} {OTHERS.get((name, parameter), WORDS[parameter])}"
     out = tmp_path / ("b.npz" if "a.npz" in usual else "folder")
-    changed = changed.format(pulse=pulse, out=out)
-    assert begun(work, changed) != begun(work, usual)
+    return usual, changed.format(pulse=pulse, out=out)
+
+
+OF_FILES = {  # of a file of a scene: what is told without the option, and with that of `WORDS`
+    "unit": ("unit=None", "unit='cm'"),
+    "scale": ("scale=1.0", "scale=2.0"),
+    "missing": ("missing=None", "missing=[7.0]"),
+    "sky_m": ("sky_m=None", "sky_m=50.0"),
+    "z": ("z=False", "z=True"),
+    "fov_deg": ("fov_deg=None", "fov_deg=30.0"),
+    "channel": ("channel=None", "channel='Z'"),
+    "bin_ps": ("bin_ps=None", "bin_ps=50.0"),
+    "recorded_pulses": ("recorded_pulses=None", "recorded_pulses=9"),
+    "reflectivity": ("reflectivity=0.4", "reflectivity=0.3"),
+}
+ARRIVING = {
+    (name, one): told for name in ("sim", "advise", "photons") for one, told in OF_FILES.items()
+} | {
+    ("sim", "threshold"): ("threshold=None", "threshold=3"),
+    ("sim", "frames"): ("settling=None", "settling=3"),
+    ("sim", "waves"): ("waves=False", "waves=True"),
+    ("explore", "port"): ("None", "5007"),
+    ("explore", "no_browser"): ("browser=True", "browser=False"),
+    ("replay", "engine"): ("'golden'", "'sliced'"),
+    ("replay", "view"): ("view='polyphase'", "view='async'"),
+    ("sweep", "scheduler"): ("scheduler=None", "scheduler='tcp://a:8786'"),
+    ("sweep", "workers"): (f"workers={os.cpu_count()}", "workers=3"),
+    ("edges", "first_sync"): ("first_sync=0", "first_sync=2"),
+    ("edges", "delay_ps"): ("delay_ps=0.0", "delay_ps=11.0"),
+    ("edges", "channels"): ("channels=None", "channels={5: 6}"),
+    ("verilog", "view"): ("'polyphase'", "'async'"),
+    ("verilog", "prefix"): ("''", "'near_'"),
+    ("formal", "names"): ("['tree']", "['sequencer']"),
+    ("emulate", "frames"): ("frames=20", "frames=3"),
+    ("emulate", "seed"): ("seed=1", "seed=7"),
+    ("emulator", "buffer_beats"): ("8192", "4096"),
+    ("bench", "repeats"): ("repeats=5", "repeats=2"),
+}
+
+
+@pytest.mark.parametrize(("name", "parameter"), ARRIVING)
+def test_the_value_of_an_option_arrives_as_it_was_typed(work, tmp_path, name, parameter):
+    """A switch is not turned round, and a default is the one that is told."""
+    for words, told in zip(
+        words_of(name, parameter, tmp_path), ARRIVING[name, parameter], strict=True
+    ):
+        given = begun(work, words)
+        alike = told.partition("=")[0]
+        assert told in given, [one for one in given if one.startswith(alike)] or given
+
+
+def test_the_trigger_of_a_recording_is_told_with_its_channel_before_its_divider(work):
+    """Each may be given without the other one."""
+    usual = f"edges a.csv --out a.npz {SMALL}"
+    for words, told in (
+        ("--sync-channel 3", ["3", "None"]),
+        ("--sync-divider 4", ["None", "4"]),
+        ("--sync-channel 3 --sync-divider 4", ["3", "4"]),
+    ):
+        given = begun(work, f"{usual} {words}")
+        at = given.index("PosixPath('a.csv')")
+        assert given[at + 1 : at + 3] == told
