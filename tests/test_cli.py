@@ -177,6 +177,36 @@ def test_each_kind_of_error_has_its_sentence_and_exit_code(files, monkeypatch, e
     assert not (files / "out" / "result.npz").exists()
 
 
+@pytest.mark.parametrize("error", [AssertionError("own"), RuntimeError("own"), ZeroDivisionError()])
+def test_an_error_of_our_own_is_not_told_as_a_difference(files, monkeypatch, error):
+    """It keeps its trace."""
+
+    def fails(*given, **named):
+        raise error
+
+    monkeypatch.setattr("coincid.tb.replay.replay", fails)
+    done = command(REPLAY)
+    assert done.exception is error and "coincid:" not in done.stderr
+
+
+def test_a_module_that_is_not_there_is_an_error_of_our_own(monkeypatch):
+    def lost():
+        raise ModuleNotFoundError("no module of ours")
+
+    monkeypatch.setattr(program, "_command", lost)
+    with pytest.raises(ModuleNotFoundError):
+        program._run()
+
+
+def test_pictures_are_files_whatever_the_surroundings_say(monkeypatch):
+    """A way to windows that is not there would end the program."""
+    monkeypatch.setenv("MPLBACKEND", "tkagg")
+    monkeypatch.setattr("coincid.cli.app", lambda: sys.exit(3))
+    monkeypatch.setattr("coincid.model.shared.interrupts.interruptible", lambda: None)
+    assert program._command() == 3
+    assert os.environ["MPLBACKEND"] == "agg"
+
+
 @pytest.mark.parametrize(("signal_raised", "code"), [(KeyboardInterrupt, 130), (Terminated, 143)])
 def test_a_signal_while_the_words_are_read_ends_the_command(monkeypatch, signal_raised, code):
     def parse(group, ctx, words):
@@ -343,7 +373,15 @@ def test_a_full_standard_output_is_told_in_one_line(words):
 
 @pytest.mark.parametrize(
     ("told", "kept"),
-    [("80", "80"), ("999", "999"), ("1000", "999"), ("²", "999"), ("", ""), (None, None)],
+    [
+        ("80", "80"),
+        ("120", "120"),
+        ("999", "999"),
+        ("1000", "999"),
+        ("²", "999"),
+        ("", ""),
+        (None, None),
+    ],
 )
 @pytest.mark.parametrize("name", ["COLUMNS", "LINES"])
 def test_only_sizes_of_a_terminal_that_are_too_large_are_replaced(monkeypatch, name, told, kept):
@@ -558,6 +596,53 @@ def test_an_export_is_told_with_its_number_of_files_and_their_size(monkeypatch, 
     monkeypatch.setattr("coincid.flow.release.write_release", write_release)
     shown = command("verilog --prefix near_ --out", tmp_path).stdout
     assert shown == f"{tmp_path}: 3 files, 4 kB\n"
+
+
+def test_the_sentences_of_an_advice_stand_around_its_table(monkeypatch, tmp_path):
+    """First whether any setting is of use, then what limits it, and the advice at the end."""
+    config = parse_config({"sensor": {"rows": 8, "cols": 8}})
+    one = Tried(config=config, wrong=0, far=0, error_mm=7.84, bits=1, dropped=0, load=0)
+    told = {"useless": "No use.", "limit": "A limit.", "counts": "Counts do."}
+    advice = SimpleNamespace(tried=[one], best=one, price="5 mW", sentence="Take it.", **told)
+    written = [tmp_path / "a.csv", tmp_path / "b.png"]
+    monkeypatch.setattr("coincid.study.advise.advise", lambda *_, **__: advice)
+    monkeypatch.setattr("coincid.study.advise.write_advice", lambda *_: written)
+    words = f"advise flat:4 --set rows=8 --set cols=8 --out {tmp_path}"
+    first, *table, price, limit, counts, sentence, files = command(words).stdout.splitlines()
+    assert first == "No use." and any("7.8" in line for line in table)
+    assert price.startswith("Every row: 5 mW. ")
+    assert (limit, counts, sentence) == ("A limit.", "Counts do.", "Take it.")
+    assert files == f"{written[0]} {written[1]}"
+    advice.useless = advice.counts = ""
+    shown = command(words).stdout.splitlines()
+    assert "No use." not in shown and "Counts do." not in shown and "" not in shown[-4:]
+
+
+def test_a_conversion_tells_what_it_read_what_it_left_out_and_what_it_wrote(monkeypatch, files):
+    recorded = SimpleNamespace(kind="a table", sync=np.zeros(1234, np.int64))
+    converted = Edges(*[np.zeros(1100, np.int64)] * 3)
+    notes = {"period_note": "Another period.", "offsets_note": "No offsets."}
+    monkeypatch.setattr("coincid.model.recorded.exchange.read_recording", lambda *_: recorded)
+    monkeypatch.setattr("coincid.model.recorded.exchange.write_edges", lambda *_: None)
+    monkeypatch.setattr(
+        "coincid.model.recorded.exchange.offsets_note", lambda *_: notes["offsets_note"]
+    )
+    monkeypatch.setattr(
+        "coincid.model.recorded.recordings.period_note", lambda *_: notes["period_note"]
+    )
+    monkeypatch.setattr(
+        "coincid.model.recorded.recordings.recorded_edges",
+        lambda *_, **__: (converted, {"late": 134}),
+    )
+    monkeypatch.setattr(
+        "coincid.model.recorded.recordings.told", lambda lost: f"{lost['late']} too late"
+    )
+    shown = command("edges own.csv --out a.npz").stdout.splitlines()
+    first, last = "own.csv: a table, 1,234 photons", "a.npz: 1,100 edges"
+    assert shown == [first, "Another period.", "left out: 134 too late", "No offsets.", last]
+    notes |= dict.fromkeys(notes, "")
+    shown = command("edges own.csv --out a.npz").stdout.splitlines()
+    assert shown == [first, "left out: 134 too late", last]
 
 
 @pytest.mark.parametrize(

@@ -541,11 +541,10 @@ def test_without_a_checkout_no_page_is_written(monkeypatch):
     [
         PAGE.replace("<!-- end one -->\n", ""),
         PAGE.replace("<!-- end two -->\n", ""),
-        PAGE.replace("<!-- end one -->\n", "").replace(
-            "between", "<!-- begin three: a; stamp b -->"
-        ),
+        PAGE.replace("<!-- end one -->\n", "") + "\n<!-- end one -->\n",
+        PAGE.replace("first", "<!-- begin three: a; stamp b -->\n\n<!-- end three -->"),
     ],
-    ids=["first", "last", "inner"],
+    ids=["first", "last", "across", "inner"],
 )
 def test_a_region_ends_before_the_next_one_begins(text):
     with pytest.raises(

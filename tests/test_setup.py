@@ -5,6 +5,7 @@ where nothing can be reached.
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -152,6 +153,19 @@ def test_uv_installs_all_locks_and_pip_where_uv_cannot(
         "python": [*PIP, "install", *locked.PIP_OPTIONS, "--no-deps", "--no-compile", *files],
     }
     assert run == [commands[program] for program in programs]
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_the_log_of_an_installation_has_its_commands_and_what_they_say(tmp_path, code):
+    """Output and errors; nothing of it is shown."""
+    path = tmp_path / "log"
+    words = f"import sys; print('out', flush=True); print('err', file=sys.stderr); sys.exit({code})"
+    with path.open("w", encoding="utf-8") as log:
+        for _ in range(2):
+            assert locked._run([sys.executable, "-c", words], log) == (code == 0)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    told = f"$ {sys.executable} -c {shlex.quote(words)}"
+    assert lines == [told, "out", "err"] * 2
 
 
 @pytest.mark.parametrize("yes", ["1", "true", "Yes", "on"])

@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A client that is written from the documents alone.
+"""A client that is written from the documents alone, and the numbers of the documents.
 
-It takes nothing from the project: framing and addresses of docs/emulator-protocol.md, registers of
+The client takes nothing from the project: framing and addresses of docs/emulator-protocol.md, registers of
 registers.md, words of docs/contract.md are spelled out here, so that a page that says too little,
 or another thing than the RTL does, is found.
 """
 
+import re
 import struct
+from pathlib import Path
 from zlib import crc32
 
 import numpy as np
 
+from coincid.board import parameters as chip
+from coincid.board import serial_link as link
 from coincid.board.simulated import SimulatedPort
 from coincid.board.source_model import SourceSettings, source_edges
+from coincid.model.contract.registers import Access
 from coincid.model.golden.frame import Golden
 
 from ..random_cases import configured
@@ -21,6 +26,57 @@ from .test_emulator import EMULATOR, SENSOR
 FRAMES = 12
 PERIOD, PULSES, WINDOW, THRESHOLD = 50, 5, 4, 2
 SEED, SPREAD, DEAD, BACKGROUNDS, ECHO_TICK, ECHO_LEVEL = 77, 2, 3, (1500, 4000), 130, 200
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "emulator-protocol.md").read_text(encoding="utf-8")
+TOLD_ACCESS = {
+    Access.CONSTANT: "read",
+    Access.COUNTER: "read",
+    Access.SETTING: "setting",
+    Access.PULSE: "write",
+}
+
+
+def test_the_page_has_each_register_of_the_emulator_as_it_is_built():
+    """Its address, range, and value after a reset; and where the regions begin."""
+    rows = re.findall(r"^\| `(0x\w+)` \| `(\w+)` \| (\w+) \| (.*?) ?\| (.*) \|$", PAGE, re.M)
+    assert [name for _, name, *_ in rows] == [register.name for register in chip.OWN]
+    for (address, name, access, span, meaning), register in zip(rows, chip.OWN, strict=True):
+        assert int(address, 16) == chip.own_address(name)
+        assert access == TOLD_ACCESS[register.access], name
+        if register.access is Access.SETTING:
+            low, high = register.low(SENSOR), register.high(SENSOR)
+            assert span.replace("2^32 - 1", str((1 << 32) - 1)) == f"{low} to {high}", name
+            assert f"{register.reset(SENSOR)} after reset" in meaning, name
+    assert f"`{chip.EMULATOR_ID:#010x}`" in PAGE
+    assert f"this page is of major {chip.EMULATOR_VERSION >> 16}" in PAGE
+    places = re.findall(r"^\| `(0x\w+)(?: \+ (0x\w+) s)?` \| the", PAGE, re.M)
+    bases = chip.SENSOR_BASE, chip.OWN_BASE, chip.SOURCE_BASE, chip.BUFFER_BASE
+    assert [int(place, 16) for place, _ in places] == list(bases)
+    assert [int(stride, 16) for _, stride in places if stride] == [chip.SOURCE_STRIDE]
+    for subgroup in (0, 3):
+        background = chip.SOURCE_BASE + chip.SOURCE_STRIDE * subgroup
+        assert chip.background_address(subgroup) == background
+        assert chip.echo_address(subgroup, 5) == background + 0x400 + 4 * 5
+    assert "from `+0x400` on" in PAGE and f"<< {chip.LEVEL_BITS}) + its probability" in PAGE
+
+
+def test_the_page_has_the_numbers_of_the_line():
+    """Special bytes, lengths, operations, and the status of an answer."""
+    flag, escape = link.FLAG, link.ESCAPE
+    assert f"`{flag:#x}` is sent as `{escape:#x} {flag ^ link.FLIP:#x}`" in PAGE
+    assert f"`{escape:#x}` as `{escape:#x} {escape ^ link.FLIP:#x}`" in PAGE
+    assert f"Bytes go at {link.BAUD / 1e6:g} Mbaud" in PAGE
+    lengths = f"1 to {link.READ_WORDS_MAX} for a read, 1 to {link.WRITE_WORDS_MAX} for a write"
+    assert lengths in PAGE
+    operations = ", ".join(f"{one.value} {one.name.lower()}" for one in link.Operation)
+    assert f"| {operations} |" in PAGE
+    status = re.search(r"^\| status \| 1 \| (.*) \|$", PAGE, re.M)[1]
+    words = ["done", "refused", "wrong number", "not greeted", "no such operation"]
+    answers = ["OKAY", "REFUSED", "SEQUENCE", "FRESH", "UNKNOWN"]
+    assert [one.name for one in link.Answer] == answers
+    for answer, word in zip(link.Answer, words, strict=True):
+        assert f"{answer.value} {word}" in status
 
 
 class Client:

@@ -242,6 +242,102 @@ def test_fillers_close_a_row_from_its_left_end_to_its_right_one(drawn_rows, site
     ]
 
 
+def boxes_um(layout, cell, layer):
+    """Return the boxes on a layer of a cell, without those of the cells in it, in um."""
+    shapes = layout.cell(cell).shapes(layout.layer(layer, 0))
+    found = []
+    for shape in shapes.each():
+        if not shape.is_text():
+            box_um = shape.bbox().to_dtype(layout.dbu)
+            sides = box_um.left, box_um.bottom, box_um.right, box_um.top
+            found.append(tuple(round(side, 4) for side in sides))
+    return sorted(found)
+
+
+def texts_of(layout, cell, layer):
+    shapes = layout.cell(cell).shapes(layout.layer(layer, 0))
+    return {
+        shape.text_string: (
+            round(shape.text.x * layout.dbu, 4),
+            round(shape.text.y * layout.dbu, 4),
+        )
+        for shape in shapes.each()
+        if shape.is_text()
+    }
+
+
+@pytest.fixture
+def one_block(tmp_path):
+    """Return the layout of a block of two cells with two pins each, of which the second one is
+    upside down; and its wires.
+    """
+    library = written(tmp_path / "cells.gds", C=[(0, 0, 0.57, 0.1)], FILLCELL_X1=[])
+    source = db.Layout()
+    source.read(str(library))
+    for layer in (drawn.OUTLINE, drawn.TEXT_OF_CELLS):
+        source.cell("C").shapes(source.layer(layer, 0)).insert(drawn.box(0, 0, 0.57, 1.4))
+    source.write(str(library))
+    wires_of = db.Layout()
+    wires_of.dbu = 0.001
+    shapes = {15: (0.5, 0.2, 1.5, 0.27), 16: (0.5, 0.2, 0.57, 0.27), 17: (0.5, 0, 0.57, 1.4)}
+    top = wires_of.create_cell("top")
+    for layer, corners in (*shapes.items(), (9, (0, 0, 5, 5)), (31, (0, 0, 5, 5))):
+        top.shapes(wires_of.layer(layer, 0)).insert(db.DBox(*corners))
+    top.shapes(wires_of.layer(15, 1)).insert(db.DBox(0, 0, 5, 5))
+    wires_of.write(str(tmp_path / "routed.gds"))
+    strips = {
+        "C": {
+            "A": pins.Strip(0.095, 0.14, 1.26, 0.5, True),
+            "Z": pins.Strip(0.475, 0.2, 1.2, 0.9, False),
+        }
+    }
+    cells = [
+        {"name": "u1", "kind": "C", "x": 0.19, "y": 0.0, "flipped": False}
+        | {"nets": {"A": "a", "Z": "n"}},
+        {"name": "u2", "kind": "C", "x": 0.38, "y": 1.4, "flipped": True}
+        | {"nets": {"A": "n", "Z": "y"}},
+    ]
+    ports = {"n": "output", "a": "input", "y": "output"}
+    placed = {"width": 0.95, "height": 2.8, "cells": cells, "ports": ports}
+    widths_um = dict.fromkeys(drawn.FILLERS, 9.0) | {"FILLCELL_X1": 0.19, "C": 0.57}
+    return drawn.draw(tmp_path / "routed.gds", library, placed, strips, widths_um, "top")
+
+
+def test_a_cell_is_drawn_with_a_via_and_a_strip_for_each_pin(one_block):
+    """Also with metal1, where that of the pin does not enclose the via. Outlines and texts are no
+    masks.
+    """
+    metal1, via1, metal2 = drawn.metal(1), drawn.metal(1) + 1, drawn.metal(2)
+    assert boxes_um(one_block, "C", via1) == [
+        (0.06, 0.465, 0.13, 0.535),
+        (0.44, 0.865, 0.51, 0.935),
+    ]
+    assert boxes_um(one_block, "C", metal2) == [(0.06, 0.14, 0.13, 1.26), (0.44, 0.2, 0.51, 1.2)]
+    assert boxes_um(one_block, "C", metal1) == [(0, 0, 0.57, 0.1), (0.44, 0.83, 0.51, 0.97)]
+    for layer in (drawn.OUTLINE, drawn.TEXT_OF_CELLS):
+        assert boxes_um(one_block, "C", layer) == []
+    assert boxes_um(one_block, "top", drawn.OUTLINE) == [(0, 0, 0.95, 2.8)]
+
+
+def test_each_port_is_named_once_at_the_first_pin_of_its_net(one_block):
+    """At the via of the pin, also in a cell that is upside down."""
+    assert texts_of(one_block, "top", drawn.metal(2)) == {
+        "a": (0.285, 0.5),
+        "n": (0.665, 0.9),
+        "y": (0.855, 1.9),
+    }
+
+
+def test_routed_wires_are_drawn_and_metal4_is_wide_at_vias_from_metal3(one_block):
+    """Of masks of metals and vias only."""
+    via, wide = (0.5, 0.2, 0.57, 0.27), (0.465, 0.165, 0.605, 0.305)
+    assert boxes_um(one_block, "top", drawn.metal(3)) == [(0.5, 0.2, 1.5, 0.27)]
+    assert boxes_um(one_block, "top", drawn.metal(3) + 1) == [via]
+    assert boxes_um(one_block, "top", drawn.metal(4)) == sorted([wide, (0.5, 0, 0.57, 1.4)])
+    for layer in (9, 31):
+        assert boxes_um(one_block, "top", layer) == []
+
+
 PINS = [(13, (0.065, 0.3, 0.135, 0.7)), (13, (1.065, 0.3, 1.135, 0.7))]
 VIAS = [(14, (0.065, 0.465, 0.135, 0.535)), (14, (1.065, 0.465, 1.135, 0.535))]
 WIRE = [(15, (0.03, 0.465, 1.17, 0.535))]

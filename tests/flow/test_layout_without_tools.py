@@ -965,3 +965,76 @@ def test_cells_are_on_sites_before_they_are_recorded_and_routed(module, monkeypa
     one.place()
     assert one.route() == "routed"
     assert happened == ["place", ("snap", "a cell"), ("record", "a cell"), "route"]
+
+
+def test_a_via_reaches_beyond_its_cut_along_each_of_its_narrow_metals(module, monkeypatch):
+    """Up to metal3; at metal4 it has a square pad on both, and none above."""
+    technology = module("technology")
+    made = []
+
+    def create(tech, *given):
+        return given
+
+    def enclose(via, metal, reach):
+        made.append((via[:4], via[4], metal, reach))
+
+    monkeypatch.setattr(technology, "createVia", create)
+    monkeypatch.setattr(technology, "setEnclosures", enclose)
+    metals = {i: f"metal{i}" for i in technology.METALS}
+    for i in range(1, 10):
+        technology._via(None, metals, i)
+    along = {1: (0, 35), 2: (0, 35), 3: (35, 0)}  # pins of metal1 stand upright
+    expected = []
+    for i in range(1, 10):
+        via = f"VIA{i}{i + 1}", f"metal{i}", f"via{i}", f"metal{i + 1}"
+        side = round(1000 * technology.WIDTH_UM[i])
+        for j in (i, i + 1):
+            reach = (35, 35) if (i, j) == (3, 4) else along.get(j, (0, 0)) if i < 4 else (0, 0)
+            expected.append((via, side, f"metal{j}", reach))
+    assert made == expected
+
+
+def test_tracks_alternate_and_only_the_lower_metals_are_routed(module, monkeypatch):
+    """Metal2 has the pins only; metal7 and above are for supplies."""
+    technology = module("technology")
+    made = []
+    gauge = SimpleNamespace(setSymbolic=lambda on: None, addLayerGauge=made.append)
+    layers = SimpleNamespace(
+        Horizontal="flat",
+        Vertical="upright",
+        PinOnly="pins",
+        PowerSupply="supply",
+        Default="wires",
+        create=lambda *given: given,
+    )
+    tech = SimpleNamespace(getLayer=lambda name: name)
+    database = SimpleNamespace(getTechnology=lambda: tech)
+    framework = SimpleNamespace(addRoutingGauge=lambda of: None, addCellGauge=lambda of: None)
+    for name, stand_in in (
+        ("AllianceFramework", SimpleNamespace(get=lambda: framework)),
+        ("DataBase", SimpleNamespace(getDB=lambda: database)),
+        ("RoutingGauge", SimpleNamespace(create=lambda name: gauge)),
+        ("CellGauge", SimpleNamespace(create=lambda *given: given)),
+        ("RoutingLayerGauge", layers),
+    ):
+        monkeypatch.setattr(technology, name, stand_in)
+    technology._gauges()
+    kinds = {2: "pins", 3: "wires", 4: "wires", 5: "wires", 6: "wires", 7: "supply", 8: "supply"}
+    assert [of[:4] for of in made] == [
+        (f"metal{i}", "flat" if i % 2 else "upright", kind, depth)
+        for depth, (i, kind) in enumerate(kinds.items())
+    ]
+    for (_, way, _, _, _, first, pitch, width, pad, *_), i in zip(made, kinds, strict=True):
+        assert first == (70 if way == "flat" else 95)
+        assert width == round(1000 * technology.WIDTH_UM[i]) <= pad < pitch or i == 3
+        assert pitch == round(1000 * technology.PITCH_UM[i])
+
+
+def test_every_setting_of_the_file_is_set_at_its_place(module):
+    """In sections within sections; what is there besides stays."""
+    technology = module("technology")
+    inner = SimpleNamespace(other=1)
+    config = SimpleNamespace(katana=SimpleNamespace(inner=inner), etesian=SimpleNamespace())
+    values = {"katana": {"a": 2, "inner": {"b": "c"}}, "etesian": {"d": [3]}}
+    technology._set(config, values)
+    assert (config.katana.a, vars(inner), config.etesian.d) == (2, {"other": 1, "b": "c"}, [3])

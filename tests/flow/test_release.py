@@ -37,8 +37,9 @@ from coincid.hdl.export import FILE_LIST
 from coincid.hdl.front_end_views import POLYPHASE, view_at
 from coincid.hdl.sensor import FPGA_TOP, SensorTop
 from coincid.hdl.unit import Port
-from coincid.model.contract import latency
+from coincid.model.contract import latency, registers
 from coincid.model.contract.config import load_config, parse_config
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.counts import GATES
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.packet import built_formats
@@ -588,11 +589,44 @@ def test_each_frame_of_a_smoke_test_has_its_own_settings():
     begins = [int(at) for at in re.findall(r" setting_from\[\d+\] = (\d+);", text)]
     configs = smoke_configs(sensor)
     assert len(begins) == len(configs) + 1 == 3
-    registers = reset_values(sensor)
+    values = reset_values(sensor)
     for of_frame, (begin, end) in zip(configs, pairwise(begins), strict=True):
-        registers |= {int(at, 16): int(value) for at, value in written[begin:end]}
+        values |= {int(at, 16): int(value) for at, value in written[begin:end]}
         wanted = dict(of_frame.register_writes())
-        assert {at: registers[at] for at in wanted} == wanted
+        assert {at: values[at] for at in wanted} == wanted
+
+
+@pytest.mark.parametrize("name", ["odd", "counting"])
+def test_a_smoke_test_reads_all_constants_and_all_counters_of_three_subgroups(name):
+    """Of the first, the middle and the last one, after each frame; with the golden model's values."""
+    sensor = built_sensor(SENSORS[name])
+    text = smoke_test(sensor)
+
+    def table(of):
+        pattern = rf" {of}\[\d+\] = \{{20'h(\w+), 32'd(\d+)\}};"
+        return [(int(at, 16), int(value)) for at, value in re.findall(pattern, text)]
+
+    built = [one for one in registers.built(registers.GLOBAL, sensor)]
+    constants = [one for one in built if one.access is registers.Access.CONSTANT]
+    assert table("constant") == [(one.offset, one.reset(sensor)) for one in constants]
+    played = sorted({0, sensor.subgroups // 2, sensor.subgroups - 1})
+    expected, golden = [], Golden(sensor)
+    ready = (np.arange(300) % 4 != 0).astype(np.uint8)
+    beats = []
+    for of_frame in smoke_configs(sensor):
+        edges = smoke_edges(of_frame)
+        lit = pixel_table(sensor).subgroup[edges.pixel]
+        assert set(lit.tolist()) == set(played)
+        assert set(edges.pulse.tolist()) == set(range(of_frame.pulses))
+        trace = golden.frame(of_frame, edges, ready)
+        beats += [int(beat) for stream in trace.beats for beat in stream]
+        for s in played:
+            places = [registers.address(one, s) for one in COUNTER_NAMES]
+            expected += zip(places, trace.counters[s].tolist(), strict=True)
+    assert table("counter") == expected
+    words = re.findall(r" expected\[\d+\] = 64'h(\w+);", text)
+    assert [int(word, 16) for word in words] == beats
+    assert "localparam STALL_CYCLES = 300;" in text and "localparam STALL_EVERY = 4;" in text
 
 
 def test_smoke_test_finds_a_difference_in_counts(tmp_path):
@@ -722,8 +756,10 @@ def test_each_target_of_the_core_has_its_top_and_all_modules_in_it(releases, pre
 
 
 @pytest.mark.parametrize("preset", SMALL)
-def test_targets_of_the_core_have_the_tools_and_the_options_of_the_readme(releases, preset):
-    _, targets = of_core(releases / preset)
+def test_targets_of_the_core_have_the_tools_the_options_and_the_files_of_the_readme(
+    releases, preset
+):
+    sets, targets = of_core(releases / preset)
     for name, target in targets.items():
         if "flow" not in target:
             continue
@@ -738,6 +774,10 @@ def test_targets_of_the_core_have_the_tools_and_the_options_of_the_readme(releas
         line = line_of_readme(releases / preset, f"{begin} .*{target['toplevel']} ")
         assert line.startswith(f"{begin} {' '.join(options)} {top} {target['toplevel']} "), name
         assert of_flow.get("mode") == ("binary" if "binary" in begin else None)
+        listed = releases / preset / re.search(r" -f (\S+)", line)[1]
+        read = [file for one in target["filesets"] for file in sets[one]["files"]]
+        verilog = [file for file in read if file.endswith(".v")]
+        assert sorted(verilog) == sorted(listed.read_text(encoding="utf-8").split()), name
 
 
 def test_exported_verilog_is_what_the_other_tests_simulate(releases):

@@ -209,6 +209,7 @@ def test_a_message_names_a_word_by_its_subgroup_and_then_its_index(key, shown):
     "key, value, says",
     [
         ("periods", 1, "must be one of"),
+        ("search_pulses", 1, "register 'search_pulses': the sensor is built without it"),
         ("threshold", 1, "must be written as"),
         (("threshold", 2), 1, "from 0 to 1"),
         (("mask", 0, 2), 1, "from 0 to 1"),

@@ -190,6 +190,34 @@ def test_failed_build_is_no_build(tmp_path, error):
     assert not list(tmp_path.glob("*.part*"))
 
 
+def test_what_is_built_can_be_read_by_others(tmp_path):
+    """As a folder of any program; several users may share the builds."""
+    made = build_once(tmp_path / "deep" / "thing", lambda scratch: None)
+    assert made == tmp_path / "deep" / "thing" and made.stat().st_mode & 0o777 == 0o755
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (OSError(errno.ENOSPC, "No space left"), "No space left"),
+        (OSError(errno.EROFS, "Read-only", "x.v"), "Read-only: x.v"),
+        (OSError(errno.EACCES, "Denied", "from", None, "to"), "Denied: to"),
+        (shutil.Error([("a", "b", "no room"), ("c", "d", "other")]), "no room"),
+    ],
+)
+def test_what_a_file_system_refuses_is_told_with_its_file(error, tmp_path, told):
+    """Of a tree, the first one; and always which folder of builds it is."""
+
+    def make(scratch):
+        raise error
+
+    with pytest.raises(ToolchainError) as refused:
+        build_once(tmp_path / "thing", make)
+    assert str(refused.value) == (
+        f"build directory {tmp_path}: {told}; COINCID_BUILD names another"
+    )
+
+
 def test_what_several_need_at_once_is_built_once(tmp_path):
     """The others wait for the first, and take what it has built."""
     together = threading.Barrier(3)
