@@ -59,8 +59,9 @@ class SourceSettings:
 
 
 def _check_integers(name: str, values: np.ndarray, high: int) -> None:
-    """Raise `InputError` if some value is not from 0 to `high`."""
-    if values.size and not 0 <= values.min() <= values.max() <= high:
+    """Raise `InputError` if some value is no integer from 0 to `high`."""
+    integers = np.issubdtype(values.dtype, np.integer)
+    if not integers or (values.size and not 0 <= values.min() <= values.max() <= high):
         raise InputError(f"{name}: must hold integers from 0 to {high}")
 
 

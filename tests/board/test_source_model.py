@@ -227,6 +227,26 @@ def test_settings_out_of_range(bad, says):
         source(config(pulses=1), **bad)
 
 
+@pytest.mark.parametrize(
+    ("name", "high"), [("background", (1 << RATE_BITS) - 1), ("level", 255), ("tick", 8191)]
+)
+def test_the_ends_of_the_range_of_an_array_are_settings_and_nothing_beyond(name, high):
+    """Also where a single pixel is out of range. A fraction is no setting, and is not cut off."""
+    of = config(pulses=1)
+
+    def programmed(values):
+        return evolve(source(of), **{name: values}).register_writes(of.sensor)
+
+    shape = getattr(source(of), name).shape
+    for legal in (0, high):
+        programmed(np.full(shape, legal))
+    for beyond in (-1, high + 1, 0.5, 1.0):
+        values = np.zeros(shape, type(beyond))
+        values.flat[-1] = beyond
+        with pytest.raises(InputError, match=f"^{name}: must hold integers from 0 to {high}$"):
+            programmed(values)
+
+
 def test_ticks_fit_the_sensor():
     of = config(pulses=1)
     with pytest.raises(InputError, match="from 0 to 8191"):

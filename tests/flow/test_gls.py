@@ -113,6 +113,21 @@ def test_each_netlist_is_told_with_its_words_and_its_cycles(monkeypatch):
     assert list(lines) == [f"{CELLS}: 20 words and commits in 2000 cycles, 0 mismatches"]
 
 
+def test_a_netlist_plays_the_frames_that_are_asked_for(monkeypatch):
+    """So many of this seed, in a folder of its own for each target."""
+    played = []
+    monkeypatch.setattr(gls, "netlist_build", lambda sensor, target: (sensor, target))
+    monkeypatch.setattr(gls, "random_frames", lambda *given: given)
+    monkeypatch.setattr(gls, "sensor_key", lambda sensor: "small")
+    monkeypatch.setattr(gls, "played", lambda *given: played.append(given) or (1, 2))
+    assert gls.gate_level(SMALL, GATES, frames=4, seed=9) == (1, 2)
+    assert gls.gate_level(SMALL, CELLS) == (1, 2)
+    assert played == [
+        ((SMALL, GATES), (SMALL, 4, 9), f"{GATES}-small"),
+        ((SMALL, CELLS), (SMALL, gls.FRAMES, 1), f"{CELLS}-small"),
+    ]
+
+
 def test_totals_of_played_frames(monkeypatch):
     """Words and commits first, then cycles."""
 

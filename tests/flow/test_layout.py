@@ -94,6 +94,14 @@ def test_strips_are_of_the_cells_that_were_asked_for(tmp_path):
     assert list(found) == ["BUF", "TWO"]
 
 
+def test_widths_are_those_of_all_cells_of_a_file(tmp_path):
+    """Not their heights, and whether or not a cell has pins."""
+    path = tmp_path / "three.lef"
+    fill = "MACRO FILL\n  CLASS CORE SPACER ;\n  SIZE 0.19 BY 1.4 ;\nEND FILL\n"
+    path.write_text(fill + LEF + LEF.replace("TWO", "X4").replace("0.57", "1.33"), "utf-8")
+    assert pins.cell_widths_um(path) == {"FILL": 0.19, "TWO": 0.57, "X4": 1.33}
+
+
 def test_a_pin_is_all_of_its_shapes(tmp_path):
     """Its strip stands on the longest of them, wherever that is in the file."""
     path = tmp_path / "two.lef"
