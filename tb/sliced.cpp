@@ -154,6 +154,7 @@ public:
     void post_during_frame(uint32_t address, uint32_t value) { during_.push_back({Op::WRITE, address, value, {}}); }
     bool idle() const { return idle_; }
     int64_t cycle() const { return cycle_; }
+    int64_t hung() const { return hung_; }
     int64_t cycles() const { return cycles_ + std::max<int64_t>(cycle_, 0); }
     Outcome outcome() const { return outcome_; }
     uint32_t value() const { return value_; }
@@ -426,7 +427,10 @@ private:
                         record.commits.push_back({lanes.subgroup + __builtin_ctzll(rest) - low(lanes), cycle_ - STORED_TO_COMMIT});
                 co_await CYCLE;
                 if (all_ended) break;
-                if (cycle_ + 1 >= frame_->limit) outcome_ = HANGS;
+                if (cycle_ + 1 >= frame_->limit) {
+                    outcome_ = HANGS;
+                    hung_ = cycle_ + 1;
+                }
             }
             cycles_ += cycle_ + 1;
             cycle_ = -1;
@@ -448,6 +452,7 @@ private:
     std::shared_ptr<Frame> frame_;
     size_t next_edge_ = 0;             // of the frame
     int64_t cycle_ = -1, cycles_ = 0;  // of the frame, and of all frames before
+    int64_t hung_ = 0;                 // cycles of the frame that hangs
     // While it is watched whether the sensor is idle.
     bool watched_ = false, moved_ = false, delivered_ = false;
     std::vector<char> before_, now_;
@@ -582,6 +587,7 @@ void sliced_give_up(Engine* engine, int sensor) { engine->sensor(sensor).give_up
 int sliced_outcome(Engine* engine, int sensor) { return engine->sensor(sensor).outcome(); }
 uint32_t sliced_value(Engine* engine, int sensor) { return engine->sensor(sensor).value(); }
 int64_t sliced_cycle(Engine* engine, int sensor) { return engine->sensor(sensor).cycle(); }
+int64_t sliced_hung(Engine* engine, int sensor) { return engine->sensor(sensor).hung(); }
 int64_t sliced_records(Engine* engine, int sensor) { return int64_t(engine->sensor(sensor).records().size()); }
 int64_t sliced_beats(Engine* engine, int sensor, int64_t record, int stream, const Beat** beats) {
     const auto& found = engine->sensor(sensor).records()[record]->beats[stream];

@@ -164,6 +164,7 @@ def _library(sensor: Sensor, width: int, root: Path) -> ctypes.CDLL:
         "outcome": (i32, [pointer, i32]),
         "value": (u32, [pointer, i32]),
         "cycle": (i64, [pointer, i32]),
+        "hung": (i64, [pointer, i32]),
         "records": (i64, [pointer, i32]),
         "beats": (i64, [pointer, i32, i64, i32, rows]),
         "commits": (i64, [pointer, i32, i64, rows]),
@@ -350,7 +351,7 @@ class SlicedSensor:
         outcome = self._call("outcome")
         if outcome == HANGS:
             raise SimulationError(
-                f"no frame end within {self._call('cycle')} cycles: the sensor hangs"
+                f"no frame end within {self._call('hung')} cycles: the sensor hangs"
             )
         if outcome == REFUSED:
             self._call("forget")

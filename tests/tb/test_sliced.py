@@ -2,6 +2,7 @@
 """The sliced engine beside the whole RTL: many frames at once, faults, and waveforms."""
 
 from itertools import cycle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,17 +11,21 @@ from pywellen import Waveform
 from coincid.hdl.export import units_files
 from coincid.hdl.subgroup_pair import SensorModule, Slice
 from coincid.host.transport import RefusedError
-from coincid.model.contract.parameters import TOP
+from coincid.model.contract.parameters import TOP, Sensor
 from coincid.model.contract.registers import address
 from coincid.model.contract.result import differences
 from coincid.model.golden.frame import Golden
-from coincid.tb import sliced
+from coincid.slices.library import LANES
+from coincid.tb import slice_proof, sliced
 from coincid.tb.frame_record import FrameJob
 from coincid.tb.play import play
 from coincid.tb.replay import replay
-from coincid.tb.rtl import of_one_subgroup
+from coincid.tb.rtl import of_one_subgroup, rtl_in_two
+from coincid.tb.rtl_errors import SimulationError
 from coincid.tb.scoreboard import check
+from coincid.tb.slice_proof import prove_module
 from coincid.tb.sliced import Engine, SlicedSensor, play_side_by_side
+from coincid.tools.build import ToolchainError
 
 from .. import random_cases
 
@@ -402,3 +407,138 @@ def test_arrays_of_any_size_share_the_build_of_their_slices(monkeypatch):
     odd, other = random_cases.built_sensor(ODD), random_cases.built_sensor(SENSOR)
     assert sliced.design(odd) == sliced.design(of_one_subgroup(odd))
     assert sliced.design(odd)[0] != sliced.design(other)[0]
+
+
+def of_odd(**frame):
+    """Return a configuration whose subgroups have thresholds of their own."""
+    subgroups = range(random_cases.built_sensor(ODD).subgroups)
+    tables = ({"subgroups": [s], "threshold": 1 + s} for s in subgroups)
+    return random_cases.configured(ODD, {"period": 60, "pulses": 3} | frame, {}, *tables)
+
+
+def test_a_frame_that_hangs_is_told_with_its_cycles_and_over_with_a_reset(monkeypatch):
+    config = of_odd()
+    frame = job(Golden(config.sensor), config, 1)
+    with SlicedSensor(config.sensor) as rtl, monkeypatch.context() as patch:
+        patch.setattr(sliced, "cycle_limit", lambda config, receiver_cycles: 100)
+        with pytest.raises(SimulationError, match="^no frame end within 100 cycles: the sensor"):
+            rtl.frame(config, frame.edges, frame.ready)
+        patch.undo()
+        rtl.reset()
+        check(config.sensor, frame.expected, rtl.frame(config, frame.edges, frame.ready))
+
+
+def test_a_frame_is_played_step_by_step_up_to_its_end(monkeypatch):
+    """A step says whether the frame goes on; `end` tells the cycle in which it is."""
+    config = of_odd()
+    golden = Golden(config.sensor)
+    with SlicedSensor(config.sensor) as rtl:
+        frame = job(golden, config, 1)
+        rtl.begin(config, frame.edges, frame.ready)
+        seen = [rtl.cycle]
+        goes_on = True
+        while goes_on and len(seen) < 2 * config.frame_cycles:
+            goes_on = rtl.step()
+            seen.append(rtl.cycle)
+        assert goes_on is False
+        record = rtl.end()
+        check(config.sensor, frame.expected, record)
+        played = [cycle for cycle in seen if cycle >= 0]
+        assert seen[0] == -1 and played == list(range(record.cycles))
+        monkeypatch.setattr(sliced, "CHUNK_CYCLES", 50)
+        frame = job(golden, config, 2)
+        rtl.begin(config, frame.edges, frame.ready)
+        rtl.step(40)
+        begun, told = rtl.cycle, []
+        assert begun >= 0
+        record = rtl.end(told.append)
+        check(config.sensor, frame.expected, record)
+        assert told == list(range(begun + 50, record.cycles, 50))
+
+
+def test_a_waveform_has_what_was_watched_last_and_the_signals_that_are_named(tmp_path):
+    """Subgroups in any order, each with its own values."""
+    config = of_odd()
+    threshold, number = "subgroup_0.dpcu.threshold", "number"
+    with SlicedSensor(config.sensor) as rtl:
+        assert rtl.signals() == sorted(set(rtl.signals())) and {threshold, number} < {
+            *rtl.signals()
+        }
+        edges = random_cases.trouble(config, 1, 12.0)
+        rtl.watch(0, 1, 2)
+        rtl.frame(config, edges)
+        rtl.watch(4, 1)
+        rtl.begin(config, edges)
+        rtl.step(30)
+        rtl.waves(tmp_path / "some.vcd", [threshold, number], cycle_ps=10)
+        rtl.watch()
+        rtl.end()
+    shown = {one.full_name: one for one in Waveform(str(tmp_path / "some.vcd")).all_vars()}
+    scopes = {"subgroup_4": 4, "subgroup_1": 1}
+    assert shown.keys() == {f"{scope}.{name}" for scope in scopes for name in (threshold, number)}
+    for scope, subgroup in scopes.items():
+        assert {value for _, value in shown[f"{scope}.{threshold}"].tv} == {1 + subgroup}
+        assert {value for _, value in shown[f"{scope}.{number}"].tv} == {subgroup}
+    text = (tmp_path / "some.vcd").read_text(encoding="utf-8")
+    assert 30 * 10 <= int(text.split()[-1].removeprefix("#")) < config.frame_cycles * 10
+
+
+def test_an_error_in_the_progress_ends_all_sensors_and_is_told(monkeypatch):
+    """And every engine is closed, once."""
+    config = of_odd()
+    closed = []
+    chains = [[job(Golden(config.sensor), config, seed)] for seed in range(3)]
+    close = Engine.close
+    monkeypatch.setattr(Engine, "close", lambda engine: closed.append(engine) or close(engine))
+
+    def enough(cycles):
+        raise ValueError("enough")
+
+    with pytest.raises(ValueError, match="^enough$"):
+        play_side_by_side(chains, enough, threads=3)
+    assert len(closed) == len({*map(id, closed)}) == 3
+    for chain, (record,) in zip(chains, play_side_by_side(chains, threads=3), strict=True):
+        check(config.sensor, chain[0].expected, record)
+    assert len(closed) == 6
+
+
+@pytest.mark.parametrize("longest", LANES[1:])
+def test_words_are_the_shortest_that_hold_all_sensors(longest, monkeypatch):
+    """Of those that the processor has; sensors of less than a chunk of 64 share it, and never lie
+    in two.
+    """
+    monkeypatch.setattr(sliced, "widest", lambda: longest)
+    for subgroups in (1, 5, 32, 33, 63, 64, 65, 128, 130, 600):
+        sensor = SimpleNamespace(subgroups=subgroups)
+        for sensors in range(1, 20):
+            of_chunk = max(1, 64 // subgroups)
+            bits = 64 * -(-sensors // of_chunk) * -(-subgroups // 64)
+            words = [width for width in LANES[1:] if width <= longest]
+            due = min((width for width in words if width >= bits), default=longest)
+            assert sliced.lanes(sensor, sensors) == due, (subgroups, sensors)
+
+
+PROOF = Sensor(rows=4, cols=4, subgroup=(4, 4), phases=4, window_max=20, records=0, controller=0)
+
+
+def test_a_module_that_is_not_two_slices_is_found_and_told(tmp_path):
+    """The second subgroup of a module takes the light of the first one."""
+    _, files = rtl_in_two(PROOF)
+    prove_module(PROOF, files)
+    name = f"{SensorModule(PROOF).unit_name}.v"
+    (whole,) = (path for path in files if path.name == name)
+    text = whole.read_text(encoding="utf-8")
+    assert text.count(".words(words_1)") == 1
+    (tmp_path / name).write_text(text.replace(".words(words_1)", ".words(words_0)"))
+    wrong = [tmp_path / name if path == whole else path for path in files]
+    with pytest.raises(SimulationError, match="not two slices.*; verilator and icarus can$"):
+        prove_module(PROOF, wrong)
+
+
+def test_another_error_of_the_proofs_tool_is_told_as_it_is(monkeypatch):
+    def yosys_once(*given):
+        raise ToolchainError("no such program")
+
+    monkeypatch.setattr(slice_proof, "yosys_once", yosys_once)
+    with pytest.raises(ToolchainError, match="^no such program$"):
+        prove_module(PROOF, [])
