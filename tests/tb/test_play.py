@@ -311,3 +311,40 @@ def test_an_engine_is_prepared_by_its_own_build(engine, monkeypatch):
     play.prepare(engine, Sensor(), True, POLYPHASE)
     own = ("sliced", Sensor()) if engine == "sliced" else (Sensor(), "icarus", True, POLYPHASE)
     assert built == [own]
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_a_simulator_gets_all_that_is_asked_of_it(name, jobs, monkeypatch, tmp_path):
+    """Its records and its waveform come back."""
+    asked, told = [], []
+    run = toolchain.SimulationFiles(tmp_path / "log", tmp_path / "xml", tmp_path / "a.fst")
+
+    def build_sensor(sensor, simulator, waves=False, view=POLYPHASE):
+        return sensor, simulator, waves, view
+
+    def play_in(build, frames, out_dir, *, lines=False, progress=None):
+        asked.append((build, frames, out_dir, lines))
+        progress(5)
+        return ["records"], run
+
+    monkeypatch.setattr(play, "build_sensor", build_sensor)
+    monkeypatch.setattr(play, "play_in", play_in)
+    view = VIEWS[name]
+    found = play.play(jobs, "icarus", tmp_path, waves=True, progress=told.append, view=view)
+    assert found == (["records"], run.wave)
+    build = CONFIG.sensor, "icarus", True, view
+    assert asked == [(build, jobs, tmp_path, not view.by_words)]
+    assert told == [5]
+
+
+def test_the_sliced_engine_tells_its_progress(jobs, monkeypatch, tmp_path):
+    told = []
+
+    def play_side_by_side(chains, progress):
+        assert chains == [jobs]
+        progress(7)
+        return [[recorded(job) for job in jobs]]
+
+    monkeypatch.setattr(play, "play_side_by_side", play_side_by_side)
+    play.play(jobs, "sliced", tmp_path, progress=told.append)
+    assert told == [7]

@@ -8,13 +8,20 @@ import pytest
 from attrs import evolve
 
 from coincid.hdl.front_end_views import VIEWS
+from coincid.model.contract.coincidence import AtLeast
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
+from coincid.model.contract.result import differences
+from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
-from coincid.tb.engines import SIMULATORS
+from coincid.tb.engines import LANES_MAX, SIMULATORS, sensors_together
+from coincid.tb.frame_record import Recorded
 from coincid.tb.replay import chosen_view, replay, replay_together
 from coincid.tb.rtl import sensor_key
+from coincid.tb.stimulus import tick_ps
+
+from ..random_cases import trouble
 
 PULSES, FRAMES, PERIOD, PIXELS = 3, 2, 40, 64
 CONFIG = parse_config(
@@ -131,3 +138,76 @@ def test_builds_have_the_name_of_what_differs_from_the_default():
     other = evolve(default, phases=16, minigroup=(4, 2), records=0)
     assert sensor_key(other) == f"{size}-phases16-minigroup4x2-records0"
     assert sensor_key(default, VIEWS["async"]) == f"{size}-async"
+    own = type("Own", (AtLeast,), {"name": "own-rule"})()
+    assert sensor_key(evolve(default, rule=own)) == f"{size}-own-rule"
+    assert sensor_key(evolve(default, rows=8, cols=8, rule=own), VIEWS["async"]) == (
+        "8x8-own-rule-async"
+    )
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Let the golden model stand in for the engines of the RTL; return what they are asked for."""
+    found = {}
+
+    def recorded(job):
+        trace = Golden(job.config.sensor).frame(job.config, job.edges, job.ready)
+        commits = trace.commit_subgroup, trace.commit_cycle
+        return Recorded(trace.beats, trace.beat_cycle, *commits, cycles=700)
+
+    def play(frames, engine, out_dir, *, progress=None, view):
+        found.update(engine=engine, view=view.name, progress=progress, chains=[len(frames)])
+        return [recorded(job) for job in frames], None
+
+    def play_side_by_side(chains, progress=None, threads=None):
+        lengths = [len(chain) for chain in chains]
+        found.update(engine="sliced", progress=progress, threads=threads, chains=lengths)
+        return [[recorded(job) for job in chain] for chain in chains]
+
+    monkeypatch.setattr("coincid.tb.play.play", play)
+    monkeypatch.setattr("coincid.tb.sliced.play_side_by_side", play_side_by_side)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("engine", "view", "chains"),
+    [
+        ("sliced", "polyphase", [1] * FRAMES),
+        ("icarus", "polyphase", [FRAMES]),
+        ("icarus", "async", [FRAMES]),
+    ],
+)
+def test_every_engine_gets_all_frames_the_receiver_and_the_progress(engine, view, chains, asked):
+    """Frames that depend on none before are played side by side where the engine can."""
+    edges = trouble(CONFIG, 1, 20.0)
+    ready = np.arange(FRAMES * CONFIG.frame_cycles) % 3 == 0
+    found = replay(engine, CONFIG, edges, ready, print, view)
+    assert not differences(replay("golden", CONFIG, edges, ready), found)
+    assert len(found["pulse"]) > 10
+    assert (asked["engine"], asked["progress"], asked["chains"]) == (engine, print, chains)
+    assert asked.get("view", "polyphase") == view
+
+
+def test_offsets_beyond_a_tick_are_refused_by_the_view_that_has_them(asked):
+    edges = evolve(edges_with("tick", 3), offset_ps=np.array([0.0, 1.5 * tick_ps(CONFIG)]))
+    with pytest.raises(InputError, match=r"^offset_ps\[1\] = "):
+        replay("icarus", CONFIG, edges, view="async")
+    assert not asked
+    replay("icarus", CONFIG, edges)
+
+
+def test_configurations_that_are_played_together_keep_their_frames_and_their_order(asked):
+    configs = [CONFIG.with_frame(frames=frames) for frames in (1, 3, 2)]
+    jobs = [(config, trouble(config, seed, 20.0)) for seed, config in enumerate(configs)]
+    found = replay_together(jobs, threads=3)
+    assert asked == {"engine": "sliced", "progress": None, "threads": 3, "chains": [1, 3, 2]}
+    for (config, edges), result in zip(jobs, found, strict=True):
+        assert not differences(replay("golden", config, edges), result)
+
+
+def test_as_many_sensors_as_fit_are_played_at_once():
+    """One at least, however large it is."""
+    for subgroups in range(1, 2 * LANES_MAX):
+        sensors = sensors_together(subgroups)
+        assert sensors == 1 or sensors * subgroups <= LANES_MAX
+        assert (sensors + 1) * subgroups > LANES_MAX
