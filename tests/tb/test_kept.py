@@ -4,7 +4,12 @@
 from types import SimpleNamespace
 
 import pytest
+from attrs import evolve
 
+from coincid.hdl.front_end_views import Polyphase, view_at
+from coincid.model.contract.coincidence import AtLeast, Rule
+from coincid.model.contract.parameters import Sensor
+from coincid.model.shared.errors import InputError
 from coincid.tb import rtl, stress, verilated
 
 TOOL = "/tools/bin/verilator"
@@ -85,3 +90,94 @@ def test_emitted_verilog_is_that_of_its_parameters_and_rooms(kept, monkeypatch):
         state[room] += 1
         rtl.emitted("name", "parameters", dict, "board")
     assert len(set(kept)) == len(kept) == 3 + len(state)
+
+
+def test_no_verilog_is_taken_for_that_of_another_sensor_or_view(kept, monkeypatch):
+    """A user's own view and own rule have versions."""
+
+    def own(base, name, version):
+        return type("Own", (base,), {"name": name, "version": version})()
+
+    monkeypatch.setattr(rtl, "listed", lambda path: [path])
+    sensor = Sensor(rows=8, cols=8)
+    sensors = [
+        sensor,
+        evolve(sensor, cols=16),
+        evolve(sensor, rearm=sensor.rearm + 1),
+        evolve(sensor, rule=own(AtLeast, "own", "1")),
+        evolve(sensor, rule=own(AtLeast, "own", "2")),
+    ]
+    views = [
+        view_at("async", 400),
+        view_at("async", 500),
+        own(Polyphase, "own", "1"),
+        own(Polyphase, "own", "2"),
+    ]
+    for one in sensors:
+        rtl.rtl(one)
+    for view in views:
+        rtl.rtl(sensor, view)
+    assert len(set(kept)) == len(kept) == len(sensors) + len(views)
+    rtl.rtl(sensor)
+    assert kept[-1] == kept[0]
+
+
+@pytest.mark.parametrize("emits", [rtl.rtl, rtl.rtl_in_two])
+def test_a_rule_without_a_circuit_has_no_verilog(emits, kept):
+    rule = type("Mine", (Rule,), {"name": "mine", "version": "1"})()
+    with pytest.raises(InputError, match="sensor.rule = 'mine': has no circuit"):
+        emits(Sensor(rows=8, cols=8, rule=rule))
+    assert not kept
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Return what a bench of the front end is asked for; it tells some counts."""
+    found = []
+
+    def run_bench(bench, files, *, arguments, aperture):
+        found.append((bench.name, files[stress.INCLUDE], arguments, aperture))
+        return ["a line before", '{"edges": 5}']
+
+    monkeypatch.setattr(stress, "run_bench", run_bench)
+    monkeypatch.setattr(stress.Front, "files", lambda self: {stress.INCLUDE: self.include()})
+    return found
+
+
+def test_a_stress_test_has_its_edges_its_seed_and_its_sensor(asked):
+    told = stress.stress(3000, 7, sensor=Sensor(rows=4, cols=4, subgroup=(4, 4), phases=8))
+    assert told == {"edges": 5}
+    ((bench, include, arguments, aperture),) = asked
+    assert (bench, aperture) == ("async_stress.v", True)
+    assert arguments == ["+edges=3000", "+seed=7"]
+    assert "localparam PIXELS = 16;" in include and "localparam PHASES = 8;" in include
+    stress.stress(1)
+    assert asked[1][2] == ["+edges=1", "+seed=1"]
+    assert "localparam PIXELS = 64;" in asked[1][1]
+
+
+@pytest.mark.parametrize("edges", [0, stress.EDGES_MAX + 1, 2.5])
+def test_a_number_of_edges_that_no_stress_test_has_is_refused(edges, asked):
+    with pytest.raises(InputError, match=f"edges = .*from 1 to {stress.EDGES_MAX}"):
+        stress.stress(edges)
+    assert not asked
+
+
+@pytest.mark.parametrize(
+    ("code", "printed", "complaint", "told"),
+    [
+        (1, "a line\n", " no such file\n", "no such file"),
+        (0, "", "", "it printed nothing"),
+        (0, "\n", "a warning", "a warning"),
+        (1, "", "", "it printed nothing"),
+    ],
+)
+def test_a_bench_that_fails_or_says_nothing_is_no_result(
+    code, printed, complaint, told, kept, monkeypatch, tmp_path
+):
+    bench = tmp_path / "bench.v"
+    bench.write_text("module bench;", encoding="utf-8")
+    done = SimpleNamespace(returncode=code, stdout=printed, stderr=complaint)
+    monkeypatch.setattr(stress.subprocess, "run", lambda *_, **__: done)
+    with pytest.raises(stress.ToolchainError, match=f"^bench: the simulation failed: {told}$"):
+        stress.run_bench(bench, {})

@@ -242,3 +242,30 @@ def test_in_a_group_of_events_a_beat_is_told_by_its_number():
     told = f"^{where}: {beat ^ 1:#018x}, golden model {beat:#018x}$"
     with pytest.raises(Mismatch, match=told):
         board.beat(0, cycle, beat ^ 1, False)
+
+
+def test_what_is_missing_is_counted_with_what_is_due(trace, record):
+    """Of every stream, and of every subgroup, in the frame that was asked for."""
+    due = np.bincount(trace.commit_subgroup, minlength=CONFIG.sensor.subgroups)
+    for subgroup in np.flatnonzero(due > 1).tolist():
+        board = Scoreboard(CONFIG.sensor, evolve(trace, beats=[[], []]), frame=4)
+        for other in range(CONFIG.sensor.subgroups):
+            cycles = trace.commit_cycle[trace.commit_subgroup == other].tolist()
+            for cycle in cycles[: 1 if other == subgroup else None]:
+                board.commit(other, cycle)
+        number = due[subgroup]
+        words = f"frame 4, subgroup {subgroup}: 1 events stored, golden model {number}"
+        with pytest.raises(Mismatch, match=f"^{words}$"):
+            board.finish()
+    for stream in range(CONFIG.sensor.streams):
+        board = Scoreboard(CONFIG.sensor, trace, frame=5)
+        for other in range(stream + 1):
+            beats, cycles = trace.beats[other].tolist(), trace.beat_cycle[other].tolist()
+            left = 3 if other == stream else None
+            for k, (beat, cycle) in enumerate(zip(beats[:left], cycles, strict=False)):
+                board.beat(other, cycle, beat, k == len(beats) - 1)
+        number = len(trace.beats[stream])
+        with pytest.raises(
+            Mismatch, match=f"^frame 5, stream {stream}: 3 beats, golden .* {number}$"
+        ):
+            board.finish()

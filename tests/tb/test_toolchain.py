@@ -587,3 +587,44 @@ def test_a_python_of_any_path_is_written_as_it_is(empty_build_root, monkeypatch)
 )
 def test_headers_are_there_if_each_of_them_is(headers, there):
     assert toolchain._compiles(*headers) == there
+
+
+CASES = {"passed": "", "failed": "<failure/>", "broken": "<error/>", "left": "<skipped/>"}
+
+
+@pytest.mark.parametrize(
+    ("cases", "code", "told"),
+    [
+        (["passed"], 0, None),
+        (["passed", "left"], 0, None),
+        (["passed"], 3, "the simulator ended with exit code 3"),
+        (["passed", "failed"], 0, "1 of 2 tests failed (failed)"),
+        (["broken", "passed", "failed"], 1, "2 of 3 tests failed (broken, failed)"),
+        (["left", "left"], 0, "no test ran"),
+        ([], 0, "no test ran"),
+        (None, -6, "the simulator ended without results (exit code -6)"),
+    ],
+)
+def test_a_run_has_passed_if_a_test_has_and_nothing_has_failed(cases, code, told, tmp_path):
+    """By cocotb's results and by the exit code."""
+    results = tmp_path / "results.xml"
+    if cases is None:
+        results.write_text("<testsuites><testcase", encoding="utf-8")
+        assert toolchain._failure(tmp_path / "none", code) == told
+    else:
+        inside = "".join(f'<testcase name="{name}">{CASES[name]}</testcase>' for name in cases)
+        results.write_text(f"<testsuites>{inside}</testsuites>", encoding="utf-8")
+    assert toolchain._failure(results, code) == told
+
+
+def test_a_simulator_finds_the_modules_of_its_caller_first(monkeypatch):
+    """Then those of this process, by paths that do not depend on the working folder."""
+    monkeypatch.setattr(sys, "path", ["here", "/there", *sys.path])
+    own = [os.path.abspath("here"), "/there"]
+    found = toolchain._cocotb_environment({"PYTHONPATH": "/first", "ANY": "1"})
+    assert found["PYTHONPATH"].split(os.pathsep)[:3] == ["/first", *own]
+    assert found["ANY"] == "1"
+    assert found["PYGPI_PYTHON_BIN"] == sys.executable
+    assert "PYTEST_CURRENT_TEST" in os.environ and "PYTEST_CURRENT_TEST" not in found
+    alone = toolchain._cocotb_environment({})
+    assert alone["PYTHONPATH"].split(os.pathsep)[:2] == own

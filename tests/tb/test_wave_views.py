@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Views of a waveform name its signals as their programs do, and begin with the first laser pulse."""
 
+import re
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -8,6 +9,9 @@ import pytest
 
 from coincid.model.contract.parameters import TOP
 from coincid.tb import wave_views
+from coincid.tb.rtl import rtl
+
+from ..random_cases import SENSORS, built_sensor
 
 BLOCKS = (
     ("first", "", "laser word none"),
@@ -87,3 +91,25 @@ def test_a_waveform_without_a_laser_pulse_is_shown_from_its_beginning(
     monkeypatch.setattr(wave_views, "Waveform", lambda path: waveform)
     gtkwave, _ = wave_views.views(tmp_path / "a.fst", BLOCKS)
     assert "[timestart] 0" in gtkwave.read_text(encoding="utf-8").splitlines()
+
+
+def scopes_of(files, module, scope=""):
+    """Yield the scopes of a module in Verilog, and its text."""
+    yield scope, files[module]
+    for inner, name in re.findall(r"^  (coincid_\w+) \\?(\w+) +?\(", files[module], re.MULTILINE):
+        yield from scopes_of(files, inner, f"{scope}.{name}".lstrip("."))
+
+
+def test_views_name_signals_that_the_sensor_has():
+    """Every one in its block, by the name in the Verilog."""
+    files = rtl(built_sensor(SENSORS["one"]))
+    texts = {
+        path.stem: re.sub(r"\\(\S+) ", r"\1 ", path.read_text(encoding="utf-8")) for path in files
+    }
+    scopes = dict(scopes_of(texts, TOP))
+    for title, scope, signals in wave_views.BLOCKS:
+        declared = r"^  (?:input|output|wire|reg)(?: \[\d+:0\])? {}(?: = .*)?;"
+        for name in signals.split():
+            pattern = declared.format(re.escape(name))
+            assert re.search(pattern, scopes[scope], re.MULTILINE), (title, name)
+    assert len({title for title, *_ in wave_views.BLOCKS}) == len(wave_views.BLOCKS)
