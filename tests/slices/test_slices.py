@@ -438,3 +438,50 @@ def test_edges_that_are_recorded_together_are_those_one_after_the_other():
         assert together.shape[0] == edges
         assert np.array_equal(together, np.concatenate([other.record(lane) for _ in range(edges)]))
         assert np.array_equal(one.words, other.words)
+
+
+def test_a_library_is_compiled_from_all_that_it_is_made_of(monkeypatch, tmp_path):
+    """The slice and its program for the same word and the same processor."""
+    commands, texts = [], {}
+
+    def compile_once(directory, make):
+        make(tmp_path, commands.append)
+        texts.update({path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()})
+        return directory
+
+    monkeypatch.setattr("coincid.slices.library.compile_once", compile_once)
+    monkeypatch.setattr("coincid.slices.library.processor", lambda flag: f"of{flag}")
+    folder, own = tmp_path.parent / "a", tmp_path.parent / "own"
+    flag, objects = "-march=x86-64-v3", [own / "one.o", own / "two.a"]
+    library(_Folder(folder), 256, PLAIN, "#define A 1", [own, own / "more"], objects, flag)
+    of_slice, of_program = commands
+    for command in commands:
+        assert command[0] == "g++" and {flag, "-DLANES=256", f"-I{folder}"} < {*command}
+    assert str(folder / "slice.cpp") in of_slice and "-shared" not in of_slice
+    assert "-shared" in of_program and {f"-I{own}", f"-I{own / 'more'}", "-I."} < {*of_program}
+    (made,) = (item for item in of_program if item.endswith("slice.o"))
+    assert "-256-" in made and flag in made
+    assert of_program[of_program.index(str(PLAIN)) + 1 :] == [made, *map(str, objects)]
+    assert texts == {"wiring.h": "#define A 1"}
+
+
+def test_a_design_is_read_by_the_kind_of_its_files_and_changed_before_it_is_flat(monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        "coincid.slices.synthesis.yosys_once",
+        lambda folder, files, script, *_: asked.append(script),
+    )
+    texts = {"a.v": "", "b.il": "", "c.v": ""}
+    Design("mixed", texts, "top", ["one", "two"], before=["own 1", "own 2"])
+    (script,) = asked
+    assert script[:8] == [
+        "read_verilog a.v",
+        "read_rtlil b.il",
+        "read_verilog c.v",
+        "hierarchy -check -top top",
+        "setattr -mod -set keep_hierarchy 1 one",
+        "setattr -mod -set keep_hierarchy 1 two",
+        "own 1",
+        "own 2",
+    ]
+    assert "flatten" in script[8:]

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of lanes: turned word by word, and as a waveform."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from pywellen import Waveform
@@ -43,3 +45,63 @@ def test_a_waveform_ends_with_its_longest_lane(tmp_path):
     for name, changes in at.items():
         assert shown[name][1:] == [(2000 * cycle, value) for cycle, value in changes]
     assert (tmp_path / "w.vcd").read_text(encoding="utf-8").split()[-1] == f"#{17 * 2000}"
+
+
+class Numbers:
+    """A probe of numbers of any width: each begins at a word of its own."""
+
+    def __init__(self, **widths):
+        self.signals = dict(widths)
+        self.layout = SimpleNamespace(words=sum(widths.values()))
+
+    def values(self, samples, names):
+        firsts = dict(zip(self.signals, np.cumsum([0, *self.signals.values()]), strict=False))
+        return {name: samples[firsts[name] :][: self.signals[name]] for name in names}
+
+
+def samples_of(probe, cycles):
+    """Return the samples of a lane whose signals have these numbers."""
+    rows = []
+    for numbers in cycles:
+        bits = "".join(f"{numbers[name]:0{width}b}"[::-1] for name, width in probe.signals.items())
+        words = [bits[k : k + 64][::-1] for k in range(0, len(bits), 64)]
+        rows.append([int(word, 2) for word in words])
+    return np.array(rows, np.uint64)
+
+
+PROBE = Numbers(wide=70, bit=1, **{"unit.inner.bit": 1, "unit.word": 9})
+SHOWN = [
+    {"wide": 1 << 69 | 5, "bit": 1, "unit.inner.bit": 0, "unit.word": 300},
+    {"wide": 1 << 69 | 5, "bit": 0, "unit.inner.bit": 1, "unit.word": 300},
+    {"wide": 1 << 64, "bit": 0, "unit.inner.bit": 1, "unit.word": 511},
+]
+
+
+@pytest.mark.parametrize(
+    "names", [None, ["unit.word"], ["wide", "unit.inner.bit", "bit"], ["unit.inner.bit"]]
+)
+def test_a_waveform_has_the_signals_that_are_named(names, tmp_path):
+    """Each in the scope of its unit, with its width and every change; all, if none are named."""
+    path = tmp_path / "w.vcd"
+    write_vcd(path, PROBE, {"lane": samples_of(PROBE, SHOWN)}, names=names, cycle_ps=10)
+    found = {one.full_name: one for one in Waveform(str(path)).all_vars()}
+    assert found.keys() == {f"lane.{name}" for name in names or PROBE.signals}
+    for name in names or PROBE.signals:
+        one = found[f"lane.{name}"]
+        assert one.bitwidth == PROBE.signals[name]
+        for cycle, numbers in enumerate(SHOWN):
+            for at in (10 * cycle, 10 * cycle + 9):
+                assert int(one.signal.value_at(at)) == numbers[name], (name, cycle)
+
+
+def test_a_waveform_of_no_signal_is_empty(tmp_path):
+    write_vcd(tmp_path / "w.vcd", PROBE, {"lane": samples_of(PROBE, SHOWN)}, names=[])
+    assert "$var" not in (tmp_path / "w.vcd").read_text(encoding="utf-8")
+
+
+def test_a_waveform_that_fails_leaves_no_file(tmp_path):
+    with pytest.raises(KeyError, match="nothing"):
+        write_vcd(
+            tmp_path / "w.vcd", PROBE, {"lane": samples_of(PROBE, SHOWN)}, names=["bit", "nothing"]
+        )
+    assert not list(tmp_path.iterdir())
