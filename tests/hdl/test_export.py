@@ -3,14 +3,29 @@
 tells which generator made it.
 """
 
+import gc
+
 import pytest
-from amaranth.hdl import Instance, Module, Signal
+from amaranth.hdl import ClockDomain, Const, Instance, Module, Signal
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import ConnectionError, In, Out
+from amaranth.sim import Simulator
 
-from coincid.hdl.export import elaborated, units_files
+from coincid.hdl import export
+from coincid.hdl.clock_gate import ClockGate
+from coincid.hdl.export import (
+    FILE_LIST,
+    cell_files,
+    elaborated,
+    instantiated,
+    units_files,
+    verilog_files,
+)
+from coincid.hdl.front_end_views import VIEWS
+from coincid.hdl.memory import Memory as MemoryBlock
 from coincid.hdl.sensor import SensorTop
-from coincid.hdl.unit import Unit
+from coincid.hdl.unit import Port, Unit, place
+from coincid.model.contract.parameters import TOP, Sensor
 
 from ..random_cases import SENSORS, built_sensor
 from .test_memory import simulated
@@ -112,3 +127,196 @@ def test_what_memories_instances_and_registers_read_must_be_driven(dead):
 
 def test_what_memories_and_instances_give_is_driven():
     assert [block.unit.unit_name for block in elaborated([Reader(None)])] == ["coincid_reader"]
+
+
+class Counter(Unit):
+    """A count of the cycles in which it is on."""
+
+    unit_name = "coincid_counter"
+
+    def __init__(self):
+        super().__init__(on=In(1), step=In(3), count=Out(4))
+
+    def elaborate(self, platform):
+        m = Module()
+        with m.If(self.on):
+            m.d.sync += self.count.eq(self.count + self.step)
+        return m
+
+
+class Pair(Unit):
+    """Two counters, of which one has resets of its own, and a memory."""
+
+    unit_name = "coincid_pair"
+
+    def __init__(self):
+        super().__init__(
+            clear=In(1), again=In(1), **{name: Out(4) for name in ("plain", "cleared", "row")}
+        )
+
+    def elaborate(self, platform):
+        m = Module()
+        plain, cleared, rows = Counter(), Counter(), MemoryBlock(2, 4)
+        place(m, "plain", plain, platform, on=1, step=Const(3, 3))
+        resets = {"reset": self.clear, "soft_reset": self.again}
+        place(m, "cleared", cleared, platform, on=1, step=Const(3, 3), **resets)
+        ports = {"to": plain.count[0], "row": cleared.count[0]}
+        place(m, "rows", rows, platform, write=1, data=plain.count, test_enable=self.again, **ports)
+        m.d.comb += [
+            self.plain.eq(plain.count),
+            self.cleared.eq(cleared.count),
+            self.row.eq(rows.value),
+        ]
+        return m
+
+
+PAIR = ("coincid_counter", "coincid_memory_2x4", "coincid_pair")
+RESETS = """
+module bench;
+  reg clk = 0, rst = 1, clear = 1, again = 0;
+  wire [3:0] plain, cleared, row;
+  coincid_pair dut(.clk(clk), .rst(rst), .clear(clear), .again(again), .plain(plain), .cleared(cleared), .row(row));
+  task edges(input integer n); repeat (n) begin #1 clk = 1; #1 clk = 0; end endtask
+  initial begin
+    edges(1); rst = 0; clear = 0;
+    edges(2); $display("%0d %0d", plain, cleared);
+    again = 1; edges(1); again = 0; $display("%0d %0d", plain, cleared);
+    edges(1); $display("%0d %0d", plain, cleared);
+    clear = 1; edges(1); clear = 0; $display("%0d %0d", plain, cleared);
+    edges(1); rst = 1; edges(1); rst = 0; $display("%0d %0d", plain, cleared);
+  end
+endmodule
+"""
+
+
+def test_a_unit_with_a_reset_of_its_own_is_reset_by_it_and_by_a_soft_one(tmp_path):
+    """In the Verilog not by that of its surroundings; in Amaranth's simulator by all of them."""
+    due = [(6, 6), (9, 0), (12, 3), (15, 0), (0, 6)]
+    said = simulated(tmp_path, *units_files([Pair()]).values(), RESETS)
+    assert [tuple(map(int, line.split())) for line in said.splitlines()] == due
+    dut, seen, m = Pair(), [], Module()
+    m.domains.sync = domain = ClockDomain()
+    m.submodules.dut = dut
+
+    async def bench(ctx):
+        async def edges(number, *high):
+            for signal in high:
+                ctx.set(signal, 1)
+            for _ in range(number):
+                await ctx.tick()
+            for signal in high:
+                ctx.set(signal, 0)
+
+        await edges(1, domain.rst, dut.clear)
+        for number, high in ((2, ()), (1, (dut.again,)), (1, ()), (1, (dut.clear,))):
+            await edges(number, *high)
+            seen.append((ctx.get(dut.plain), ctx.get(dut.cleared)))
+
+    simulator = Simulator(m)
+    simulator.add_clock(1e-9)
+    simulator.add_testbench(bench)
+    simulator.run()
+    assert seen == due[:-1]
+
+
+def test_a_block_is_one_file_and_has_another_one_for_cells():
+    """However often it is placed; with the same bytes each time."""
+    files = units_files([Pair()])
+    assert sorted(files) == [f"{name}.v" for name in PAIR]
+    assert instantiated(Pair()) == sorted(set(PAIR) - {"coincid_pair"})
+    assert instantiated(Counter()) == []
+    assert units_files([Pair()]) == files == units_files([Pair(), Counter(), Counter()])
+    cells = units_files([Pair()], cells=True)
+    assert cells.keys() == files.keys()
+    assert {name for name in files if files[name] != cells[name]} == {"coincid_memory_2x4.v"}
+    for text in (*files.values(), *cells.values()):
+        assert text.startswith("// SPDX-License-Identifier: Apache-2.0\n")
+    assert Pair().ports()[:3] == [
+        Port("clear", 1, True),
+        Port("again", 1, True),
+        Port("plain", 4, False),
+    ]
+    assert Pair().outputs().keys() == {"plain", "cleared", "row"}
+
+
+@pytest.mark.parametrize("broken", [False, True])
+@pytest.mark.parametrize("enabled", [False, True])
+def test_an_export_leaves_the_collection_of_garbage_as_it_was(enabled, broken, monkeypatch):
+    """Also one that fails."""
+    seen = []
+
+    def to_verilog(text):
+        seen.append(gc.isenabled())
+        return text
+
+    monkeypatch.setattr(export, "to_verilog", to_verilog)
+    before = gc.isenabled()
+    (gc.enable if enabled else gc.disable)()
+    try:
+        if broken:
+            with pytest.raises(ConnectionError, match="of_condition"):
+                units_files([Reader("of_condition")])
+        else:
+            units_files([Counter()])
+            assert seen == [False]
+        assert gc.isenabled() == enabled
+    finally:
+        (gc.enable if before else gc.disable)()
+
+
+@pytest.mark.parametrize(
+    ("inputs", "told"),
+    [
+        ({"on": 1}, "one .coincid_counter.: nothing drives the input `step`"),
+        ({"step": Signal(3)}, "one .coincid_counter.: nothing drives the input `on`"),
+        ({"on": 1, "step": Signal(2)}, "one .coincid_counter.: `step` has 3 bits, not 2"),
+        ({"on": 1, "step": Signal(4)}, "one .coincid_counter.: `step` has 3 bits, not 4"),
+        ({"on": 1, "step": Signal(3), "count": 1}, "one .coincid_counter. has no input `count`"),
+        ({"on": 1, "step": Signal(3), "of": 1}, "one .coincid_counter. has no input `of`"),
+    ],
+)
+@pytest.mark.parametrize("platform", [None, export.Export()], ids=["simulated", "exported"])
+@pytest.mark.filterwarnings("ignore::amaranth.hdl.UnusedElaboratable")
+def test_a_unit_is_placed_with_exactly_its_inputs(inputs, told, platform):
+    with pytest.raises(ConnectionError, match=f"^{told}$"):
+        place(Module(), "one", Counter(), platform, **inputs)
+
+
+SMALLEST = Sensor(
+    rows=4, cols=4, subgroup=(4, 4), phases=4, window_max=20, offsets=0, records=0, controller=0
+)
+
+
+@pytest.fixture(scope="module", params=list(VIEWS))
+def exported(request):
+    view = VIEWS[request.param]
+    return view, verilog_files(SMALLEST, view)
+
+
+def test_the_list_of_an_export_names_its_files(exported):
+    """Those of the view's cells, too; a copy that is changed changes no other one."""
+    view, files = exported
+    listed = files[FILE_LIST].splitlines()
+    assert sorted([*listed, FILE_LIST]) == sorted(files) and f"{TOP}.v" in listed
+    assert {path.name for path in view.cells} <= set(listed)
+    for path in view.cells:
+        assert files[path.name] == path.read_text(encoding="utf-8")
+    kept, of_cells = dict(files), cell_files(SMALLEST, view)
+    for given in (files, of_cells):
+        text = given.pop(f"{ClockGate().unit_name}.v")
+        assert text
+    assert verilog_files(SMALLEST, view) == kept
+    assert len(cell_files(SMALLEST, view)) == 1 + len(of_cells)
+    files.update(kept)
+
+
+def test_for_cells_memories_and_clock_gates_are_others(exported):
+    view, files = exported
+    cells, others = verilog_files(SMALLEST, view, cells=True), cell_files(SMALLEST, view)
+    assert cells == files | others and others.keys() <= files.keys()
+    gates = {f"{ClockGate(small).unit_name}.v" for small in (False, True)}
+    assert gates <= others.keys()
+    kinds = {name for name in files if "memory" in name} | (gates & files.keys())
+    assert others.keys() == kinds
+    for name, text in others.items():
+        assert text != files[name]

@@ -3,6 +3,7 @@
 a tick, no wrong words.
 """
 
+import json
 import re
 
 import numpy as np
@@ -23,7 +24,7 @@ from coincid.model.shared.errors import InputError
 from coincid.tb.play import build_sensor, play
 from coincid.tb.replay import replay
 from coincid.tb.stimulus import off_centre
-from coincid.tb.stress import stress
+from coincid.tb.stress import BENCH, INCLUDE, Front, run_bench, stress
 
 from ..benches import bench_environment
 from ..random_cases import SENSORS, SMALL, configured, trouble
@@ -234,6 +235,36 @@ def test_no_edge_pattern_makes_a_wrong_word_or_locks_up(rearm):
         and found["records"] > 0
         and found["resets"] > 0
     )
+
+
+@pytest.fixture(scope="module")
+def front():
+    """Return the files of a small front end, of which a test may change one."""
+    sensor = Sensor(**TINIEST | {"subgroup": (4, 4)})
+    return Front(sensor, Circuit()).files()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "bad"),
+    [
+        (r"\.closed\(closed\)", ".closed(closed)", ()),
+        (r"( count = .*);", r"\1 + 1;", ("wrong",)),
+        (r"( winner = )(.*);", r"\1\2 + 1;", ("wrong", "locked")),
+        (r"( hits = .*);", r"\1 & 0;", ("wrong", "locked")),
+        (r"( stamp = .*);", r"\1 / 0;", ("wrong",)),
+        (r"\.closed\(closed\)", ".closed()", ("locked",)),
+    ],
+    ids=("right", "count", "winner", "map", "stamp", "silent"),
+)
+def test_a_front_end_that_is_wrong_does_not_stand_its_stress_test(old, new, bad, front):
+    text, changes = re.subn(old, new, front[INCLUDE])
+    assert changes == 1
+    files = front | {INCLUDE: text}
+    arguments = ["+edges=3000", "+seed=3"]
+    found = json.loads(run_bench(BENCH, files, arguments=arguments, aperture=True)[-1])
+    assert found["edges"] >= 3000
+    assert (found["windows"] > 20) == ("closed()" not in new)
+    assert [name for name in ("wrong", "locked") if found[name]] == [*bad]
 
 
 def test_domains_are_those_meant(tmp_path):
