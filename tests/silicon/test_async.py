@@ -16,10 +16,12 @@ from coincid.hdl.export import units_files
 from coincid.hdl.front_end_views import Asynchronous, Polyphase, view_at
 from coincid.hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit, clock_fs, lag_fs
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.result import differences
+from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
 from coincid.tb.play import build_sensor, play
 from coincid.tb.replay import replay
@@ -27,7 +29,7 @@ from coincid.tb.stimulus import off_centre
 from coincid.tb.stress import BENCH, INCLUDE, Front, run_bench, stress
 
 from ..benches import bench_environment
-from ..random_cases import SENSORS, SMALL, configured, trouble
+from ..random_cases import SENSORS, SMALL, configured, predicted, trouble
 from ..tb.test_cosim import assert_all_checked, frames
 
 TINIEST = dict(
@@ -41,6 +43,7 @@ TINIEST = dict(
     records=0,
     controller=0,
 )
+WINDOWS = COUNTER_NAMES.index("opened")
 LONG = "fine", "odd", "wide"  # sensors that take long to compile, or to simulate
 FULL = {"format": "full", "minigroup_records": True, "mg_threshold": 1}
 
@@ -123,6 +126,20 @@ def test_random_frames_at_tick_centres(sensor, tmp_path):
     jobs = frames(SENSORS[sensor], 6)
     records, _ = play(jobs, "icarus", tmp_path, view=Asynchronous())
     assert_all_checked(records, jobs)
+
+
+@pytest.mark.parametrize("rearm", [SYNCHRONISER_REARM, SYNCHRONISER_REARM + 2])
+def test_a_single_bank_keeps_to_the_re_arm_gap(rearm, tmp_path):
+    """Under light so dense that windows follow each other as soon as they may."""
+    table = TINIEST | {"rearm": rearm, "offsets": 1, "records": 1, "offset_phases": 4}
+    settings = configured(table, {"period": 90, "pulses": 6} | FULL, {"window": 7, "threshold": 1})
+    golden = Golden(settings.sensor)
+    jobs = [predicted(golden, settings, trouble(settings, seed, 60.0)) for seed in range(3)]
+    view = Asynchronous(Circuit(banks=1))
+    records, _ = play(jobs, "icarus", tmp_path, view=view)
+    assert_all_checked(records, jobs)
+    windows = sum(int(job.expected.counters[0, WINDOWS]) for job in jobs)
+    assert windows > 60
 
 
 def bursts(settings, seed, ticks):
