@@ -17,6 +17,7 @@ from coincid.model.golden.frame import Golden
 from coincid.study import bench
 from coincid.tb import pysim
 from coincid.tb.frame_record import Recorded
+from coincid.tb.rtl_errors import SimulationError
 from coincid.tb.scoreboard import check
 
 from ..random_cases import configured, trouble
@@ -60,6 +61,23 @@ def test_in_amaranths_simulator_a_stream_goes_on_while_another_ends():
     for stream in range(2):
         assert np.array_equal(beats[stream], expected.beats[stream])
         assert np.array_equal(beat_cycle[stream], expected.beat_cycle[stream])
+
+
+def test_in_amaranths_simulator_a_frame_that_does_not_end_is_told(monkeypatch):
+    """The limit is that of a receiver that takes every beat."""
+    sensor = {"rows": 4, "cols": 4, "subgroup": [4, 4], "phases": 4, "window_max": 16}
+    config = configured(sensor, {"period": 40, "pulses": 2}, {"window": 4, "threshold": 1})
+    asked, cycles = [], []
+
+    def cycle_limit(of, receiver_cycles):
+        asked.append((of, receiver_cycles))
+        return 9
+
+    monkeypatch.setattr(pysim, "cycle_limit", cycle_limit)
+    with pytest.raises(SimulationError, match="^no frame end after 9 cycles: the sensor hangs$"):
+        pysim.play(config, trouble(config, 1, 5.0), cycles.append)
+    assert cycles == list(range(9))
+    assert {*map(repr, asked)} == {repr((config, 0))}
 
 
 def test_page_shows_every_key():

@@ -628,3 +628,31 @@ def test_a_simulator_finds_the_modules_of_its_caller_first(monkeypatch):
     assert "PYTEST_CURRENT_TEST" in os.environ and "PYTEST_CURRENT_TEST" not in found
     alone = toolchain._cocotb_environment({})
     assert alone["PYTHONPATH"].split(os.pathsep)[:2] == own
+
+
+PORTS = rb"""
+// module toy (input hidden);
+module toy_other(input of_another); endmodule
+(* top = 1 *)
+module toy (input wire clk, input signed [WIDTH-1:0] a, b, /* input c, */ output reg [7:0] q = 0);
+  (* keep = "input e" *) inout [3:0] d; // input f
+  wire inside;
+  always @(*) q = a;
+endmodule
+module toy_inner(output of_inner); endmodule
+"""
+
+
+@pytest.mark.parametrize("name", [b"toy", rb"\toy"])
+def test_a_simulator_shows_the_ports_of_its_top_and_what_is_named(name):
+    """Each by its name and that of its module; blocks are compiled once."""
+    sources = [b"module first; endmodule", PORTS.replace(b"module toy ", b"module " + name + b" ")]
+    public = ["toy_inner.x", "toy.stored_*", "toy.a"]
+    head, *lines = toolchain._control_file(sources, "toy", public, ["one", "two"]).splitlines()
+    assert head == "`verilator_config"
+    assert lines[:2] == ['hier_block -module "one"', 'hier_block -module "two"']
+    shown = [("toy", port) for port in ("a", "b", "clk", "d", "q", "stored_*")]
+    assert lines[2:] == [
+        f'public_flat_rw -module "{module}" -var "{wire}"'
+        for module, wire in [*shown, ("toy_inner", "x")]
+    ]
