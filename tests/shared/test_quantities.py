@@ -8,7 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from coincid.model.shared.errors import InputError, check_integer, told_number
-from coincid.model.shared.quantities import check_real, integer, real, real_array
+from coincid.model.shared.quantities import (
+    check_choice,
+    check_real,
+    check_switch,
+    integer,
+    real,
+    real_array,
+)
 
 LOW, HIGH = -2.0, 3.0
 INSIDE = (LOW, 0.0, HIGH)
@@ -159,3 +166,60 @@ def test_a_limit_that_is_told_is_legal():
     with pytest.raises(InputError, match="must be a number of at least 0.3333333333333333$"):
         check_real("x", 0.333333, low)
     assert check_real("x", 0.3333333333333333, low) == low
+
+
+@pytest.mark.parametrize(
+    ("value", "shape", "place", "wrong"),
+    [
+        (-1.0, (), "", "-1.0"),
+        ([3.0, -1.0], (2,), "[1]", "-1.0"),
+        ([[1.0, 2.0], [9.0, -9.0]], (2, 2), "[1, 0]", "9.0"),
+        ([[1.0], [9.0]], (2, 3), "[1, 0]", "9.0"),
+    ],
+)
+def test_the_first_wrong_element_of_an_array_is_told_with_its_place(value, shape, place, wrong):
+    """A single number has none."""
+    with pytest.raises(InputError) as raised:
+        real_array("x", value, shape, 0, 5)
+    assert str(raised.value) == f"x{place} = {wrong}: must be from 0 to 5"
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ([1.0, 2.0, 3.0], r"^x: has shape \(3,\), must be \(2,\) or broadcast to it$"),
+        ([[1.0, 2.0]], r"^x: has shape \(1, 2\), must be \(2,\) or broadcast to it$"),
+        (["a", 1.0], r"^x: must hold numbers from 0 to 5$"),
+        ([1j, 2.0], r"^x: must hold numbers from 0 to 5$"),
+        ([2**2000, 1], r"^x: must hold numbers from 0 to 5$"),
+        (None, r"^x(: must hold numbers| = nan: must be) from 0 to 5$"),
+    ],
+)
+def test_an_array_of_another_kind_or_shape_is_refused(value, told):
+    with pytest.raises(InputError, match=told) as raised:
+        real_array("x", value, (2,), 0, 5) if value is not None else real_array(
+            "x", value, (), 0, 5
+        )
+    assert raised.value.field == "x"
+
+
+def test_one_number_or_row_stands_for_all():
+    assert real_array("x", 2, (2, 3), 0, 5).tolist() == [[2.0] * 3] * 2
+    assert real_array("x", [[1], [2]], (2, 3), 0, 5).tolist() == [[1.0] * 3, [2.0] * 3]
+    assert real_array("x", [1, 2, 3], (2, 3), 0, 5).flags.c_contiguous
+
+
+@pytest.mark.parametrize("value", [1, 0, "true", None, np.True_, [True]])
+def test_a_switch_is_true_or_false(value):
+    assert check_switch("x", True) is True
+    assert check_switch("x", False) is False
+    with pytest.raises(InputError, match="^x = .*: must be true or false$"):
+        check_switch("x", value)
+
+
+@pytest.mark.parametrize("value", ["c", "A", None, ["a"], np.array(["a", "b"]), {}])
+def test_a_choice_is_one_of_those_that_are_told(value):
+    """Also if it is of a kind that cannot be compared with them."""
+    assert check_choice("x", "b", ("a", "b")) == "b"
+    with pytest.raises(InputError, match="^x = .*: must be one of a, b$"):
+        check_choice("x", value, ("a", "b"))
