@@ -12,7 +12,8 @@ import numba
 import numpy as np
 import pytest
 
-from coincid.model.shared.compiled import njit, part
+from coincid.model.shared import compiled
+from coincid.model.shared.compiled import is_compiled, njit, part
 from coincid.model.shared.errors import InputError
 
 from ..planted import copy_of_sources
@@ -196,3 +197,31 @@ def test_only_what_makes_no_arrays_counts_no_references(kind, allocates):
         options = kind(allocates=allocates, **more)(lambda x: x).targetoptions
         assert options.get("_nrt", True) is allocates
         assert options.get("error_model") == more.get("error_model")
+
+
+def test_a_package_is_compiled_once_some_process_has_kept_its_code(tmp_path, monkeypatch):
+    """Where nothing can be kept, there is nothing to wait for."""
+    asked = []
+    monkeypatch.setattr(compiled, "_folder", lambda *packages: asked.append(packages) or tmp_path)
+    assert is_compiled("own.kernels.fast") is False
+    (tmp_path / "fast").mkdir()
+    (tmp_path / "fast" / "one.nbc").touch()
+    assert is_compiled("own.kernels.fast") is False
+    (tmp_path / "fast" / "one.nbi").touch()
+    assert is_compiled("own.kernels.fast") is True
+    assert asked == [("own.kernels",)] * 3
+    monkeypatch.setattr(compiled, "_folder", lambda *packages: None)
+    assert is_compiled("own.kernels.fast") is True
+
+
+def test_code_is_kept_in_a_folder_for_its_sources_and_those_of_all(tmp_path, monkeypatch):
+    """In any order of the packages, each once."""
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path))
+    monkeypatch.setattr(compiled, "packages_digest", lambda *packages: "+".join(packages))
+    of_all = ["coincid.model.contract", "coincid.model.shared"]
+    for packages in (("a", "z"), ("z", "a"), ("a", "z", "coincid.model.shared")):
+        folder = compiled._folder.__wrapped__(*packages)
+        assert folder == tmp_path / "numba" / "+".join(["a", *of_all, "z"])
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "file"))
+    assert compiled._folder.__wrapped__("a") is None

@@ -2,8 +2,10 @@
 """Written files: numbers that can be read again, and the permissions that the user asks for."""
 
 import csv
+import errno
 import os
 import stat
+import zipfile
 
 import numpy as np
 import pytest
@@ -13,7 +15,15 @@ from hypothesis.extra import numpy as hnp
 
 from coincid.model.shared import spool
 from coincid.model.shared.errors import InputError
-from coincid.model.shared.files import GrowingNpz, read_npz, whole_file, write_csv, write_npz
+from coincid.model.shared.files import (
+    SAID_MAX,
+    GrowingNpz,
+    read_npz,
+    reading,
+    whole_file,
+    write_csv,
+    write_npz,
+)
 
 
 def test_a_table_has_six_digits_of_small_and_large_numbers(tmp_path):
@@ -101,3 +111,106 @@ def test_what_is_no_npz_is_told(tmp_path):
         read_npz(tmp_path / "half.npz", ("rows",))
     with pytest.raises(InputError, match="missing.npz"):
         read_npz(tmp_path / "missing.npz", ("rows",))
+
+
+def test_a_suffix_may_have_any_case(tmp_path):
+    """Another suffix is refused by both ways of writing, before anything is written."""
+    rows = {"rows": np.arange(3)}
+    growing = GrowingNpz()
+    growing.append(rows)
+    for name in ("a.npz", "b.NPZ", "c.Npz"):
+        write_npz(tmp_path / name, rows)
+        growing.write(tmp_path / f"grown-{name}", {})
+        for found in (name, f"grown-{name}"):
+            assert read_npz(tmp_path / found, ("rows",))["rows"].tolist() == [0, 1, 2]
+    before = sorted(tmp_path.iterdir())
+    for name in ("a.npy", "npz", "a.npz.gz", "a"):
+        for write in (write_npz, growing.write):
+            with pytest.raises(InputError, match=f"{name}: must end with .npz") as raised:
+                write(tmp_path / name, {})
+            assert raised.value.field == "path"
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_full_disk_is_told_with_the_name_of_the_file(tmp_path):
+    """Not with that of the file beside it, of which nothing is left."""
+    path = tmp_path / "a"
+    path.write_text("before", encoding="utf-8")
+    with (
+        pytest.raises(InputError, match=rf"^{path}: cannot be written: No space left on device$"),
+        whole_file(path, "w") as file,
+    ):
+        file.write("half")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert [one.name for one in tmp_path.iterdir()] == ["a"]
+    assert path.read_text(encoding="utf-8") == "before"
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("file/a", "cannot be written: (Not a directory|File exists)"),
+        ("folder", "cannot be written: is a folder, must be a file"),
+        ("/dev/null", "cannot be written: is a device or a pipe, must be a file"),
+    ],
+)
+def test_a_place_where_no_file_can_be_is_told(name, told, tmp_path):
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    with (
+        pytest.raises(InputError, match=f"^{tmp_path / name}: {told}$"),
+        whole_file(tmp_path / name),
+    ):
+        raise AssertionError("the block is not entered")
+    assert sorted(one.name for one in tmp_path.rglob("*")) == ["file", "folder"]
+
+
+def test_a_whole_file_takes_the_place_of_another_at_its_end(tmp_path):
+    """Until then, readers see the old one; a file of bytes is the default."""
+    path = tmp_path / "a"
+    path.write_bytes(b"before")
+    with whole_file(path) as file:
+        file.write(b"\xff new")
+        file.flush()
+        assert path.read_bytes() == b"before"
+    assert path.read_bytes() == b"\xff new"
+    with whole_file(str(path), "w") as file:
+        file.write("\N{MICRO SIGN}\n")
+    assert path.read_bytes() == "\N{MICRO SIGN}\n".encode()
+
+
+def test_a_table_has_a_comma_between_two_values_and_a_line_for_each_row(tmp_path):
+    """With quotes only where a text needs them."""
+    write_csv(tmp_path / "a.csv", iter([("a", "b,c"), (1, 2.5), (np.float64(1 / 3), None)]))
+    assert (tmp_path / "a.csv").read_bytes() == b'a,"b,c"\n1,2.5\n0.333333,None\n'
+
+
+def test_members_of_an_archive_that_are_no_arrays_are_named(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("rows", b"text")
+    with pytest.raises(InputError, match=r"a\.npz: rows is no array$"):
+        read_npz(tmp_path / "a.npz", ("rows",))
+    np.savez(tmp_path / "b.npz", rows=np.array([{}], object), more=np.arange(2))
+    with pytest.raises(InputError, match=r"b\.npz: is not a readable NPZ file \(.*pickle"):
+        read_npz(tmp_path / "b.npz", ("rows",))
+    # what nobody asks for is not read
+    assert read_npz(tmp_path / "b.npz", ("more",))["more"].tolist() == [0, 1]
+
+
+def test_what_a_library_says_of_a_file_is_one_short_line():
+    """A sentence of our own is told as it is."""
+    with pytest.raises(InputError) as raised, reading("a.x", "X file"):
+        raise RuntimeError("wrong\nbyte " + "ab " * SAID_MAX)
+    told = str(raised.value)
+    assert told.startswith("a.x: is not a readable X file (wrong byte ab ab")
+    assert told.endswith(" ...)")
+    assert len(told) <= len("a.x: is not a readable X file ()") + SAID_MAX
+    with pytest.raises(InputError, match="^a.x: no such file$"), reading("a.x", "X file"):
+        raise FileNotFoundError("another one")
+    own = InputError("mine", field="x")
+    with pytest.raises(InputError) as raised, reading("a.x", "X file"):
+        raise own
+    assert raised.value is own
+    for passed in (KeyboardInterrupt, SystemExit):
+        with pytest.raises(passed), reading("a.x", "X file"):
+            raise passed

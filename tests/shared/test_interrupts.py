@@ -8,10 +8,19 @@ import signal
 import subprocess
 import sys
 import time
+from multiprocessing import active_children
 
 import pytest
 
-from coincid.model.shared.interrupts import PROGRAMS, in_background
+from coincid.model.shared.interrupts import (
+    PROGRAMS,
+    Terminated,
+    exit_code,
+    in_background,
+    interruptible,
+    program,
+    worker_processes,
+)
 from coincid.tools.build import execute
 
 
@@ -68,3 +77,91 @@ def test_a_signal_in_a_callback_of_c_is_not_lost(number, code):
         encoding="utf-8",
     )
     assert (done.returncode, done.stderr) == (code, "")
+
+
+@pytest.fixture
+def signals():
+    """Let a test change what signals do, and undo it."""
+    hook = sys.unraisablehook
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    sys.unraisablehook = hook
+
+
+def test_each_signal_raises_its_own_exception_and_a_second_sigterm_none(signals):
+    """Though the process that started this one ignored both. The cleaning up goes on."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    interruptible()
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt) as raised:
+            os.kill(os.getpid(), signal.SIGINT)
+        assert exit_code(raised.value) == 130
+    with pytest.raises(Terminated) as raised:
+        os.kill(os.getpid(), signal.SIGTERM)
+    assert exit_code(raised.value) == 143
+    os.kill(os.getpid(), signal.SIGTERM)
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_IGN
+
+
+class _Lost:
+    """Something whose end raises an error that nobody can catch."""
+
+    def __del__(self):
+        raise ValueError("of an object that is gone")
+
+
+def test_an_error_that_is_lost_is_shown_and_is_no_signal(signals, capfd):
+    interruptible()
+    lost = _Lost()
+    del lost
+    assert "ValueError: of an object that is gone" in capfd.readouterr().err
+
+
+def _begin_with(first, second):
+    os.environ["BEGUN_WITH"] = f"{first} {second}"
+
+
+def _begun():
+    return os.environ.get("BEGUN_WITH"), signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+
+
+def test_workers_begin_as_they_are_told_and_are_killed_by_an_error():
+    """Ctrl-C is for the process that started them; other children of it live on."""
+    with subprocess.Popen(["sleep", "1000"]) as other:
+        with (
+            pytest.raises(ZeroDivisionError),
+            worker_processes(1, _begin_with, "a", 5) as pool,
+        ):
+            assert pool.submit(_begun).result() == ("a 5", True)
+            (worker,) = active_children()
+            pool.submit(time.sleep, 20)
+            raise ZeroDivisionError
+        worker.join()
+        assert worker.exitcode == -signal.SIGKILL
+        assert other.poll() is None
+        other.kill()
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_program_is_known_while_it_runs_and_ends_with_an_error(fails):
+    """With all that it started: `wait` is of the shell, `sleep` is its child."""
+    command = ["sh", "-c", "sleep 1000 & echo $!; wait" if fails else "echo 0"]
+    child = None
+    try:
+        with program(command, stdout=subprocess.PIPE, encoding="utf-8") as running:
+            assert PROGRAMS == {running}
+            child = int(running.stdout.readline())
+            if fails:
+                raise ZeroDivisionError
+            running.wait()
+    except ZeroDivisionError:
+        assert fails
+        # the end of a pipe comes when nobody can write to it any more
+        assert running.stdout.read() == ""
+    running.stdout.close()
+    assert not PROGRAMS
+    assert running.returncode == (-signal.SIGKILL if fails else 0)
+    assert child is not None
