@@ -231,7 +231,8 @@ def packet_starts(
     grouped = GROUP_KIND in expected
     kinds, starts, bad = _packets(beats, lengths, end, grouped)
     if bad >= 0 or end <= 0:
-        raise StreamError(f"beat {max(bad, 0)} of {len(beats)}: {NO_HEADER}")
+        place = bad if end > 0 else 0  # beats that are too few for a frame end have no start
+        raise StreamError(f"beat {place} of {len(beats)}: {NO_HEADER}")
     return kinds, starts
 
 
