@@ -4,6 +4,7 @@ their consequences.
 """
 
 import re
+import tomllib
 
 import numpy as np
 import pytest
@@ -16,8 +17,10 @@ from coincid.model.contract.config import (
     frame_table,
     load_config,
     parse_config,
+    toml_text,
 )
 from coincid.model.contract.latency import armed_cycle, close_cycle
+from coincid.model.contract.packet import FORMATS
 from coincid.model.contract.registers import address
 from coincid.model.light.timing import Timing
 from coincid.model.shared.errors import InputError
@@ -256,6 +259,15 @@ def test_default_bounds(frame, window, bounds):
     )
 
 
+@pytest.mark.parametrize("longest", [0, 7, 15])
+def test_default_bounds_are_those_of_the_longest_window(longest):
+    """Whichever subgroup has it."""
+    window = np.full(16, 16)
+    window[longest] = 40
+    bounds = parse_config({}).with_settings(window=window).auto_bounds
+    assert np.array_equal(bounds, parse_config({"subgroup": {"window": 40}}).auto_bounds)
+
+
 @pytest.mark.parametrize(("window", "rearm"), [(16, 0), (16, 2), (40, 0), (100, 1)])
 def test_default_bounds_keep_noise_rare(window, rearm):
     """Count photon by photon: with the threshold that the bounds demand, noise commits at most
@@ -297,14 +309,32 @@ def test_default_bounds_keep_noise_rare(window, rearm):
         ({}, {"format": "short"}, 25_000, [1562]),
         ({}, {"format": "full"}, 6250, [390]),
         ({}, {"format": "compact"}, 12_500, [781]),
+        # an event of six pixels has 58 bits, with offsets 100; a beat has 59
+        ({}, {"format": "compact", "link_gbps": 8.0}, 6250 * 59 // 58, [397]),
+        ({}, {"format": "compact-full", "link_gbps": 8.0}, 6250 * 59 // 100, [230]),
         ({}, {"minigroup_records": True}, (25_000 - 100 * 16 * 5) // 2, [531]),
+        # the stream with two subgroups may send two records in a period
+        (
+            {"rows": 8, "streams": 3},
+            {"minigroup_records": True},
+            (25_000 - 100 * 2 * 5) // 2,
+            [6000, 12_000, 12_000],
+        ),
         ({"rows": 64, "cols": 64}, {"minigroup_records": True}, 0, [0]),
         ({}, {"capacity": 100}, 100, [6]),
+        ({}, {"capacity": 0}, 0, [0]),
         ({}, {"gap": 100}, (25_000 + 99 * 100) // 2, [1090]),
         ({}, {"gap": 10_000}, 12_500 + 99 * 16 * 16, [2365]),
         ({}, {"gap": 10_000, "link_gbps": 8.0}, 3125 + 99 * 16 * 16, [1779]),
         ({"streams": 4}, {"gap": 10_000}, 12_500 + 99 * 16 * 4, [4709] * 4),
         ({"rows": 8, "streams": 3}, {"gap": 10_000}, 12_500 + 99 * 16, [7042, 14_084, 14_084]),
+        # a register cannot hold more
+        (
+            {"rows": 256, "cols": 512, "fifo_depth": 1024},
+            {"gap": 1 << 20, "pulses": 1 << 16},
+            2**32 - 1,
+            [(2**32 - 1) // 2048],
+        ),
     ],
 )
 def test_capacity_of_a_stream(sensor, frame, capacity, shares):
@@ -358,6 +388,16 @@ def test_what_was_written_is_known():
         {"subgroup": {"window": 16}, "override": [{"subgroups": [3], "threshold": 2}]}
     )
     assert config.given == {"subgroup.window", "subgroup.threshold"}
+    overrides = [
+        {"subgroups": [3], "threshold": 2, "auto": True},
+        {"subgroups": [4], "gating": True, "mask": "f"},
+    ]
+    assert parse_config({"override": overrides}).given == {
+        "subgroup.threshold",
+        "subgroup.auto",
+        "subgroup.gating",
+        "subgroup.mask",
+    }
     assert config.with_frame(pulses=100).with_settings(auto=False).given == config.given | {
         "frame.pulses",
         "subgroup.auto",
@@ -464,6 +504,50 @@ def test_another_sensor_keeps_what_was_written():
             "sensor.coarse_bits: does not go with the other settings (frame.period = 63",
         ),
         ("fpga", {"threshold": 99}, "subgroup.threshold = 99: must be"),
+        (
+            "fpga",
+            {"rows": 16, "coarse_bits": 5},
+            "sensor.rows, sensor.coarse_bits: does not go with the other settings (frame.period = 63",
+        ),
+        (
+            None,
+            {"rows": 8, "cols": 16, "streams": 3},
+            "sensor.streams = 3: must be an integer from 1 to 2 (the subgroups)",
+        ),
+        (
+            None,
+            {"minigroup": [3, 2]},
+            "sensor.minigroup = [3, 2]: must divide subgroup = [8, 8] without rest",
+        ),
+        (
+            None,
+            {"rows": 30, "subgroup": [5, 8]},
+            "sensor.subgroup = [5, 8]: must be a multiple of 2, because of sensor.minigroup = [2, 2]",
+        ),
+        (
+            None,
+            {"counts": 1, "minigroup": [2, 4]},
+            "sensor.minigroup = [2, 4]: must be [2, 2], because the sensor is built with counts"
+            " (sensor.counts = 1)",
+        ),
+        (
+            None,
+            {"rows": 520, "cols": 512},
+            "sensor.rows = 520: there are 4160 subgroups, must be at most 4096",
+        ),
+        (
+            None,
+            {"format": "counts"},
+            "frame.format = 'counts': must be one of short, id, full, compact, compact-full, because"
+            " the sensor is built without counts (sensor.counts = 0)",
+        ),
+        (
+            None,
+            {"search_pulses": 3},
+            "frame.search_pulses: must be left out, because the sensor is built without counts"
+            " (sensor.counts = 0)",
+        ),
+        (None, {"auto_bounds": [1, 2, 3, 5, 4, 6]}, "frame.auto_bounds = [1, 2, 3, 5, 4, 6]: must"),
     ],
 )
 def test_a_message_begins_with_the_key_that_was_written(preset, changes, begins):
@@ -508,3 +592,186 @@ def test_an_error_in_an_override_names_it():
     bad = {"subgroups": [1], "threshold": 0}
     with pytest.raises(InputError, match=r"^override\[1\]\.threshold = 0"):
         parse_config({"override": [good, bad]})
+
+
+@pytest.mark.parametrize("late", [[5], [5, 7], [0, 15]])
+def test_a_gate_behind_the_period_is_told_with_its_subgroup_and_its_start(late):
+    """The first one of those that are on; a gate that is off may be anywhere."""
+    starts = 250 + np.arange(16)
+    gating = np.isin(np.arange(16), late)
+    with pytest.raises(InputError) as raised:
+        parse_config({}).with_settings(gate_start=starts, gating=gating)
+    assert str(raised.value) == (
+        f"subgroup.gate_start = {250 + late[0]}: must be an integer from 0 to 249"
+        f" (subgroup {late[0]}: gating is on and the period has 250 cycles)"
+    )
+    assert (parse_config({}).with_settings(gate_start=starts).gate_start == starts).all()
+
+
+@pytest.mark.parametrize(
+    ("document", "message", "field"),
+    [
+        ({"moon": {}}, "[moon]: unknown table, must be one of sensor, frame, subgroup", "[moon]"),
+        ({"frame": []}, "frame: must be written as [frame]", "frame"),
+        ({"sensor": 3}, "sensor: must be written as [sensor]", "sensor"),
+        ({"override": {}}, "override: must be written as [[override]]", "override"),
+        ({"override": [3]}, "override[0]: must be a table", "override[0]"),
+        (
+            {"override": [{"subgroups": [0]}, {"threshold": 2}]},
+            "override[1].subgroups = None: must be a list of integers from 0 to 15",
+            "override[1].subgroups",
+        ),
+        (
+            {"override": [{"subgroups": 3}]},
+            "override[0].subgroups = 3: must be a list of integers from 0 to 15",
+            "override[0].subgroups",
+        ),
+        (
+            {"override": [{"subgroups": [15, 16]}]},
+            "override[0].subgroups = 16: must be an integer from 0 to 15",
+            "override[0].subgroups",
+        ),
+        (
+            {"override": [{"subgroups": [0], "period": 3}]},
+            "override[0].period: unknown key, must be one of subgroups, coincidence, gating,",
+            "override[0].period",
+        ),
+    ],
+)
+def test_tables_of_another_form_are_refused_by_their_name(document, message, field):
+    with pytest.raises(InputError) as raised:
+        parse_config(document)
+    assert str(raised.value).startswith(message)
+    assert raised.value.field == field
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_depth_needs_a_map_or_counts(format_name):
+    """The message names the formats that have a map, and no others."""
+    config = parse_config({"sensor": COUNTING, "frame": {"format": format_name}})
+    if format_name != "short":
+        config.check_map()
+        return
+    with pytest.raises(InputError) as raised:
+        config.check_map()
+    assert str(raised.value) == (
+        "frame.format = 'short': must be id or full or compact or compact-full,"
+        " because depth needs the ID map"
+    )
+
+
+def test_the_last_of_several_overrides_counts():
+    overrides = [
+        {"subgroups": [1, 2], "threshold": 3},
+        {"subgroups": [2, 4], "threshold": 5, "window": 9},
+    ]
+    config = parse_config({"subgroup": {"threshold": 4}, "override": overrides})
+    assert config.threshold[:6].tolist() == [4, 3, 5, 4, 5, 4]
+    assert config.window[:6].tolist() == [16, 16, 9, 16, 9, 16]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[frame]\npulses = = 3\n", r"a\.toml: is not TOML: .*line 2"),
+        ("[frame]\npulses = 3\npulses = 4\n", r"a\.toml: is not TOML: .*line 3"),
+    ],
+)
+def test_a_file_that_is_no_toml_is_told_with_the_place(tmp_path, text, told):
+    path = tmp_path / "a.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=told):
+        load_config(path)
+    with pytest.raises(InputError, match=r"none\.toml: no such file \(presets: .*silicon.*\)$"):
+        load_config(tmp_path / "none.toml")
+    with pytest.raises(InputError, match=r"cannot be read \(.*Is a directory"):
+        load_config(tmp_path)
+
+
+def test_tables_come_back_from_their_text_without_the_empty_ones():
+    tables = {
+        "sensor": {"rows": 8, "subgroup": [4, 8]},
+        "frame": {},
+        "subgroup": {"auto": [True, False], "mask": "ff", "window": 7},
+    }
+    text = toml_text(tables)
+    assert tomllib.loads(text) == {name: of for name, of in tables.items() if of}
+    assert "[frame]" not in text
+
+
+@pytest.mark.parametrize("mask", ["0xff", "0XFF", "FF", "ff", "00ff"])
+def test_a_mask_is_written_as_any_hex_digits(mask):
+    assert np.flatnonzero(parse_config({"subgroup": {"mask": mask}}).mask[0]).tolist() == [
+        *range(8)
+    ]
+
+
+@pytest.mark.parametrize("mask", ["0x", "x", "-1", "f f", "f_f", "ff\n", [True] * 63, [1] * 64])
+def test_what_is_no_mask_is_refused(mask):
+    with pytest.raises(InputError, match=r"^subgroup\.mask = .*: must be a string of hex digits"):
+        parse_config({"subgroup": {"mask": mask}})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "legal"),
+    [
+        ("subgroup", [4, 4], True),
+        ("subgroup", [16, 16], True),
+        ("subgroup", [5, 3], False),
+        ("subgroup", [16, 17], False),
+        ("subgroup", [-4, -4], False),
+        ("subgroup", [8], False),
+        ("subgroup", [8, 8, 1], False),
+        ("subgroup", [8, 8.0], False),
+        ("subgroup", 64, False),
+        ("minigroup", [1, 1], True),
+        ("minigroup", [4, 4], True),
+        ("minigroup", [1, 17], False),
+    ],
+)
+def test_sizes_of_parts_of_the_sensor_have_their_range(name, value, legal):
+    given = {"rows": 80, "cols": 16 * 17, "minigroup": [1, 1], name: value}
+    if legal:
+        assert list(getattr(parse_config({"sensor": given}).sensor, name)) == value
+        return
+    ends = {"subgroup": "16 to 256", "minigroup": "1 to 16"}[name]
+    told = re.escape(f"sensor.{name} = {value}: must be [rows, cols] of {ends} pixels")
+    with pytest.raises(InputError, match=f"^{told}$"):
+        parse_config({"sensor": given})
+
+
+GATED = {"gating": True}
+COUNTED = {"counts": 1, "format": "counts"}
+
+
+@pytest.mark.parametrize(
+    ("others", "name", "last", "wrong"),
+    [
+        ({}, "period", 6, 5),  # the guard has 5 cycles
+        ({"rearm": 3}, "period", 9, 8),
+        ({}, "period", 1024, 1025),
+        ({"coarse_bits": 6}, "period", 64, 65),
+        (GATED, "gate_start", 249, 250),
+        (GATED | {"period": 100}, "gate_start", 99, 100),
+        (COUNTED | {"pulses": 21}, "search_pulses", 10, 11),
+        (COUNTED | {"pulses": 20}, "search_pulses", 9, 10),
+        ({"rows": 8, "cols": 16}, "streams", 2, 3),
+        ({"rows": 512}, "cols", 512, 520),
+        ({}, "window_max", 479, 480),  # offsets of two ticks each, up to 254
+        ({"rearm": 3}, "coarse_bits", 4, 3),  # the guard has 8 cycles
+        ({}, "coarse_bits", 10, 11),
+        ({"phases": 64}, "coarse_bits", 9, 10),
+        ({"phases": 4, "offset_phases": 4, "window_max": 4}, "coarse_bits", 3, 2),
+        ({"phases": 8}, "offset_phases", 8, 16),
+        ({"minigroup": [1, 2]}, "mg_threshold", 2, 3),
+        ({"subgroup": [4, 4]}, "threshold", 16, 17),
+        ({"window_max": 20}, "window", 20, 21),
+    ],
+)
+def test_the_last_legal_value_beside_the_others_is_taken_and_the_next_is_not(
+    others, name, last, wrong
+):
+    """Whichever other setting or parameter sets the end."""
+    load_config(None, others | {name: last})
+    with pytest.raises(InputError, match=rf"^\w+\.{name} = {wrong}: |there are \d+ subgroups"):
+        load_config(None, others | {name: wrong})

@@ -77,3 +77,58 @@ def test_parts_are_joined_one_behind_the_other_without_offsets():
     assert edges.offset_ps is None
     for joined in (edges, Edges.joined([]), Edges.joined([empty])):
         assert all(getattr(joined, name).dtype == np.int64 for name in NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_columns_of_other_lengths_kinds_and_shapes_are_named(name):
+    """Whichever column it is."""
+    for wrong, told in (
+        (np.zeros(2, np.int64), f"lengths differ: .*{name} 2"),
+        (np.zeros(3), f"^{name}: holds float64, must hold integers"),
+        (np.zeros(3, bool), f"^{name}: holds bool, must hold integers"),
+        (np.zeros((3, 1), np.int64), f"^{name}: has 2 dimensions, must have 1"),
+    ):
+        with pytest.raises(InputError, match=told):
+            checked(**{name: wrong})
+
+
+def test_no_edges_are_edges():
+    """Also as an empty list, which NumPy takes for floats."""
+    edges = checked(**{name: np.array([]) for name in NAMES})
+    assert len(edges) == 0
+    assert all(getattr(edges, name).dtype == np.int64 for name in NAMES)
+    assert repr(edges) == "<Edges: none>"
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.uint16, np.float32, np.float64])
+def test_positions_in_a_tick_are_numbers_of_any_type(kind):
+    edges = checked(offset_ps=np.array([0, 3, 1], kind))
+    assert edges.offset_ps.dtype == np.float64
+    assert edges.offset_ps.tolist() == [0, 3, 1]
+
+
+@pytest.mark.parametrize(
+    ("offset_ps", "told"),
+    [
+        ([0.0, 1.0], r"^offset_ps: holds float64\[2\], must hold 3 numbers"),
+        ([False, True, True], r"^offset_ps: holds bool\[3\], must hold 3 numbers"),
+        ([0.0, 1.0, -0.5], r"^offset_ps\[2\] = -0.5: must be a number from 0 to a tick's length"),
+        ([0.0, np.nan, -1.0], r"^offset_ps\[1\] = nan: must be"),
+        ([np.inf, 0.0, 0.0], r"^offset_ps\[0\] = inf: must be"),
+    ],
+)
+def test_positions_that_are_none_are_told_with_their_place(offset_ps, told):
+    with pytest.raises(InputError, match=told) as raised:
+        checked(offset_ps=np.array(offset_ps))
+    assert raised.value.field == "offset_ps"
+
+
+@pytest.mark.parametrize("offset_ps", [None, np.array([0.5, 2.0])])
+def test_edges_come_back_from_their_file(tmp_path, offset_ps):
+    edges = Edges(np.array([1, 3]), np.array([4, 0]), np.array([2, 3]), offset_ps)
+    edges.save(tmp_path / "a.npz")
+    again = load_edges(tmp_path / "a.npz", pixels=5, pulses=6, period_ticks=4)
+    for name in NAMES:
+        assert getattr(again, name).tolist() == getattr(edges, name).tolist()
+    assert again.offset_ps is None if offset_ps is None else again.offset_ps.tolist() == [0.5, 2.0]
+    assert repr(again) == "<Edges: 2, pulses 1 to 3>"

@@ -50,6 +50,15 @@ def test_beats_are_taken_evenly(gbps, stalled):
     assert np.all(taken > cycles * float(config.link_share) - 1 - 1e-6)
 
 
+@pytest.mark.parametrize("gbps", [0.1, 2.0, 20.0, 31.0])
+def test_levels_of_a_link_are_told_until_all_beats_that_may_wait_have_left(gbps):
+    """Behind the last one, engines take it as ready: a beat would leave too early."""
+    config = configured(link_gbps=gbps)
+    for stalled in (0, 1000):
+        behind = config.tready(np.zeros(stalled, np.uint8))[config.frame_cycles + stalled :]
+        assert behind.sum() >= beats_waiting_max(config.sensor)
+
+
 @given(
     share=st.fractions(SHARE_MIN, 1, max_denominator=1 << 20),
     cycle=st.integers(0, 1 << 50),

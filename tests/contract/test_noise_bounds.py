@@ -6,6 +6,8 @@ from math import exp, factorial
 import numpy as np
 import pytest
 
+from coincid.model.contract.config import parse_config
+from coincid.model.contract.counters import EVENTS_MAX
 from coincid.model.contract.noise_bounds import noise_bounds
 from coincid.model.contract.parameters import Sensor, guard_cycles
 
@@ -43,3 +45,10 @@ def test_noise_fills_a_window_by_the_law_of_poisson(phases, window_ticks):
         mean = window_ticks / (open_ticks / opened - busy_ticks)  # further photons in a window
         fewer = sum(exp(-mean) * mean**n / factorial(n) for n in range(others))
         assert opened * (1 - fewer) == pytest.approx(4 * PULSES, rel=0.01), others + 1
+
+
+def test_where_noise_opens_too_few_windows_it_never_raises_a_threshold():
+    """In one cycle of a period, noise opens a window or two."""
+    config = parse_config({"frame": {"period": 6}})
+    assert config.auto_bounds.tolist() == [EVENTS_MAX] * 6
+    assert noise_bounds(Sensor(), window_ticks=1, period_cycles=100, pulses=1)[0] < EVENTS_MAX
