@@ -17,6 +17,7 @@ from coincid.model.contract.parameters import OFFSET_NONE, STAMP_FIELD_BITS
 from coincid.model.contract.result import ResultBuilder, map_numbers
 from coincid.model.contract.settings import BUDGET_GROWTHS
 from coincid.model.contract.stream import decode_frame
+from coincid.model.golden import frame as golden_frame
 from coincid.model.golden.controller import Controller
 from coincid.model.golden.frame import Golden, Trace, golden_result, trace_of
 from coincid.model.golden.shape import COUNTER
@@ -100,6 +101,47 @@ def test_a_frame_in_pieces_behind_a_slow_link_is_the_frame(format_name, records)
     ending = opened.close()
     sent.append(opened.sent())
     assert_same_trace(trace_of(list(zip(*sent, strict=True)), ending, fate), whole)
+
+
+@pytest.mark.parametrize("piece_edges", [1, 7, 100])
+@pytest.mark.parametrize("order", ["of time", "any"])
+def test_a_frame_of_more_edges_than_a_piece_has_is_the_frame(piece_edges, order, monkeypatch):
+    """Each pulse is in one piece, however many edges it has; fates are in the order of the edges."""
+    frame = {"pulses": 12, "period": 40, "minigroup_records": True}
+    config = configured(SENSORS["default"], frame, {"threshold": 1, "window": 4})
+    edges = trouble(config, 1, 6.0)
+    in_time = np.argsort(edges.pulse, kind="stable")
+    chosen = in_time if order == "of time" else np.random.default_rng(1).permutation(len(edges))
+    edges = edges.take(chosen)
+    whole = Golden(config.sensor).frame(config, edges)
+    assert 100 < len(edges) < golden_frame.PIECE_EDGES
+    assert np.bincount(edges.pulse).max() > 7
+    monkeypatch.setattr(golden_frame, "PIECE_EDGES", piece_edges)
+    assert_same_trace(Golden(config.sensor).frame(config, edges), whole)
+
+
+def test_a_frame_that_another_model_played_is_followed():
+    """The next one has its number, and thresholds and budgets as if this model had played it."""
+    config = parse_config(
+        {
+            "sensor": SENSORS["default"],
+            "frame": {"pulses": 6, "capacity": 20, "auto_bounds": [0] * 6},
+            "subgroup": {"threshold": 1, "auto": True},
+        }
+    )
+    edges = trouble(config, 3, 10)
+    played, following = Golden(config.sensor), Golden(config.sensor)
+    for _ in range(3):
+        following.follow(config, played.frame(config, edges).counters)
+    assert following.frames == played.frames == 3
+    assert_same_trace(following.frame(config, edges), played.frame(config, edges))
+
+
+def test_the_progress_of_a_result_is_the_number_of_its_frames_so_far():
+    config = configured(SENSORS["tiny"], {"pulses": 2, "frames": 3})
+    told = []
+    golden_result(config, trouble(config, 1, 4.0), progress=told.append)
+    assert told == [1, 2, 3]
 
 
 @pytest.mark.parametrize("stalled", range(1000, 1010))

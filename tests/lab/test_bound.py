@@ -15,6 +15,7 @@ from coincid.model.contract.latency import armed_cycle, close_cycle
 from coincid.model.depth.arrivals import SYSTEM_FWHM_S
 from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.light.light import Light
+from coincid.model.light.spad import Spad
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.pulse import Pulse
 
@@ -121,6 +122,34 @@ def test_the_usual_background_is_that_of_pixels_with_light():
         background_cps=[1e6, 5e6, 5e6],
     )  # fmt: skip
     assert bounds.median_light(light).noise_cps == 1e6
+
+
+def test_the_usual_light_is_the_median_of_the_pixels_with_light():
+    """Not their mean, which a few bright ones would raise."""
+    signal = [[0.0], [0.1], [0.2], [9.0], [0.0]]
+    light = Light(
+        rows=1, cols=5, distance_m=5.0, signal_per_pulse=signal,
+        background_cps=[1e9, 1e6, 8e6, 2e6, 1e9],
+    )  # fmt: skip
+    assert bounds.median_light(light) == (0.2, 2e6)
+    dark = Light(rows=1, cols=2, distance_m=5.0, signal_per_pulse=0.0, background_cps=1e6)
+    assert bounds.median_light(dark) is None
+
+
+@pytest.mark.parametrize(
+    ("threshold", "usual"), [([1, 1, 2, 9, 9], 2), ([3, 4], 3), ([2], 2), ([1, 1, 1, 64], 1)]
+)
+def test_the_usual_threshold_is_the_median_of_the_subgroups(threshold, usual):
+    """A whole number, of every subgroup."""
+    config = bounds.with_usual_threshold(parse_config({}), np.array(threshold))
+    assert config.threshold.tolist() == [usual] * 16
+
+
+@pytest.mark.parametrize("noise_cps", [0.0, 1e6, 5e7])
+def test_a_spad_is_ready_except_in_the_dead_times_of_its_background(noise_cps):
+    wall = bounds.subgroup_wall(parse_config({}), 0.2, noise_cps)
+    assert wall.alive == pytest.approx(1 / (1 + noise_cps * Spad().dead_time_s))
+    assert wall.noise == pytest.approx(noise_cps * 62.5e-12)
 
 
 def test_gross_errors_of_an_ideal_estimator():
@@ -235,6 +264,25 @@ def test_the_gate_of_a_pixel_is_judged_at_its_strongest_target():
 def test_errors_name_the_value(given, says):
     with pytest.raises(coincid.InputError, match=says):
         coincid.bound(parse_config({}), **given)
+
+
+@pytest.mark.parametrize(
+    ("name", "legal", "wrong"),
+    [
+        ("distance_m", [0.05, 30.0], [0.0499, -1.0, np.inf, np.nan]),
+        ("reflectivity", [0.01, 1.0], [-0.01, 1.01]),
+        ("klux", [0, 100], [-0.1]),
+        ("trials", [0, 1], [-1, 1_000_001, 0.5]),
+        ("system_fwhm_s", [1e-10, 1e-9], [0.0, 21e-9]),
+    ],
+)
+def test_ends_of_the_range_of_a_wall_are_legal(name, legal, wrong):
+    usual = {"trials": 0, "pulses": 10}
+    for value in legal:
+        assert coincid.bound(**usual | {name: value}).bound_mm > 0
+    for value in wrong:
+        with pytest.raises(coincid.InputError, match=f"^{name} = "):
+            coincid.bound(**usual | {name: value})
 
 
 def test_bounds_of_a_measured_pulse():

@@ -183,6 +183,27 @@ def test_a_table_holds_counts_beyond_32_bits():
     }
 
 
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("klux", [50, 100], [50.0, 100.0]),
+        ("clock_mhz", [125, 500], [125.0, 500.0]),
+        ("frame.clock_mhz", [125, 500], [125.0, 500.0]),
+        ("pulses", [100, 200], [100, 200]),
+        ("frame.format", ["id", "full"], ["id", "full"]),
+        ("auto", [True, False], [True, False]),
+    ],
+)
+def test_a_column_of_values_has_one_type_whatever_was_swept(name, values, expected):
+    """A real setting is one also where only whole numbers are among its values."""
+    from coincid.lab.outcome_table import to_table
+
+    table = to_table([{name: value} for value in values], [{"beats": 1}] * 2)
+    found = table.to_pydict()[name]
+    assert found == expected
+    assert [type(one) for one in found] == [type(one) for one in expected]
+
+
 def test_klux_of_a_file_counts_by_its_content(tmp_path):
     """A campaign does not take what it has found in another light."""
     path = tmp_path / "sun.npy"

@@ -13,6 +13,7 @@ from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
+from coincid.model.contract.gate_counts import Counts
 from coincid.model.golden.frame import Golden, golden_result
 from coincid.model.scenes.catalogue import load_scene
 
@@ -79,6 +80,10 @@ def test_a_long_run_gives_the_same_counts_of_each_frame(monkeypatch):
     run = Run(setup)
     for number in range(3):
         np.testing.assert_array_equal(run.frame(number).depth_m, expected[number])
+        for name in Counts._fields:
+            own, of_all = run.frame(number).result[name], usual.result[name]
+            assert (own.shape, own.dtype) == (of_all.shape, of_all.dtype), name
+            np.testing.assert_array_equal(own[number], of_all[number], err_msg=name)
     assert not np.array_equal(expected[0], expected[1], equal_nan=True)
     assert not run.has_result  # each frame was decoded alone
 
@@ -146,6 +151,39 @@ def test_frames_in_a_file_are_a_sequence_of_traces():
         np.testing.assert_array_equal(trace.beat_cycle[0], expected.beat_cycle[0])
         np.testing.assert_array_equal(trace.freed_cycle, expected.freed_cycle)
     np.testing.assert_array_equal(stored[-1].commit_cycle, traces[-1].commit_cycle)
+    for cut in (slice(None, None, -1), slice(-2, None), slice(0, -1), slice(1, 9), slice(2, 0)):
+        found = [trace.commit_cycle.tolist() for trace in stored[cut]]
+        assert found == [trace.commit_cycle.tolist() for trace in traces[cut]]
+    assert stored.counters[2].tolist() == traces[2].counters.tolist()
+
+
+def test_the_last_frame_of_several_sensors_is_played_for_each(monkeypatch):
+    """With settings of its own, and a share of the edges that are kept."""
+    monkeypatch.setattr(long_frames, "EDGES_SHOWN_MAX", 600)
+    setup = setup_of(pulses=100, minigroup_records=True)
+    configs = [setup.config.with_settings(threshold=threshold) for threshold in (1, 2, 4)]
+    players = [(Golden(config.sensor), config) for config in configs]
+    edges = setup.photons.edges()
+    last, _ = edges.frame(2, 100)
+    parts = np.array_split(np.arange(len(edges)), [700, 1500])
+    whole = [int(edges.pulse[part[0]]) for part in parts]  # chunks have whole pulses
+    chunks = [
+        edges.take((edges.pulse >= first) & (edges.pulse < end))
+        for first, end in zip(whole, [*whole[1:], 300], strict=True)
+    ]
+    for workers in (1, 2):
+        players = [(Golden(config.sensor), config) for config in configs]
+        played = long_frames.play_last_frame(players, 3, iter(chunks), workers)
+        for config, one in zip(configs, played, strict=True):
+            expected = Golden(config.sensor).frame(config, last)
+            (trace,) = one.traces
+            assert trace.beats[0].tolist() == expected.beats[0].tolist()
+            assert trace.counters.tolist() == expected.counters.tolist()
+            assert [of.tolist() for of in one.counters] == [expected.counters.tolist()]
+            (seen,) = one.seen
+            assert (seen.total, seen.pulses < 100) == (len(last), True)
+            assert 0 < len(seen.edges) <= 200
+            assert trace.fate.tolist() == expected.fate[: len(seen.edges)].tolist()
 
 
 def test_a_long_run_has_one_decoded_frame_in_memory(long):

@@ -37,6 +37,12 @@ def test_gap_for_a_rate_by_hand():
         gap_for(config, 0.01)
 
 
+@pytest.mark.parametrize("rate_per_s", [0, -1.0, float("nan"), float("inf"), "30"])
+def test_what_is_no_rate_is_refused(rate_per_s):
+    with pytest.raises(InputError, match="^rate_per_s = .*: must be a number of at least 1e-09$"):
+        gap_for(parse_config({}), rate_per_s)
+
+
 def test_a_frame_of_one_pulse_has_a_single_rate():
     config = parse_config({"frame": {"pulses": 1}})
     assert gap_for(config, 2_000_000) == 0

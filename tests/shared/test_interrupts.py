@@ -4,6 +4,7 @@ is lost.
 """
 
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -102,8 +103,8 @@ def test_each_signal_raises_its_own_exception_and_a_second_sigterm_none(signals)
     with pytest.raises(Terminated) as raised:
         os.kill(os.getpid(), signal.SIGTERM)
     assert exit_code(raised.value) == 143
-    os.kill(os.getpid(), signal.SIGTERM)
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_IGN
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 class _Lost:
@@ -130,7 +131,8 @@ def _begun():
 
 def test_workers_begin_as_they_are_told_and_are_killed_by_an_error():
     """Ctrl-C is for the process that started them; other children of it live on."""
-    with subprocess.Popen(["sleep", "1000"]) as other:
+    other = subprocess.Popen(["sleep", "1000"])
+    try:
         with (
             pytest.raises(ZeroDivisionError),
             worker_processes(1, _begin_with, "a", 5) as pool,
@@ -142,26 +144,27 @@ def test_workers_begin_as_they_are_told_and_are_killed_by_an_error():
         worker.join()
         assert worker.exitcode == -signal.SIGKILL
         assert other.poll() is None
+    finally:
         other.kill()
+        other.wait()
 
 
 @pytest.mark.parametrize("fails", [False, True])
 def test_a_program_is_known_while_it_runs_and_ends_with_an_error(fails):
-    """With all that it started: `wait` is of the shell, `sleep` is its child."""
-    command = ["sh", "-c", "sleep 1000 & echo $!; wait" if fails else "echo 0"]
-    child = None
+    """With all that it started: here `sleep`, which the shell waits for."""
+    command = ["sh", "-c", "sleep 60 & echo begun; wait" if fails else "echo begun"]
     try:
         with program(command, stdout=subprocess.PIPE, encoding="utf-8") as running:
             assert PROGRAMS == {running}
-            child = int(running.stdout.readline())
+            assert running.stdout.readline() == "begun\n"
             if fails:
                 raise ZeroDivisionError
             running.wait()
     except ZeroDivisionError:
         assert fails
-        # the end of a pipe comes when nobody can write to it any more
-        assert running.stdout.read() == ""
+    # the pipe has an end when nobody can write to it any more
+    ended, _, _ = select.select([running.stdout], [], [], 30)
+    assert ended and running.stdout.read() == ""
     running.stdout.close()
     assert not PROGRAMS
     assert running.returncode == (-signal.SIGKILL if fails else 0)
-    assert child is not None
