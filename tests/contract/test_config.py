@@ -775,3 +775,20 @@ def test_the_last_legal_value_beside_the_others_is_taken_and_the_next_is_not(
     load_config(None, others | {name: last})
     with pytest.raises(InputError, match=rf"^\w+\.{name} = {wrong}: |there are \d+ subgroups"):
         load_config(None, others | {name: wrong})
+
+
+def test_what_was_written_is_told_as_a_file_has_it():
+    """A list where subgroups differ, else one value; nothing that was not written."""
+    threshold = [1 + s % 3 for s in range(16)]
+    frame = {"pulses": 7, "auto_bounds": [1, 2, 3, 4, 5, 6]}
+    config = parse_config({"frame": frame, "subgroup": {"window": 9}})
+    found = config.with_settings(threshold=threshold, auto=True).written()
+    subgroup = {"threshold": threshold, "window": 9, "auto": True}
+    assert found == {"sensor": {}, "frame": frame, "subgroup": subgroup}
+
+
+@pytest.mark.parametrize("counts", [0, 1])
+def test_the_register_of_the_format_takes_what_is_built(counts):
+    sensor = parse_config({"sensor": {"counts": counts}}).sensor
+    last = list(FORMATS)[registers.BY_NAME["format"].high(sensor)]
+    assert last == ("counts" if counts else "compact-full")
