@@ -25,7 +25,13 @@ from coincid.model.recorded.exchange import (
     read_recording,
     write_edges,
 )
-from coincid.model.recorded.recordings import Recording, period_note, recorded_edges, since_sync
+from coincid.model.recorded.recordings import (
+    Recording,
+    period_note,
+    recorded_edges,
+    since_sync,
+    told,
+)
 from coincid.model.shared.errors import InputError
 from coincid.tb.replay import replay
 
@@ -204,18 +210,34 @@ def test_tables_by_hand(tmp_path):
         found, lost = edges_of(tmp_path / name, sync_channel=9, channels={1: 11, 2: 12})
         assert found == [(0, 11, 2), (1, 12, 0)] and lost == {"before the first sync": 1}
         assert not period_note(read_recording(tmp_path / name, 9), TIMING)
+        with pytest.raises(InputError, match=r"has no events on channel 7 \(--sync-channel\)"):
+            read_recording(tmp_path / name, 7)
 
 
-def test_an_image_larger_than_the_sensor_loses_its_borders():
+@pytest.mark.parametrize(("high", "wide"), [(8, 8), (8, 16), (24, 8)])
+def test_an_image_larger_than_the_sensor_loses_its_borders(high, wide):
     """A position beyond the last column is no pixel of the next row."""
-    rows, cols = 9, 10
+    config = parse_config({"sensor": {"rows": high, "cols": wide}, "frame": {"pulses": 20}})
+    rows, cols = high + 1, wide + 2
     places = np.arange(rows * cols)
     whole = np.zeros(len(places), np.int64)
     image = Recording(sync=whole, channel=places, time_ps=whole + 1.0, grid=(rows, cols), kind="")
-    found, lost = recorded_edges(image, CONFIG, TIMING)
+    found, lost = recorded_edges(image, config, TIMING)
     row, col = np.divmod(places, cols)
-    assert sorted(found.pixel.tolist()) == list(range(64))
-    assert sum(lost.values()) == np.count_nonzero((row >= 8) | (col >= 8))
+    assert sorted(found.pixel.tolist()) == list(range(high * wide))
+    assert sum(lost.values()) == np.count_nonzero((row >= high) | (col >= wide))
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(8, 8), (8, 16), (24, 8)])
+def test_a_channel_is_the_pixel_of_its_number(rows, cols):
+    """Row by row, in an array of any shape; others have no pixel."""
+    config = parse_config({"sensor": {"rows": rows, "cols": cols}, "frame": {"pulses": 20}})
+    channel = np.arange(-3, rows * cols + 3)
+    whole = np.zeros(len(channel), np.int64)
+    photons = Recording(sync=whole, channel=channel, time_ps=whole + 1.0, kind="")
+    found, lost = recorded_edges(photons, config, TIMING)
+    assert found.pixel.tolist() == list(range(rows * cols))
+    assert lost == {"in channels without a pixel": 6}
 
 
 @pytest.mark.parametrize("unit_ps", {"ps": 1, "ns": 10**3, "us": 10**6, "s": 10**12}.items())
@@ -278,6 +300,35 @@ def test_a_suffix_that_is_none_of_a_recording_is_told_with_those_that_are(tmp_pa
         write_edges(tmp_path / "a.txt", edges((0, 3, 5)), TIMING)
 
 
+def test_a_written_ptu_file_is_that_of_its_device(tmp_path):
+    """As another reader sees it: periods, bins and numbers in the header, records in time."""
+    timing = Timing(clock_hz=400e6, phases=16, period_cycles=100)
+    rows = [(2, 3, 1500), (0, 5, 40), (2, 1, 1501), (0, 60, 7), (2, 7, 3), (1500, 4, 0)]
+    write_edges(tmp_path / "a.ptu", edges(*rows), timing)
+    with ptufile.PtuFile(tmp_path / "a.ptu") as file:
+        assert file.is_t3
+        assert file.global_resolution == pytest.approx(250e-9)
+        assert file.tcspc_resolution == pytest.approx(1 / (400e6 * 16))
+        assert file.tags["TTResult_SyncRate"] == 4_000_000
+        records = file.decode_records()
+        assert file.number_records == len(file.read_records())
+    photons = records[records["channel"] >= 0]
+    found = [(int(one["time"]), int(one["channel"]), int(one["dtime"])) for one in photons]
+    assert found == sorted(rows, key=lambda row: (row[0], row[2]))
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("offset_ps", [None, np.zeros(0)], ids=["", "offsets"])
+def test_a_file_of_no_edges_is_written_and_read(tmp_path, suffix, offset_ps):
+    """As of a scene in the dark."""
+    none = np.zeros(0, np.int64)
+    path = tmp_path / f"none{suffix}"
+    write_edges(path, Edges(none, none, none, offset_ps), TIMING)
+    assert len(read_recording(path).sync) == 0
+    with pytest.raises(InputError, match="^the recording holds no photons$"):
+        edges_of(path)
+
+
 @given(pulses=st.lists(st.integers(0, 3 << 20), min_size=1, max_size=20))
 def test_syncs_of_a_long_recording(tmp_path_factory, pulses):
     """The records' sync counter wraps at 1024, and the counter of wraps does, too."""
@@ -313,6 +364,15 @@ BAD_TABLES = {
     "fraction of a tick": ("pulse,pixel,tick\n1,2,3.5\n", r"tick\[0\] = 3.5"),
     "all late": ("sync,channel,time_ps\n700,1,5\n900,1,5\n", "its syncs are 700 to 900"),
 }
+
+
+def test_a_file_without_columns_says_so(tmp_path):
+    np.savez(tmp_path / "a.npz")
+    with h5py.File(tmp_path / "a.h5", "w") as archive:
+        archive["group/time_ps"] = [1, 2]
+    for name in ("a.npz", "a.h5"):
+        with pytest.raises(InputError, match=f"{name}: has the columns none; must have pulse"):
+            read_recording(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", BAD_TABLES)
@@ -377,6 +437,9 @@ def test_bad_ptu(tmp_path):
         edges_of(path)
     with pytest.raises(InputError, match="T3 recording"):
         edges_of(ptu(path, [t3(0, 1, 1, 1)], mode=3, kind=0x00010307, clock_s=5e-7), sync_channel=0)
+    for clock_s in (0.0, float("inf")):
+        with pytest.raises(InputError, match=f"MeasDesc_GlobalResolution = {clock_s:g}: must be"):
+            edges_of(ptu(tmp_path / "b.ptu", [t2(1, 0, 5), t2(0, 3, 9)], clock_s=clock_s))
     with pytest.raises(InputError, match="MeasDesc_Resolution"):
         edges_of(ptu(path, [t3(0, 1, 1, 1)], mode=3, kind=0x00010307, clock_s=5e-7, bin_s=0.0))
     for row, words in (
@@ -390,7 +453,11 @@ def test_bad_ptu(tmp_path):
 def test_channel_maps(tmp_path):
     (tmp_path / "map.csv").write_text("channel,pixel\n4,1\n5,0\n", encoding="utf-8")
     assert parse_channels(str(tmp_path / "map.csv")) == parse_channels("4:1, 5:0") == {4: 1, 5: 0}
+    (tmp_path / "map.csv").rename(tmp_path / "MAP.CSV")
+    assert parse_channels(str(tmp_path / "MAP.CSV")) == {4: 1, 5: 0}
+    (tmp_path / "none.csv").write_text("channel,pixel\n", encoding="utf-8")
     for text, words in (
+        (str(tmp_path / "none.csv"), "none.csv: names no channel"),
         ("4-1", "must be CHANNEL:PIXEL"),
         ("4:1,4:2", "channel 4 comes twice"),
         ("4:1,5:1", "pixel 1 comes twice"),
@@ -405,6 +472,34 @@ def test_channel_maps(tmp_path):
     ):
         with pytest.raises(InputError, match=words):
             edges_of(tmp_path / "a.csv", channels=channels)
+
+
+def test_the_span_of_a_recording_without_use_is_that_of_its_syncs(tmp_path):
+    """Without photons before the first one, which have no sync."""
+    times = {"channel": [3, 9, 3, 9], "time_ps": [5, 100, 600_000, 500_100]}
+    np.savez(tmp_path / "a.npz", **times)
+    told = "no photon is left: 1 before the first sync; 1 before sync 2 .*; its syncs are 1 to 1$"
+    with pytest.raises(InputError, match=told):
+        edges_of(tmp_path / "a.npz", sync_channel=9, first_sync=2)
+
+
+def test_photons_that_are_lost_are_told_by_reason():
+    assert told({"before": 1_234_567, "never": 0, "after": 2}) == "1,234,567 before; 2 after"
+
+
+@pytest.mark.parametrize("ratio", [0.4, 0.998, 1.002, 2.5])
+def test_another_laser_period_is_told_whichever_is_longer(ratio):
+    """With both periods, and the setting that fits the recording."""
+    none = np.zeros(0, np.int64)
+    frame = Timing(clock_hz=400e6, period_cycles=1000)
+    found = Recording(sync=none, channel=none, time_ps=none, kind="", period_ps=ratio * 2.5e6)
+    assert period_note(found, frame) == (
+        f"laser period: {2500 * ratio:g} ns in the recording, 2500 ns in the frame"
+        f" (frame.period = {round(1000 * ratio)} would fit)"
+    )
+    for near in (0.9995, 1.0, 1.0005):
+        assert not period_note(evolve(found, period_ps=near * 2.5e6), frame)
+    assert not period_note(evolve(found, period_ps=None), frame)
 
 
 @pytest.mark.parametrize(
@@ -516,10 +611,10 @@ def test_numbers_of_triggers_and_channels_are_exact_or_refused(tmp_path, column)
             read(np.array([0.0, wrong, 1.0]))
 
 
-def scan(tmp_path, records, rows, cols):
+def scan(tmp_path, records, rows, cols, **more):
     """Read a PTU file of a scan whose bins have 125 ps; return the recording, and its bins.
 
-    Markers are bits: frame 4, line start 1, line stop 2.
+    Markers are bits: frame 4, line start 1, line stop 2. more: further tags.
     """
     tags = {
         "Measurement_SubMode": 3,
@@ -531,7 +626,7 @@ def scan(tmp_path, records, rows, cols):
         "ImgHdr_Frame": 3,
         "ImgHdr_Ident": 1,
         "ImgHdr_BiDirect": 0,
-    }
+    } | more
     path = ptu(
         tmp_path / "a.ptu", records, mode=3, kind=0x00010307, clock_s=500e-9, bin_s=125e-12, **tags
     )
@@ -579,6 +674,44 @@ def test_a_line_of_a_scan_whose_positions_are_not_equally_long(tmp_path):
     assert sorted(found) == expected
 
 
+@pytest.mark.parametrize("longer", [0, 1, 2])
+def test_positions_of_a_scan_last_as_long_as_in_most_of_its_lines(tmp_path, longer):
+    """What is left of a line that takes longer is lost, and told as such."""
+    cols, at, records = 4, 0, []
+    for row in range(3):
+        syncs = 80 if row == longer else 40
+        records.append(t3(1, 1, 0, at))
+        records += [t3(0, 0, 1, at + sync) for sync in range(syncs)]
+        at += syncs
+        records.append(t3(1, 2, 0, at))
+        at += 2
+    read, _ = scan(tmp_path, records, 3, cols)
+    assert "scan of 3 x 4 positions, 10 syncs each, 1 image(s)" in read.kind
+    placed = read.sync >= 0
+    assert np.bincount(read.channel[placed]).tolist() == [10] * 12
+    config = parse_config({"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 20}})
+    _, lost = recorded_edges(read, config, TIMING)
+    assert lost == {"between the positions of the scan": 40}
+
+
+@pytest.mark.parametrize(
+    ("tags", "words"),
+    [
+        ({"ImgHdr_SinCorrection": 1}, "is a sinusoidal scan, must be one of constant speed"),
+        ({"ImgHdr_PixX": 0}, "is an image without its size or its line markers"),
+        ({"ImgHdr_PixY": 0}, "is an image without its size or its line markers"),
+        ({"ImgHdr_LineStart": 5}, "holds no whole line between its markers"),
+        ({"ImgHdr_LineStop": 5}, "holds no whole line between its markers"),
+    ],
+)
+def test_a_scan_that_cannot_be_placed_is_refused(tmp_path, tags, words):
+    records = [t3(1, 1, 0, 0), t3(0, 0, 1, 5), t3(1, 2, 0, 10)]
+    read, _ = scan(tmp_path, records, 1, 2)
+    assert read.channel.tolist() == [1]
+    with pytest.raises(InputError, match=words):
+        scan(tmp_path, records, 1, 2, **tags)
+
+
 def test_triggers_that_are_missing_do_not_change_the_period():
     period_ps = 500_000
     triggers = np.delete(np.arange(100), [20, 21, 22, 50]) * period_ps
@@ -622,6 +755,14 @@ def test_a_divided_sync_among_absolute_times(tmp_path):
     assert found.time_ps.tolist() == [3000] * 4 and found.period_ps == 25_000
     whole = read_recording(path, 0)
     assert whole.time_ps.tolist() == [3000, 28_000, 78_000, 3000]
+
+
+def test_photons_before_the_first_divided_trigger_belong_to_none(tmp_path):
+    np.savez(tmp_path / "a.npz", channel=[3, 0, 0, 3], time_ps=[20_000, 100_000, 200_000, 203_000])
+    assert read_recording(tmp_path / "a.npz", 0, 4).sync.tolist() == [-1, 4]
+    recording = read_recording(tmp_path / "a.npz", 0, 4)
+    _, lost = recorded_edges(recording, CONFIG, TIMING)
+    assert lost == {"before the first sync": 1}
 
 
 def divided_ptu(path, *, special, channel):
@@ -701,6 +842,22 @@ def test_photon_hdf5_of_a_laser_with_another_rate(tmp_path):
     assert slow.sync.tolist() == [1, 1, 1] and slow.period_ps == pytest.approx(100_000)
 
 
+def test_a_rate_of_the_laser_that_is_nearly_whole_is_a_divider(tmp_path):
+    """Up to a thousandth, as clocks differ; the triggers keep their period."""
+    rate = "measurement_specs__laser_repetition_rate"
+    for nearly in (0.9995, 1.0005):
+        path = photon_hdf5(tmp_path / f"{nearly}.h5", **SYNCED, **{rate: nearly * 160e6})
+        found = read_recording(path)
+        assert found.sync.tolist() == [16, 20, 28]
+        assert found.period_ps == pytest.approx(6250, rel=1e-9)
+
+
+def test_photons_of_a_file_without_detectors_are_those_of_detector_0(tmp_path):
+    alone = {name: values for name, values in SYNCED.items() if name != "detectors"}
+    found = read_recording(photon_hdf5(tmp_path / "a.h5", **alone))
+    assert found.channel.tolist() == [0, 0, 0] and found.sync.tolist() == [4, 5, 7]
+
+
 def test_pulses_that_cannot_be_counted_are_refused(tmp_path):
     """Their numbers would wrap, to negative syncs or to small ones."""
     rate = "measurement_specs__laser_repetition_rate"
@@ -722,8 +879,12 @@ def test_photon_hdf5_without_nanotimes(tmp_path):
     }
     path = photon_hdf5(tmp_path / "a.h5", **absolute)
     assert read_recording(path, 0, 4).sync.tolist() == [0, 1, 3, 4]
-    with pytest.raises(InputError, match=r"--sync-channel must name it .*: 0, 3\)"):
+    with pytest.raises(
+        InputError, match=r"on a detector of .*--sync-channel must name it .*: 0, 3\)"
+    ):
         read_recording(path)
+    with pytest.raises(InputError, match="no events on a detector 7 of the laser's trigger"):
+        read_recording(path, 7)
 
 
 def recordings_of_every_kind(folder):
@@ -818,6 +979,8 @@ DAMAGED_PHOTONS = {
         "timestamps: holds 9223372036854775813, must be below 2.63",
     ),
     "unit in words": ({"timestamps_specs__timestamps_unit": "x"}, "unit: holds .* one number"),
+    "endless unit": ({"timestamps_specs__timestamps_unit": np.inf}, "unit = inf: must be above 0"),
+    "bins of no width": ({"nanotimes_specs__tcspc_unit": 0.0}, "unit = 0: must be above 0"),
     "two rates": (
         {"measurement_specs__laser_repetition_rate": np.array([1e7, 2e7])},
         r"laser_repetition_rate: holds float64\[2\], must hold one number",
@@ -875,6 +1038,22 @@ def test_offsets_are_numbers_of_at_least_0(tmp_path):
         read_recording(tmp_path / "a.csv")
 
 
+@pytest.mark.parametrize("delay_ps", [0.0, 10.0, -30.0])
+def test_offsets_of_whole_picoseconds_are_numbers_as_all_others(tmp_path, delay_ps):
+    """A table may have integers there; a delay may be negative."""
+    lines = "pulse,pixel,tick,offset_ps\n0,3,100,5\n1,4,7,62\n"
+    (tmp_path / "whole.csv").write_text(lines, encoding="utf-8")
+    (tmp_path / "real.csv").write_text(lines.replace("62", "62.0"), encoding="utf-8")
+    whole, real = (
+        recorded_edges(read_recording(tmp_path / name), CONFIG, TIMING, delay_ps=delay_ps)[0]
+        for name in ("whole.csv", "real.csv")
+    )
+    assert whole.offset_ps.dtype == np.float64
+    assert whole.offset_ps.tolist() == real.offset_ps.tolist()
+    at_ps = whole.tick * 62.5 + whole.offset_ps
+    assert at_ps == pytest.approx(np.array([100, 7]) * 62.5 + [5, 62] - delay_ps)
+
+
 def test_triggers_that_come_twice_are_one_pulse():
     triggers = np.repeat(np.arange(4) * 500_000, 2)
     found = since_sync(np.array([1000, 501_000]), np.zeros(2), triggers, 1.0, "times")
@@ -901,12 +1080,18 @@ def test_a_divider_of_0_in_the_header_is_none(tmp_path):
         '"sync","channel","time_ps"',
         " sync , channel , time_ps ",
         "# Sync,Channel,Time_ps",
+        "# Sync,Channel,Time_ps\n",
+        "\n# of a laboratory\n\n# Sync,Channel,Time_ps\n\n",
+        "\ufeffSync,Channel,Time_ps",
+        "\ufeff# Sync,Channel,Time_ps",
     ],
 )
 @pytest.mark.parametrize("numbers", ["3,3,250031.25", '"3","3","250031.25"'])
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_names_of_columns_as_programs_write_them(tmp_path, head, separator, numbers):
-    """In capitals, in quotes, with spaces, as a comment; with numbers in quotes."""
+    """In capitals, in quotes, with spaces, as the last comment, behind the mark of a byte order, before
+    empty lines; with numbers in quotes.
+    """
     path = tmp_path / "a.csv"
     lines = [head, numbers]
     path.write_text("\n".join(lines).replace(",", separator) + "\n", encoding="utf-8")
