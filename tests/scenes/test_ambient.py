@@ -33,6 +33,18 @@ def test_a_scene_in_full_sun_is_so_with_its_parameter(name):
     assert (
         usual_klux(name) == usual_klux(f"{name}:0.04") > usual_klux("flat") == usual_klux("flat:5")
     )
+    assert usual_klux(name, 100.0) == 0  # a file of histograms, which have their background
+
+
+def test_an_array_of_light_has_the_shape_of_the_sensor():
+    """Or one that broadcasts to it; it is told by its ends."""
+    across = np.array([[1.0, 7.0, 3.0, 4.0]])
+    assert np.array_equal(ambient_klux(across, 3, 4), np.repeat(across, 3, axis=0))
+    assert told_klux(across) == "1 to 7" and told_klux("7|1") == "7|1"
+    with pytest.raises(InputError, match=r"klux: has shape \(1, 4\), must be \(4, 3\)"):
+        ambient_klux(across, 4, 3)
+    with pytest.raises(InputError, match=r"klux\[2, 1\] = -1.0: must be at least 0"):
+        ambient_klux(np.where(np.arange(12).reshape(3, 4) == 9, -1.0, 1.0), 3, 4)
 
 
 def test_array_in_klux_takes_the_mean_of_what_a_pixel_covers(tmp_path):
@@ -47,9 +59,11 @@ def test_array_in_klux_takes_the_mean_of_what_a_pixel_covers(tmp_path):
     assert np.array_equal(ambient_klux(str(path), 2, 6), klux[1:3])
 
 
-@pytest.mark.parametrize("depth, white", [(np.uint8, 255), (np.uint16, 65535)])
+@pytest.mark.parametrize(
+    "depth, white", [("u1", 255), ("<u2", 65535), (">u2", 65535), ("i4", 65535)]
+)
 def test_grey_picture_has_its_white_level(tmp_path, depth, white):
-    path = tmp_path / "sun.png"
+    path = tmp_path / "sun.tif"
     Image.fromarray(np.array([[0, white], [white, 0]], depth)).save(path)
     assert np.array_equal(ambient_klux(f"{path},120", 2, 2), [[0, 120], [120, 0]])
 

@@ -126,6 +126,66 @@ def test_parameters_in_the_name():
     assert np.array_equal(four.reflectivity[0, 0], [0.1, 0.3, 0.1, 0.1])
 
 
+DEFAULTS = {  # scene: distances, reflectivity of each surface, least share of the sun
+    "flat": ([10.0], 0.4, 1.0),
+    "flat:3": ([3.0], 0.4, 1.0),
+    "two-targets": ([5.0, 9.0], 0.4, 1.0),
+    "two-targets:4": ([4.0, 9.0], 0.4, 1.0),
+    "two-targets:4,6": ([4.0, 6.0], 0.4, 1.0),
+    "two-returns": ([5.0, 9.0], 0.2, 1.0),
+    "two-returns:4": ([4.0, 9.0], 0.2, 1.0),
+    "returns:4,6,7,8": ([4.0, 6.0, 7.0, 8.0], 0.1, 1.0),
+    "sun-and-shade": (None, None, 0.01),
+    "tunnel": (None, None, 0.01),
+}
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_parameters_that_are_left_out_have_their_usual_values(name):
+    distances_m, reflectivity, shade = DEFAULTS[name]
+    scene = load_scene(name, 8, 16)
+    if distances_m is not None:
+        assert np.unique(scene.distance_m).tolist() == distances_m
+        assert np.unique(scene.reflectivity).tolist() == [reflectivity]
+    assert scene.sunlit.min() == shade
+
+
+DRAWN = {  # scene: label -> distance, reflectivity, rows and columns from the first to the last
+    "five-objects": {
+        1: (9.7, 0.60, (0, 31), (0, 31)),
+        2: (7.2, 0.08, (9, 20), (2, 12)),
+        3: (8.4, 0.55, (0, 31), (18, 22)),
+        4: (4.3, 0.45, (17, 29), (21, 29)),
+        5: (6.1, 0.10, (23, 31), (6, 16)),
+    },
+    "sun-and-shade": {
+        1: (9.0, 0.50, (0, 31), (14, 31)),
+        2: (12.5, 0.10, (0, 31), (0, 13)),
+        4: (7.4, 0.12, (15, 29), (22, 29)),
+        5: (5.6, 0.45, (4, 10), (24, 28)),
+    },
+    "tunnel": {3: (8.2, 0.08, (15, 25), (9, 17))},
+}
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_objects_of_the_built_in_scenes_are_where_they_were(name):
+    """Numbers of the pages are of these scenes."""
+    scene = load_scene(name, 32, 32)
+    for label, (distance_m, reflectivity, rows, cols) in DRAWN[name].items():
+        here = scene.labels == label
+        row, col = np.nonzero(here)
+        assert ((row.min(), row.max()), (col.min(), col.max())) == (rows, cols)
+        assert np.unique(scene.truth_m[here]).tolist() == [distance_m]
+        assert np.unique(scene.reflectivity[here]).tolist() == [reflectivity]
+
+
+def test_the_shadow_slants_from_the_right_at_the_top_to_the_left_at_the_bottom():
+    sunlit = load_scene("sun-and-shade", 32, 32).sunlit
+    first = np.argmax(sunlit == 1, axis=1)
+    assert (first[0], first[-1]) == (18, 14) and np.all(np.diff(first) <= 0)
+
+
 @pytest.mark.parametrize(
     "name, words",
     [
@@ -145,6 +205,43 @@ def test_parameters_in_the_name():
 def test_bad_names(name, words):
     with pytest.raises(InputError, match=words):
         load_scene(name, 8, 8)
+
+
+SIDES = st.integers(1, 40)
+
+
+@given(height=SIDES, width=SIDES, rows=SIDES, cols=SIDES)
+def test_a_crop_is_the_largest_part_in_the_middle_with_the_aspect_ratio_of_the_sensor(
+    height, width, rows, cols
+):
+    """To half a sample; one more is left out at the bottom and on the right, if they are odd."""
+    top, left, high, wide = centre_crop(height, width, rows, cols)
+    assert high == height or wide == width
+    if high < height:
+        assert abs(high - width * rows / cols) <= 0.5 or high == 1
+    if wide < width:
+        assert abs(wide - height * cols / rows) <= 0.5 or wide == 1
+    assert height - high - 2 * top in (0, 1) and width - wide - 2 * left in (0, 1)
+
+
+@given(height=SIDES, width=SIDES, rows=SIDES, cols=SIDES)
+def test_a_pixel_covers_the_samples_that_begin_in_it(height, width, rows, cols):
+    """Of a smaller picture, it takes the sample in which it begins."""
+    row, col, pixel = covered_samples(height, width, rows, cols)
+    down, across = pixel[:, 0] // cols, pixel[0] % cols
+    assert np.array_equal(pixel, down[:, None] * cols + across)
+    for samples, at, number, pixels in (
+        (height, row.ravel(), down, rows),
+        (width, col, across, cols),
+    ):
+        if samples >= pixels:
+            assert at.tolist() == list(range(samples))
+            assert np.all(number * samples <= at * pixels)
+            assert np.all(at * pixels < (number + 1) * samples)
+        else:
+            assert number.tolist() == list(range(pixels))
+            assert np.all(at * pixels <= number * samples)
+            assert np.all(number * samples < (at + 1) * pixels)
 
 
 @settings(max_examples=60, deadline=None)
@@ -203,10 +300,13 @@ def test_scaled_distances_and_too_much_signal(tmp_path):
     one.
     """
     np.save(tmp_path / "wall.npy", np.full((4, 4), 1.0))
-    near, far = (load_scene(str(tmp_path / "wall.npy"), 4, 4, scale=scale) for scale in (1.0, 3.0))
-    assert np.array_equal(far.distance_m, 3 * near.distance_m) and any(
-        "times 3" in note for note in far.notes
+    near, far, half = (
+        load_scene(str(tmp_path / "wall.npy"), 4, 4, scale=scale) for scale in (1.0, 3.0, 0.5)
     )
+    for scene, scale in ((far, 3), (half, 0.5)):
+        assert np.array_equal(scene.distance_m, scale * near.distance_m)
+        assert any(f"distances times {scale:g}" in note for note in scene.notes)
+    assert not any("times" in note for note in near.notes)
     assert "SCALE=4" in "".join(scene_light(near, 50).notes()) and not scene_light(far, 50).notes()
     for source in ("flat:5", "ray:corner"):
         with pytest.raises(InputError, match="depth files only"):
@@ -252,6 +352,18 @@ def test_a_finer_colour_picture_is_read_at_the_middle_of_each_sample(tmp_path):
     Image.fromarray(grey).convert("RGB").save(tmp_path / "colour.png")
     scene = load_scene(depth, 4, 4, colour=tmp_path / "colour.png")
     assert np.allclose(scene.reflectivity, BRIGHTEST)
+
+
+@pytest.mark.parametrize(("cols", "is_legal"), [(97, False), (99, True), (101, True), (103, False)])
+def test_a_colour_picture_has_nearly_the_shape_of_the_depth(tmp_path, cols, is_legal):
+    """Up to a fiftieth, as by rounding."""
+    depth = png(tmp_path / "depth.png", np.full((100, 100), 2000))
+    colour = png(tmp_path / "colour.png", np.full((100, cols), 65535))
+    if is_legal:
+        assert np.all(load_scene(depth, 4, 4, colour=colour).reflectivity == BRIGHTEST)
+    else:
+        with pytest.raises(InputError, match=f"has 100 x {cols} samples, must have the shape"):
+            load_scene(depth, 4, 4, colour=colour)
 
 
 @pytest.mark.parametrize("kind", ("8 bits", "16 bits", "16 bits, big-endian", "32 bits"))
@@ -397,6 +509,21 @@ def test_middleburys_calibration_lies_beside_the_file(tmp_path):
     assert np.allclose(read[RAMP_M <= 3.5], RAMP_M[RAMP_M <= 3.5], atol=1e-4)
 
 
+def test_a_calibration_without_an_offset_has_none(tmp_path):
+    (tmp_path / "calib.txt").write_text("cam0=[900 0 10]\nbaseline=100\n", encoding="utf-8")
+    path = pfm(tmp_path / "disp0.pfm", 900 * 0.1 / RAMP_M)
+    assert np.allclose(load_scene(str(path), 8, 8, unit="middlebury").truth_m, RAMP_M, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "unit", ["m:5", "mm:800,0.2", "tum:5", "1/5000:1", "1/0", "1/", "disparity/0:8,1", "metres", ""]
+)
+def test_what_is_no_unit_is_refused(unit):
+    """Also one with numbers that go with disparities only."""
+    with pytest.raises(InputError, match=f"^unit = '{re.escape(unit)}': must be one of m, cm"):
+        load_scene(np.full((4, 4), 4.0), 4, 4, unit=unit)
+
+
 @pytest.mark.parametrize(
     ("samples", "words"),
     [
@@ -424,11 +551,44 @@ def test_distances_as_an_array():
     assert read.reflectivity[0, 0] == 0.1 and read.reflectivity[3, 3] == 0.4
 
 
+@pytest.mark.parametrize("is_file", [False, True])
+def test_an_array_may_have_a_last_axis_of_one(tmp_path, is_file):
+    """As some programs stack pictures; it is no sequence."""
+    depth_m = np.arange(2.0, 18.0).reshape(4, 4)
+    source = str(npy(tmp_path / "d.npy", depth_m[:, :, None])) if is_file else depth_m[:, :, None]
+    scene = load_scene(source, 4, 4)
+    assert scene.pictures == 1 and np.array_equal(scene.truth_m, depth_m)
+    masked = np.ma.masked_array(depth_m[:, :, None], depth_m[:, :, None] == 7)
+    assert np.array_equal(load_scene(masked, 4, 4).valid, depth_m != 7)
+
+
+def test_a_pixel_has_its_nearest_target_whichever_comes_first():
+    """It is invalid if it has none at all."""
+    distance_m = np.array([[[np.nan, 5.0], [7.0, 3.0], [4.0, np.nan], [np.nan, np.nan]]])
+    scene = Scene(name="own", distance_m=distance_m, reflectivity=0.4)
+    assert scene.valid.tolist() == [[True, True, True, False]]
+    assert np.array_equal(scene.truth_m, [[5.0, 3.0, 4.0, np.nan]], equal_nan=True)
+    assert repr(scene) == "<Scene own: 1 x 4 pixels, 3 to 7 m>"
+
+
+def test_what_is_wrong_with_the_light_of_a_scene_is_told_as_it_was_given():
+    scene = load_scene("flat:5", 4, 4)
+    with pytest.raises(InputError, match="^klux = 1000000000000.0: is too much ambient light"):
+        scene_light(scene, 1e12)
+    with pytest.raises(InputError, match="^background = 'dark': must be one of"):
+        scene_light(scene, 5, background="dark")
+    with pytest.raises(InputError, match="^system_fwhm_s"):
+        scene_light(scene, 5, system_fwhm_s=-1.0)
+
+
 @pytest.mark.parametrize(
     ("source", "options", "words"),
     [
         (None, {}, "scene = None: must be a Scene, a name or file"),
         ("five-objects", {"unit": "mm"}, "goes with depth files only"),
+        ("letter-f", {"colour": "a.png"}, "colour = 'a.png': goes with depth files only"),
+        ("ray:corner", {"colour": "a.png"}, "colour = 'a.png': goes with depth files only"),
+        ("flat:5", {"reflectivity": 0.9}, "reflectivity: goes with depth files and arrays"),
         (np.ones((4, 4)), {"unit": "ft"}, "unit = 'ft': must be one of m, cm, mm, 1/N"),
         (np.ones((4, 4)), {"reflectivity": np.ones(3)}, "reflectivity"),
         (__file__, {}, "is no scene, must be a depth file"),
