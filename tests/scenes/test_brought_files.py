@@ -149,6 +149,8 @@ CHANNELS = {  # channels of an EXR file, options, distance or part of the error
     ),
     "a layer's Z": ({"View.Depth.Z": 4, "View.Combined.R": 0.5}, {}, 4),
     "one channel of any name": ({"V": 4}, {}, 4),
+    "one channel beside alpha": ({"V": 4, "A": 1}, {}, 4),
+    "one channel of a layer beside its alpha": ({"far.V": 4, "far.alpha": 1}, {}, 4),
     "grey as three equal colours": ({"R": 4, "G": 4, "B": 4}, {}, 4),
     "normals alone": (
         {"nn.X": 0.1, "nn.Y": 0.2, "nn.Z": 0.7},
@@ -333,6 +335,20 @@ def test_samples_of_another_data_set_are_told(tmp_path, case):
     assert bool(doubts) == bool(unit)
 
 
+OUTDOORS = ("kitti", "virtual-kitti", "airsim", "airsim-ray", "blender", "mitsuba", "pbrt")
+
+
+@pytest.mark.parametrize("name", OUTDOORS)
+def test_distances_of_a_street_are_usual_in_data_sets_of_streets(tmp_path, name):
+    """20 m in the middle, which a room does not have."""
+    per_metre = {"kitti": 256, "virtual-kitti": 100}.get(name, 1)
+    samples = np.linspace(15, 25, 64 * 64).reshape(64, 64) * per_metre
+    if per_metre > 1:
+        samples = samples.astype(np.uint16)
+    path = npy(tmp_path / "d.npy", samples)
+    assert load_scene(path, 8, 8, unit=name).doubts == ()
+
+
 def skewed(middle):
     """uint16[64, 64]: samples of many values whose mean is far above their median."""
     samples = np.arange(64 * 64).reshape(64, 64) % 97 + middle - 48
@@ -429,6 +445,20 @@ def test_a_cropped_picture_has_a_smaller_view():
     ) == pytest.approx(0.75)
 
 
+@pytest.mark.parametrize("shape", [(8, 8), (8, 24), (24, 8)])
+def test_the_field_of_view_of_a_file_is_that_of_its_whole_picture(tmp_path, shape):
+    """Of which the sensor sees the middle. How much farther the corners would be is told."""
+    path = npy(tmp_path / "d.npy", np.full(shape, 4.0))
+    view = load_scene(path, 8, 8, fov_deg=90).view
+    half = 8 / shape[1]
+    tangents = np.tan(np.radians([view.h_deg / 2, view.v_deg / 2]))
+    assert tangents == pytest.approx([half, half])
+    corner = np.hypot(1, np.sqrt(2) * half * 63 / 64) - 1
+    notes = " ".join(load_scene(path, 8, 8, fov_deg=90).notes)
+    assert f"--z makes the corners {corner:.0%} farther" in notes
+    assert "--z makes the corners 15% farther" in " ".join(load_scene(path, 8, 8).notes)
+
+
 def test_grey_pictures_give_the_reflectivity_by_their_type(tmp_path):
     grey = np.full(SHAPE, 60, np.uint8)
     grey[2:] = 20
@@ -481,6 +511,8 @@ def test_arrays_in_archives(tmp_path):
     for source in ("a.npz", "a.npz:none"):
         with pytest.raises(InputError, match="two dimensions depth, mask; must name one"):
             load_scene(str(tmp_path / source), *SHAPE)
+    savemat(tmp_path / "g.mat", {"depth": depth_m, "camera": "left"})  # texts are no pictures
+    assert np.array_equal(load_scene(str(tmp_path / "g.mat"), *SHAPE).truth_m, depth_m)
     moving_m = np.stack([depth_m, depth_m + 1])
     np.savez(tmp_path / "f.npz", depth=depth_m, moving=moving_m, k=np.ones(3))
     still, moving = (load_scene(f"{tmp_path}/f.npz{name}", *SHAPE) for name in ("", ":moving"))

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth pictures in sequence: frame k sees picture k, from files to the result of the sensor."""
 
+from pathlib import Path
+
 import h5py
 import numpy as np
 import pytest
@@ -35,6 +37,13 @@ def folder_of(at):
     for name, picture in zip(("d_9.png", "d_10.png", "d_100.png"), pictures(), strict=True):
         png(folder / name, picture)
     (folder / "times.txt").write_text("no picture", encoding="utf-8")
+    return str(folder)
+
+
+def capitals_of(at):
+    folder = Path(folder_of(at))
+    for path in list(folder.iterdir()):
+        path.rename(folder / path.name.upper())
     return str(folder)
 
 
@@ -76,6 +85,7 @@ def npy_of(at):
 
 SOURCES = {
     "a folder": folder_of,
+    "a folder of names in capitals": capitals_of,
     "a numbered pattern": lambda at: f"{folder_of(at)}/d_%03d.png",
     "a pattern of names": lambda at: f"{folder_of(at)}/d_*.png",
     "an array": lambda at: pictures(),
@@ -94,6 +104,28 @@ def test_frame_k_sees_picture_k(tmp_path, source):
     assert scene.pictures == 3
     for frame, wall_m in enumerate(WALLS_M):
         assert np.all(scene.at(frame).truth_m == wall_m)
+        assert scene.at(frame).pictures == 1
+
+
+@pytest.mark.parametrize(
+    ("pattern", "walls_m"),
+    [
+        ("d_?.png", [3.0]),
+        ("d_??.png", [4.0]),
+        ("d_[0-9]0.png", [4.0]),
+        ("d_1*.png", [4.0, 5.0]),
+        ("d_%d.png", [3.0, 4.0, 5.0]),
+        ("d_%012d.png", [3.0, 4.0, 5.0]),
+        ("d_%d0.png", [4.0, 5.0]),
+    ],
+)
+def test_a_pattern_stands_for_the_files_that_it_fits(tmp_path, pattern, walls_m):
+    """In the order of their numbers; of the first one it is told what was assumed."""
+    scene = load_scene(f"{folder_of(tmp_path)}/{pattern}", *SHAPE)
+    seen_m = [scene.at(frame).truth_m[0, 0] for frame in range(scene.pictures)]
+    assert seen_m == walls_m
+    assert f"{pattern}: {len(walls_m)} pictures, one for each frame" in scene.notes[0]
+    assert any("along the rays" in note for note in scene.notes[1:])
 
 
 def test_each_picture_has_the_mask_of_its_own():
