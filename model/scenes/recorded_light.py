@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 from attrs import frozen
 
-from ..light.light import BACKGROUNDS, NEAREST_M, SIGNAL_MAX, SIGNAL_REFERENCE, Arrivals, Light
+from ..light.light import (
+    BACKGROUNDS,
+    NEAREST_M,
+    RATE_MAX_CPS,
+    SIGNAL_MAX,
+    SIGNAL_REFERENCE,
+    Arrivals,
+    Light,
+)
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import Numbers, check_real, real_array
@@ -58,7 +66,7 @@ class RecordedLight:
             start_s=index * self.bin_s,
             photons=np.minimum(photons, SIGNAL_MAX),
             width_s=self.bin_s,
-            background_cps=self.background.ravel() / self.bin_s,
+            background_cps=np.minimum(self.background.ravel() / self.bin_s, RATE_MAX_CPS),
             span_s=bins * self.bin_s,
         )
         ambient = np.full((rows, cols), np.nan)

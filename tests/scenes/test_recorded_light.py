@@ -12,6 +12,7 @@ from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.scene import scene_light
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.pulse import Pulse
@@ -86,6 +87,7 @@ def test_the_photons_are_those_of_the_histograms():
     """As many per pulse, and the sensor measures the same distances."""
     run = simulate(CONFIG, counts(), bin_ps=BIN_PS, recorded_pulses=PULSES, seed=2)
     assert run.light.arrivals.photons.sum() / 64 == pytest.approx(0.6, rel=0.1)
+    assert np.all(run.light.background_cps == 0)  # nothing besides theirs, unless it is asked for
     assert np.nanmedian(np.abs(run.depth().depth_m[:, :, 0] - WALL_M)) < 0.02
 
 
@@ -118,6 +120,22 @@ def test_a_peak_that_is_too_near_is_no_surface():
     assert any("1 of 64 histograms have no peak in this range" in note for note in scene.notes)
 
 
+def test_the_noise_of_a_background_is_no_surface():
+    """However its highest bin stands out among so many."""
+    noise = counts()
+    noise[0] = np.random.default_rng(6).poisson(20.0, (8, BINS))
+    scene = load_scene(noise, *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES)
+    assert np.flatnonzero(~scene.valid).tolist() == list(range(8))
+
+
+def test_light_beyond_that_of_any_sensor_is_as_bright_as_light_can_be():
+    """Signal and background alike; no ambient light is to blame."""
+    scene = load_scene(1e6 * counts(), *SHAPE, bin_ps=BIN_PS, recorded_pulses=1)
+    arrivals = scene_light(scene, 0).arrivals
+    assert arrivals.photons.max() == 1e4
+    assert np.all(arrivals.background_cps == 1e12)
+
+
 def test_photons_of_a_bin_come_while_it_lasts():
     """As likely at its beginning as at its end. So few that no SPAD is dead."""
     late = np.zeros((*SHAPE, 8))
@@ -139,6 +157,11 @@ def test_unknown_pulses_are_scaled_to_the_light_of_the_sensor():
         light = Setup(config=CONFIG, scene=scene, klux=0.0).photons.light
         assert np.median(light.total_signal) == pytest.approx(0.613, rel=0.05)
         assert any("--recorded-pulses" in note for note in scene.notes)
+    bright = counts()
+    bright[0] *= 1000  # a few pixels with a mirror
+    scene = load_scene(bright, *SHAPE, bin_ps=BIN_PS)
+    light = Setup(config=CONFIG, scene=scene, klux=0.0).photons.light
+    assert np.median(light.total_signal) == pytest.approx(0.613, rel=0.1)
 
 
 def test_background_can_be_added():
@@ -156,6 +179,7 @@ def test_what_is_no_histogram_is_refused():
         (counts(), {"bin_ps": 0}, "bin_ps = 0"),
         (counts(), {"recorded_pulses": 0}, "recorded_pulses = 0"),
         (counts(), {"unit": "mm"}, "unit = 'mm': goes with depth files only"),
+        (counts(), {"colour": "a.png"}, "colour = 'a.png': goes with depth files only, not with"),
         (counts(), {"reflectivity": 0.9}, "reflectivity: goes with depth files and arrays"),
         (counts(), {"missing": np.array([1.0, 2.0])}, "missing = array.*goes with depth files"),
         (counts(), {"bin_ps": None, "recorded_pulses": 4}, "recorded_pulses = 4: goes with hist"),
