@@ -5,10 +5,14 @@ with the legal range.
 
 import io
 import re
+import shlex
 import tomllib
 from pathlib import Path
+from urllib.parse import parse_qsl
 
+import h5py
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
 
@@ -17,18 +21,20 @@ from coincid.model.contract.parameters import Sensor
 from coincid.model.scenes.ambient import ambient_klux
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.errors import InputError
+from coincid.study.explore import control_values
 from coincid.study.explore.control_values import (
     check_settings,
     command,
     config_toml,
     control_of,
     given_settings,
+    query,
     told_by_labels,
     values_of_link,
     without_lost_pictures,
 )
 from coincid.study.explore.controls import CONTROL, CONTROLS
-from coincid.study.explore.uploads import BYTES_MAX, NAME_MAX, Kept, Uploads
+from coincid.study.explore.uploads import BYTES_MAX, NAME_MAX, Kept, Uploads, parts_of
 
 ORIENTATION = 274  # tag of EXIF
 OTHER = dict(
@@ -85,6 +91,88 @@ def test_every_control_has_a_sentence_and_changes_the_settings(control):
         )
 
 
+WITH = {  # control: other settings with which it has an effect
+    "near_m": {"scene": "flat"},
+    "far_m": {"scene": "two-returns"},
+    "reflectivity": {"scene": "flat"},
+    "shade": {"scene": "tunnel"},
+    "shade_klux": {"sun": "left half"},
+    "spad_gate": {"gating": True},
+}
+OF_FILES = ("unit", "channel", "missing", "fov_deg", "z", "sky_m", "pulse")
+
+
+@pytest.mark.parametrize(
+    "control",
+    [one for one in CONTROLS if one.where is None and one.name not in OF_FILES],
+    ids=lambda control: control.name,
+)
+def test_every_control_beside_the_configuration_changes_the_experiment(control):
+    before = {"rows": 8, "cols": 8} | WITH.get(control.name, {})
+    changed = {control.name: other_value(control)}
+    assert check_settings(before | changed).setup().key != check_settings(before).setup().key
+
+
+def test_properties_of_the_detector_are_in_the_units_of_their_fields():
+    spad = check_settings(
+        {
+            "dead_ns": 12,
+            "jitter_ps": 50,
+            "dark_kcps": 3,
+            "crosstalk_percent": 5,
+            "afterpulse_percent": 7,
+        }
+    ).spad
+    found = (
+        spad.dead_time_s,
+        spad.jitter_fwhm_s,
+        spad.dark_cps,
+        spad.crosstalk_probability,
+        spad.afterpulse_probability,
+    )
+    assert found == pytest.approx((12e-9, 50e-12, 3000, 0.05, 0.07))
+
+
+ABOUT_A_FILE = {
+    "unit": "cm",
+    "channel": "Z",
+    "scale": 2.0,
+    "missing": 7.5,
+    "fov_deg": 60.5,
+    "z": True,
+    "sky_m": 50.0,
+}
+
+
+@pytest.mark.parametrize("archive", [False, True])
+def test_what_is_said_about_a_file_goes_with_the_file_alone(tmp_path, monkeypatch, archive):
+    """Everything, for an upload; nothing, for a built-in scene."""
+    given = []
+
+    def noted(source, rows, cols, **options):
+        given.append((source, options))
+        return load_scene("flat:5", rows, cols)
+
+    monkeypatch.setattr(control_values, "load_scene", noted)
+    np.savez(tmp_path / "d.npz", Z=np.full((32, 32), 4.0))
+    np.save(tmp_path / "d.npy", np.full((32, 32), 4.0))
+    depth = tmp_path / ("d.npz" if archive else "d.npy")
+    uploads = Uploads(depth=depth, colour=tmp_path / "c.png")
+    said = ABOUT_A_FILE | {"reflectivity": 0.3}
+    check_settings(said | {"scene": "upload"}, uploads).scene()
+    check_settings({"scene": "upload"}, uploads).scene()
+    check_settings(said | {"scene": "flat", "scale": 1.0}, uploads).scene()
+    range_m = check_settings({}).timing.range_m
+    of_upload = {"colour": uploads.colour, "range_m": range_m}
+    named = {"channel": None} if archive else {}
+    usual = {"unit": None, "channel": None, "scale": 1.0, "missing": None, "fov_deg": None}
+    assert given == [
+        (f"{depth}:Z" if archive else f"{depth}", {**said, **of_upload, **named}),
+        (f"{depth}", {**usual, "z": False, "sky_m": 10_000.0, "reflectivity": 0.4, **of_upload}),
+        ("flat:5,0.3", {"colour": None, "reflectivity": 0.4, "range_m": range_m}),
+    ]
+
+
 @pytest.mark.parametrize(
     "values", [{}, {"threshold": 5, "pulses": 50, "gating": True, "frames": 3, "subgroup": "4x4"}]
 )
@@ -105,6 +193,28 @@ def test_the_command_gives_the_same_settings_again():
     for given in ("threshold", "threshold=many", "moon=1", "depth_file=/none.png"):
         with pytest.raises(InputError, match="must be|no such file"):
             given_settings([given])
+
+
+@pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.name)
+def test_command_and_link_repeat_every_control(control):
+    values = {control.name: other_value(control)}
+    _assert_repeated(check_settings(values))
+
+
+@pytest.mark.parametrize(
+    "name", ["left eye.Z", "it's", "a&b=c#d+e%20", 'say "Z"', "$HOME `x`", "ü"]
+)
+def test_command_and_link_repeat_every_name_of_a_channel(name):
+    """As a shell reads the one, and a browser the other."""
+    _assert_repeated(check_settings({"channel": name, "threshold": 3}))
+
+
+def _assert_repeated(settings):
+    words = shlex.split(command(settings))
+    assert words[:2] == ["coincid", "explore"] and set(words[2::2]) == {"--set"}
+    assert given_settings(words[3::2]).values == settings.values
+    values, ignored = values_of_link(dict(parse_qsl(query(settings))))
+    assert not ignored and check_settings(values).values == settings.values
 
 
 def test_a_link_tells_everything_of_it_that_is_ignored_in_its_order():
@@ -139,6 +249,7 @@ def test_a_folder_in_place_of_a_file_is_refused(kind, tmp_path):
         ({"scene": "moon"}, "scene", "scene = 'moon': must be one of five-objects"),
         ({"gating": True, "gate_start": 300}, "gate_start", "subgroup.gate_start = 300: must be an integer from 0 to 249"),
         ({"rows": 512, "cols": 512, "pulses": 10_000}, "pulses", "pulses = 10000: must be an integer from 1 to 128"),
+        ({"rows": 256, "cols": 256, "pulses": 1000, "frames": 8}, "pulses", "pulses = 1000: must be an integer from 1 to 64"),
         ({"colour": 1}, None, "colour: unknown setting"),
     ],
 )  # fmt: skip
@@ -162,11 +273,12 @@ def test_numbers_per_frame_are_those_of_the_frame_that_is_set(pulses):
 
 
 def test_a_lost_picture_is_said_and_the_default_counts():
-    values = {"scene": "upload", "sun": "picture", "threshold": 3}
+    values = {"scene": "upload", "sun": "picture", "pulse": "file", "threshold": 3}
     kept, told = without_lost_pictures(values, Uploads())
     assert kept == {"threshold": 3}
     assert "Scene: the file is not here any more" in told and "The sun shines:" in told
-    there = Uploads(depth=Path("a.png"), sun=Path("b.png"))
+    assert "Pulse: the file is not here any more; please choose it again." in told
+    there = Uploads(depth=Path("a.png"), sun=Path("b.png"), pulse=Path("c.csv"))
     assert without_lost_pictures(values, there) == (values, "")
 
 
@@ -331,6 +443,44 @@ BAD = [
     ("depth.npy", lambda: np.zeros((0, 5)), "0 x 5 samples, must have 1 to 16 million"),
     ("depth.exe", lambda: b"MZ", "must be a depth file"),
 ]
+
+
+def test_an_exr_picture_is_as_large_as_its_display(tmp_path):
+    """However little of it the file stores."""
+    window = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "dataWindow": (np.int32([0, 0]), np.int32([3, 3])),
+        "displayWindow": (np.int32([0, 0]), np.int32([8999, 1999])),
+    }
+    path = tmp_path / "wide.exr"
+    OpenEXR.File(window, {"Z": np.full((4, 4), 4, np.float32)}).write(str(path))
+    with pytest.raises(InputError, match="^wide.exr: has 2000 x 9000 samples, must have 1 to 16"):
+        Uploads().with_path("depth", path)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "h5", "exr"])
+@pytest.mark.parametrize("names", [["Z"], ["Z", "far"]])
+def test_parts_of_a_file_are_told_if_there_is_a_choice(tmp_path, suffix, names):
+    path = tmp_path / f"d.{suffix}"
+    parts = {name: np.full((4, 4), 4, np.float32) for name in names}
+    if suffix == "npz":
+        np.savez(path, **parts, camera=np.ones(3))
+    elif suffix == "h5":
+        with h5py.File(path, "w") as archive:
+            archive.update(parts)
+            archive["camera"] = np.ones(3)
+    else:
+        form = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(form, parts).write(str(path))
+    assert sorted(parts_of(path)) == (sorted(names) if len(names) > 1 else [])
+
+
+def test_what_has_no_parts_has_no_choice(tmp_path):
+    (tmp_path / "bad.npz").write_bytes(b"no archive")
+    np.save(tmp_path / "d.npy", np.ones((4, 4)))
+    for path in (None, tmp_path / "d.npy", tmp_path / "bad.npz"):
+        assert parts_of(path) == []
 
 
 @pytest.mark.parametrize("name, content, sentence", BAD)
