@@ -17,6 +17,7 @@ from coincid.model.contract.config import parse_config
 from coincid.model.contract.counts import NO_GATE
 from coincid.model.contract.result import EVENT_COLUMNS, differences
 from coincid.model.golden.frame import golden_result
+from coincid.study.explore import out
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.messages import Question
 from coincid.study.explore.out import SAVES, events_csv
@@ -165,6 +166,27 @@ def test_the_saved_events_are_the_arrays_of_all_frames():
         numbers = [str(int(columns[name][n])) for name in EVENT_COLUMNS]
         assert lines[n + 1] == ",".join([*numbers, hexadecimal])
     assert len(lines) == 4
+
+
+def test_a_saved_picture_is_that_of_the_frame_that_is_shown(monkeypatch):
+    """With the name of its estimator, and the light."""
+    drawn = []
+
+    def noted(panels, truth_m, heading):
+        drawn.append((panels[0], heading))
+        return None, []
+
+    monkeypatch.setattr(out, "draw_row", noted)
+    monkeypatch.setattr(out, "figure_bytes", lambda figure, kind: kind.encode())
+    values = {"frames": 3, "method": "maximum", "klux": 7.0, "sun": "left half"}
+    explored = Explorer().run(check_settings(SMALL | values))
+    for frame in (1, 0, 2):
+        assert SAVES["png"].content(explored, frame) == b"png"
+        panel, heading = drawn[-1]
+        assert np.array_equal(panel.depth_m, explored.view(frame).depth_m, equal_nan=True)
+        assert np.array_equal(panel.reason, explored.view(frame).reason)
+        assert panel.title == "maximum"
+        assert heading == "five-objects, 7 klux on the left half, 5 klux on the right"
 
 
 def test_counts_are_saved_in_place_of_events():

@@ -3,13 +3,17 @@
 the fields to look at accept.
 """
 
+import base64
 import re
+from pathlib import Path
 
+import numpy as np
 import pytest
+from attrs import evolve
 from bokeh.document import Document
 
-from coincid.study.explore import messages
-from coincid.study.explore.control_values import check_settings
+from coincid.study.explore import messages, out
+from coincid.study.explore.control_values import check_settings, query
 from coincid.study.explore.controls import CONTROL, DEFAULTS
 from coincid.study.explore.stages import Explorer
 from coincid.study.explore.tab import Page, _summary
@@ -128,6 +132,83 @@ def test_what_is_looked_at_is_in_the_result(page, name, last):
         assert getattr(page.look, name) == 0
         page._ordered(messages.Step(name=name))
         assert getattr(page.look, name) == 1
+
+
+def test_after_a_result_the_last_frame_is_looked_at_inside_the_array(page):
+    """As the page is told, too."""
+    answered(page, rows=24, cols=40, pulses=20)
+    for name, value in {"row": 21, "col": 37, "pulse": 18, "frame": 0}.items():
+        assert look(page, name, value) == ""
+    answered(page, pulses=5, frames=2)
+    expected = messages.LookedAt(row=7, col=15, pulse=4, frame=1, which="B")
+    assert page.look == expected
+    assert messages.LookedAt(**page.link.answer["words"]["look"]) == expected
+
+
+def test_each_file_that_is_saved_is_new_and_of_the_frame_that_is_looked_at(page, monkeypatch):
+    saved = out.Save("a file", "a.bin", "a/b", lambda explored, frame: b"frame %d" % frame)
+    monkeypatch.setitem(out.SAVES, "png", saved)
+    answered(page)
+    for number, frame in enumerate((2, 0, 1, 1), start=1):
+        assert look(page, "frame", frame) == ""
+        page._ordered(messages.Save(kind="png"))
+        file = page.link.download
+        assert (file["number"], file["name"], file["type"]) == (number, "a.bin", "a/b")
+        assert base64.b64decode(file["base64"]) == b"frame %d" % frame
+
+
+def test_the_address_of_a_page_repeats_its_settings_and_its_uploads(page):
+    """Without uploads, there is no word of them."""
+    uploads = Uploads(sun=Path("sun.png"))
+    for given, suffix in ((Uploads(), ""), (uploads, "&uploads=1"), (Uploads(), "")):
+        explored = EXPLORER.run(check_settings(SMALL | {"threshold": 3}, given))
+        page._computed(page._run, "done", explored)
+        words = page.link.answer["words"]
+        assert words["query"] == query(explored.settings) + suffix
+        assert words["uploads"] == bool(suffix)
+    default = EXPLORER.run(check_settings({"scene": "flat"}))
+    page._computed(page._run, "done", evolve(default, settings=check_settings({})))
+    assert page.link.answer["words"]["query"] == ""
+
+
+def test_a_refused_file_stays_refused_until_another_one_takes_its_place(page):
+    """One of another kind does not; all are forgotten together."""
+    page.bad_uploads |= {"sun": "sun.png: is bad", "pulse": "a.csv: is bad"}
+    content = base64.b64encode(b"time_ps,density\n0,0\n250,1\n500,0\n").decode()
+    page._ordered(messages.Upload(kind="pulse", name="b.csv", content=content))
+    assert page.bad_uploads == {"sun": "sun.png: is bad"}
+    page._ordered(messages.Upload(kind="depth", name="b.exe", content=content))
+    assert list(page.bad_uploads) == ["sun", "depth"]
+    page._ordered(messages.Forget())
+    assert not page.bad_uploads and page.uploads == Uploads()
+
+
+def test_the_check_on_the_rtl_tells_its_share_and_its_verdict(page):
+    answered(page)
+    page._checker._deliver = lambda *what: None
+    run = page._checker.start(lambda progress: None)
+    for kind, outcome, text, bad in (
+        ("progress", ("RTL", 0.25), "RTL: 25%", False),
+        ("done", "Every word agrees", "Every word agrees", False),
+        ("done", "The RTL and the golden model differ: a", "The RTL and the golden model differ: a", True),
+        ("failed", "no tool", "The check did not run: no tool", True),
+    ):  # fmt: skip
+        page._checked(run, kind, outcome)
+        assert (page.link.rtl_check["text"], page.link.rtl_check["bad"]) == (text, bad)
+
+
+def test_what_is_doubted_about_an_uploaded_file_is_told_by_its_name(page, tmp_path):
+    """First of all, and without the folder in which the server keeps it."""
+    floor = np.linspace(900, 1500, 64 * 64).reshape(64, 64).astype(np.uint16) * 5
+    np.save(tmp_path / "floor.npy", floor)
+    uploads = Uploads(depth=tmp_path / "floor.npy")
+    values = SMALL | {"rows": 16, "scene": "upload", "klux": 1.0}
+    explored = EXPLORER.run(check_settings(values, uploads))
+    page._computed(page._run, "done", explored)
+    words = page.link.answer["words"]
+    for told in (words["notes"], words["wastes"]):
+        assert told[0].startswith("floor.npy: the samples look like TUM")
+        assert not any(str(tmp_path) in one for one in told)
 
 
 def asked(page, number, **values):
