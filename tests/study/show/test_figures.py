@@ -11,21 +11,31 @@ import pytest
 from bokeh.models import ColorBar, ColumnDataSource
 
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.edges import Fate
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.depth.belief import Reason
 from coincid.model.shared.errors import InputError
 from coincid.study.pictures import REASONS
 from coincid.study.show import notebook
 from coincid.study.show.figures import (
+    CLICKS,
+    COMPARED,
     COUNTS,
+    FATE_MARKS,
+    FATES,
     LIGHT,
     MAPS,
+    VERDICT_MARKS,
+    VERDICTS,
     HistogramFigure,
     MapFigure,
+    TimelineFigure,
+    Views,
     cursor_columns,
     map_columns,
     map_scales,
 )
+from coincid.study.show.timeline import Verdict
 
 ROWS, COLS = 12, 20
 CONFIG = parse_config({"sensor": {"rows": ROWS, "cols": COLS, "subgroup": [4, 10]}})
@@ -78,6 +88,79 @@ def test_all_views_share_a_scale_that_holds_them_in_any_order():
         assert all(low <= getattr(one, name).min() for one in views)
         assert all(getattr(one, name).max() <= high for one in views)
     assert scales["truth_m"] == scales["depth_m"]
+    assert scales["error_m"] == (-0.5, 0.5) and scales["confidence"] == (0, 1)
+
+
+FATE_KEY = {  # fate: marker in the figure, the same sign beside it, meaning
+    Fate.OPENING: ("triangle", "▲", "opened a window"),
+    Fate.COUNTED: ("circle", "●", "counted in a window"),
+    Fate.DUPLICATE: ("x", "×", "the pixel was counted already"),
+    Fate.MASKED: ("dash", "▬", "pixel masked off"),
+    Fate.GATED: ("square_pin", "■", "outside the gate"),
+    Fate.BLIND: ("inverted_triangle", "▼", "tree not armed"),
+}
+VERDICT_KEY = {  # verdict: hatching in the figure, the same beside it, meaning
+    Verdict.COMMITTED: (" ", "▌", "committed"),
+    Verdict.REJECTED: ("/", "▨", "rejected: too few pixels"),
+    Verdict.DROPPED: ("x", "▩", "dropped: FIFO full"),
+}
+
+
+@pytest.mark.parametrize(
+    ("key", "drawn", "beside"),
+    [(FATE_KEY, FATES, FATE_MARKS), (VERDICT_KEY, VERDICTS, VERDICT_MARKS)],
+    ids=["fates", "verdicts"],
+)
+def test_the_key_beside_a_figure_has_the_sign_the_colour_and_the_meaning_of_each_mark(
+    key, drawn, beside
+):
+    assert drawn.keys() == key.keys()
+    for (kind, (form, sign, meaning)), mark in zip(key.items(), beside, strict=True):
+        colour, *others = drawn[kind]
+        assert others == [form, meaning]
+        assert mark == (sign, colour, meaning)
+    assert len({colour for colour, *_ in drawn.values()}) == len(drawn)
+
+
+def test_errors_are_blue_in_front_white_where_right_and_orange_behind():
+    empty = ColumnDataSource({})
+    one = MapFigure("error_m", "map", ColumnDataSource(map_columns(view_of(1))), empty, empty)
+    one.show(view_of(1), map_scales([view_of(1)])["error_m"])
+    colours = [colour_of(one.mapper, error_m) for error_m in (-0.5, -0.001, 0.001, 0.5)]
+    assert colours == ["#0072b2", "#f7f7f7", "#f7f7f7", "#d55e00"]
+
+
+@pytest.mark.parametrize("shows", COUNTS)
+def test_each_small_number_has_a_colour_of_its_own_whatever_was_shown_before(shows):
+    """In the middle of its part of the scale; larger ones share a scale without steps."""
+    empty = ColumnDataSource({})
+    one = MapFigure(shows, "map", ColumnDataSource(map_columns(view_of(1))), empty, empty)
+    for high in (3.0, 20.0, 5.0, 8.0, 9.0, 2.0):
+        one.show(view_of(1), (0, high))
+        mapper = one.mapper
+        if high <= 8:
+            numbers = range(int(high) + 1)
+            assert len({colour_of(mapper, number) for number in numbers}) == len(numbers)
+            assert all(
+                colour_of(mapper, number - 0.4) == colour_of(mapper, number + 0.4)
+                for number in numbers
+            )
+        else:
+            assert (mapper.low, mapper.high, len(mapper.palette)) == (0, high, 256)
+
+
+@pytest.mark.parametrize("compared", [False, True])
+def test_a_click_on_any_map_picks_the_pixel_below_it(compared):
+    """By a mouse or a finger."""
+    views = Views(compared=compared)
+    picked = []
+    views.on_pick(lambda row, col: picked.append((row, col)))
+    maps = [*views.a_maps, *views.maps]
+    assert len(maps) == len(MAPS) + compared * len(COMPARED)
+    for one in maps:
+        for click in CLICKS:
+            one.figure._trigger_event(click(one.figure, x=17.4, y=2.6))
+    assert picked == [(3, 17)] * len(maps) * len(CLICKS)
 
 
 @pytest.mark.parametrize("shows", MAPS)
@@ -138,6 +221,25 @@ def test_a_map_draws_its_own_picture_bar_and_frames(shows):
         assert [line.line_color for line in lines] == ["black", "white"]
         assert lines[0].line_width > lines[1].line_width
         assert all(line.line_dash == dash for line in lines)
+
+
+def test_a_view_in_a_notebook_is_that_of_its_frame_and_method(monkeypatch):
+    monkeypatch.setattr(notebook, "FrameView", lambda title, frame: (title, frame))
+    run = SimpleNamespace(config=SimpleNamespace(frames=3), frame=lambda *given: given)
+    assert notebook.run_view(run) == ("frame 0", (0, None))
+    assert notebook.run_view(run, 2, "planes") == ("frame 2", (2, "planes"))
+    for frame in (-1, 3):
+        with pytest.raises(InputError, match=f"frame = {frame}: must be an integer from 0 to 2"):
+            notebook.run_view(run, frame)
+
+
+def test_a_period_in_a_notebook_is_that_of_its_subgroup_pulse_and_frame(monkeypatch):
+    asked, shown = [], []
+    monkeypatch.setattr(notebook, "run_view", lambda *given: asked.append(given) or "a view")
+    monkeypatch.setattr(TimelineFigure, "show", lambda self, *given: shown.append(given))
+    run = SimpleNamespace(config=SimpleNamespace(sensor=CONFIG.sensor, pulses=9))
+    notebook.plot_timeline(run, 5, 8, frame=2)
+    assert asked == [(run, 2)] and shown == [("a view", 5, 8)]
 
 
 def test_a_histogram_in_a_notebook_is_that_of_the_pixel_by_rows(monkeypatch):

@@ -109,6 +109,46 @@ def test_light_in_bins_is_shown(recorded):
     ]
 
 
+def test_background_in_bins_is_shown_and_no_share_of_the_sun_is_told(recorded):
+    """That of the histograms and that of the surroundings, per laser period of 500 ns."""
+    counts = np.full((8, 8, 100), 2.0)
+    counts[:, :, 40] += 40
+    scene = load_scene(counts, 8, 8, bin_ps=500.0, recorded_pulses=100)
+    for klux, more in ((0.0, 0.0), (50.0, 1.226e6 * 500e-9)):
+        sensor = {"rows": 8, "cols": 8}
+        setup = Setup.of(scene, sensor=sensor, frame={"pulses": 20}, klux=klux)
+        view = FrameView("a frame", Run(setup).frame())
+        assert view.background == pytest.approx(np.full((8, 8), 20.0 + more))
+        assert view.numbers["sun_share"] is None
+
+
+def test_a_report_has_the_gates_and_the_returns_of_all_pixels():
+    """A period has the number subgroup * pulses + pulse, of the pulses that are kept."""
+    setup = Setup.of(
+        "two-returns:3,6",
+        sensor={"rows": 8, "cols": 16},
+        frame={"pulses": 8, "gate_every": 2, "gate_steps": 3, "gate_step": 7},
+        klux=5.0,
+    )
+    config = setup.config.with_settings(gating=[True, False], gate_start=[9, 4], gate_len=60)
+    view = FrameView("a frame", Run(setup.but(config=config)).frame())
+    sources = report._sources(view, 5)
+    gates = sources["gates"].data
+    first = [9, 9, 16, 16, 23]
+    assert gates["first"].tolist() == [*first, *[0] * 5]
+    assert gates["end"].tolist() == [*(start + 60 for start in first), *[config.period] * 5]
+    returns = sources["returns"].data
+    assert np.array_equal(
+        returns["at_m"], view.candidate_m.astype(np.float32).ravel(), equal_nan=True
+    )
+    assert view.candidate_m.shape == (8, 16, 4)
+    assert np.array_equal(
+        returns["confidence"],
+        view.candidate_confidence.astype(np.float32).ravel(),
+        equal_nan=True,
+    )
+
+
 def objects_of(labels, distance_m, signal, reflectivity, depth_m):
     """Return the objects of pictures of 2 x 5 pixels, by name."""
     distance_m = np.array(distance_m)[:, :, None]
