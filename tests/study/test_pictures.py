@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from coincid.model.depth.belief import SENTENCES, Reason
 from coincid.study import animation, pictures
@@ -99,22 +100,27 @@ def test_each_picture_of_light_has_the_same_room(monkeypatch, tmp_path):
     assert heights_in == pytest.approx([pictures.PANEL_IN * ROWS / COLS + 1.1] * 4)
 
 
-def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path):
-    """That of all their truths, so that the same colour is the same distance."""
-    spans = []
+@pytest.mark.parametrize(("suffix", "kind"), [("gif", "GIF"), ("png", "PNG"), ("PNG", "PNG")])
+def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path, suffix, kind):
+    """That of all their truths, so that the same colour is the same distance. Each has its number."""
+    spans, titles = [], []
 
-    def draw(*given, span_m):
+    def draw(panels, *given, span_m):
         spans.append(span_m)
-        return draw_row(*given, span_m=span_m)
+        titles.append(panels[0].title)
+        return draw_row(panels, *given, span_m=span_m)
 
     monkeypatch.setattr(animation, "draw_row", draw)
     frames = []
-    for number, wall_m in enumerate((5.0, 3.0, 12.0)):
+    for number, wall_m in {4: 5.0, 2: 3.0, 7: 12.0}.items():
         wall = np.full((4, 4), wall_m)
         first = SimpleNamespace(reason=np.zeros((4, 4), np.uint8))
         frames.append(SimpleNamespace(number=number, truth_m=wall, depth_m=wall, first=first))
-    animation.write_animation(tmp_path / "moves.gif", frames)
+    animation.write_animation(tmp_path / f"moves.{suffix}", frames)
     assert spans == [(3.0, 12.0)] * 3
+    assert titles == [f"depth, frame {number}" for number in (4, 2, 7)]
+    with Image.open(tmp_path / f"moves.{suffix}") as written:
+        assert (written.format, written.n_frames) == (kind, 3)
 
 
 def test_light_is_told_as_its_share_of_the_truth(monkeypatch, tmp_path):

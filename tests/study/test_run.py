@@ -355,6 +355,21 @@ def test_an_array_of_distances_is_a_scene():
         ((None, "flat:5"), {"threshold": 99}, "subgroup.threshold = 99: must be"),
         ((None, "flat:5"), {"scale": 3.0}, "scale = 3.0: goes with depth files only"),
         ((None, "flat:5"), {"reflectivity": 0.9}, "reflectivity: goes with depth files and arr"),
+        (
+            (None, load_scene("flat:5", 8, 8)),
+            {"reflectivity": 0.9},
+            "^reflectivity: goes with depth",
+        ),
+        (
+            (None, load_scene("flat:5", 8, 8)),
+            {"missing": np.ones(2)},
+            "^missing: goes with depth f",
+        ),
+        (
+            (None, load_scene("flat:5", 8, 8)),
+            {"fov_deg": 30},
+            "^fov_deg: goes with depth files and",
+        ),
         ((None, [[5.0, 5.0]]), {}, r"scene = list \(numpy.array\(scene\) makes an array"),
         ((None, "flat:5"), {"klux": 1e12}, "klux = 1000000000000.0: is too much ambient light: a"),
     ],
@@ -362,6 +377,23 @@ def test_an_array_of_distances_is_a_scene():
 def test_what_simulate_refuses(arguments, options, words):
     with pytest.raises(coincid.InputError, match=words):
         coincid.simulate(*arguments, **options)
+
+
+def test_a_saved_depth_is_that_of_the_options(run, tmp_path):
+    for options in ({}, {"method": "maximum"}, {"returns": 3}):
+        run.save_depth(tmp_path / "depth.npz", **options)
+        expected_m = run.depth(**options).depth_m
+        with np.load(tmp_path / "depth.npz") as written:
+            assert np.array_equal(written["depth_m"], expected_m, equal_nan=True)
+
+
+def test_a_configuration_may_have_the_name_of_a_scene(tmp_path, monkeypatch):
+    """If there is such a file, it is meant."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(coincid.InputError, match="config = 'flat': is a scene"):
+        coincid.simulate("flat")
+    (tmp_path / "flat").write_text("[sensor]\nrows = 8\ncols = 8\n", encoding="utf-8")
+    assert coincid.simulate("flat", "flat:5", pulses=3).config.sensor.rows == 8
 
 
 def test_settings_are_options_of_simulate():
