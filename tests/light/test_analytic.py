@@ -333,3 +333,14 @@ def test_bad_input_names_field_and_range(change, message):
     )
     with pytest.raises(InputError, match=message):
         histogram(**(setting | change))
+
+
+def test_thresholds_are_the_ends_of_those_that_are_nearly_the_best():
+    """With the usual slack of a hundredth, or another one; its end belongs to it."""
+    success = np.array([0.98, 0.991, 1.0, 0.9901, 0.989, 0.5, 0.1])
+    assert analytic.lowest_threshold(success) == 2
+    assert analytic.expected_threshold(success) == 4
+    success = np.array([0.5, 0.875, 1.0, 0.25, 0.875, 0.874, 0.0])
+    assert analytic.lowest_threshold(success, 0.125) == 2
+    assert analytic.expected_threshold(success, 0.125) == 5
+    assert analytic.lowest_threshold(success, 0) == analytic.expected_threshold(success, 0) == 3

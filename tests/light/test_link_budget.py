@@ -185,6 +185,34 @@ def test_every_property_of_a_part_changes_the_budget(part):
         assert len(OTHER_PARTS[part]) == len(type(OTHER_PARTS[part][0]).__attrs_attrs__)
 
 
+UNITS = {
+    "distance_m": "m",
+    "klux": "klux",
+    "aperture_m2": "m2",
+    "focal_length_m": "m",
+    "photon_energy_j": "J",
+    "target_area_m2": "m2",
+    "irradiance_w_m2": "W/m2",
+    "signal_rate_cps": "1/s",
+    "background_rate_cps": "1/s",
+    "background_live_cps": "1/s",
+    "sbr_window_s": "s",
+    "sbr_db": "dB",
+}
+
+
+@pytest.mark.parametrize("reading", ["A", "E", "F"])
+def test_each_line_has_its_unit_and_what_was_given(reading):
+    """Names end with the unit if there is one; the others are numbers and texts without."""
+    budget = link_budget(4.0, 0.3, 70, sbr_reading=reading, form="corrected", spectrum="planck")
+    lines = {name: (value, unit) for name, value, unit, _ in budget.rows()}
+    assert {name: unit for name, (_, unit) in lines.items() if unit} == UNITS
+    given = {"distance_m": 4.0, "reflectivity": 0.3, "klux": 70.0, "sbr_reading": reading}
+    given |= {"form": "corrected", "spectrum": "planck"}
+    given["sbr_window_s"] = 5e-9 if reading == "F" else 100e-12
+    assert {name: lines[name][0] for name in given} == given
+
+
 def test_lines_and_json():
     budget = link_budget(4.0, 0.4, 50, sbr_reading="F")
     assert tuple(budget.json()) == JSON_KEYS

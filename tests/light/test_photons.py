@@ -482,6 +482,39 @@ def test_code_density_finds_the_taps():
     assert np.all(np.abs(found.inl_lsb - np.cumsum(width_lsb - 1)) < 4.5 * border_sigma_lsb)
 
 
+def test_code_density_by_hand():
+    """One edge per phase is enough, for any number of phases."""
+    found = code_density(np.array([0, 5, 9, 2, 6, 10, 7, 3], np.uint16), 4)
+    assert found.dnl_lsb.tolist() == [-0.5, 0.0, 0.5, 0.0]
+    assert found.inl_lsb.tolist() == [-0.5, -0.5, 0.0, 0.0]
+    share = np.array([1, 2, 3, 2]) / 8
+    assert found.sigma_lsb == pytest.approx(4 * np.sqrt(share * (1 - share) / 8))
+    assert found.edges == 8
+    for phases in (2, 1024):
+        even = code_density(np.arange(phases), phases)
+        assert not even.dnl_lsb.any() and even.edges == phases
+        with pytest.raises(InputError, match=rf"must hold at least one per phase \({phases}\)"):
+            code_density(np.arange(phases - 1), phases)
+    for phases in (1, 1025):
+        with pytest.raises(InputError, match=f"phases = {phases}: must be an integer from 2 to 10"):
+            code_density(np.arange(2000), phases)
+
+
+@pytest.mark.parametrize(
+    ("signal", "is_told"),
+    [
+        ([2.5, 2.5, 2.5, 0.1, 0, 0, 0, 0], True),
+        ([2.0] * 8, False),
+        ([1.0, 1.0, 1.0, 90.0, 0, 0, 0, 0], False),
+        ([0.0] * 8, False),
+    ],
+)
+def test_too_much_light_is_that_of_half_the_pixels_that_have_any(signal, is_told):
+    notes = light(1, 8, signal=np.array(signal)).notes()
+    assert len(notes) == is_told
+    assert "more than 2.5 photons per pulse" in "".join(notes) or not is_told
+
+
 def test_presets():
     assert background_cps(50) == pytest.approx(1.226e6)
     assert background_cps(5) == pytest.approx(1.226e5)
@@ -531,6 +564,10 @@ def test_dark_counts_and_hot_pixels():
         (
             lambda: Timing(tap_width_lsb=np.full(32, 1.1)),
             r"tap_width_lsb: sums to 35.2, must sum to the 32 phases",
+        ),
+        (
+            lambda: Timing(tap_width_lsb=np.r_[np.ones(31), 1.001]),
+            r"tap_width_lsb: sums to 32.001, must sum to the 32 phases",
         ),
         (lambda: Timing(period_cycles=0), r"period_cycles = 0: must be an integer from 1"),
         (lambda: light(signal=-1.0), r"signal_per_pulse\[0, 0\] = -1.0: must be from 0 to 10000"),
