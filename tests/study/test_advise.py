@@ -12,7 +12,7 @@ from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup, for_pictures
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.scenes.catalogue import load_scene
-from coincid.study.advise import Advice, Tried, advise, cheapest, links_of, write_advice
+from coincid.study.advise import HEADS, Advice, Tried, advise, cheapest, links_of, write_advice
 from coincid.study.advise import _limit as limit
 from coincid.study.explain import meaning, warnings
 from coincid.study.price import (
@@ -584,6 +584,27 @@ def test_the_numbers_of_an_advice_are_in_the_units_that_it_tells():
         f" {advice.price}."
     )
     assert best.frames_per_s == pytest.approx(1 / frame_s)
+
+
+def test_each_number_of_a_row_stands_below_its_head():
+    """In the table that is written, and on the console."""
+    config = parse_config({"frame": {"pulses": 100, "clock_mhz": 500, "link_gbps": 4}})
+    config = config.with_settings(threshold=3, window=32)
+    shares = {"wrong": 0.1, "far": 0.2, "dropped": 0.3, "load": 0.4}
+    one = Tried(config=config, error_mm=9.0, bits=700, **shares)
+    assert dict(zip(HEADS, one.row(), strict=True)) == {
+        "threshold": "3",
+        "window, ns": pytest.approx(2.0),
+        "format": config.format,
+        "link, Gbit/s": 4.0,
+        "wrong pixels": 0.1,
+        "off by 15 cm": 0.2,
+        "error, mm": 9.0,
+        "bits per frame": 700,
+        "dropped": 0.3,
+        "link load": 0.4,
+        "frames per second": pytest.approx(one.frames_per_s),
+    }
 
 
 @pytest.mark.parametrize("light", ("transient", "light"))

@@ -163,3 +163,46 @@ def test_the_console_tells_the_bits_of_counts():
         ["with fixed", "128,128", "50.0%", "22.0%", "2.5%"],
         ["with auto", "192,192", "75.0%", "33.0%", "3.7%"],
     ]
+
+
+@pytest.mark.parametrize(
+    ("engine", "settling", "pictures", "frames"),
+    [
+        ("golden", None, 1, 8),
+        ("sliced", None, 1, 8),
+        ("verilator", None, 1, 8),
+        ("icarus", None, 1, 2),  # which is slow
+        ("icarus", None, 3, 3),
+        ("golden", None, 3, 3),
+        ("icarus", 5, 1, 5),
+        ("golden", 2, 3, 2),
+    ],
+)
+def test_the_controller_has_the_frames_that_are_given_or_those_of_the_pictures(
+    engine, settling, pictures, frames
+):
+    scene = SimpleNamespace(pictures=pictures, later=(None,) * (pictures - 1))
+    assert simulate._frames_of(scene, engine, settling) == frames
+
+
+def test_events_of_all_schemes_together_must_fit_on_a_page(monkeypatch):
+    monkeypatch.setattr(simulate, "PAGE_EVENTS_MAX", 1000)
+
+    def frame(stored):
+        return SimpleNamespace(counter=lambda name: {"stored": np.array(stored)}[name])
+
+    fits = {"off": frame([300, 200]), "auto": frame([500, 0])}
+    assert simulate._too_many_for_page(fits) == ""
+    told = simulate._too_many_for_page(fits | {"fixed": frame([0, 234])})
+    assert told == "report.html is left out: its frames have 1,234 events, 1,000 fit on it"
+
+
+def test_counters_that_are_full_are_told_by_their_names():
+    result = SimpleNamespace(config=CONFIG, counters=np.zeros((2, 2, len(COUNTER_NAMES)), np.int64))
+    assert simulate._told_full(result) == []
+    for name in ("stored", "dropped"):
+        result.counters[1, 0, COUNTER_NAMES.index(name)] = CONFIG.sensor.counter_max
+    (told,) = simulate._told_full(result)
+    end = f"{CONFIG.sensor.counter_max:,} (sensor.counter_bits = {CONFIG.sensor.counter_bits})"
+    names = ", ".join(name for name in COUNTER_NAMES if name in ("stored", "dropped"))
+    assert told == f"note: counters at their end, {end}, have counted more: {names}"

@@ -249,7 +249,7 @@ def test_a_folder_in_place_of_a_file_is_refused(kind, tmp_path):
         ({"scene": "moon"}, "scene", "scene = 'moon': must be one of five-objects"),
         ({"gating": True, "gate_start": 300}, "gate_start", "subgroup.gate_start = 300: must be an integer from 0 to 249"),
         ({"rows": 512, "cols": 512, "pulses": 10_000}, "pulses", "pulses = 10000: must be an integer from 1 to 128"),
-        ({"rows": 256, "cols": 256, "pulses": 1000, "frames": 8}, "pulses", "pulses = 1000: must be an integer from 1 to 64"),
+        ({"rows": 256, "cols": 256, "pulses": 100, "frames": 8}, "pulses", "pulses = 100: must be an integer from 1 to 64"),
         ({"colour": 1}, None, "colour: unknown setting"),
     ],
 )  # fmt: skip
