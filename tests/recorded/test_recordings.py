@@ -559,6 +559,27 @@ def test_errors_at_the_command_line(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
 
 
+def test_the_command_tells_what_was_read_what_was_lost_and_what_is_left(tmp_path):
+    """A line each, in this order; nothing is said of what did not happen."""
+    channel = [9, 3, 70, 9, 3, 9, 5]
+    time_ps = [0, 1000, 2000, 400_000, 401_000, 800_000, 801_000]
+    np.savez(tmp_path / "a.npz", channel=channel, time_ps=time_ps)
+    size = "--set rows=8 --set cols=8 --set pulses=2"
+    recorded, out = tmp_path / "a.npz", tmp_path / "b.npz"
+    result = command(f"edges {recorded} --out {out} --sync-channel 9 {size}")
+    assert result.stdout.splitlines() == [
+        f"{recorded}: table of absolute times, 4 photons",
+        "laser period: 400 ns in the recording, 500 ns in the frame (frame.period = 200 would fit)",
+        "left out: 1 after sync 1, the last of 1 x 2 pulses; 1 in channels without a pixel",
+        f"{out}: 2 edges",
+    ]
+    again = command(f"edges {out} --out {tmp_path / 'c.csv'} {size}")
+    assert again.stdout.splitlines() == [
+        f"{out}: table of edges, 2 photons",
+        f"{tmp_path / 'c.csv'}: 2 edges",
+    ]
+
+
 def test_times_keep_their_picoseconds(tmp_path):
     """Taggers count for months; float64 holds no integer above 2^53 (Photon-HDF5 keeps
     timestamps as int64 for it).
@@ -634,14 +655,15 @@ def scan(tmp_path, records, rows, cols, **more):
     return read, (read.time_ps // 125).astype(int)
 
 
-def test_a_scan_that_begins_within_a_frame(tmp_path):
+@pytest.mark.parametrize("marked", [1, 2])
+def test_a_scan_that_begins_within_a_frame(tmp_path, marked):
     """`ptufile.decode_image` leaves out what is before the first frame marker, because its rows
-    are unknown.
+    are unknown. marked: the first frame with a marker; whole frames before it are counted back.
     """
     rows, cols, dwell = 4, 4, 5
     records, at = [], 10
     for frame in range(3):
-        if frame:
+        if frame >= marked:
             records.append(t3(1, 4, 0, at))
             at += 3
         for row in range(rows if frame else 2):

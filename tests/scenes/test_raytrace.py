@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from attrs import evolve, fields_dict
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage, stats
@@ -158,10 +159,12 @@ def test_surface_that_fills_most_of_a_pixel():
 def test_transient_file_and_depth(tmp_path):
     table = np.zeros((1, 2, 900))
     table[0, 0, [200, 201, 800]] = 1, 2, 1.5
-    transient = synthetic(table)
+    transient = evolve(synthetic(table, surface_m=[[5.0, 6.0]], ambient=0.3), lost_per_m2=0.25)
     transient.save(tmp_path / "t.npz")
     again = Transient.load(tmp_path / "t.npz")
-    assert np.array_equal(again.index, transient.index) and again.lost_per_m2 == 0
+    for name in fields_dict(Transient):
+        assert np.array_equal(getattr(again, name), getattr(transient, name)), name
+    assert isinstance(again.lost_per_m2, float)
     assert again.depth_m()[0, 0] == pytest.approx((201 + 1 / 6) * BIN_M) and np.isnan(
         again.depth_m()[0, 1]
     )
@@ -261,6 +264,35 @@ def test_pixels_without_a_truth_are_masked(stub, surface_m, masked, words):
     assert np.isnan(scene.truth_m).sum() == masked
     assert any(re.search(words, told) for told in (*scene.doubts, *scene.notes))
     assert photons_in(scene_light(scene, 50)).min() > 0  # their light stays
+
+
+@pytest.mark.parametrize(
+    ("returned", "lost", "told"),
+    [
+        (1.0, 10.0, "20.0% of the light comes after 2 laser periods and is left out"),
+        (1.0, 0.05, "0.1% of the light comes after 2 laser periods and is left out"),
+        (1.0, 0.03, ""),
+        (0.0, 0.0, "nothing of the laser's light comes back"),
+        (0.0, 1.0, "nothing of the laser's light comes back"),
+    ],
+)
+def test_light_that_does_not_come_back_in_time_is_told_as_a_share_of_all(
+    stub, returned, lost, told
+):
+    """Of 40 bins with light. A hardly noticeable share is not told."""
+    stub.transient = evolve(synthetic(np.full((2, 2, 10), returned)), lost_per_m2=lost)
+    scene = load_scene(str(stub.path), 2, 2)
+    words = " ".join((*scene.doubts, *scene.notes))
+    assert (told in words) if told else ("comes after" not in words and "nothing" not in words)
+    assert bool(scene.doubts) == (returned == 0)
+
+
+def test_what_is_brighter_than_white_is_white(stub):
+    """Such as the open sky behind a lens; the background keeps its light."""
+    stub.transient = synthetic(np.ones((2, 2, 10)), ambient=1.5)
+    scene = load_scene(str(stub.path), 2, 2)
+    assert np.all(scene.reflectivity == 1)
+    assert scene_light(scene, 50).background_cps == pytest.approx(1.226e6 * 1.5 / 0.4)
 
 
 @pytest.mark.parametrize(
