@@ -276,7 +276,9 @@ def test_ply_holds_the_points(run, tmp_path):
     seen = ~np.isnan(depth.depth_m)
     assert points["signal"] == pytest.approx(depth.signal_per_pulse[seen])
     assert points["signal_error"] == pytest.approx(depth.signal_error[seen])
-    assert b"property uchar reason\n" in header and b"comment reason 1: no light" in header
+    properties = [line for line in header.decode().splitlines() if line.startswith("property")]
+    assert properties == [*(f"property float {name}" for name in numbers), "property uchar reason"]
+    assert b"comment reason 1: no light" in header
     with pytest.raises(coincid.InputError, match="the folder .* does not exist"):
         run.to_ply(tmp_path / "none" / "cloud.ply")
     assert not (tmp_path / "none").exists()
@@ -353,6 +355,11 @@ def test_an_array_of_distances_is_a_scene():
         ((None, None), {}, "scene = None: must be a Scene"),
         ((None, "flat:5"), {"thresold": 3}, "thresold: unknown argument or setting"),
         ((None, "flat:5"), {"threshold": 99}, "subgroup.threshold = 99: must be"),
+        (
+            (None, "flat:5"),
+            {"threshold": [3, 99, 3, 9], "rows": 16, "cols": 16},
+            r"^subgroup.threshold\[1\] = 99: must be",
+        ),
         ((None, "flat:5"), {"scale": 3.0}, "scale = 3.0: goes with depth files only"),
         ((None, "flat:5"), {"reflectivity": 0.9}, "reflectivity: goes with depth files and arr"),
         (

@@ -417,6 +417,8 @@ def test_a_file_that_is_given_is_used_unless_its_control_says_otherwise(
     assert used.values[control] == using and command(used).endswith(f"{kind}_file={path.name}")
     unused = given_settings([file, f"{control}={other}"])
     assert unused.values[control] == other and "_file" not in command(unused)
+    assert unused.pulse() is None and unused.light(unused.scene()).pulse is None
+    assert (used.light(used.scene()).pulse is not None) == (kind == "pulse")
 
 
 def test_the_light_is_told_with_the_part_that_it_is_of(tmp_path):

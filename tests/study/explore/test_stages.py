@@ -193,6 +193,7 @@ def test_counts_are_saved_in_place_of_events():
     explored = Explorer().run(check_settings(SMALL | {"format": "counts", "klux": 80.0}))
     rows = list(csv.DictReader(SAVES["csv"].content(explored, 0).decode().splitlines()))
     result = explored.run.result
+    assert np.isnan(explored.view().bound_mm).all()  # which is that of events
     assert len(rows) == 2 * result["count_pulses"].size
     hits = np.array([[int(row[name]) for name in row if name.startswith("hits")] for row in rows])
     assert (

@@ -32,6 +32,7 @@ from coincid.study.show.figures import (
     TimelineFigure,
     Views,
     cursor_columns,
+    histogram_title,
     map_columns,
     map_scales,
 )
@@ -147,6 +148,43 @@ def test_each_small_number_has_a_colour_of_its_own_whatever_was_shown_before(sho
             )
         else:
             assert (mapper.low, mapper.high, len(mapper.palette)) == (0, high, 256)
+
+
+def scale_of(one):
+    return one.mapper.low, one.mapper.high, tuple(one.mapper.palette)
+
+
+def test_compared_maps_have_their_letters_and_one_scale():
+    """A and B, whichever has the larger numbers; alone, a frame has no letter."""
+    small, large = view_of(1), view_of(2, scale=3.0)
+    views = Views(compared=True)
+    for b, a in ((small, large), (large, small)):
+        views.show(b, a)
+        of_b = {one.shows: one for one in views.maps}
+        for one in views.a_maps:
+            title = MAPS[one.shows][0]
+            assert one.figure.title.text == f"A: {title}"
+            assert of_b[one.shows].figure.title.text == f"B: {title}"
+            assert scale_of(one) == scale_of(of_b[one.shows])
+        assert scale_of(of_b["depth_m"])[:2] == map_scales([small, large])["depth_m"]
+        for source, view in ((views.pictures, b), (views.others, a)):
+            assert np.array_equal(source.data["depth_m"][0], view.depth_m.astype(np.float32))
+    views.show(small)
+    assert [one.figure.title.text for one in views.maps] == [title for title, _ in MAPS.values()]
+
+
+@pytest.mark.parametrize(
+    ("truth_m", "depth_m", "told"),
+    [
+        (4.125, 5.5, "truth 4.12 m, depth 5.50 m"),
+        (np.nan, 5.5, "no truth, depth 5.50 m"),
+        (4.0, np.nan, "truth 4.00 m, no depth"),
+    ],
+)
+def test_the_title_of_a_histogram_tells_the_place_and_what_is_known(truth_m, depth_m, told):
+    maps = {name: np.full((ROWS, COLS), 9.0) for name in ("truth_m", "depth_m")}
+    maps["truth_m"][3, 17], maps["depth_m"][3, 17] = truth_m, depth_m
+    assert histogram_title(SimpleNamespace(**maps), 3, 17) == f"row 3, column 17: {told}"
 
 
 @pytest.mark.parametrize("compared", [False, True])
