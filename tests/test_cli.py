@@ -201,6 +201,8 @@ def test_a_module_that_is_not_there_is_an_error_of_our_own(monkeypatch):
 def test_pictures_are_files_whatever_the_surroundings_say(monkeypatch):
     """A way to windows that is not there would end the program."""
     monkeypatch.setenv("MPLBACKEND", "tkagg")
+    for name in ("COLUMNS", "LINES", "SOURCE_DATE_EPOCH"):
+        monkeypatch.setenv(name, "80")
     monkeypatch.setattr("coincid.cli.app", lambda: sys.exit(3))
     monkeypatch.setattr("coincid.model.shared.interrupts.interruptible", lambda: None)
     assert program._command() == 3

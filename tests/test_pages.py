@@ -515,7 +515,9 @@ def test_a_page_has_its_title_where_it_is_a_file_of_its_own(checkout, tmp_path_f
 )
 def test_a_region_that_the_table_or_the_page_lacks_is_refused(checkout, region, told):
     page = checkout / "docs" / "page.md"
-    page.write_text(page.read_text(encoding="utf-8").replace("begin one", "begin x"), "utf-8")
+    page.write_text(
+        page.read_text(encoding="utf-8").replace("begin one", "begin x"), encoding="utf-8"
+    )
     before = page.read_text(encoding="utf-8")
     with pytest.raises(InputError, match=told):
         writing.put("docs/page.md", region, "new")

@@ -164,7 +164,7 @@ def test_the_log_of_an_installation_has_its_commands_and_what_they_say(tmp_path,
         for _ in range(2):
             assert locked._run([sys.executable, "-c", words], log) == (code == 0)
     lines = path.read_text(encoding="utf-8").splitlines()
-    told = f"$ {sys.executable} -c {shlex.quote(words)}"
+    told = "$ " + shlex.join([sys.executable, "-c", words])
     assert lines == [told, "out", "err"] * 2
 
 

@@ -175,8 +175,9 @@ def _inputs():
     return b.m
 
 
-def test_inputs_of_a_bench_have_any_value_that_is_not_ruled_out(monkeypatch):
+def test_inputs_of_a_bench_have_any_value_that_is_not_ruled_out(monkeypatch, tmp_path):
     """And no other one: what the bench assumes is neither too little nor too much."""
+    monkeypatch.setattr(prover, "build_root", lambda: tmp_path)
     monkeypatch.setitem(PROOFS, "inputs", Proof("inputs", "Inputs.", _inputs, 2, 6))
     (verdict,) = prove(["inputs"])
     assert not verdict.reason

@@ -3,6 +3,7 @@
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -25,7 +26,7 @@ def test_another_process_compiles_only_what_is_not_compiled_yet(compiled, monkey
 
     monkeypatch.setattr(ahead, "is_compiled", lambda module: asked.append(module) or compiled)
     monkeypatch.setattr(ahead, "Popen", Started)
-    monkeypatch.setattr(ahead.atexit, "register", at_end.append)
+    monkeypatch.setattr(ahead, "atexit", SimpleNamespace(register=at_end.append))
     ahead.compile_ahead.__wrapped__()
     assert asked == ["coincid.model.depth.estimate"]
     if compiled:

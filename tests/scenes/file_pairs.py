@@ -6,7 +6,6 @@ says so in CHANGELOG.md.
 """
 
 import json
-import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -138,12 +137,11 @@ def read(case: Case, folder: Path) -> Scene | str:
 
 def digest_of(case: Case) -> str:
     """Return the digest of the scene of a case, and of what it is doubted for."""
-    with TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as doubts:
-        warnings.simplefilter("always")
+    with TemporaryDirectory() as folder:
         scene = read(case, Path(folder))
-        told = [str(doubt.message).replace(folder, "") for doubt in doubts]
-        if isinstance(scene, str):
-            return digest((scene.replace(folder, ""), told))
+    if isinstance(scene, str):
+        return digest(scene.replace(folder, ""))
+    told = [one.replace(folder, "") for one in (*scene.doubts, *scene.notes)]
     arrays = (scene.distance_m, scene.reflectivity, scene.sunlit, scene.labels)
     return digest(([array.round(DECIMALS) for array in arrays], told))
 

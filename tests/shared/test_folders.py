@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where generated files go: the folder that is chosen, that of the checkout, or the user's cache."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,6 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     root: Path = tmp_path / "file" / "build"
     monkeypatch.setenv("COINCID_BUILD", str(root))
-    told = rf"^build directory {root}: not writable \(Not a directory\); set COINCID_BUILD"
+    told = rf"^build directory {re.escape(str(root))}: not writable \(Not a directory\); set COINCID_BUILD"
     with pytest.raises(InputError, match=told):
         build_root()

@@ -486,9 +486,15 @@ def test_a_waveform_has_what_was_watched_last_and_the_signals_that_are_named(tmp
 def test_an_error_in_the_progress_ends_all_sensors_and_is_told(monkeypatch):
     """And every engine is closed, once."""
     config = of_odd()
-    closed = []
+    made, closed = [], []
     chains = [[job(Golden(config.sensor), config, seed)] for seed in range(3)]
-    close = Engine.close
+    begin, close = Engine.__init__, Engine.close
+
+    def noted(engine, *values, **named):
+        made.append(engine)
+        begin(engine, *values, **named)
+
+    monkeypatch.setattr(Engine, "__init__", noted)
     monkeypatch.setattr(Engine, "close", lambda engine: closed.append(engine) or close(engine))
 
     def enough(cycles):
@@ -496,10 +502,10 @@ def test_an_error_in_the_progress_ends_all_sensors_and_is_told(monkeypatch):
 
     with pytest.raises(ValueError, match="^enough$"):
         play_side_by_side(chains, enough, threads=3)
-    assert len(closed) == len({*map(id, closed)}) == 3
+    assert made and sorted(map(id, closed)) == sorted(map(id, made))
     for chain, (record,) in zip(chains, play_side_by_side(chains, threads=3), strict=True):
         check(config.sensor, chain[0].expected, record)
-    assert len(closed) == 6
+    assert sorted(map(id, closed)) == sorted(map(id, made))
 
 
 @pytest.mark.parametrize("longest", LANES[1:])
@@ -529,7 +535,9 @@ def test_a_module_that_is_not_two_slices_is_found_and_told(tmp_path):
     (whole,) = (path for path in files if path.name == name)
     text = whole.read_text(encoding="utf-8")
     assert text.count(".words(words_1)") == 1
-    (tmp_path / name).write_text(text.replace(".words(words_1)", ".words(words_0)"))
+    (tmp_path / name).write_text(
+        text.replace(".words(words_1)", ".words(words_0)"), encoding="utf-8"
+    )
     wrong = [tmp_path / name if path == whole else path for path in files]
     with pytest.raises(SimulationError, match="not two slices.*; verilator and icarus can$"):
         prove_module(PROOF, wrong)

@@ -374,7 +374,7 @@ def run_here(words, folder, **options):
 def test_a_program_runs_in_its_folder_and_adds_to_its_log(tmp_path, capfd):
     """Output and errors; nothing is shown, and nobody is asked."""
     (tmp_path / "log").write_text("before\n", encoding="utf-8")
-    words = "import sys, os; print(os.getcwd(), sys.stdin.read()); sys.exit('bad')"
+    words = "import sys, os; print(os.getcwd(), sys.stdin.read(), flush=True); sys.exit('bad')"
     assert run_here(words, tmp_path) == (1, f"before\n{tmp_path} \nbad\n")
     assert capfd.readouterr() == ("", "")
 
