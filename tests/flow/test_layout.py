@@ -98,7 +98,7 @@ def test_widths_are_those_of_all_cells_of_a_file(tmp_path):
     """Not their heights, and whether or not a cell has pins."""
     path = tmp_path / "three.lef"
     fill = "MACRO FILL\n  CLASS CORE SPACER ;\n  SIZE 0.19 BY 1.4 ;\nEND FILL\n"
-    path.write_text(fill + LEF + LEF.replace("TWO", "X4").replace("0.57", "1.33"), "utf-8")
+    path.write_text(fill + LEF + LEF.replace("TWO", "X4").replace("0.57", "1.33"), encoding="utf-8")
     assert pins.cell_widths_um(path) == {"FILL": 0.19, "TWO": 0.57, "X4": 1.33}
 
 

@@ -633,7 +633,9 @@ def test_slacks_of_a_routed_block_are_those_with_its_wires(flow, monkeypatch, tm
     def timing_report(folder, top, netlist, clock_ns, commands):
         asked.append((folder, top, netlist, clock_ns))
         assert f"read_spef {flow.SPEF}" in commands and "propagated" in commands
-        (folder / flow.SDF).write_text("(IOPATH A Z (0.010::0.030) (-0.02::0.04))", "utf-8")
+        (folder / flow.SDF).write_text(
+            "(IOPATH A Z (0.010::0.030) (-0.02::0.04))", encoding="utf-8"
+        )
         return reports.pop(0)
 
     monkeypatch.setattr(flow, "timing_report", timing_report)
@@ -703,7 +705,7 @@ def test_a_block_with_delays_takes_the_place_of_its_rtl(module, monkeypatch, tmp
     name = unit.unit_name
     bit = next(port.name for port in unit.ports() if port.width == 1 and port.is_input)
     (tmp_path / delays.VERILOG).write_text(
-        f"module {name} (clk, {bit});\n  input clk;\n  input {bit};\nendmodule\n", "utf-8"
+        f"module {name} (clk, {bit});\n  input clk;\n  input {bit};\nendmodule\n", encoding="utf-8"
     )
     (tmp_path / delays.SDF).write_text("(0.010:0.020:0.030)", encoding="utf-8")
     rtl = [tmp_path / f"{stem}.v" for stem in (name, "coincid_tree", "coincid_sensor")]

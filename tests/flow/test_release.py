@@ -844,7 +844,9 @@ def test_core_has_constraints_cells_and_driver(releases):
     own = {path.name for path in (releases / "fpga").glob("*.h")}
     assert source == "coincid.c" and {name for one in headers for name in one} == own
     assert all(one[name] == {"is_include_file": True} for one in headers for name in one)
-    included = set(re.findall('#include "(.*)"', (releases / "fpga" / source).read_text("utf-8")))
+    included = set(
+        re.findall('#include "(.*)"', (releases / "fpga" / source).read_text(encoding="utf-8"))
+    )
     assert included and included <= own
     for files_of_set in sets.values():
         for file in files_of_set["files"]:
