@@ -179,7 +179,7 @@ def spad_of(case: Case) -> Spad:
     )
 
 
-def gate_of(kind: str) -> SpadGate | None:
+def gate_of(case: Case) -> SpadGate | None:
     """Return the times at which the SPADs are on."""
     pixel = np.arange(PIXELS)
     kinds = {
@@ -187,10 +187,15 @@ def gate_of(kind: str) -> SpadGate | None:
         "all alike": SpadGate(start_cycles=5, len_cycles=20),
         "pixel by pixel": SpadGate(start_cycles=pixel % 9, len_cycles=pixel % 11 * 3),
         "moving": SpadGate(
-            start_cycles=2, len_cycles=12, step_cycles=pixel % 3, every_pulses=7, steps=4
+            start_cycles=2,
+            len_cycles=12,
+            step_cycles=pixel % 3,
+            every_pulses=7,
+            steps=4,
+            frame_pulses=case["frame_pulses"] or PULSES,
         ),
     }
-    return kinds[kind]
+    return kinds[case["gate"]]
 
 
 def edges_of(case: Case) -> Edges:
@@ -202,7 +207,7 @@ def edges_of(case: Case) -> Edges:
         pulses=PULSES,
         seed=case["seed"],
         pulse_start=case["pulse_start"],
-        gate=gate_of(case["gate"]),
+        gate=gate_of(case),
     )
 
 
