@@ -120,8 +120,8 @@ def test_a_frame_of_more_edges_than_a_piece_has_is_the_frame(piece_edges, order,
     assert_same_trace(Golden(config.sensor).frame(config, edges), whole)
 
 
-def test_a_frame_that_another_model_played_is_followed():
-    """The next one has its number, and thresholds and budgets as if this model had played it."""
+def with_rising_thresholds():
+    """Return a configuration whose thresholds change from frame to frame, and light for it."""
     config = parse_config(
         {
             "sensor": SENSORS["default"],
@@ -129,7 +129,12 @@ def test_a_frame_that_another_model_played_is_followed():
             "subgroup": {"threshold": 1, "auto": True},
         }
     )
-    edges = trouble(config, 3, 10)
+    return config, trouble(config, 3, 10)
+
+
+def test_a_frame_that_another_model_played_is_followed():
+    """The next one has its number, and thresholds and budgets as if this model had played it."""
+    config, edges = with_rising_thresholds()
     played, following = Golden(config.sensor), Golden(config.sensor)
     for _ in range(3):
         following.follow(config, played.frame(config, edges).counters)
@@ -456,14 +461,7 @@ def test_laws(sensor, data):
 
 
 def test_after_a_reset_the_sensor_is_a_new_one():
-    config = parse_config(
-        {
-            "sensor": SENSORS["default"],
-            "frame": {"pulses": 6, "capacity": 20, "auto_bounds": [0] * 6},
-            "subgroup": {"threshold": 1, "auto": True},
-        }
-    )
-    edges = trouble(config, 3, 10)
+    config, edges = with_rising_thresholds()
     golden = Golden(config.sensor)
     first, second = (golden.frame(config, edges) for _ in range(2))
     assert not np.array_equal(first.beats[0], second.beats[0])

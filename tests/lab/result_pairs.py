@@ -6,7 +6,6 @@ and digests of what each of their stages gives.
 says so in CHANGELOG.md.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +24,9 @@ from coincid.model.light.spad import Spad
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.pulse import Pulse
 
+from ..digests import digest, write_digests
 from ..feature_pairs import Case, Features, Pair, cases_in_turns
 from ..random_cases import built_sensor, configured
-from ..study.test_results import digest
 
 DIGESTS = Path(__file__).with_suffix(".json")
 PERIOD_CYCLES = 60
@@ -235,6 +234,4 @@ def told(case: Case) -> str:
 
 
 if __name__ == "__main__":
-    found = [digests_of(case, number) for number, case in enumerate(CASES)]
-    lines = ",\n".join(json.dumps(one) for one in found)
-    DIGESTS.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    write_digests(DIGESTS, [digests_of(case, number) for number, case in enumerate(CASES)])

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every stage of a run gives the same result, for every pair of features."""
 
-import json
-
 import pytest
 
+from ..digests import read_digests
 from .result_pairs import CASES, DIGESTS, digests_of, told
 
-EXPECTED = json.loads(DIGESTS.read_text(encoding="utf-8"))
+EXPECTED = read_digests(DIGESTS)
 
 
 def test_every_case_has_its_digests():

@@ -5,7 +5,6 @@
 photons says so in CHANGELOG.md.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,8 @@ from coincid.model.light.spad import Spad, SpadGate
 from coincid.model.light.timing import Timing
 from coincid.model.shared.pulse import Pulse
 
+from ..digests import digest, write_digests
 from ..feature_pairs import Case, Features, Pair, cases_in_turns
-from ..study.test_results import digest
 
 DIGESTS = Path(__file__).with_suffix(".json")
 ROWS = 5
@@ -218,5 +217,4 @@ def digest_of(case: Case) -> str:
 
 
 if __name__ == "__main__":
-    found = [digest_of(case) for case in CASES]
-    DIGESTS.write_text(json.dumps(found, indent=0) + "\n", encoding="utf-8")
+    write_digests(DIGESTS, [digest_of(case) for case in CASES])

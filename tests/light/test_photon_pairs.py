@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The same photons, for every pair of features of light, SPADs, gates and clocks."""
 
-import json
-
 import pytest
 from attrs import fields
 
@@ -10,9 +8,10 @@ from coincid.model.light.light import Arrivals, Interferer, Light
 from coincid.model.light.spad import Spad, SpadGate
 from coincid.model.light.timing import Timing
 
+from ..digests import read_digests
 from .photon_pairs import CASES, DIGESTS, digest_of, gate_of, light_of, spad_of, timing_of
 
-EXPECTED = json.loads(DIGESTS.read_text(encoding="utf-8"))
+EXPECTED = read_digests(DIGESTS)
 # Sizes, scales, and what is for the link budget only.
 NOT_VARIED = {
     Light: {"rows", "cols"},

@@ -5,7 +5,6 @@
 says so in CHANGELOG.md.
 """
 
-import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,8 +20,8 @@ from coincid.model.scenes.conventions import DATA_SETS, PER_METRE
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.errors import InputError
 
-from ..feature_pairs import Case, Features, Pair, cases_in_turns
-from ..study.test_results import digest
+from ..digests import digest, write_digests
+from ..feature_pairs import Case, Features, cases_in_turns
 
 DIGESTS = Path(__file__).with_suffix(".json")
 INTEGERS = ("array of uint16", "png", "tiff", "pgm", "h5")
@@ -49,8 +48,7 @@ FEATURES: Features = {
     "reflectivity": ("default", "one number", "per sample", "colour picture", "grey picture"),
     "range_m": (75.0, 6.0),
 }
-REFUSED: frozenset[Pair] = frozenset()
-CASES = cases_in_turns(FEATURES, REFUSED, 2)
+CASES = cases_in_turns(FEATURES, frozenset(), 2)  # no pair is refused
 DECIMALS = 9  # of a float: processors differ far behind them
 
 
@@ -147,5 +145,4 @@ def digest_of(case: Case) -> str:
 
 
 if __name__ == "__main__":
-    found = [digest_of(case) for case in CASES]
-    DIGESTS.write_text(json.dumps(found, indent=0) + "\n", encoding="utf-8")
+    write_digests(DIGESTS, [digest_of(case) for case in CASES])

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The same scene from a depth file, for every pair of a kind of file and what is said of it."""
 
-import json
-
 import pytest
 
+from ..digests import read_digests
 from .file_pairs import CASES, DIGESTS, digest_of
 
-EXPECTED = json.loads(DIGESTS.read_text(encoding="utf-8"))
+EXPECTED = read_digests(DIGESTS)
 
 
 def test_every_case_has_its_digest():

@@ -3,11 +3,9 @@
 give the same result.
 
 A change that means to change a result says so in CHANGELOG.md and renews the digests:
-`python -m tests.study.test_results` prints them. Floats count to six digits, because processors
-differ in the last one.
+`python -m tests.study.test_results` prints them.
 """
 
-import hashlib
 import json
 import sys
 from collections.abc import Callable
@@ -29,6 +27,7 @@ from docs.studies import surfaces
 from docs.studies.figures import four_modes, interference, noisy_spads, reconstruction
 
 from ..command import command
+from ..digests import digest
 
 SMALL = {"sensor": {"rows": 8, "cols": 16}, "frame": {"period": 60, "pulses": 40}}
 TIMES = ("cycles_per_s", "seconds")  # of the report
@@ -130,21 +129,6 @@ RESULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "interference": (section(interference.interference, **INTERFERENCE), "16a5ab28decf3176"),
 }
-
-
-def digest(result: Any) -> str:
-    return hashlib.sha256(json.dumps(plain(result), sort_keys=True).encode()).hexdigest()[:16]
-
-
-def plain(value: Any) -> Any:
-    """Return a result in JSON's types, with floats to six digits."""
-    if isinstance(value, dict):
-        return {str(name): plain(each) for name, each in value.items()}
-    if isinstance(value, np.ndarray):
-        return [str(value.dtype), plain(value.tolist())]
-    if isinstance(value, list | tuple):
-        return [plain(each) for each in value]
-    return f"{value:.6g}" if isinstance(value, float) else value
 
 
 @pytest.mark.parametrize("name", RESULTS)

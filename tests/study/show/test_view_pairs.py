@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pages show the same of a frame, for every pair of features."""
 
-import json
-
 import pytest
 
+from ...digests import read_digests
 from ...lab.result_pairs import CASES, told
 from .view_pairs import DIGESTS, digests_of
 
-EXPECTED = json.loads(DIGESTS.read_text(encoding="utf-8"))
+EXPECTED = read_digests(DIGESTS)
 
 
 def test_every_case_has_its_digests():

@@ -5,7 +5,6 @@
 shown says so in CHANGELOG.md.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +25,9 @@ from coincid.study.show.frame_content import FrameView
 from coincid.study.show.notebook import run_view
 from coincid.study.show.words import number_rows, object_table, story, where_to_look
 
+from ...digests import digest, write_digests
 from ...feature_pairs import Case
 from ...lab.result_pairs import CASES, setup_of
-from ..test_results import digest
 
 DIGESTS = Path(__file__).with_suffix(".json")
 DECIMALS = 5  # of a column, whose pictures are float32
@@ -93,6 +92,4 @@ def digests_of(case: Case, number: int) -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    found = [digests_of(case, number) for number, case in enumerate(CASES)]
-    lines = ",\n".join(json.dumps(one) for one in found)
-    DIGESTS.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    write_digests(DIGESTS, [digests_of(case, number) for number, case in enumerate(CASES)])
