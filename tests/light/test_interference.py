@@ -258,6 +258,15 @@ def test_dither_parts_a_pulse_at_the_end_of_the_range():
     assert len(edges_of(wall, timing)) == pytest.approx(expected, rel=0.05)
 
 
+def test_light_before_its_trigger_ends_the_period_before_it_unless_that_one_waits():
+    """Its early half comes in the wait and is lost, or else in the period of the pulse before."""
+    timing = Timing(dither_bits=1)
+    edges = edges_of(Light(rows=8, cols=8, distance_m=1e-3, signal_per_pulse=0.5), timing)
+    early = edges.pulse[edges.tick > timing.period_ticks / 2]
+    followed = np.arange(399)
+    assert np.unique(early[early < 399]).tolist() == followed[waits_of(400, 1)[:399] == 0].tolist()
+
+
 def test_neither_chunks_nor_workers_change_the_edges():
     other = Interferer(photons_per_pulse=0.5, period_s=333e-9, phase_s=70e-9)
     scene = Light(

@@ -445,11 +445,18 @@ def test_the_renderer_agrees_with_mitsubas_own(tracer):
     assert np.mean(ratios, axis=(1, 2)) == pytest.approx([1 / math.pi] * 2, rel=0.005)
 
 
+@pytest.mark.parametrize(
+    ("kind", "inside", "scale"),
+    [
+        ("thinlens", '<float name="aperture_radius" value="0.1"/>', ""),
+        ("orthographic", "", '<scale x="2" y="0.5" z="3"/>'),
+    ],
+)
 @pytest.mark.parametrize(("target", "ball_at"), [("1,2,8", (2, 3, 8)), ("4,2,7", (4.8, 3, 6.4))])
 @pytest.mark.needs("raytrace")
-def test_users_camera(tracer, tmp_path, target, ball_at):
-    """The camera's position and direction are used, its film is not; left is left and top is top in
-    the picture.
+def test_users_camera(tracer, tmp_path, target, ball_at, kind, inside, scale):
+    """The camera's position and direction are used, its scale and film are not; left is left and top
+    is top in the picture.
     """
     ball = (
         '<shape type="sphere"><bsdf type="diffuse"/><float name="radius" value="0.5"/>'
@@ -460,7 +467,7 @@ def test_users_camera(tracer, tmp_path, target, ball_at):
         (row, col) for row in range(4) for col in range(4)
     }
     camera = (
-        '<sensor type="thinlens"><float name="aperture_radius" value="0.1"/><transform name="to_world">'
+        f'<sensor type="{kind}">{inside}<transform name="to_world">{scale}'
         f'<lookat origin="1,2,3" target="{target}" up="0,1,0"/></transform><film type="hdrfilm"/>'
         '<sampler type="independent"/></sensor>'
     )
