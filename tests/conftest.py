@@ -5,7 +5,8 @@
 ones). `HYPOTHESIS_PROFILE=thorough` tries ten times as many unless a test fixes their number. A
 test that needs an extra is marked with it (`needs.py`) and skipped without it. `--no-skips` makes a
 skipped test fail; with all extras installed, no test is skipped. `--skipped-before` plays the tests
-that the last run skipped. A failure ends with the command that repeats it.
+that the last run skipped. A failure ends with the command that repeats it. A test that leaves
+threads, children or open files behind fails, too.
 """
 
 import os
@@ -16,6 +17,7 @@ import hypothesis
 import pytest
 from hypothesis.internal.conjecture import providers
 
+from .leftovers import Held, leftovers
 from .needs import missing
 
 DEFAULT_SEED = "0"
@@ -41,6 +43,9 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.option.hypothesis_profile is None:
         config.option.hypothesis_profile = os.environ.get("HYPOTHESIS_PROFILE", "coincid")
     config.addinivalue_line("markers", "needs(name): the test needs an extra of tests/needs.py")
+    config.addinivalue_line(
+        "markers", "leaves(reason): the test leaves something behind on purpose"
+    )
     # not in a worker of xdist, which sends its reports to this process
     if not hasattr(config, "workerinput"):
         config.pluginmanager.register(_Skipped(config), "coincid-skipped")
@@ -125,3 +130,12 @@ def _repeat(item: pytest.Item) -> str:
     if isinstance(seed := getattr(option, "randomly_seed", None), int):
         seeds.append(f"--randomly-seed={seed}")
     return f".venv/bin/python -m pytest {' '.join(seeds)} {shlex.quote(item.nodeid)}"
+
+
+@pytest.fixture(autouse=True)
+def leaves_nothing_behind(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fail a test that leaves threads, children or open files in its process."""
+    before = Held.now()
+    yield
+    left = [] if request.node.get_closest_marker("leaves") else leftovers(before)
+    assert not left, f"left behind: {', '.join(left)}"

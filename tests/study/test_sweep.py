@@ -368,6 +368,7 @@ def test_killed_in_the_middle_and_started_again(tmp_path, quick):
     assert (tmp_path / "s.parquet").read_bytes() == (tmp_path / "through.parquet").read_bytes()
 
 
+@pytest.mark.leaves("new workers of a cluster that other tests use, too")
 def test_lost_workers_lose_nothing(tmp_path, quick, processes, monkeypatch):
     assert sweep(tmp_path).exit_code == 0
     victims = []
