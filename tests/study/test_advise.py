@@ -1,19 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """`coincid advise` and `coincid show`: an answer with its price, and what a configuration means."""
 
+import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from pandas import read_csv
 
 from coincid.lab.outcomes import Run
+from coincid.lab.pace import frames_per_s
 from coincid.lab.setup import Setup, for_pictures
 from coincid.model.contract.config import load_config, parse_config
+from coincid.model.contract.edges import Edges
 from coincid.model.scenes.catalogue import load_scene
 from coincid.study.advise import HEADS, Advice, Tried, advise, cheapest, links_of, write_advice
 from coincid.study.advise import _limit as limit
+from coincid.study.advise import _tried as outcome_of
 from coincid.study.explain import meaning, warnings
 from coincid.study.price import (
     MEASURED_MHZ,
@@ -22,7 +27,7 @@ from coincid.study.price import (
     um2_per_pixel,
     uw_per_pixel,
 )
-from coincid.study.usefulness import useless_sentence
+from coincid.study.usefulness import is_useful, useless_sentence
 
 from ..command import command
 from ..random_cases import configured
@@ -625,3 +630,391 @@ def test_only_what_can_be_changed_is_tried_as_a_help(tried, light):
     words = {"pulses": "20 laser pulses", "ambient": "ambient light", "distance": "half the"}
     assert [name for name, word in words.items() if word in told] == helps
     assert len(tried) == len(helps)
+
+
+def outcome(wrong, *, bits=1, dropped=0.0, load=0.5, config=None):
+    """Return what one configuration leaves."""
+    return Tried(
+        config=config or parse_config({}),
+        wrong=wrong,
+        far=0.0,
+        error_mm=9.0,
+        bits=bits,
+        dropped=dropped,
+        load=load,
+    )
+
+
+@pytest.mark.parametrize(
+    ("least", "worse", "is_equal"),
+    [
+        (0.1, 0.1099, True),  # a tenth of them more
+        (0.1, 0.1101, False),
+        (0.0, 0.0019, True),  # or 0.2 % of all pixels
+        (0.0, 0.0021, False),
+    ],
+)
+def test_a_few_more_wrong_pixels_count_as_equal(least, worse, is_equal):
+    """Then fewer bits decide, and fewer drops among links that are all overloaded."""
+    dear, cheap = outcome(least, bits=200), outcome(worse, bits=100)
+    assert cheapest([dear, cheap], lambda one: one.bits) is (cheap if is_equal else dear)
+    lossy = outcome(least, bits=100, dropped=0.3, load=2.0)
+    fuller = outcome(worse, bits=200, dropped=0.2, load=3.0)
+    assert cheapest([lossy, fuller], lambda one: one.bits) is (fuller if is_equal else lossy)
+
+
+@pytest.mark.parametrize(("wrong", "is_better"), [(0.2019, True), (0.2021, False)])
+def test_twice_as_many_wrong_pixels_are_better_than_an_overload(wrong, is_better):
+    """And 0.2 % of all pixels more; beyond that the overload is taken."""
+    overloaded, fits = outcome(0.1, load=1.5), outcome(wrong)
+    assert cheapest([overloaded, fits], lambda one: one.bits) is (fits if is_better else overloaded)
+
+
+@pytest.mark.parametrize(
+    ("dropped", "load", "overloaded"),
+    [(0.01, 1.0, False), (0.0101, 0.5, True), (0.0, 1.001, True)],
+)
+def test_a_link_that_is_just_full_is_not_overloaded(dropped, load, overloaded):
+    assert outcome(0.1, dropped=dropped, load=load).overloaded == overloaded
+
+
+def test_an_advice_tells_the_controller_and_a_single_tick():
+    config = parse_config({"subgroup": {"auto": True, "window": 1}})
+    best = outcome(0.1, config=config)
+    told = Advice(settings=[best], chosen=best, links=[best], best=best, klux=1.0).sentence
+    assert told.startswith("Take the controller, a window of 0.0625 ns (1 tick), the format id")
+
+
+def test_beside_an_overload_the_best_of_what_fits_is_told():
+    full = outcome(0.004, load=1.5)
+    others = [outcome(wrong) for wrong in (0.3, 0.1, 0.2)]
+    advice = Advice(settings=others[:2], chosen=full, links=[full, others[2]], best=full, klux=1.0)
+    assert "without an overload leaves 10.0% of the pixels wrong" in advice.sentence
+
+
+def test_the_table_has_all_that_was_tried_in_its_order(tmp_path, monkeypatch):
+    """Thresholds and windows first, then links and formats."""
+    monkeypatch.setattr("coincid.study.advise._draw", lambda *given: None)
+    tried = [outcome(0.1, bits=bits) for bits in (5, 9, 2, 7)]
+    advice = Advice(settings=tried[:2], chosen=tried[1], links=tried[2:], best=tried[3], klux=1.0)
+    table, *_ = write_advice(tmp_path, advice, "a wall")
+    assert read_csv(table)["bits per frame"].tolist() == [5, 9, 2, 7]
+
+
+def test_an_outcome_has_the_measures_of_its_last_frame_in_the_units_of_its_fields():
+    """What has no value is the worst; drops that are not known are all."""
+
+    def run(known, **measures):
+        frame = type("Frame", (dict,), {"knows": lambda frame, name: known})(measures)
+        return SimpleNamespace(config=parse_config({}), frame=lambda: frame)
+
+    measures = {
+        "wrong_share": 0.1,
+        "wrong_share_15cm": 0.02,
+        "right_rms_m": 0.0125,
+        "bits": 77,
+        "dropped_share": 0.3,
+        "link_load": 0.4,
+    }
+    found = outcome_of(run(True, **measures))
+    assert (found.wrong, found.far, found.error_mm) == (0.1, 0.02, pytest.approx(12.5))
+    assert (found.bits, found.dropped, found.load) == (77, 0.3, 0.4)
+    assert outcome_of(run(False, **measures)).dropped == 1.0
+    nothing = outcome_of(run(True, **dict.fromkeys(measures)))
+    assert (nothing.wrong, nothing.far, nothing.bits) == (1.0, 1.0, 0)
+    assert (nothing.dropped, nothing.load) == (0.0, 0.0) and math.isnan(nothing.error_mm)
+
+
+@pytest.fixture
+def advised(monkeypatch):
+    """Advice for a wall, of outcomes that a function makes from each configuration."""
+
+    def advised(wrong, *, sensor=None, frame=None, progress=lambda *told: None):
+        nothing = Edges(*(np.zeros(0, np.int64) for _ in range(3)))
+        for name, stand_in in {
+            "_tried": lambda run: outcome(wrong(run.config), config=run.config),
+            "_limit": lambda *given: "",
+            "Run._generated_edges": lambda run: nothing,
+        }.items():
+            monkeypatch.setattr(f"coincid.study.advise.{name}", stand_in)
+        sensor = {"rows": 8, "cols": 8, "controller": 1} | (sensor or {})
+        setup = Setup.of("flat:3", sensor=sensor, frame={"pulses": 200} | (frame or {}), klux=1.0)
+        return advise(setup, klux=1.0, progress=progress)
+
+    return advised
+
+
+@pytest.mark.parametrize(
+    ("sensor", "clock_mhz", "windows"),
+    [
+        ({}, 500, [8, 16, 32]),
+        ({"window_max": 20}, 500, [8, 16, 20]),
+        ({"window_max": 16}, 500, [8, 16]),  # which is two of them
+        ({"phases": 8}, 125, [1, 2]),  # a tick is 1 ns
+        ({"controller": 0}, 500, [8, 16, 32]),
+    ],
+)
+def test_thresholds_and_the_controller_are_tried_with_each_window(
+    advised, sensor, clock_mhz, windows
+):
+    """On one link and in one format. The controller has settled in its last frame; a threshold
+    needs one frame.
+    """
+    frame = {"clock_mhz": clock_mhz, "frames": 3, "format": "full", "link_gbps": 2.0}
+    advice = advised(lambda config: 0.1, sensor=sensor, frame=frame)
+    found = []
+    for one in (tried.config for tried in advice.settings):
+        assert (one.format, one.frame.link_gbps) == ("compact", 8.0)
+        assert one.coincidence.all()
+        auto = bool(one.auto.all())
+        assert one.frames == (8 if auto else 1)
+        found.append((one.window[0], "auto" if auto else one.threshold[0]))
+    settings = [1, 2, 3, 4, 5, 6, *["auto"] * (sensor.get("controller") != 0)]
+    assert found == [(window, one) for window in windows for one in settings]
+
+
+@pytest.mark.parametrize("auto", (False, True))
+@pytest.mark.parametrize("counts", (0, 1))
+def test_every_link_is_tried_with_every_format(advised, auto, counts):
+    """In the frames of what was chosen; counts need one frame."""
+    wrong = {auto: 0.1, not auto: 0.2}
+    advice = advised(
+        lambda config: wrong[bool(config.auto.any())],
+        sensor={"counts": counts},
+        frame={"gap": 10},
+    )
+    formats = ["compact", "id", *["counts"] * counts]
+    rates_gbps = [0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0]
+    expected = [(rate_gbps, name) for rate_gbps in rates_gbps for name in formats]
+    configs = [tried.config for tried in advice.links]
+    assert [(one.frame.link_gbps, one.format) for one in configs] == expected
+    for one in configs:
+        assert one.frames == (8 if auto and not one.counting else 1)
+
+
+def test_the_progress_of_an_advice_ends_with_all_that_is_tried(advised):
+    told = []
+    advice = advised(lambda config: 0.1, progress=lambda *of: told.append(of))
+    done = {}
+    for stage, *amounts in told:
+        done.setdefault(stage.partition(" (")[0], []).append(tuple(amounts))
+    assert list(done) == ["photons", "thresholds and windows", "links and formats"]
+    for name, tried in (
+        ("thresholds and windows", advice.settings),
+        ("links and formats", advice.links),
+    ):
+        assert done[name] == [(number, len(tried)) for number in range(len(tried) + 1)]
+
+
+@pytest.mark.parametrize(("best", "is_told"), [(0.3, False), (0.4, True)])
+def test_a_scene_is_useless_only_if_no_link_and_no_format_helps(
+    advised, monkeypatch, best, is_told
+):
+    """Here the format `id` does, in which thresholds and windows were not tried."""
+    told = []
+    monkeypatch.setattr(
+        "coincid.study.advise.useless_sentence", lambda *given: told.append(given) or "useless"
+    )
+    advice = advised(lambda config: best if config.format == "id" else 0.9)
+    assert advice.useless == ("useless" if is_told else "")
+    assert [given[0] for given in told] == [best] * is_told
+
+
+def test_what_counts_would_do_is_told_with_both_shares(advised, monkeypatch):
+    config = None
+
+    def tried(run):
+        nonlocal config
+        config = run.config
+        return Tried(
+            config=config, wrong=0.123, far=0.045, error_mm=9.0, bits=4567, dropped=0.0, load=0.1
+        )
+
+    advised(lambda config: 0.1)  # in place of frames that are played
+    monkeypatch.setattr("coincid.study.advise._tried", tried)
+    setup = Setup.of("flat:3", sensor={"rows": 8, "cols": 8}, frame={"pulses": 200}, klux=1.0)
+    assert advise(setup, klux=1.0).counts == (
+        "With counts (counts = 1, format = counts), the sensor would send 4,567 bits per frame, and"
+        " 12.3% of the pixels would be wrong (4.5% by more than 15 cm), at"
+        f" {frames_per_s(config):,.4g} frames per second."
+    )
+    assert config.counting and config.frames == 1
+
+
+def test_a_picture_is_useful_up_to_three_of_ten_wrong_pixels():
+    assert is_useful(0.3) and not is_useful(0.3001)
+
+
+@pytest.mark.parametrize(
+    ("pulses", "more"), [(16_384, 65_536), (16_385, 65_536), (65_535, 65_536), (65_536, None)]
+)
+def test_more_pulses_help_up_to_the_most_that_a_frame_may_have(tried, pulses, more):
+    setup = Setup.of("flat:9", sensor={"rows": 8, "cols": 8}, frame={"pulses": pulses}, klux=1.0)
+    told = useless_sentence(0.9, setup, window=32)
+    words = f"{more} laser pulses per frame instead of {pulses}"
+    assert (words in told) == (more is not None)
+    assert [one.config.pulses for one in tried] == [*[more] * bool(more), pulses, pulses]
+
+
+def test_in_the_dark_less_light_does_not_help(tried):
+    setup = Setup.of("flat:9", sensor={"rows": 8, "cols": 8}, frame={"pulses": 5}, klux=0.0)
+    assert "ambient light" not in useless_sentence(0.9, setup, window=32)
+    assert len(tried) == 2
+
+
+@pytest.mark.parametrize(
+    ("shares", "told"),
+    [((0.9, 0.3, 0.8), "What would help: "), ((0.9, 0.31, 0.8), "None of these is enough by itse")],
+)
+def test_help_is_promised_only_where_one_change_is_enough(monkeypatch, shares, told):
+    """Beside the distances: the nearest, the middle and the farthest."""
+    found = iter(shares)
+    monkeypatch.setattr("coincid.study.usefulness._least_wrong", lambda *given: next(found))
+    wall_m = np.full((8, 8), 4.0)
+    wall_m[0], wall_m[1, 3], wall_m[2] = 9.0, np.nan, 3.0
+    setup = Setup.of(load_scene(wall_m, 8, 8), sensor={"rows": 8, "cols": 8}, klux=1.0)
+    sentence = useless_sentence(0.456, setup, window=32)
+    assert sentence.startswith(
+        f"No setting leaves a useful picture: at best, 45.6% of the pixels are wrong. {told}"
+    )
+    assert "The distances are 3 to 9 m, 4 m in the middle;" in sentence
+
+
+COUNTED = {"sensor": {"counts": 1}, "frame": {"format": "counts"}}
+
+
+@pytest.mark.parametrize(
+    ("quiet", "told", "words"),
+    [
+        ({"subgroup": {"gate_len": 5, "gating": True}}, {"subgroup": {"gate_len": 5}}, "gating is"),
+        ({"frame": {"gate_step": 2}}, {"frame": {"gate_every": 5}}, "gating is off"),
+        (
+            {"frame": {"gate_every": 5, "gate_step": 1}},
+            {"frame": {"gate_every": 5, "gate_step": 0}},
+            "moves by 0 cycles",
+        ),
+        ({"frame": {"format": "compact"}}, {"frame": {"format": "short"}}, "sends no map"),
+        (COUNTED, {"frame": {"format": "short"}}, "sends no map"),
+        ({"frame": {"format": "compact"}}, {"frame": {"format": "id"}}, "; 'compact' carries"),
+        ({"frame": {"format": "compact"}}, {"frame": {"format": "full"}}, "; 'compact-full' carr"),
+        (
+            {"frame": {"mg_threshold": 2, "minigroup_records": True}},
+            {"frame": {"mg_threshold": 2}},
+            "minigroup_records is off",
+        ),
+        (
+            {"frame": {"minigroup_records": True}},
+            {"frame": COUNTED["frame"] | {"minigroup_records": True}} | {"sensor": {"counts": 1}},
+            "minigroup_records has no effect",
+        ),
+        (
+            {"frame": {"dither_seed": 3, "dither_bits": 2}},
+            {"frame": {"dither_seed": 3}},
+            "dither_seed has no effect",
+        ),
+        (
+            {"subgroup": {"window": 9}},
+            {"subgroup": {"window": 9, "coincidence": False}},
+            "window is set, but has no effect: coincidence is off",
+        ),
+        (
+            {"subgroup": {"coincidence": False}},
+            {"subgroup": {"window": 9, "coincidence": False}},
+            "window is set",
+        ),
+        (
+            {"subgroup": {"threshold": 1, "auto": True}},
+            {"subgroup": {"threshold": 1}},
+            "lets every photon through",
+        ),
+        (
+            {"sensor": {"counts": 1}, "frame": COUNTED["frame"] | {"period": 256}},
+            {"sensor": {"counts": 1}, "frame": COUNTED["frame"] | {"period": 257}},
+            "Hits after cycle 255 of the 257",
+        ),
+    ],
+)
+def test_what_is_wasted_is_not_told_beside_what_uses_it(quiet, told, words):
+    for document, holds in ((quiet, False), (told, True)):
+        assert any(words in line for line in warnings(parse_config(document))) == holds
+
+
+@pytest.mark.parametrize(
+    ("subgroup", "override", "words", "holds"),
+    [
+        ({"threshold": 2}, {"threshold": 1}, "lets every photon through", True),
+        ({"mask": "f"}, {"mask": "1"}, "nothing can commit", True),
+        ({"window": 20}, {"window": 64}, "but the longest window has", False),
+        ({"window": 20}, {"window": 63}, "but the longest window has 63", True),
+        ({"gate_len": 9}, {"gating": True}, "A gate is set, but gating is off", False),
+        ({"gating": True, "gate_len": 9}, {"gate_start": 242}, "after the laser period", True),
+        ({"window": 9}, {"coincidence": False}, "window is set, but has no effect", False),
+        ({"auto": True}, {"coincidence": False}, "but coincidence is off: it has", True),
+    ],
+)
+def test_what_one_subgroup_wastes_is_told_and_what_one_uses_is_not_wasted(
+    subgroup, override, words, holds
+):
+    config = configured({}, {}, subgroup, {"subgroups": [7]} | override)
+    assert any(words in line for line in warnings(config)) == holds
+
+
+def test_every_row_of_what_a_configuration_means():
+    """With sizes that are no squares, subgroups that differ, and a gap."""
+    sensor = {"rows": 16, "cols": 24, "subgroup": [8, 12], "minigroup": [2, 3], "streams": 2}
+    own = {"subgroups": [1], "window": 8, "threshold": 5}
+    config = configured(sensor, {"gap": 5000}, {"window": 4}, own)
+    frame_us = (100 * 250 + 99 * 5000) * 2 / 1000
+    fitting = config.with_frame(capacity=None).capacity
+    uw = uw_per_pixel(config, 50.0)
+    assert dict(meaning(config)) == {
+        "array": "16 x 24 pixels in 4 subgroups of 8 x 12",
+        "minigroups": "16 of 2 x 3 in a subgroup",
+        "clock": "500 MHz: a cycle is 2 ns, 29.98 cm",
+        "tick": "62.5 ps, 0.9369 cm (32 per cycle)",
+        "window": "4 to 8 ticks, 0.25 to 0.5 ns",
+        "threshold": "2 to 5 pixels",
+        "laser period": "250 cycles, 500 ns: 2000 kHz",
+        "gap": "5,000 cycles, 10 us, between two periods",
+        "laser": f"10 mW of mean power are {10e-3 * frame_us * 1e-6 / 100 * 1e9:.4g} nJ per pulse",
+        "range": f"74.95 m; no window opens in the last {config.sensor.guard} cycles",
+        "frame": f"100 pulses, {frame_us:.4g} us: {1e6 / frame_us:,.0f} frames per second",
+        "event": "id: 3 beats of 64 bits",
+        "events that fit": f"{fitting:,} per stream and frame, {fitting / frame_us:.4g} million"
+        " per second",
+        "stream": "2 of 32 Gbit/s; the link takes 100.0% of its beats",
+        "area": f"about {um2_per_pixel(config.sensor):.0f} um2 per pixel in 45 nm",
+        "power": f"about {uw / 1000:.3g} mW per pixel at 50 klux in a period",
+    }
+    grouped = dict(meaning(config.with_frame(format="compact")))["event"]
+    assert grouped.startswith("compact: 0.") and grouped.endswith(
+        "beats of 64 bits with three pixels"
+    )
+    counting = dict(meaning(parse_config(COUNTED)))
+    assert counting["area"].endswith("in 45 nm, without the part for counts")
+    assert counting["power"].endswith("at 50 klux, without the part for counts")
+
+
+@pytest.mark.parametrize(
+    ("name", "sensors"),
+    [
+        (
+            "pixels",
+            [{"subgroup": [rows, cols]} for rows, cols in ((4, 4), (4, 8), (8, 8), (16, 16))],
+        ),
+        ("minigroup_pixels", [{"minigroup": [side, side]} for side in (1, 2, 4)]),
+        ("phases", [{"phases": phases} for phases in (8, 16, 32, 64)]),
+        ("offsets", [{"offsets": 0}, {"offsets": 1}]),
+        ("records", [{"records": 0}, {"records": 1}]),
+        ("controller", [{"controller": 0}, {"controller": 1}]),
+        ("fifo_depth", [{"fifo_depth": 8}, {"fifo_depth": 16}]),
+    ],
+)
+def test_a_sensor_that_was_measured_has_the_area_of_its_measurement(name, sensors):
+    """With the other parameters at their defaults. Between two sizes, it is between their areas."""
+    values, areas = UM2_PER_PIXEL[name]
+    found = [parse_config({"sensor": sensor}).sensor for sensor in sensors]
+    assert [getattr(sensor, name) for sensor in found] == list(values)
+    assert [um2_per_pixel(sensor) for sensor in found] == pytest.approx(areas)
+    between = um2_per_pixel(parse_config({"sensor": {"subgroup": [8, 16]}}).sensor)
+    assert 538.6 < between < 658.3
