@@ -179,7 +179,8 @@ def table(result: dict[str, int | float | str]) -> str:
 
 def _shown(value: int | float | str) -> str:
     if isinstance(value, float):
-        return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
+        # what three digits round up to 1000 has no exponent, either
+        return f"{value:,.0f}" if value >= 999.5 else f"{value:.3g}"
     return f"{value:,}" if isinstance(value, int) else value
 
 

@@ -110,11 +110,7 @@ def _axes(tables: object) -> list[dict[str, list[Any]]]:
         raise InputError("axis: must be written as [[axis]]")
     axes: list[dict[str, list[Any]]] = []
     for number, table in enumerate(tables):
-        axis: dict[str, list[Any]] = {}
-        for name, values in table.items():
-            nested = name in TABLES and isinstance(values, dict)
-            inner: Iterable[tuple[str | None, Any]] = values.items() if nested else [(None, values)]
-            axis |= {f"{name}.{key}" if key else name: listed for key, listed in inner}
+        axis = _axis(number, table)
         if not axis:
             raise InputError(f"axis[{number}]: is empty, must name what it sweeps")
         for name, values in axis.items():
@@ -142,6 +138,22 @@ def _axes(tables: object) -> list[dict[str, list[Any]]]:
         axes.append(axis)
     _check_points(math.prod(map(_length, axes)))
     return axes
+
+
+def _axis(number: int, table: dict[str, Any]) -> dict[str, Any]:
+    """Return what an [[axis]] table gives by key. Raises `InputError` if it gives a key twice, as
+    `sensor.rows` and `"sensor.rows"`.
+    """
+    axis: dict[str, Any] = {}
+    for name, values in table.items():
+        nested = name in TABLES and isinstance(values, dict)
+        inner: Iterable[tuple[str | None, Any]] = values.items() if nested else [(None, values)]
+        for key, listed in inner:
+            swept = f"{name}.{key}" if key else name
+            if swept in axis:
+                raise InputError(f"axis[{number}].{swept}: is given twice")
+            axis[swept] = listed
+    return axis
 
 
 def _check_points(total: int) -> None:

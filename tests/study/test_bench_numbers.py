@@ -3,6 +3,8 @@
 the engines move.
 """
 
+import os
+from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +16,7 @@ from coincid.study import bench
 
 CYCLES, EDGES, REPEATS = 6_000, 800, 3
 FIRST_S = 1000.0  # that the first call of each engine takes longer, because it is compiled
+BUSY_S = 400.0  # that its third call takes longer, because the machine has other work
 PHOTONS_S = {"32x32": 2.0, "256x128": 3.0}
 GOLDEN_S, TOGETHER_S = 5.0, 7.0
 SLICED_S = {"32x32": 11.0, "256x128": 13.0}
@@ -33,15 +36,16 @@ class Engines:
 
     def __init__(self):
         self.now_s = 0.0
-        self.compiled = set()
+        self.calls = Counter()  # in this process
         self.built = set()
         self.folders = set()
         self.played_pulses = {}
+        self.checked = []
 
     def take(self, name, seconds):
-        """Take so long, and longer if it is the first time in this process."""
-        self.now_s += seconds + FIRST_S * (name not in self.compiled)
-        self.compiled.add(name)
+        """Take so long, and longer for the first and the third time in this process."""
+        self.calls[name] += 1
+        self.now_s += seconds + {1: FIRST_S, 3: BUSY_S}.get(self.calls[name], 0.0)
 
     def size(self, sensor):
         return f"{sensor.cols}x{sensor.rows}"
@@ -122,15 +126,18 @@ class Engines:
 
     def in_new_process(self, function, *arguments, **environment):
         """Call a function as in a new process, which loads its compiled code anew."""
-        before, self.compiled = self.compiled, set()
+        before, self.calls = self.calls, Counter()
         if function is not bench._build_s:
             self.built |= set(BUILD_S)
         elif environment["COINCID_BUILD"] not in self.folders:
             self.folders.add(environment["COINCID_BUILD"])
             self.built = set()
         found = function(*arguments)
-        self.compiled = before
+        self.calls = before
         return found
+
+    def check(self, sensor, expected, found):
+        self.checked.append(found)
 
 
 @pytest.fixture
@@ -147,7 +154,7 @@ def engines(monkeypatch):
         "build_sensor": lambda *_: None,
         "play": found.play,
         "pysim": SimpleNamespace(play=found.amaranth),
-        "check": lambda *_: None,
+        "check": found.check,
         "ResultBuilder": lambda config: builder,
         "estimate_depth": found.depth,
         "_in_new_process": found.in_new_process,
@@ -183,9 +190,44 @@ def test_rates_are_cycles_and_edges_by_their_time(result, engines):
     assert engines.played_pulses == pulses
 
 
+def test_every_frame_of_the_fast_rtl_is_checked(result, engines):
+    """One alone and many side by side, in each round and before the first."""
+    assert len(engines.checked) == (1 + bench.MANY) * (REPEATS + 1)
+    assert len(set(map(id, engines.checked))) == len(engines.checked)
+
+
+def test_a_table_of_the_benchmark_tells_numbers_that_one_can_read():
+    """Small ones in three digits, and large ones with separators; texts as they are."""
+    result = dict.fromkeys(bench.KEYS, "text")
+    numbers = {
+        "golden_cycles_per_s": (1234567.8, "1,234,568"),
+        "golden_per_sliced": (999.6, "1,000"),
+        "sliced_cycles_per_s": (999.4, "999"),
+        "sliced_per_cocotb_verilator": (12.345, "12.3"),
+        "frame_32x32_depth_s": (0.0123456, "0.0123"),
+        "edges": (1234567, "1,234,567"),
+        "machine_cpu": ("a cpu", "a cpu"),
+    }
+    rows = bench.table(result | {key: value for key, (value, _) in numbers.items()}).splitlines()
+    cells = {}
+    for row in rows[2:]:
+        key, *others = (cell.strip() for cell in row.strip("|").split("|"))
+        cells[key.strip("`")] = others
+    for key, (_, told) in numbers.items():
+        assert cells[key] == [told, *bench.KEYS[key]]
+
+
+def test_a_new_process_has_its_own_environment(monkeypatch):
+    """Which this one keeps as it is."""
+    monkeypatch.delenv("COINCID_BENCHED", raising=False)
+    assert bench._in_new_process(os.getenv, "COINCID_BENCHED", COINCID_BENCHED="yes") == "yes"
+    assert bench._in_new_process(os.getenv, "COINCID_BENCHED") is None
+    assert "COINCID_BENCHED" not in os.environ
+
+
 @pytest.mark.parametrize("size", bench.SIZES)
 def test_the_parts_of_a_frame_are_its_whole(size, result):
-    """Without the first frame, which loads compiled code."""
+    """Without the first frame, which loads compiled code, and without one of a busy machine."""
     parts = {
         "photons_s": PHOTONS_S[size],
         "sensor_s": SLICED_S[size],

@@ -216,6 +216,53 @@ def test_every_setting_reaches_the_setup_of_its_point(tmp_path):
         assert second.key == given.key, name
 
 
+def test_keys_of_an_axis_may_repeat_a_value_beside_another_one(tmp_path):
+    """Only the values of all keys together come once."""
+    axis = "[[axis]]\nklux = [5, 5, 9]\nseed = [1, 2, 1]\n"
+    points = grid(tmp_path, f"{BASE}{axis}").points
+    assert [tuple(point.values.values()) for point in points] == [(5, 1), (5, 2), (9, 1)]
+
+
+@pytest.mark.parametrize(("values", "is_legal"), [([1, 2], True), ([1, 2, 3], False)])
+def test_a_grid_may_have_as_many_points_as_are_allowed(tmp_path, monkeypatch, values, is_legal):
+    monkeypatch.setattr("coincid.study.sweep_spec.POINTS_MAX", 4)
+    axes = f"[[axis]]\nseed = {values}\n[[axis]]\nklux = [5, 50]\n"
+    if is_legal:
+        assert len(grid(tmp_path, f"{BASE}{axes}").points) == 4
+        return
+    with pytest.raises(InputError, match="points of the grid = 6: must be .*from 1 to 4"):
+        grid(tmp_path, f"{BASE}{axes}")
+
+
+def test_a_scene_that_moves_has_a_frame_for_each_picture_in_a_sweep(tmp_path):
+    """Unless the SPEC gives their number."""
+    (tmp_path / "pictures").mkdir()
+    for number, wall_m in enumerate((3.0, 4.0, 5.0)):
+        np.save(tmp_path / "pictures" / f"{number}.npy", np.full((8, 8), wall_m))
+    moving = BASE.replace("flat:5,0.4", str(tmp_path / "pictures"))
+    for text, frames in ((moving, 3), (f"{moving}frames = 2\n", 2)):
+        (point,) = grid(tmp_path, text).points
+        assert point.setup.config.frames == frames
+        assert point.settings["configuration"]["frame"]["frames"] == frames
+
+
+def test_points_of_equal_content_are_played_once_and_have_a_row_each(tmp_path, monkeypatch):
+    """As 5 and 5.0 klux."""
+    played = []
+
+    def campaign(setups, read, workers, **options):
+        played.append(list(setups))
+        return {key: dict.fromkeys(SWEPT, 1) for key in setups}
+
+    monkeypatch.setattr(job, "campaign", campaign)
+    monkeypatch.setattr(job, "write_plot", lambda *given: None)
+    spec = grid(tmp_path, f"{BASE}[[axis]]\nklux = [5, 5.0, 50]\n")
+    summary = job.sweep(spec, tmp_path / "s.parquet", workers=1, title="s")
+    assert [set(keys) for keys in played] == [{spec.points[0].key, spec.points[2].key}]
+    assert (summary.rows, summary.finished_before, summary.failed) == (3, 0, {})
+    assert table(tmp_path)["klux"].to_pylist() == [5.0, 5.0, 50.0]
+
+
 def test_only_new_points_run_and_stale_ones_are_not_in_the_result(tmp_path, quick):
     sweep(tmp_path)
     before = points(tmp_path)
@@ -324,6 +371,59 @@ def test_the_plot_is_logarithmic_where_values_span_much_and_shows_all(
         assert axis.lines[0].get_xdata().tolist() == values
 
 
+@pytest.mark.parametrize("several", [False, True])
+def test_seeds_are_across_only_if_nothing_else_is_swept(tmp_path, drawn, several):
+    """They show noise: with another axis they are neither across nor lines."""
+    axes = "[[axis]]\nseed = [1, 2, 3]\n" + "[[axis]]\nklux = [5, 50]\n" * several
+    spec = grid(tmp_path, f"{BASE}{axes}")
+    values = {point.key: 1.0 + point.at[0] for point in spec.points}
+    found = {key: dict.fromkeys(PANELS, value) for key, value in values.items()}
+    write_plot(tmp_path / "s.png", "a sweep", spec, found)
+    (figure,) = drawn
+    assert not figure.legends
+    assert figure.axes[-1].get_xlabel() == ("background light in klux" if several else "seed")
+    assert figure.get_suptitle() == "a sweep" + "; mean and span over seed" * several
+    (line,) = figure.axes[2].lines  # in mm
+    assert line.get_xdata().tolist() == ([5.0, 50.0] if several else [1.0, 2.0, 3.0])
+    expected = [2000.0, 2000.0] if several else [1000.0, 2000.0, 3000.0]
+    assert line.get_ydata().tolist() == pytest.approx(expected)
+
+
+def test_the_plot_has_gaps_where_no_point_has_a_value(tmp_path, drawn):
+    """Because it failed, or the measure has none; a value of 0 is one."""
+    axes = "[[axis]]\nklux = [5, 20, 50]\n[[axis]]\nseed = [1, 2]\n"
+    spec = grid(tmp_path, f"{BASE}{axes}")
+    of_points = [0.0, 4.0, None, 3.0, None, None]
+    found = {
+        point.key: dict.fromkeys(PANELS, value)
+        for point, value in zip(spec.points, of_points, strict=True)
+    }
+    del found[spec.points[4].key]
+    write_plot(tmp_path / "s.png", "a sweep", spec, found)
+    (line,) = drawn[0].axes[3].lines
+    assert line.get_ydata().tolist() == pytest.approx([2.0, 3.0, np.nan], nan_ok=True)
+
+
+def test_an_axis_of_several_keys_is_named_by_all_of_them(tmp_path, drawn):
+    """Its values have equal distances, and each its unit unless it is that of all."""
+    axes = (
+        "klux = [5, 500]\nsubgroup.window = [10, 20]",
+        "sensor.rows = [8, 16]\nclock_mhz = [125, 500]",
+    )
+    spec = grid(tmp_path, BASE + "".join(f"[[axis]]\n{axis}\n" for axis in axes))
+    found = {point.key: dict.fromkeys(PANELS, 1.0) for point in spec.points}
+    write_plot(tmp_path / "s.png", "a sweep", spec, found)
+    (figure,) = drawn
+    lowest = figure.axes[-1]
+    assert lowest.get_xlabel() == "background light in klux, subgroup.window in ticks"
+    assert [label.get_text() for label in lowest.get_xticklabels()] == ["5, 10", "500, 20"]
+    assert lowest.get_xscale() == "linear"
+    assert lowest.lines[0].get_xdata().tolist() == [0.0, 1.0]
+    (legend,) = figure.legends
+    assert legend.get_title().get_text() == "sensor.rows in pixels, system clock in MHz"
+    assert [label.get_text() for label in legend.get_texts()] == ["8, 125", "16, 500"]
+
+
 def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path, quick, monkeypatch):
     right = MEASURES["edges"]
 
@@ -417,6 +517,15 @@ def test_two_sweeps_at_once_on_one_output(tmp_path, quick):
         assert sweep(tmp_path, name="other").exit_code == 0
 
 
+def test_an_output_is_free_again_when_its_sweep_ends(tmp_path):
+    """Also if the sweep fails."""
+    first = job.Finished(tmp_path / "s.parquet")
+    with pytest.raises(ZeroDivisionError), first:
+        raise ZeroDivisionError
+    with job.Finished(tmp_path / "s.parquet") as second:
+        assert second.folder == first.folder
+
+
 def test_what_a_killed_sweep_left_half_written_goes_and_nothing_else(tmp_path):
     """When the next one begins: points, and files that are no sweep's, stay."""
     finished = job.Finished(tmp_path / "s.parquet")
@@ -476,6 +585,13 @@ BAD = [  # rules of the SPEC; the others' errors name the point
         "axis[1].frame.clock_mhz",
         "another axis",
     ),
+    ("[[axis]]\nclock_mhz = [1]\nframe.clock_mhz = [2]", "clock_mhz", "another axis"),
+    (
+        "[[axis]]\nsensor.rows = [8]\n'sensor.rows' = [16]",
+        "axis[0].sensor.rows: is given twice",
+    ),
+    ("[[axis]]\nklux = [1e12]", "point klux=1e+12", "too much ambient light"),
+    ("klux = -1", "point the only point", "klux = -1"),
     ("[[axis]]\nseed = [-1]", "seed = -1", "from 0 to"),
     ("[[axis]]\nengine = ['silver']", "engine = 'silver'", "golden, sliced"),
     ("method = 'best'", "method = 'best'", "planes"),
