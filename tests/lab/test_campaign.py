@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Campaigns with workers that finish in any order: outcomes, errors, kept files and progress."""
 
+import contextlib
 import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -256,3 +257,74 @@ def test_a_worker_with_another_version_plays_nothing(monkeypatch):
     with pytest.raises(RuntimeError, match=r"versions are not the sweep's: .*of golden.*, .*other"):
         dask_workers._read_batch(read, golden, [None], {"code": "other"})
     assert not read_there
+
+
+class LocalCluster:
+    """Stands in for the workers of this machine. ended: whether they have ended."""
+
+    ended = False
+
+    def __init__(self, **given):
+        self.given = given
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *raised):
+        self.ended = True
+
+
+@pytest.mark.parametrize("error", [OSError("no more processes"), RuntimeError("no start")])
+def test_workers_that_do_not_start_are_told_with_their_number(error, monkeypatch):
+    def refused(**given):
+        raise error
+
+    monkeypatch.setattr(dask_workers, "LocalCluster", refused)
+    told = rf"^workers = 3: they do not start \({error}\)$"
+    with pytest.raises(InputError, match=told), dask_workers.cluster(3):
+        raise AssertionError("there is no cluster")
+
+
+@pytest.mark.parametrize("address", [None, "tcp://127.0.0.1:8786"])
+def test_a_scheduler_that_does_not_answer_is_told_and_its_workers_end(address, monkeypatch):
+    """Those of a cluster of its own."""
+    local = LocalCluster()
+
+    def client(scheduler, **options):
+        assert scheduler is local or scheduler == address
+        raise OSError("timed out")
+
+    monkeypatch.setattr(dask_workers, "LocalCluster", lambda **given: local)
+    monkeypatch.setattr(dask_workers, "Client", client)
+    told = r"^scheduler = .*: no Dask scheduler answers \(timed out\)$"
+    with pytest.raises(InputError, match=told), dask_workers.cluster(1, address):
+        raise AssertionError("there is no cluster")
+    assert local.ended == (address is None)
+
+
+def test_a_scheduler_that_is_lost_ends_the_campaign(monkeypatch):
+    """Not as an error of the setup that was played: it runs again next time."""
+
+    class Lost:
+        def result(self):
+            raise dask_workers.FutureCancelledError("task", "lost")
+
+    class Client:
+        loop = None
+
+        def submit(self, *given, **options):
+            return Lost()
+
+    @contextlib.contextmanager
+    def cluster(*given):
+        yield Client()
+
+    monkeypatch.setattr(dask_workers, "cluster", cluster)
+    monkeypatch.setattr(dask_workers, "as_completed", lambda tasks, loop: iter(tasks))
+    monkeypatch.setattr(dask_workers, "evolve", lambda setup, scene: setup)
+    monkeypatch.setattr(dask_workers, "batches", lambda setups, workers: [[0]])
+    one = SimpleNamespace(key="a", scene=None, engine="golden")
+    failed = {}
+    with pytest.raises(dask_workers.SchedulerLost, match="finished points are kept: start the sw"):
+        campaign({1: one}, read, Dask(1), failed=failed)
+    assert not failed

@@ -93,3 +93,19 @@ def test_edges_of_ones_own_are_checked(wrong):
 
 def one_edge(**numbers):
     return Edges(**{name: np.array([value], np.int64) for name, value in numbers.items()})
+
+
+def test_edges_in_any_order_are_in_their_own_frame():
+    """Of four frames, each edge once; those of one frame keep their order."""
+    pulse = np.random.default_rng(1).permutation(np.arange(20).repeat(3))
+    edges = Edges(pulse=pulse, pixel=np.arange(60), tick=np.arange(60) * 3)
+    frame = {"frames": 4, "pulses": 5, "period": 60}
+    run = Run(Setup.of(sensor={"rows": 8, "cols": 8}, frame=frame, edges=edges))
+    for number in range(4):
+        own = run.frame_edges(number)
+        expected = pulse // 5 == number
+        assert own.pulse.tolist() == (pulse[expected] - 5 * number).tolist()
+        assert own.pixel.tolist() == np.arange(60)[expected].tolist()
+        assert own.tick.tolist() == (3 * np.arange(60)[expected]).tolist()
+        again = run.frame_edges(number - 4)
+        assert np.array_equal(again.pixel, own.pixel)

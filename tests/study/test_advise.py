@@ -1018,3 +1018,68 @@ def test_a_sensor_that_was_measured_has_the_area_of_its_measurement(name, sensor
     assert [um2_per_pixel(sensor) for sensor in found] == pytest.approx(areas)
     between = um2_per_pixel(parse_config({"sensor": {"subgroup": [8, 16]}}).sensor)
     assert 538.6 < between < 658.3
+
+
+def test_the_limit_is_told_for_each_threshold_whatever_the_configuration_has(monkeypatch):
+    """By hand: of the events 10 mm per pixel of the threshold, 5 mm of all photons."""
+
+    def of_words(config, *light):
+        assert config.coincidence.all() and not config.auto.any()
+        (threshold,) = set(config.threshold.tolist())
+        return SimpleNamespace(pixel_mm=10.0 * threshold)
+
+    monkeypatch.setattr("coincid.study.advise.word_bounds_mm", of_words)
+    monkeypatch.setattr("coincid.study.advise.photon_bound_mm", lambda *given: 5.0)
+    own = {"coincidence": False, "auto": True, "threshold": 6}
+    setup = Setup.of("flat:3", sensor={"rows": 8, "cols": 8}, subgroup=own, klux=1.0)
+    told = limit(Run(setup), setup.config)
+    assert re.fullmatch(
+        r"The limit of a pixel with the median light \([\d.]+ photons per pulse\), without its"
+        r" neighbours' distances: 5\.0 mm from all photons; from the words 10\.0 mm at threshold 1,"
+        r" 20\.0 mm at threshold 2, 30\.0 mm at threshold 3\.",
+        told,
+    )
+    monkeypatch.setattr("coincid.study.advise.median_light", lambda light: None)
+    assert limit(Run(setup), setup.config) == "No pixel has light."
+
+
+def test_the_picture_of_an_advice_has_a_mark_for_each_outcome(monkeypatch, tmp_path):
+    """Numbers at the thresholds, a diamond for the controller, in the colour of their window."""
+    drawn = []
+    monkeypatch.setattr(
+        "coincid.study.advise.save_figure", lambda figure, path: drawn.append(figure)
+    )
+    settings = []
+    for window, least in ((8, 0.1), (16, 0.3)):
+        for number, own in enumerate(({"threshold": 2}, {"threshold": 4}, {"auto": True})):
+            config = parse_config({"subgroup": own | {"window": window}})
+            wrong, bits = least + 0.01 * number, 1000 * window + number
+            settings.append(outcome(wrong, bits=bits, config=config))
+    best = outcome(0.5, config=parse_config({"frame": {"link_gbps": 4.0}}))
+    advice = Advice(settings=settings, chosen=settings[1], links=[best], best=best, klux=1.0)
+    write_advice(tmp_path, advice, "a wall")
+    (axis,) = drawn[0].axes
+    lines = {}
+    for line in axis.lines:
+        places = [tuple(place) for place in line.get_xydata().tolist()]
+        lines.setdefault(line.get_marker(), []).append((places, line.get_color()))
+    places = [(one.bits, one.wrong) for one in settings]
+    (near, colour), (far, other), ring = lines["o"]
+    assert (near, far, ring[0]) == (places[:2], places[3:5], [places[1]])
+    own = [(found, shade) for found, shade in lines["D"] if found]
+    assert own == [([places[2]], colour), ([places[5]], other)] and colour != other
+    told = [(text.get_text(), text.xy, text.get_color()) for text in axis.texts]
+    assert told == [
+        (name, place, shade)
+        for shade, of_window in ((colour, places[:2]), (other, places[3:5]))
+        for name, place in zip("24", of_window, strict=True)
+    ]
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == [
+        "window of 0.5 ns",
+        "window of 1 ns",
+        "controller",
+        "advised, with a link of 4 Gbit/s",
+    ]
+    assert (axis.get_xlabel(), axis.get_xscale()) == ("bits per frame", "log")
+    assert axis.get_ylabel() == "share of wrong pixels" and axis.get_ylim()[0] == 0
+    assert axis.get_title(loc="left").startswith("a wall: ")

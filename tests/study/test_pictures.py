@@ -102,13 +102,15 @@ def test_each_picture_of_light_has_the_same_room(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize(("suffix", "kind"), [("gif", "GIF"), ("png", "PNG"), ("PNG", "PNG")])
 def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path, suffix, kind):
-    """That of all their truths, so that the same colour is the same distance. Each has its number."""
+    """That of all their truths, so that the same colour is the same distance. Each has its number,
+    and the heading of all.
+    """
     spans, titles = [], []
 
-    def draw(panels, *given, span_m):
+    def draw(panels, truth_m, heading, *, span_m):
         spans.append(span_m)
-        titles.append(panels[0].title)
-        return draw_row(panels, *given, span_m=span_m)
+        titles.append((heading, panels[0].title))
+        return draw_row(panels, truth_m, heading, span_m=span_m)
 
     monkeypatch.setattr(animation, "draw_row", draw)
     frames = []
@@ -116,9 +118,9 @@ def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path, suffix
         wall = np.full((4, 4), wall_m)
         first = SimpleNamespace(reason=np.zeros((4, 4), np.uint8))
         frames.append(SimpleNamespace(number=number, truth_m=wall, depth_m=wall, first=first))
-    animation.write_animation(tmp_path / f"moves.{suffix}", frames)
+    animation.write_animation(tmp_path / f"moves.{suffix}", frames, "a wall")
     assert spans == [(3.0, 12.0)] * 3
-    assert titles == [f"depth, frame {number}" for number in (4, 2, 7)]
+    assert titles == [("a wall", f"depth, frame {number}") for number in (4, 2, 7)]
     with Image.open(tmp_path / f"moves.{suffix}") as written:
         assert (written.format, written.n_frames) == (kind, 3)
 
@@ -265,3 +267,14 @@ def test_a_legend_has_each_label_once_in_as_many_columns_as_there_are():
     assert [text.get_text() for text in legend.get_texts()] == ["a", "b", "c"]
     assert legend._ncols == 3
     assert legend.legend_handles[1].get_color() == first.lines[1].get_color()
+
+
+def test_figures_have_no_dates(tmp_path):
+    """Equal data give equal bytes on another day, and in another release of the library."""
+    with style():
+        figure = new_figure(2, 1)
+    save_figure(figure, tmp_path / "one.svg", tmp_path / "one.png")
+    text = (tmp_path / "one.svg").read_text(encoding="utf-8")
+    assert "date" not in text and "creator" not in text
+    with Image.open(tmp_path / "one.png") as picture:
+        assert "Software" not in picture.info

@@ -4,6 +4,7 @@
 import io
 import re
 import threading
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
@@ -107,3 +108,17 @@ def test_stages_that_last_are_watched_only_where_lines_tell_of_them(terminal, li
     for thread in own:
         thread.join(PATIENCE_S)
         assert not thread.is_alive()
+
+
+def test_a_stage_that_lasts_tells_its_own_seconds(monkeypatch):
+    """Not those of the stages before it."""
+    now_s = 100.0
+    monkeypatch.setattr(progress, "LINE_EVERY_S", 0.05)
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now_s))
+    text = Told("depth: 7 s")
+    with Bar(Console(file=text), lines=True) as bar:
+        bar.stage("photons")
+        now_s = 160.0
+        bar.stage("depth")
+        now_s = 167.0
+        assert text.twice.wait(PATIENCE_S)

@@ -495,3 +495,59 @@ def test_every_point_has_the_numbers_of_its_return():
     assert points["signal"] == pytest.approx(metres + 20, rel=1e-6)
     assert points["signal_error"] == pytest.approx(metres + 40, rel=1e-6)
     assert points["reason"].tolist() == np.repeat(np.arange(6), 2).tolist()
+
+
+@pytest.mark.parametrize("shape", [(1, 6), (6, 1), (1, 1)])
+def test_the_normals_of_a_single_row_or_column_are_not_known(shape):
+    """It does not tell how the surface slants across it."""
+    depth = Depth(
+        np.full((*shape, 1), 3.0),
+        np.ones((*shape, 1)),
+        np.zeros(shape, np.uint8),
+        slope_m=np.zeros((*shape, 2)),
+    )
+    points = coincid.point_cloud(depth, normals=True)
+    assert len(points) == shape[0] * shape[1]
+    for name in ("nx", "ny", "nz"):
+        assert np.isnan(points[name]).all()
+
+
+def test_what_has_no_normal_has_none_and_later_returns_have_none():
+    """A pixel at distance 0, or without a slope."""
+    depth_m = np.full((4, 4, 2), 3.0)
+    depth_m[..., 1] = 5.0
+    depth_m[0, 0, 0] = 0.0
+    slope_m = np.zeros((4, 4, 2))
+    slope_m[1, 1] = np.nan
+    sure = np.ones((4, 4, 2))
+    depth = Depth(depth_m, sure, np.zeros((4, 4), np.uint8), slope_m=slope_m)
+    points = coincid.point_cloud(depth, Optics(fov_h_deg=40, fov_v_deg=40), normals=True)
+    has_normal = ~np.isnan(points["nz"]).reshape(4, 4, 2)
+    expected = np.ones((4, 4), bool)
+    expected[0, 0] = expected[1, 1] = False
+    assert np.array_equal(has_normal[..., 0], expected)
+    assert not has_normal[..., 1].any()
+    lengths = sum(points[name].astype(float) ** 2 for name in ("nx", "ny", "nz"))
+    assert lengths[has_normal.ravel()] == pytest.approx(1)
+    assert (points["nz"][has_normal.ravel()] < 0).all()
+
+
+def test_ply_holds_normals_if_the_points_have_them(tmp_path):
+    depth = Depth(
+        np.full((4, 4, 1), 3.0),
+        np.ones((4, 4, 1)),
+        np.zeros((4, 4), np.uint8),
+        slope_m=np.zeros((4, 4, 2)),
+    )
+    points = coincid.point_cloud(depth, normals=True)
+    coincid.write_ply(tmp_path / "cloud.ply", points)
+    header, _, data = (tmp_path / "cloud.ply").read_bytes().partition(b"end_header\n")
+    lines = [line.split()[1:] for line in header.decode().splitlines() if "property" in line]
+    assert [name for _, name in lines][-3:] == ["nx", "ny", "nz"]
+    kinds = {"float": "<f4", "uchar": "u1"}
+    read = np.frombuffer(data, [(name, kinds[kind]) for kind, name in lines])
+    for name in points.dtype.names:
+        assert np.array_equal(read[name], points[name], equal_nan=True), name
+    for wrong in (points.reshape(4, 4), np.ones(3)):
+        with pytest.raises(coincid.InputError, match="points: must be the array of point_cloud"):
+            coincid.write_ply(tmp_path / "cloud.ply", wrong)

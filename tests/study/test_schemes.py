@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `coincid sim` adds to a configuration, and the runs of its schemes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from rich.console import Console
@@ -17,6 +19,7 @@ from coincid.study.schemes import (
     scheme_runs,
     seeing_all,
 )
+from coincid.study.schemes import _take_best as take_best
 from coincid.study.simulate import LINK_FORMAT, LINK_GBPS, with_link
 
 
@@ -109,3 +112,29 @@ def test_schemes_of_a_long_run_see_the_pictures_of_their_frames(controller, thre
             np.testing.assert_array_equal(frame.depth_m, expected.depth_m, err_msg=name)
             np.testing.assert_array_equal(frame.threshold, expected.threshold, err_msg=name)
             assert frame["edges"] == expected["edges"]
+
+
+@pytest.mark.parametrize(
+    ("shares", "best"),
+    [
+        ([0.5, 0.2, 0.2, 0.4, 0.2, 0.9, 0.2], 2),
+        ([0.5, 0.4, 0.3, 0.3, 0.2, 0.9, 0.1], 7),
+        ([0.1, 0.1, 0.3, 0.3, 0.2, 0.9, 0.1], 1),
+        ([None] * 7, 1),  # without any truth
+    ],
+)
+def test_the_best_threshold_is_the_lowest_of_those_with_the_fewest_wrong_pixels(shares, best):
+    """Also of a long run, of which the runs of all others are given up."""
+    asked = []
+
+    def alone(number, subgroup):
+        asked.append((number, subgroup["coincidence"], subgroup["auto"]))
+        return {"wrong_share": shares[subgroup["threshold"] - 1]}
+
+    run = SimpleNamespace(config=parse_config({}), alone=alone)
+    assert best_threshold(run) == best
+    assert asked == [(-1, True, False)] * 7
+    of_thresholds = {1 + k: {"wrong_share": share} for k, share in enumerate(shares)}
+    runs = of_thresholds | {"off": {"wrong_share": 0.0}}
+    assert take_best(runs, range(1, 8)) == (best, of_thresholds[best])
+    assert list(runs) == ["off"]

@@ -206,3 +206,34 @@ def test_counters_that_are_full_are_told_by_their_names():
     end = f"{CONFIG.sensor.counter_max:,} (sensor.counter_bits = {CONFIG.sensor.counter_bits})"
     names = ", ".join(name for name in COUNTER_NAMES if name in ("stored", "dropped"))
     assert told == f"note: counters at their end, {end}, have counted more: {names}"
+
+
+def test_cycles_are_those_of_all_frames_up_to_the_last_beat_of_any_stream(monkeypatch, tmp_path):
+    """Frames of the schemes come in turn. An engine tells its cycles itself."""
+    added = []
+    monkeypatch.setattr(
+        simulate,
+        "ResultFile",
+        lambda config: SimpleNamespace(config=config, add=lambda *given: added.append(given)),
+    )
+
+    def frame(number, *last_cycles, **others):
+        beat_cycle = [np.array([1, last]) for last in last_cycles]
+        return SimpleNamespace(
+            beats=number,
+            commit_subgroup=None,
+            commit_cycle=None,
+            beat_cycle=beat_cycle,
+            **others,
+        )
+
+    runs = {
+        "off": SimpleNamespace(config=CONFIG, traces=[frame(0, 9, 19, 4)]),
+        "auto": SimpleNamespace(config=CONFIG, traces=[frame(1, 29, 3, 4), frame(2, 1, 2, 39)]),
+    }
+    golden = simulate.GoldenRuns(runs, 2, 7.5)
+    played = simulate.play_runs(golden, "golden", tmp_path)
+    assert [given[0] for given in added] == [0, 1, 2]
+    assert (played.cycles, played.checked) == (20 + 30 + 40, 0)
+    assert (played.seconds, played.wave) == (7.5, None)
+    assert simulate._cycles(frame(3, 9, 19, cycles=77)) == 77
