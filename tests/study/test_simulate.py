@@ -39,6 +39,7 @@ from coincid.study.simulate import (
     simulate_to_folder,
 )
 from coincid.tb import wave_views
+from coincid.tb.rtl_errors import Mismatch
 
 from ..command import command
 from ..random_cases import SENSORS, configurations, drawn
@@ -293,7 +294,7 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
         assert word in result.stderr
     report = json.loads((out / REPORT).read_text(encoding="utf-8"))
     assert report["mismatches"] == 1 and report["mismatch"] in result.stderr
-    assert not {path.name for path in out.iterdir()} & {*PICTURES, LIGHT, EVENTS, PAGE}
+    assert not {path.name for path in out.iterdir()} & {*PICTURES, LIGHT, EVENTS, DEPTH, PAGE}
     assert (out / "sim.log").exists()
 
 
@@ -349,6 +350,114 @@ def test_views_name_signals_of_the_waveform(tmp_path, simulator):
 def test_a_stage_that_compiles_says_so(compiled, told, monkeypatch):
     monkeypatch.setattr(progress, "is_compiled", lambda module: compiled)
     assert progress.first_time("photons", "coincid.model.light.photons") == told
+
+
+class Ended(Exception):
+    """The frames would be played."""
+
+
+@pytest.fixture
+def unplayed(monkeypatch):
+    """Run simulations up to their frames, which raise an error; return their told progress."""
+    told = []
+
+    class Recording(progress.Bar):
+        def stage(self, name, total=None):
+            super().stage(name, total)
+            told.append((name, total))
+
+        def done(self, amount, total=None):
+            super().done(amount, total)
+            told.append(amount)
+
+    def unplayed(out, document, scene="flat:5", error=Ended):
+        def play(*given, progress, **options):
+            progress(77)
+            raise error
+
+        monkeypatch.setattr(simulate, "Bar", Recording)
+        runs = SimpleNamespace(threshold=2)
+        monkeypatch.setattr(simulate, "_golden_runs", lambda *given: runs)
+        monkeypatch.setattr(simulate, "play_runs", play)
+        with pytest.raises(type(error) if isinstance(error, Exception) else error):
+            run(out, document, scene)
+        return told
+
+    return unplayed
+
+
+@pytest.mark.parametrize(
+    ("controller", "pictures", "frames"), [(1, 1, 2 + 3), (0, 1, 2), (1, 3, 2 + 3), (0, 3, 1 + 3)]
+)
+def test_the_progress_of_a_simulation_is_that_of_all_frames_of_all_schemes(
+    unplayed, tmp_path, controller, pictures, frames
+):
+    """In cycles, gaps included."""
+    walls_m = np.full((pictures, 8, 8), 3.0)
+    scene = load_scene(walls_m if pictures > 1 else walls_m[0], 8, 8)
+    document = {
+        "sensor": SMALL["sensor"] | {"controller": controller},
+        "frame": SMALL["frame"] | {"gap": 10},
+    }
+    cycles = parse_config(document).frame_cycles
+    assert cycles == 4 * 60 + 3 * 10
+    expected = [(f"{frames} frames on golden", frames * cycles), 77]
+    assert unplayed(tmp_path, document, scene) == expected
+
+
+OF_COUNTS = {
+    "sensor": {"rows": 8, "cols": 8, "counts": 1},
+    "frame": {"pulses": 60, "format": "counts"},
+}
+
+
+@pytest.mark.parametrize(
+    ("document", "gone"),
+    [(SMALL, {DEPTHS, ANIMATION}), (OF_COUNTS, {DEPTHS, ANIMATION, "depth_peak.png"})],
+)
+def test_files_of_an_earlier_run_that_are_not_written_again_go_first(
+    unplayed, tmp_path, document, gone
+):
+    names = {*PICTURES, LIGHT, EVENTS, DEPTH, PAGE, REPORT, DEPTHS, ANIMATION, "mine.txt"}
+    for name in names:
+        (tmp_path / name).write_text("of an earlier run", encoding="utf-8")
+    unplayed(tmp_path, document)
+    assert {path.name for path in tmp_path.iterdir()} == names - gone
+
+
+def test_after_a_mismatch_only_the_report_is_left(unplayed, tmp_path):
+    """And what is no result."""
+    for name in (*PICTURES, LIGHT, EVENTS, DEPTH, PAGE, DEPTHS, ANIMATION, "sim.log"):
+        (tmp_path / name).write_text("of an earlier run", encoding="utf-8")
+    unplayed(tmp_path, SMALL, error=Mismatch("beat 3 differs"))
+    assert {path.name for path in tmp_path.iterdir()} == {REPORT, "sim.log"}
+    report = json.loads((tmp_path / REPORT).read_text(encoding="utf-8"))
+    assert (report["mismatches"], report["mismatch"]) == (1, "beat 3 differs")
+
+
+@pytest.mark.parametrize(
+    ("shares", "least"), [((0.9, 0.3, 0.8), None), ((0.9, 0.31, None), 0.31), ((None, None), 1.0)]
+)
+def test_a_simulation_says_what_would_help_where_no_scheme_leaves_a_useful_picture(
+    monkeypatch, shares, least
+):
+    """Of the last picture that was played, with the longest window."""
+    asked = []
+
+    def sentence(wrong, setup, window, workers):
+        asked.append((wrong, float(setup.seen.truth_m[0, 0]), window, setup.config.frames))
+        return "what would help"
+
+    monkeypatch.setattr(simulate, "useless_sentence", sentence)
+    walls_m = np.array([3.0, 4.0, 5.0])[:, None, None] * np.ones((3, 8, 16))
+    setup = Setup.of(load_scene(walls_m, 8, 16), **LETTER, engine="sliced", estimators=("maximum",))
+    config = setup.config.with_settings(window=np.array([7, 9]))
+    names = list(SCHEMES)[: len(shares)]
+    report = {f"wrong_share_{name}": one for name, one in zip(names, shares, strict=True)}
+    console = Console(file=io.StringIO(), width=100)
+    simulate._tell_if_useless(console, setup, config, report | {"frames": 2}, names)
+    assert asked == ([] if least is None else [(least, 4.0, 9, config.frames)])
+    assert console.file.getvalue() == ("" if least is None else "what would help\n")
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
