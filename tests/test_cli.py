@@ -239,6 +239,16 @@ def test_files_that_are_no_edges(files):
     assert not (files / "out").exists()
 
 
+FILES_OUT = (
+    "bench --out",
+    "pnr --out",
+    "photons --out",
+    "edges edges.npz --out",
+    "emulator --page",
+)
+FOLDERS_OUT = ("advise flat:5 --out", "emulator serial --out", "emulate --simulate --out")
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -269,6 +279,10 @@ def test_files_that_are_no_edges(files):
         ("verilog --config config.toml --out edges.npz/out.npz", ("out.npz", "cannot be written")),
         (REPLAY.replace("out/result.npz", "edges.npz/out.npz"), ("out.npz", "cannot be written")),
         (REPLAY.replace("out/result.npz", "."), ("is a folder",)),
+        ("bench --repeats 0", ("repeats = 0", "from 1 to 1000")),
+        ("bench --repeats 1001", ("repeats = 1001", "from 1 to 1000")),
+        *((f"{words} .", ("is a folder",)) for words in FILES_OUT),
+        *((f"{words} edges.npz/below", ("cannot be written",)) for words in FOLDERS_OUT),
         ("sim --out out --spad dead_time_s=fast", ("--spad dead_time_s=fast: must be a number",)),
         ("sim --out out --spad dead_time_s", ("--spad dead_time_s: must be a number",)),
         ("sim --out out --spad dead=1", ("--spad dead=1: must be NAME=VALUE", "dead_time_s")),

@@ -867,6 +867,7 @@ def emulate(
     if netlist and not simulate:
         raise InputError("netlist: goes with --simulate only")
     frames = check_integer("frames", frames, 1, FRAMES_MAX)
+    _folder(out)
     settings = _config(config, changes)
     if pulses is not None:
         settings = settings.with_frame(pulses=pulses)
@@ -900,7 +901,7 @@ def emulate(
             EmulatorDriver(transport),
             settings,
             setup.seen,
-            _folder(out),
+            out,
             klux=setup.klux,
             frames=frames,
             seed=seed,

@@ -216,8 +216,12 @@ def check_settings(values: dict[str, Any], uploads: Uploads | None = None) -> Se
     }
     config = parse_config(_document(values))
     work = config.sensor.array_pixels * config.pulses * config.frames
+    frames_max = PIXEL_PULSES_MAX // config.sensor.array_pixels  # of a single pulse
+    if config.frames > frames_max:
+        why = "so many pixels here; larger: coincid sim"
+        raise out_of_range("frames", config.frames, 1, frames_max, why)
     if work > PIXEL_PULSES_MAX:
-        most = max(1, PIXEL_PULSES_MAX // (config.sensor.array_pixels * config.frames))
+        most = PIXEL_PULSES_MAX // (config.sensor.array_pixels * config.frames)
         why = "so many pixels and frames here; larger: coincid sim"
         raise out_of_range("pulses", config.pulses, 1, most, why)
     spad = Spad(

@@ -161,6 +161,7 @@ class Page:
             settings = check_settings(values_of_text(question.values), self.uploads)
         except InputError as error:
             self._runner.cancel()
+            self._run = None  # the outcome of the run before may be on its way
             self._refuse(error)
             return
         self._run = self._runner.start(lambda progress: self._explorer.run(settings, progress))
@@ -342,7 +343,10 @@ class Page:
             "frame": config.frames,
         }
         try:
-            number = int(value) if value.lstrip("-").isdecimal() else value
+            number: object = int(value)
+        except ValueError:  # no number, or one of thousands of digits
+            number = value
+        try:
             checked: Any = check_integer(name, number, 0, most[name] - 1) if name in most else value
             self.look = evolve(self.look, **{name: checked})
             self._show() if name == "frame" else self._point()

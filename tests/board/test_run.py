@@ -426,6 +426,15 @@ def test_what_a_session_counted_is_told_number_by_number(told, tmp_path):
     assert shown == [*COUNTED, end]
 
 
+@pytest.mark.parametrize("line", ["--simulate", "--port /dev/a"])
+def test_a_folder_that_cannot_be_is_told_before_a_line_is_opened(told, tmp_path, line):
+    """Or an emulator is built, which takes minutes."""
+    (tmp_path / "file").touch()
+    done = command(f"emulate {line} --scene flat:5 --out {tmp_path}/file/below")
+    assert done.exit_code == 2 and "cannot be written" in done.output
+    assert not told
+
+
 @pytest.mark.parametrize(("baud", "times"), [(25_000_000, 1), (5_000_000, 5), (100_000, 250)])
 def test_a_slower_simulated_line_gets_as_much_more_patience(told, baud, times):
     command(f"emulate --simulate --scene flat:5 --set clock_mhz=100 --baud {baud}")

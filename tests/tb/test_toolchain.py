@@ -264,6 +264,37 @@ def test_what_yosys_makes_is_made_once_and_again_after_any_change(tmp_path, monk
         folders.add(first)
     assert len(folders) == len(runs) == len(changes)
     assert runs[0] == (sorted(files.items()), (*of["script"],))
+    monkeypatch.setattr(wheels, "version", lambda package: f"another {package}")
+    assert wheels.yosys_once(tmp_path / "x", **of) not in folders
+
+
+def test_what_yosys_makes_counts_as_made_once_what_follows_it_is_done(tmp_path, monkeypatch):
+    """It follows in the folder of files and results, and once."""
+    monkeypatch.setattr(wheels, "run_yosys", lambda folder, line: (folder / line).touch())
+    followed = []
+
+    def fails(folder):
+        raise RuntimeError("not yet")
+
+    def follows(folder):
+        followed.append(sorted(path.name for path in folder.iterdir()))
+
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="not yet"):
+            wheels.yosys_once(tmp_path / "x", {"a.v": ""}, ["net.v"], then=fails)
+    for _ in range(2):
+        wheels.yosys_once(tmp_path / "x", {"a.v": ""}, ["net.v"], then=follows)
+    assert followed == [["a.v", "net.v"]]
+
+
+def test_a_compiler_on_a_disk_that_is_nearly_full_is_told_as_that(tmp_path, monkeypatch):
+    """Whatever its log says, which may be cut off; with room, the end of the log is told."""
+    command = [sys.executable, "-c", "import sys; sys.exit('cut o')"]
+    for free, told in ((1 << 19, "No space left on device, in "), (1 << 21, "(?s)failed.*cut o")):
+        usage = SimpleNamespace(free=free)
+        monkeypatch.setattr(build_tools.shutil, "disk_usage", lambda path, usage=usage: usage)
+        with pytest.raises(ToolchainError, match=told):
+            compile_in(tmp_path, tmp_path / "log", command)
 
 
 @pytest.mark.long

@@ -16,6 +16,12 @@ import coincid
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.controls import CONTROLS
 from coincid.study.explore.stages import Explorer
+from coincid.study.show.figures import (
+    cursor_columns,
+    histogram_columns,
+    light_columns,
+    period_columns,
+)
 from coincid.study.show.report import write_report
 
 from .test_server import SMALL, explorer
@@ -351,6 +357,53 @@ def test_uploads(tabs, address, tmp_path):
     )
 
 
+def test_each_kind_of_file_is_used_as_soon_as_it_is_chosen(tabs, address, tmp_path):
+    """Unless it is too large: then it does not leave the page."""
+    tab = tabs(address)
+    grey, pulse, large = (tmp_path / name for name in ("grey.png", "pulse.csv", "large.png"))
+    Image.new("L", (64, 64), 128).save(grey)
+    pulse.write_text("time_ps,density\n0,0\n250,1\n500,0\n", encoding="utf-8")
+    large.write_bytes(bytes(33 << 20))
+    for kind, path, using in (
+        ("sun", grey, {"sun": "picture", "pulse": "Gaussian", "scene": "five-objects"}),
+        ("pulse", pulse, {"sun": "picture", "pulse": "file", "scene": "five-objects"}),
+    ):
+        bring(tab, kind, path)
+        shown(tab)
+        assert {name: tab.input_value(f"[name={name}]") for name in using} == using
+    assert all(word in tab.locator("#status").text_content() for word in ("picture", "file"))
+    bring(tab, "colour", grey)
+    assert "choose a depth picture" in refused(tab)
+    tab.click("[data-do=reset]")
+    shown(tab)
+    bring(tab, "depth", large)
+    assert refused(tab) == "large.png: holds 33 MiB, must hold at most 32"
+    assert tab.input_value("[name=scene]") == "five-objects"
+    put(tab, "threshold", 4)
+    shown(tab)
+    assert tab.locator("#refused").is_hidden()
+
+
+def test_a_slider_and_its_field_move_together_and_a_film_stops(tabs, address):
+    tab = tabs(f"{address}?frames=2")
+    tab.locator("[data-slides=threshold]").evaluate(
+        "(one) => { one.value = 7; one.dispatchEvent(new Event('input', {bubbles: true})); }"
+    )
+    shown(tab)
+    assert tab.input_value("[name=threshold]") == "7"
+    assert number(tab, "mean threshold") == ["7.00 pixels"]
+    put(tab, "threshold", 5)
+    assert tab.input_value("[data-slides=threshold]") == "5"
+    shown(tab)
+    button = tab.locator("[data-play=pulse]")
+    for pressed in ("true", "false"):
+        button.click()
+        assert button.get_attribute("aria-pressed") == pressed
+    ordered = tab.evaluate("orders")
+    tab.wait_for_timeout(1000)  # two steps of a film
+    assert tab.evaluate("orders") == ordered
+
+
 def test_back_forgets_a_file_that_was_refused(tabs, address, tmp_path):
     tab = tabs(address)
     depth, bad = tmp_path / "depth.png", tmp_path / "bad.png"
@@ -509,6 +562,56 @@ def test_a_server_that_was_killed_and_started_again(tabs):
     with explorer(*SMALL, port=address.rstrip("/").rpartition(":")[2]):
         tab.wait_for_function("document.getElementById('gone')?.hidden === true && " + SHOWN)
         assert number(tab, "mean threshold") == ["4.00 pixels"]
+
+
+DRAWN = """() => {
+  const {histogram, timeline, cursor, around} = all;
+  const sources = {cursor, around, bars: histogram.bars, returns: histogram.returns, truth: histogram.truth,
+    edges: timeline.edges, windows: timeline.windows, gate: timeline.gate, fill: timeline.fill, light: timeline.light};
+  const columns = ({data}) => Object.fromEntries(Object.entries(data).map(([name, values]) => [name, [...values]]));
+  return Object.fromEntries(Object.entries(sources).map(([name, source]) => [name, columns(source)]));
+}"""
+
+
+def assert_same_columns(found, expected):
+    assert found.keys() == expected.keys()
+    for name, values in expected.items():
+        values = np.asarray(values).tolist()
+        numbers = not any(isinstance(value, str) for value in values)
+        assert found[name] == (pytest.approx(values, rel=1e-6) if numbers else values), name
+
+
+def test_a_report_looks_up_what_the_explorer_draws(tabs, tmp_path):
+    """Of any pixel of a large subgroup, in any pulse and frame."""
+    size = {"rows": 16, "cols": 32, "subgroup": "8x16", "fifo_depth": 2, "threshold": 1}
+    gate = {"gating": True, "gate_start": 10, "gate_len": 90, "gate_every": 2}
+    steps = {"gate_step": 20, "gate_steps": 3}
+    values = size | gate | steps | {"pulses": 6, "frames": 2, "klux": 80.0}
+    explored = Explorer().run(check_settings(values))
+    views = [explored.view(number) for number in range(2)]
+    write_report(tmp_path / "report.html", "a run", views)
+    tab = tabs(f"file://{tmp_path}/report.html", ready=False)
+    tab.wait_for_function("document.getElementById('story')?.textContent.length > 0")
+    for frame, row, col, pulse in ((0, 0, 0, 0), (1, 15, 31, 5), (1, 6, 17, 3), (0, 9, 14, 2)):
+        tab.select_option("[data-look=frame]", str(frame))
+        for name, value in {"row": row, "col": col, "pulse": pulse}.items():
+            tab.fill(f"[data-look={name}]", str(value))
+        view = views[frame]
+        subgroup = view.subgroup_of(row, col)
+        wait_for_title(tab, "timeline", f"startsWith('subgroup {subgroup}, pulse {pulse}:')")
+        period = view.period(subgroup, pulse)
+        assert len(period.tick) and len(period.windows.start)
+        names = ["bars", "returns", "truth", "edges", "windows", "gate", "fill", "cursor", "around"]
+        columns = (
+            *histogram_columns(view, row, col),
+            *period_columns(view, period),
+            *cursor_columns(view, row, col),
+        )
+        expected = dict(zip(names, columns, strict=True)) | {"light": light_columns(view, subgroup)}
+        found = tab.evaluate(DRAWN)
+        assert found.keys() == expected.keys()
+        for name, one in expected.items():
+            assert_same_columns(found[name], one)
 
 
 def test_reports_and_a_notebooks_pages_need_no_server(tabs, tmp_path):

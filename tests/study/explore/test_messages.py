@@ -13,6 +13,7 @@ import pytest
 from coincid.study.explore import messages
 from coincid.study.explore.messages import MESSAGES, ORDERS, LookedAt, Words
 from coincid.study.explore.tab import Link
+from coincid.study.explore.uploads import BYTES_MAX
 
 ROOM = Path(inspect.getfile(messages)).parent
 SCRIPT = (ROOM / "page.js").read_text(encoding="utf-8")
@@ -82,6 +83,11 @@ def test_every_field_has_its_comment(classes):
         for name in fields(of):
             line = next(line for line in lines if line.startswith(f"    {name}: "))
             assert "  # " in line
+
+
+def test_the_page_sends_files_up_to_the_size_that_the_server_takes():
+    (bytes_max,) = re.findall(r"\bUPLOAD_BYTES_MAX = (\d+) << (\d+)", SCRIPT)
+    assert int(bytes_max[0]) << int(bytes_max[1]) == BYTES_MAX
 
 
 def test_an_order_comes_as_its_class():

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The explorer's server: which requests it answers, and how it ends."""
 
+import errno
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -17,7 +19,7 @@ import pytest
 from coincid.model.shared.errors import InputError
 from coincid.study.explore import server
 from coincid.study.explore.control_values import check_settings
-from coincid.study.explore.uploads import Uploads
+from coincid.study.explore.uploads import BYTES_MAX, Uploads
 
 SMALL = ("rows=16", "cols=16", "pulses=20")
 
@@ -58,6 +60,12 @@ def address():
         {"Host": "example.org"},
         {"Sec-Fetch-Site": "cross-site"},
         {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"},
+        {
+            "Sec-Fetch-Site": "cross-site",
+            "Sec-Fetch-Mode": "navigate",
+            "Sec-Fetch-Dest": "iframe",
+        },
+        {"Origin": "http://127.0.0.1:1"},
     ],
     ids=json.dumps,
 )
@@ -71,6 +79,15 @@ def test_other_origins_are_refused(address, headers):
     }
     with urllib.request.urlopen(urllib.request.Request(address, headers=link)) as page:
         assert page.status == 200
+
+
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost"])
+def test_this_machine_is_answered_by_either_name_and_its_browser_keeps_no_page(address, name):
+    """The session of a page that Back brings has ended."""
+    host = f"{name}:{address.rstrip('/').rpartition(':')[2]}"
+    own = {"Host": host, "Origin": f"http://{host}", "Sec-Fetch-Site": "same-origin"}
+    with urllib.request.urlopen(urllib.request.Request(address, headers=own)) as page:
+        assert (page.status, page.headers["Cache-Control"]) == (200, "no-store")
 
 
 def test_a_port_in_use_is_named(address):
@@ -128,6 +145,50 @@ def test_a_port_that_does_not_exist_has_its_range(port):
         port_of(port)
 
 
+@pytest.mark.parametrize("number", [errno.EADDRINUSE, errno.EACCES])
+def test_a_port_that_the_system_refuses_is_named(monkeypatch, number):
+    """In use, or for administrators only; what else goes wrong is no matter of the port."""
+
+    def refused(port, address):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(server, "bind_sockets", refused)
+    with pytest.raises(InputError, match="^port = 80: in use or not allowed"):
+        port_of(80)
+    with pytest.raises(InputError, match="^ports 5006 to 5025: in use or not allowed"):
+        port_of(None)
+    number = errno.EMFILE
+    with pytest.raises(OSError, match=os.strerror(errno.EMFILE)):
+        port_of(80)
+
+
+def test_the_largest_legal_file_fits_into_a_message():
+    """In base64, beside the other fields of its order."""
+    made, _ = server.make_server(0)
+    largest = made._tornado.settings["websocket_max_message_size"]
+    made.stop()
+    assert largest > BYTES_MAX * 4 / 3 + 10_000
+
+
+@pytest.mark.parametrize("browser", [False, True])
+def test_the_browser_is_opened_at_the_address_that_is_printed_if_it_is_wanted(
+    monkeypatch, capsys, browser
+):
+    given, done = [], []
+    idle = SimpleNamespace(
+        start=lambda: done.append("started"), run_until_shutdown=lambda: done.append("served")
+    )
+    monkeypatch.setattr(
+        server, "make_server", lambda *what: given.append(what) or (idle, "http://here/")
+    )
+    monkeypatch.setattr(server.webbrowser, "open", done.append)
+    start = check_settings({})
+    server.serve(7, browser=browser, start=start)
+    assert given == [(7, start)]
+    assert done == ["started", *["http://here/"] * browser, "served"]
+    assert "http://here/" in capsys.readouterr().out
+
+
 @pytest.fixture
 def opened(monkeypatch):
     """Return the function that opens a page by the arguments of a link, and returns its values,
@@ -146,7 +207,10 @@ def opened(monkeypatch):
 
     def opened(start, **arguments):
         server.make_server(start=start)
-        given = {name: [b"x", text.encode()] for name, text in arguments.items()}
+        given = {
+            name: [b"x", text.encode("utf-8", "surrogateescape")]
+            for name, text in arguments.items()
+        }
         request = SimpleNamespace(arguments=given)
         openers[-1](SimpleNamespace(session_context=SimpleNamespace(request=request)))
         _, values, uploads, _, told = pages[-1]
@@ -163,6 +227,12 @@ def test_a_link_changes_what_the_explorer_was_started_with(opened):
     assert uploads == start.uploads and "moon" in told
     values, uploads, told = opened(None, threshold="4")
     assert (values, uploads, told) == ({"threshold": 4}, Uploads(), "")
+
+
+def test_a_link_with_bytes_that_are_no_letters_opens_the_page(opened):
+    values, _, told = opened(None, threshold="4", window="\udcff")
+    assert values == {"threshold": 4}
+    assert told.startswith("Ignored in the link: Window")
 
 
 def test_uploads_of_a_server_that_ran_before_are_gone(opened, tmp_path):

@@ -4,8 +4,11 @@ with the legal range.
 """
 
 import io
+import os
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from urllib.parse import parse_qsl
@@ -21,7 +24,7 @@ from coincid.model.contract.parameters import Sensor
 from coincid.model.scenes.ambient import ambient_klux
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.errors import InputError
-from coincid.study.explore import control_values
+from coincid.study.explore import control_values, uploads
 from coincid.study.explore.control_values import (
     check_settings,
     command,
@@ -272,6 +275,41 @@ def test_numbers_per_frame_are_those_of_the_frame_that_is_set(pulses):
     assert check_settings({"pulses": pulses, "capacity": 777}).config.capacity == 777
 
 
+@pytest.mark.parametrize("text", ["inf", "-inf", "nan", "1e400"])
+@pytest.mark.parametrize("name", ["pulses", "threshold", "seed", "klux"])
+def test_a_number_that_is_none_is_refused_at_its_control(name, text):
+    """Of the command, which is refused as a whole, and of a link, whose other settings count."""
+    with pytest.raises(InputError) as refused:
+        given_settings([f"{name}={text}"])
+    assert control_of(refused.value) is CONTROL[name]
+    values, ignored = values_of_link({name: text, "window": "8"})
+    with pytest.raises(InputError) as refused:
+        check_settings(values | {name: float(text)})
+    assert control_of(refused.value) is CONTROL[name]
+    assert values["window"] == 8
+
+
+LARGE = {"rows": 1024, "cols": 1024, "subgroup": "16x16"}
+
+
+@pytest.mark.parametrize(
+    ("values", "most"),
+    [
+        ({"rows": 512, "cols": 512}, {"pulses": 128}),
+        ({"rows": 256, "cols": 256, "frames": 8}, {"pulses": 64}),
+        (LARGE | {"frames": 32}, {"pulses": 1}),
+        (LARGE | {"pulses": 1}, {"frames": 32}),
+    ],
+)
+def test_the_most_work_that_is_told_is_legal(values, most):
+    """Of pulses; of frames, where not even one pulse would be left."""
+    ((name, number),) = most.items()
+    assert getattr(check_settings(values | most).config, name) == number
+    with pytest.raises(InputError, match=f"^{name} = .* from 1 to {number} ") as refused:
+        check_settings(values | {name: number + 1})
+    assert control_of(refused.value) is CONTROL[name]
+
+
 def test_a_lost_picture_is_said_and_the_default_counts():
     values = {"scene": "upload", "sun": "picture", "pulse": "file", "threshold": 3}
     kept, told = without_lost_pictures(values, Uploads())
@@ -325,6 +363,87 @@ def test_an_uploaded_depth_picture_is_the_scene(tmp_path):
     uploads = uploaded(tmp_path, "depth", "../../wall.png", depth_mm)
     assert uploads.depth.parent.parent == tmp_path  # a name cannot lead out of the folder
     assert np.all(check_settings({"scene": "upload"}, uploads).scene().truth_m == 4.0)
+
+
+@pytest.mark.parametrize(
+    "name", ["C:\\scans\\wall.png", "scans/wall.png", "..\\wall.png", "wa\nll\u202e.png"]
+)
+def test_the_name_of_a_picture_is_what_is_printed_of_its_last_part(tmp_path, name):
+    """By the separator of any system; a line break or a letter that turns what follows is left out."""
+    depth_mm = Image.fromarray(np.full((48, 64), 4000, np.uint16))
+    assert uploaded(tmp_path, "depth", name, depth_mm).depth.name == "wall.png"
+
+
+def test_a_file_of_the_same_name_is_another_file(tmp_path):
+    """The one before stays what it was: a step back in the browser asks for it again."""
+    first, second = (
+        uploaded(tmp_path, "depth", "wall.npy", np.full((32, 32), metres)) for metres in (3.0, 4.0)
+    )
+    for settings, metres in ((first, 3.0), (second, 4.0), (first, 3.0)):
+        assert np.all(check_settings({"scene": "upload"}, settings).scene().truth_m == metres)
+
+
+def test_a_file_takes_the_place_of_its_kind_alone(tmp_path):
+    given = {kind: tmp_path / f"{kind}.csv" for kind in uploads.KINDS}
+    for kind in ("depth", "colour", "sun"):
+        given[kind] = given[kind].with_suffix(".png")
+        Image.new("L", (32, 32)).save(given[kind])
+    given["pulse"].write_text("time_ps,density\n0,0\n250,1\n500,0\n", encoding="utf-8")
+    found = Uploads()
+    for kind, path in given.items():
+        found = found.with_path(kind, path)
+    assert found == Uploads(**given) and found.files() == given
+    told = " and ".join(str(path) for path in given.values())
+    assert found.named(told) == "depth.png and colour.png and sun.png and pulse.csv"
+
+
+def test_a_file_of_the_largest_legal_size_is_accepted(tmp_path, monkeypatch):
+    """In bytes and in samples; one more of either is not."""
+    depth_m = np.full((8, 8), 4.0)
+    whole = io.BytesIO()
+    np.save(whole, depth_m)
+    size = len(whole.getvalue())
+    for bytes_max, samples_max in ((size, 64), (size - 1, 64), (size, 63)):
+        monkeypatch.setattr(uploads, "BYTES_MAX", bytes_max)
+        monkeypatch.setattr(uploads, "SAMPLES_MAX", samples_max)
+        if (bytes_max, samples_max) == (size, 64):
+            assert uploaded(tmp_path, "depth", "d.npy", depth_m).depth.is_file()
+        else:
+            with pytest.raises(InputError, match="^d.npy: h(olds|as) "):
+                uploaded(tmp_path, "depth", "d.npy", depth_m)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_an_archive_is_as_large_as_its_largest_array(tmp_path, monkeypatch, order):
+    """In whatever order they are in it."""
+    monkeypatch.setattr(uploads, "SAMPLES_MAX", 99)
+    arrays = [("a", np.ones((4, 4))), ("b", np.ones((10, 10))), ("c", np.ones((5, 5)))][::order]
+    np.savez(tmp_path / "d.npz", **dict(arrays))
+    with pytest.raises(InputError, match="^d.npz: has 10 x 10 samples"):
+        Uploads().with_path("depth", tmp_path / "d.npz")
+
+
+def test_a_picture_that_would_fill_the_memory_is_not_decoded(tmp_path, monkeypatch):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    Image.new("L", (32, 32)).save(tmp_path / "sun.png")
+    with pytest.raises(InputError, match="^sun.png: has far too many samples, must have 1 to 16"):
+        Uploads().with_path("sun", tmp_path / "sun.png")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "told"),
+    [
+        ("sun", "sun.png", "is not a readable picture (PNG, TIFF, JPEG) ("),
+        ("depth", "d.npy", "is not a readable NPY file ("),
+        ("pulse", "p.csv", ""),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_told_by_its_name(tmp_path, kind, name, told):
+    """Without the folder in which the server keeps it."""
+    with pytest.raises(InputError) as refused:
+        uploaded(tmp_path, kind, name, b"nothing")
+    assert str(refused.value).startswith(f"{name}: {told}")
+    assert str(tmp_path) not in str(refused.value)
 
 
 @pytest.mark.parametrize("letters", [1, 56, 57, 300])
@@ -536,6 +655,25 @@ def test_a_refused_value_is_told_by_its_label(control):
     assert control_of(refused.value) is control
     assert told_by_labels(refused.value).startswith(f"{control.label} = {above}")
     assert not re.search(r"\b(sensor|frame|subgroup)\.", told_by_labels(refused.value))
+
+
+def test_the_files_of_a_server_go_with_it(tmp_path):
+    """A process that ends leaves no folder behind."""
+    script = (
+        "from coincid.study.explore.uploads import Kept, Uploads; kept = Kept();"
+        "Uploads().with_file('pulse', 'p.csv', b'time_ps,density\\n0,0\\n250,1\\n500,0\\n', kept.folder);"
+        "print(kept.folder.parent, len([*kept.folder.rglob('p.csv')]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", script],
+        env=os.environ | {"TMPDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=True,
+    )
+    assert done.stdout.split() == [str(tmp_path), "1"]
+    assert [*tmp_path.iterdir()] == []
 
 
 def test_uploads_are_kept_under_a_number_of_their_own():

@@ -6,6 +6,7 @@ request.
 import csv
 import queue
 import threading
+import time
 import tomllib
 from types import SimpleNamespace
 
@@ -15,15 +16,18 @@ from bokeh.document import Document
 
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.counts import NO_GATE
+from coincid.model.contract.gate_counts import GATE_BINS
 from coincid.model.contract.result import EVENT_COLUMNS, differences
 from coincid.model.golden.frame import golden_result
-from coincid.study.explore import out
+from coincid.model.shared.errors import InputError
+from coincid.study.explore import out, stages
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.messages import Question
-from coincid.study.explore.out import SAVES, events_csv
+from coincid.study.explore.out import SAVES, counts_csv, events_csv
 from coincid.study.explore.stages import THREADS, Explorer, Runner, check_on_rtl
 from coincid.study.explore.tab import Page
 from coincid.study.explore.uploads import Kept, Uploads
+from coincid.tb import replay as replay_module
 
 SMALL = {"rows": 16, "cols": 16, "pulses": 20}
 
@@ -75,6 +79,70 @@ def test_progress_may_stop_a_run():
     with pytest.raises(StopIteration):
         Explorer().run(check_settings(SMALL), progress)
     assert seen[0] == "scene" and "depth" not in seen
+
+
+def test_so_much_light_that_no_memory_holds_its_edges_is_refused(monkeypatch):
+    """As many as are allowed are not."""
+    explored = Explorer().run(check_settings(SMALL))
+    edges = len(explored.run.edges)
+    monkeypatch.setattr(stages, "EDGES_MAX", edges)
+    assert len(Explorer().run(check_settings(SMALL)).run.edges) == edges
+    monkeypatch.setattr(stages, "EDGES_MAX", edges - 1)
+    with pytest.raises(InputError, match=f"^edges: more than {edges - 1:,} in so much light"):
+        Explorer().run(check_settings(SMALL))
+
+
+def test_the_time_of_a_result_is_that_of_its_run_in_seconds():
+    began = time.perf_counter()
+    explored = Explorer().run(check_settings(SMALL))
+    assert 0 < explored.seconds <= time.perf_counter() - began
+
+
+def test_every_stage_is_told_and_its_shares_now_and_then(monkeypatch):
+    now = [50.0]
+    monkeypatch.setattr(stages.time, "monotonic", lambda: now[0])
+    got, done = [], threading.Event()
+
+    def deliver(number, kind, outcome):
+        got.append(outcome)
+        if kind == "done":
+            done.set()
+
+    def work(progress):
+        for stage, share, passed in (
+            ("a", 0.0, 0.01),
+            ("a", 0.1, 0.2),
+            ("a", 0.2, 0.01),
+            ("b", 0.3, 0.01),
+            ("b", 0.4, 0.09),
+            ("b", 0.5, 0.09),
+        ):
+            now[0] += passed
+            progress(stage, share)
+
+    runner = Runner(deliver)
+    runner.start(work)
+    assert done.wait(60)
+    assert got == [("begins", 0.0), ("a", 0.0), ("a", 0.1), ("b", 0.3), ("b", 0.5), None]
+    runner.close()
+
+
+@pytest.mark.parametrize("end", [Runner.cancel, Runner.close])
+def test_work_that_fails_after_its_end_is_not_told(end):
+    got, begun, go = [], threading.Event(), threading.Event()
+
+    def fails(progress):
+        begun.set()
+        go.wait(60)
+        raise ValueError("of no use")
+
+    runner = Runner(lambda *answer: got.append(answer[1]))
+    runner.start(fails)
+    assert begun.wait(60)
+    end(runner)
+    go.set()
+    runner._pool.shutdown(wait=True)
+    assert got == ["progress"]
 
 
 def test_only_the_newest_answer_is_delivered():
@@ -201,6 +269,60 @@ def test_counts_are_saved_in_place_of_events():
     )
     opened = {int(row["gate_cycle"]) for row in rows if row["gate_cycle"]}
     assert opened == set(result["gate_cycle"].ravel().tolist()) - {NO_GATE}
+
+
+def test_saved_counts_name_their_place_and_their_gate():
+    """A line per frame, subgroup, pixel and gate; a gate is that of the pixel's minigroup."""
+    size = {"rows": 4, "cols": 16, "subgroup": [4, 8]}
+    config = parse_config({"sensor": size | {"counts": 1}, "frame": {"format": "counts"}})
+    frames, subgroups, pixels, gates = 3, 2, 32, 2  # 8 minigroups of 2 x 2 pixels
+    gate_cycle = 1000 + np.arange(frames * subgroups * 8 * gates).reshape(frames, subgroups, 8, 2)
+    gate_cycle[1, 1, 2, 0] = NO_GATE
+    hits = np.arange(frames * subgroups * pixels * gates * GATE_BINS)
+    hits = hits.reshape(frames, subgroups, pixels, gates, GATE_BINS)
+    pulses = 10_000 + np.arange(frames * subgroups * pixels).reshape(frames, subgroups, pixels)
+    result = {"gate_cycle": gate_cycle, "gate_hits": hits, "count_pulses": pulses}
+    explored = SimpleNamespace(run=SimpleNamespace(config=config, result=result))
+    lines = [line.split(",") for line in counts_csv(explored, 1).decode().splitlines()]
+    names = [f"hits{one}" for one in range(GATE_BINS)]
+    assert lines[0] == ["frame", "subgroup", "pixel", "gate", "gate_cycle", *names, "count_pulses"]
+    expected = []
+    for frame, subgroup, pixel, gate in np.ndindex(frames, subgroups, pixels, gates):
+        row, col = divmod(pixel, 8)
+        cycle = gate_cycle[frame, subgroup, row // 2 * 4 + col // 2, gate]
+        counted = hits[frame, subgroup, pixel, gate]
+        numbers = [frame, subgroup, pixel, gate, "" if cycle == NO_GATE else cycle, *counted]
+        expected.append([str(one) for one in (*numbers, pulses[frame, subgroup, pixel])])
+    assert lines[1:] == expected
+
+
+@pytest.mark.parametrize(("frames", "told"), [(1, "frame"), (3, "3 frames")])
+def test_the_verdict_of_the_check_counts_frames_words_and_events(monkeypatch, frames, told):
+    """Of all streams; its share is that of all frames."""
+    explored = Explorer().run(check_settings(SMALL | {"frames": frames, "streams": 2}))
+    run, config = explored.run, explored.settings.config
+    asked, shares = [], []
+
+    def replayed(engine, its_config, edges, *, progress):
+        asked.append((engine, its_config, edges))
+        for share in (0.25, 1.0, 1.5):
+            progress(share * config.frame_cycles * frames)
+        return run.result
+
+    monkeypatch.setattr(replay_module, "replay", replayed)
+    verdict = check_on_rtl(explored, lambda stage, share: shares.append((stage, share)))
+    assert asked == [("sliced", config, run.edges)]
+    assert [share for stage, share in shares if stage == "RTL"] == pytest.approx([0.25, 1, 1])
+    words = sum(len(stream) for trace in run.traces for stream in trace.beats)
+    assert all(len(stream) for trace in run.traces for stream in trace.beats)
+    events = len(run.result["pulse"])
+    assert (
+        verdict == f"Every word agrees: the RTL sent the same {told}, {words:,} words"
+        f" with {events:,} events, each in the same cycle of commit."
+    )
+    changed = run.result | {"count": run.result["count"] + 1}
+    monkeypatch.setattr(replay_module, "replay", lambda *given, progress: changed)
+    assert check_on_rtl(explored).startswith("The RTL and the golden model differ: ")
 
 
 def test_the_rtl_sends_the_same_words():

@@ -4,7 +4,9 @@ the fields to look at accept.
 """
 
 import base64
+import io
 import re
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +14,15 @@ import pytest
 from attrs import evolve
 from bokeh.document import Document
 
+from coincid.model.shared.errors import InputError
+from coincid.study.explain import meaning
 from coincid.study.explore import messages, out
 from coincid.study.explore.control_values import check_settings, query
 from coincid.study.explore.controls import CONTROL, DEFAULTS
 from coincid.study.explore.stages import Explorer
-from coincid.study.explore.tab import Page, _summary
+from coincid.study.explore.tab import TRIES, Page, _summary
 from coincid.study.explore.uploads import Kept, Uploads
-from coincid.study.show.words import number_rows
+from coincid.study.show.words import number_rows, object_table, story, where_to_look
 
 SMALL = {"rows": 8, "cols": 16, "pulses": 20, "frames": 3}
 EXPLORER = Explorer()
@@ -63,6 +67,24 @@ def test_beside_a_frame_stands_that_of_a_or_its_last(
     assert words["frames"] == frames_of_b
     page._ordered(messages.DropA())
     assert page.link.new_words["words"]["number_heads"] == ["", ""]
+
+
+def test_the_words_are_those_of_b_and_the_objects_stand_side_by_side(page):
+    """At the frame that is looked at."""
+    a = answered(page, threshold=5, scene="five-objects")
+    words = page.link.answer["words"]
+    assert words["object_heads"] == ["", "reflects", "distance", "photons per pulse", "wrong"]
+    page._ordered(messages.KeepA())
+    b = answered(page, threshold=1, scene="five-objects")
+    for frame in (1, 2):
+        assert look(page, "frame", frame) == ""
+        words, of_b, of_a = page.link.new_words["words"], b.view(frame), a.view(frame)
+        assert words["objects"] == object_table(of_b, of_a)
+        assert len({tuple(row) for row in words["objects"]}) > 1
+        assert words["object_heads"][-2:] == ["wrong B", "A"]
+        assert (words["story"], words["where"]) == (story(of_b), where_to_look(of_b))
+        assert story(of_b) != story(of_a)
+        assert words["meaning"] == [list(row) for row in meaning(b.settings.config)]
 
 
 def test_what_is_kept_as_a_stands_beside_itself_at_once(page):
@@ -124,7 +146,7 @@ def test_what_is_looked_at_is_in_the_result(page, name, last):
     for value in (0, last):
         assert look(page, name, value) == ""
         assert page.link.new_words["words"]["look"][name] == value
-    for value in (-1, last + 1, "1.5", ""):
+    for value in (-1, last + 1, "1.5", "", "--5", "9" * 5000):
         assert f"0 to {last}" in look(page, name, value)
         assert page.look == messages.LookedAt(**page.link.new_words["words"]["look"])
     if name in ("pulse", "frame"):
@@ -197,6 +219,20 @@ def test_the_check_on_the_rtl_tells_its_share_and_its_verdict(page):
         assert (page.link.rtl_check["text"], page.link.rtl_check["bad"]) == (text, bad)
 
 
+def test_a_file_of_parts_tells_them_when_it_comes_goes_and_comes_again(page):
+    file = io.BytesIO()
+    np.savez(file, near=np.full((8, 8), 2.0), far=np.full((8, 8), 6.0))
+    content = base64.b64encode(file.getvalue()).decode()
+    page._ordered(messages.Upload(kind="depth", name="two.npz", content=content))
+    assert sorted(page.link.parts["names"]) == ["far", "near"]
+    number = page._kept.number_of(page.uploads)
+    page._ordered(messages.Forget())
+    assert page.link.parts["names"] == []
+    page._ordered(messages.Recall(number=number))
+    assert sorted(page.link.parts["names"]) == ["far", "near"]
+    assert Page(Document(), {}, page.uploads, page._kept).link.parts == page.link.parts
+
+
 def test_what_is_doubted_about_an_uploaded_file_is_told_by_its_name(page, tmp_path):
     """First of all, and without the folder in which the server keeps it."""
     floor = np.linspace(900, 1500, 64 * 64).reshape(64, 64).astype(np.uint16) * 5
@@ -262,3 +298,94 @@ def test_the_summary_tells_each_setting_once(values, told):
     label = CONTROL["rows"].label
     others = f"{label[:1].lower()}{label[1:]} 16"
     assert _summary(check_settings(first | values | {"rows": 16})) == f"{head}, {others}"
+
+
+@pytest.mark.parametrize(
+    ("kind", "control", "asking", "other"),
+    [
+        ("depth", "scene", "upload", "flat"),
+        ("colour", "scene", "upload", "flat"),
+        ("sun", "sun", "picture", "left half"),
+        ("pulse", "pulse", "file", "Gaussian"),
+    ],
+)
+def test_a_bad_upload_matters_only_to_settings_that_use_it(
+    page, monkeypatch, kind, control, asking, other
+):
+    monkeypatch.setattr(page._runner, "start", lambda work: 1)
+    page.bad_uploads[kind] = "a file: is bad"
+    assert asked(page, 4, **{control: asking})["message"] == "a file: is bad"
+    assert asked(page, 5, **{control: other})["number"] == 4  # not refused
+
+
+def test_a_result_is_told_only_as_the_answer_to_its_own_question(page, monkeypatch):
+    """Not if it is late, and another question was asked or refused before it came."""
+    explored = EXPLORER.run(check_settings(SMALL))
+    numbers = count(1)
+    monkeypatch.setattr(page._runner, "start", lambda work: next(numbers))
+    outcomes = ("progress", ("depth", 0.5)), ("done", explored), ("failed", InputError("bad"))
+    for number, values in ((7, {}), (8, {"threshold": "3"}), (9, {"threshold": ""})):
+        asked(page, number, **values)
+        refusal = page.link.refusal
+        for kind, outcome in outcomes if number > 7 else ():
+            page._computed(number - 7, kind, outcome)
+        assert not page.link.answer and not page.link.progress and page.link.refusal == refusal
+    assert page.link.refusal["number"] == 9
+    asked(page, 10)
+    page._computed(3, "progress", ("depth", 0.5))
+    assert page.link.progress == {"number": 10, "stage": "depth", "share": 0.5}
+    page._computed(3, "done", explored)
+    assert page.link.answer["number"] == 10
+
+
+def test_a_refused_question_ends_the_work_on_the_one_before(page):
+    before = page._runner.newest
+    asked(page, 3, threshold="")
+    assert page._runner.newest > before
+
+
+@pytest.mark.parametrize(
+    ("error", "told", "control"),
+    [
+        (InputError("klux = 999: must be lower", field="klux"), "Sunlight = 999: must be lower", "klux"),
+        (InputError("edges: too many"), "edges: too many", None),
+        (MemoryError("5 GB"), "this could not be computed (MemoryError: 5 GB)", None),
+    ],
+)  # fmt: skip
+def test_work_that_fails_tells_why(page, error, told, control):
+    page.number = 6
+    page._computed(page._run, "failed", error)
+    assert page.link.refusal == {"number": 6, "message": told, "control": control}
+
+
+def test_before_the_first_result_clicks_and_orders_do_nothing(page):
+    page._picked(3, 4)
+    for order in (
+        messages.KeepA(),
+        messages.DropA(),
+        messages.Look(name="row", value="3"),
+        messages.Step(name="frame"),
+        messages.CheckOnRtl(),
+        messages.Save(kind="png"),
+        messages.Save(kind="command"),
+    ):
+        page._ordered(order)
+    sent = page.link.new_words, page.link.rtl_check, page.link.download, page.link.command_line
+    assert not any(sent)
+
+
+def test_work_of_a_tab_ends_when_the_tab_is_closed(page):
+    runners = page._runner, page._checker
+    before = [runner.newest for runner in runners]
+    for closed in page.doc.callbacks.session_destroyed_callbacks:
+        closed(None)
+    for runner, number in zip(runners, before, strict=True):
+        assert runner.newest > number
+        with pytest.raises(RuntimeError, match="after shutdown"):
+            runner.start(lambda progress: None)
+
+
+@pytest.mark.parametrize(("name", "values", "sentence"), TRIES)
+def test_settings_to_try_are_legal_and_their_sentence_is_one(name, values, sentence):
+    assert check_settings(values).changed.keys() <= values.keys()
+    assert re.match(r"\d \w", name) and sentence.endswith(".")

@@ -3,6 +3,7 @@
 share.
 """
 
+import html
 from itertools import permutations
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from bokeh.models import ColorBar, ColumnDataSource
 
+import coincid
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Fate
 from coincid.model.contract.pixels import pixel_table
@@ -37,6 +39,7 @@ from coincid.study.show.figures import (
     map_scales,
 )
 from coincid.study.show.timeline import Verdict
+from coincid.study.show.words import number_rows, story
 
 ROWS, COLS = 12, 20
 CONFIG = parse_config({"sensor": {"rows": ROWS, "cols": COLS, "subgroup": [4, 10]}})
@@ -294,3 +297,41 @@ def test_a_histogram_in_a_notebook_is_that_of_the_pixel_by_rows(monkeypatch):
         told = f"pixel = {pixel}: must be an integer from 0 to {ROWS * COLS - 1}"
         with pytest.raises(InputError, match=told):
             notebook.plot_histogram("a run", pixel)
+
+
+@pytest.mark.parametrize(("frame", "drawn"), [(None, 0), (0, 0), (2, 2)])
+def test_a_histogram_draws_itself_with_the_depth_of_its_frame(monkeypatch, frame, drawn):
+    """Of all frames, with that of the first. What is computed from it has no picture, and neither has
+    it where nothing draws.
+    """
+    counted = []
+
+    def noted(*given, **how):
+        counted.append((given, how))
+        return np.array([3, 0, 4], np.int32)
+
+    monkeypatch.setattr(notebook, "pixel_histogram", noted)
+    monkeypatch.setattr(notebook, "plot_histogram", lambda *given: notebook.Shown(str(given), 9))
+    run = SimpleNamespace(result="result", config="config")
+    hits = notebook.PixelHistogram.of(run, 7, source="records", frame=frame)
+    assert counted == [(("result", "config", 7), {"source": "records", "frame": frame})]
+    assert hits.tolist() == [3, 0, 4]
+    assert hits.draw() == notebook.Shown(str((run, 7, drawn)), 9)
+    assert hits._repr_html_() == hits.draw()._repr_html_()
+    assert hits[:1].draw is None and (hits + 1).draw is None
+
+    def refused():
+        raise InputError("bokeh is not installed")
+
+    hits.draw = refused
+    assert hits._repr_html_() is None
+
+
+def test_the_summary_of_a_run_is_that_of_its_first_frame():
+    """With all its numbers; the text of a cell is no markup."""
+    run = coincid.simulate(None, "flat:5", rows=8, cols=8, pulses=20, frames=2, klux=50)
+    first, last = (notebook.run_view(run, number) for number in range(2))
+    shown = notebook.summary(run)
+    assert html.escape(story(first)) in shown and html.escape(story(last)) not in shown
+    rows = [f"<td>{label}</td><td>{html.escape(told)}</td>" for label, told in number_rows(first)]
+    assert all(row in shown for row in rows)

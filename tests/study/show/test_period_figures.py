@@ -17,6 +17,7 @@ from coincid.study.show.figures import (
     OTHER,
     VERDICTS,
     HistogramFigure,
+    TimelineFigure,
     light_columns,
     period_columns,
 )
@@ -181,3 +182,63 @@ def test_the_histogram_shows_the_scene_and_no_more_than_the_range(far_m, shown_m
     drawn.show(pixel_view(truth_m=far_m, far_m=far_m), 2, 3)
     assert drawn.figure.x_range.end == pytest.approx(shown_m)
     assert drawn.figure.x_range.reset_end == 20.0
+
+
+def period_view(threshold=2):
+    """Return a view whose subgroups and pulses all have `PERIOD`."""
+    period = evolve(PERIOD, threshold=threshold)
+    truth_m = np.arange(32.0).reshape(4, 8)
+    return SimpleNamespace(config=CONFIG, truth_m=truth_m, period=lambda subgroup, pulse: period)
+
+
+@pytest.mark.parametrize(("threshold", "told"), [(1, "1 pixel"), (2, "2 pixels")])
+def test_the_title_of_a_period_tells_its_place_and_its_threshold(threshold, told):
+    drawn = TimelineFigure()
+    drawn.show(period_view(threshold), 1, 3)
+    assert drawn.figure.title.text == f"subgroup 1, pulse 3: a window needs {told}"
+
+
+def test_a_period_fills_its_axes():
+    """Time is that of the period, above and below; beside it all pixels, and the whole FIFO."""
+    drawn = TimelineFigure()
+    drawn.show(period_view(), 1, 3)
+    across, pixels, fill = drawn.figure.x_range, drawn.figure.y_range, drawn.below.y_range
+    assert drawn.below.x_range is across
+    assert (across.start, across.end) == (0, pytest.approx(125.0))
+    depth = CONFIG.sensor.fifo_depth
+    for span, last in ((pixels, 15.5), (fill, depth)):
+        assert -0.2 * last < span.start < 0 and last < span.end < 1.3 * last
+    assert drawn.below.yaxis[0].ticker.ticks == [0, depth]
+    assert (drawn.figure.yaxis.axis_label, drawn.below.yaxis.axis_label) == ("pixel", "FIFO")
+    assert drawn.below.xaxis.axis_label == "ns after the laser's trigger"
+
+
+def test_each_part_of_a_period_is_drawn_from_its_own_columns():
+    """The FIFO keeps its level until the next change; below a window is its commit."""
+    drawn = TimelineFigure()
+    view = period_view()
+    drawn.show(view, 1, 3)
+    expected = (*period_columns(view, PERIOD), light_columns(view, 1))
+    sources = drawn.edges, drawn.windows, drawn.gate, drawn.fill, drawn.light
+    for source, columns in zip(sources, expected, strict=True):
+        assert source.data.keys() == columns.keys()
+        assert all(np.array_equal(source.data[name], columns[name]) for name in columns)
+    above = [(one.data_source, one.glyph) for one in drawn.figure.renderers]
+    below = [(one.data_source, one.glyph) for one in drawn.below.renderers]
+    quads = {source: one for source, one in above if hasattr(one, "right")}
+    assert quads.keys() == {drawn.gate, drawn.windows}
+    for one in quads.values():
+        assert (one.left, one.right) == ("left", "right")
+    assert (quads[drawn.windows].top, quads[drawn.windows].bottom) == ("top", -0.5)
+    (count,) = [one for source, one in above if hasattr(one, "text")]
+    assert (count.x, count.y, count.text) == ("middle", "top", "count")
+    marks = {source: one for source, one in above if hasattr(one, "marker")}
+    assert marks.keys() == {drawn.light, drawn.edges}
+    for one in marks.values():
+        assert (one.x, one.y) == ("x", "y")
+    assert marks[drawn.edges].marker == "marker"
+    area, line, commit = (one for _, one in below)
+    assert (area.x, area.y1, area.y2, area.step_mode) == ("x", 0, "fill", "after")
+    assert (line.x, line.y, line.mode) == ("x", "fill", "after")
+    assert (commit.x, commit.y, commit.marker) == ("commit", 0, "commit_mark")
+    assert [source for source, _ in below] == [drawn.fill, drawn.fill, drawn.windows]
