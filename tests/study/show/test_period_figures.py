@@ -26,7 +26,14 @@ from coincid.study.show.timeline import Period, Verdict, Windows
 
 CONFIG = parse_config(
     {
-        "sensor": {"rows": 4, "cols": 8, "subgroup": [4, 4], "phases": 8, "window_max": 16},
+        "sensor": {
+            "rows": 4,
+            "cols": 8,
+            "subgroup": [4, 4],
+            "phases": 8,
+            "window_max": 16,
+            "fifo_depth": 4,
+        },
         "frame": {"period": 50, "clock_mhz": 400},
     }
 )
