@@ -30,7 +30,9 @@ def of_release(name: str) -> Digests:
     """Return the digests of the release of a preset."""
     folder = small_releases() / name
     paths = [path for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST]
-    return _digests((path.relative_to(folder).as_posix(), path.read_bytes()) for path in paths)
+    return digests_of_files(
+        (path.relative_to(folder).as_posix(), path.read_bytes()) for path in paths
+    )
 
 
 def smallest_emulator(kind: str) -> dict[str, str]:
@@ -40,10 +42,11 @@ def smallest_emulator(kind: str) -> dict[str, str]:
 
 def of_emulator(files: Mapping[str, str]) -> Digests:
     """Return the digests of the files of an emulator, by name."""
-    return _digests((name, text.encode()) for name, text in files.items())
+    return digests_of_files((name, text.encode()) for name, text in files.items())
 
 
-def _digests(files: Iterable[tuple[str, bytes]]) -> Digests:
+def digests_of_files(files: Iterable[tuple[str, bytes]]) -> Digests:
+    """Return the digests of files, by name."""
     number = version("coincid").encode()
     return {
         name: hashlib.sha256(_plain(name, content).replace(number, b"VERSION")).hexdigest()[:16]

@@ -629,10 +629,23 @@ def test_a_smoke_test_reads_all_constants_and_all_counters_of_three_subgroups(na
     assert "localparam STALL_CYCLES = 300;" in text and "localparam STALL_EVERY = 4;" in text
 
 
-def test_smoke_test_finds_a_difference_in_counts(tmp_path):
-    """In the second frame of its sensor: the frame of events before it passes."""
-    folder = tmp_path / "rtl"
+@pytest.fixture(scope="module")
+def counting(tmp_path_factory):
+    """Return the folder of a sensor with counts."""
+    folder = tmp_path_factory.mktemp("counting") / "rtl"
     write_release(folder, parse_config({"sensor": SENSORS["counting"]}))
+    return folder
+
+
+def test_smoke_test_of_counts_passes_with_the_forms_for_cells(counting):
+    """Clocks that stop between frames run while gates are searched, and while counts leave."""
+    done = simulated(counting, sources=f"-f {CELLS_LIST} {SMOKE}.v")
+    assert re.fullmatch(r"PASS: \d\d\d+ checks\n", done.stdout), done.stdout + done.stderr
+
+
+def test_smoke_test_finds_a_difference_in_counts(counting, tmp_path):
+    """In the second frame of its sensor: the frame of events before it passes."""
+    folder = shutil.copytree(counting, tmp_path / "rtl")
     file = folder / "coincid_gate_search.v"
     text, replaced = re.subn(
         r"set_gates <= \w+;", "set_gates <= 1'h0;", file.read_text(encoding="utf-8")

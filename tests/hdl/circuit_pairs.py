@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sensors in which every pair of what can be built comes up, and digests of the blocks of each.
+
+Frames show what a block does; they hardly show a register without a reset, a clock that runs for
+too long, or a block that another sensor would need. Digests do.
+
+`python -m tests.hdl.circuit_pairs` writes the digests again; a change that means to change a circuit
+says so in CHANGELOG.md.
+"""
+
+import hashlib
+from pathlib import Path
+
+from coincid.hdl.export import _garbage_left, _text, elaborated
+from coincid.hdl.front_end_views import POLYPHASE, VIEWS, Asynchronous, View
+from coincid.hdl.sensor import SensorTop
+from coincid.hdl.silicon.circuit import Circuit
+from coincid.hdl.unit import Unit
+
+from ..digests import write_digests
+from ..feature_pairs import BUILT, REFUSED, Case, Features, covering_cases, sensor_of
+from ..random_cases import built_sensor
+
+DIGESTS = Path(__file__).with_suffix(".json")
+OF_VIEWS: dict[str, View] = {
+    "polyphase": POLYPHASE,
+    "async": VIEWS["async"],
+    "delay line": Asynchronous(Circuit(delay_line=True, gain_ppm=2000, banks=2)),
+}
+FEATURES: Features = BUILT | {"view": tuple(OF_VIEWS)}
+# The asynchronous views know no quarters of a cycle by pixel, which counts need.
+NO_COUNTS = frozenset(
+    frozenset([("view", name), ("counts", 1)])
+    for name, view in OF_VIEWS.items()
+    if not view.has_quarters
+)
+IMPOSSIBLE = NO_COUNTS | {pair for pair in REFUSED if dict(pair).keys() <= FEATURES.keys()}
+CASES = covering_cases(FEATURES, IMPOSSIBLE)
+
+
+def digests_of(case: Case) -> dict[str, str]:
+    """Return the digests of all blocks of the sensor of a case, by name."""
+    return digests_of_blocks(SensorTop(built_sensor(sensor_of(case)), OF_VIEWS[case["view"]]))
+
+
+def digests_of_blocks(top: Unit, room: str = "") -> dict[str, str]:
+    """Return the digests of a unit and of all that it instantiates, by name. room: of a room only,
+    by the name of its package.
+    """
+    with _garbage_left():
+        texts = {
+            block.unit.unit_name: _text(block)
+            for block in elaborated([top])
+            if type(block.unit).__module__.startswith(room)
+        }
+    return {name: hashlib.sha256(texts[name].encode()).hexdigest()[:12] for name in sorted(texts)}
+
+
+if __name__ == "__main__":
+    write_digests(DIGESTS, [digests_of(case) for case in CASES])
