@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the bench in a simulator reads from the sensor's outputs, and in which order it tells it."""
 
+import asyncio
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from coincid.tb.cosim import _Outputs
-from coincid.tb.frame_record import STORED_TO_COMMIT
+from coincid.model.contract.edges import Edges
+from coincid.tb import cosim
+from coincid.tb.cosim import SensorBench, _Outputs
+from coincid.tb.frame_record import STORED_TO_COMMIT, cycle_limit
 
-from ..random_cases import SENSORS, built_sensor
+from ..random_cases import SENSORS, built_sensor, configured
 
 SENSOR = built_sensor(SENSORS["odd"])  # two streams, of three and of two subgroups
 # Subgroups that stored an event in a cycle, by stream.
@@ -101,3 +104,37 @@ def test_the_board_is_told_what_comes_in_the_order_of_time(bench):
         for stream, (valid, last) in enumerate(streams)
         if valid and cycle <= (41, 43)[stream]
     ]
+
+
+class Now:
+    """A trigger of the simulator that comes at once."""
+
+    def __init__(self, signal):
+        pass
+
+    def __await__(self):
+        yield from ()
+
+
+@pytest.mark.parametrize("stalled", [0, 500])
+def test_a_frame_that_hangs_ends_at_its_limit(stalled, bench, monkeypatch):
+    """A receiver that refuses beats for some cycles has so many more."""
+    monkeypatch.setattr(cosim, "FallingEdge", Now)
+    config = configured(SENSORS["odd"], {"period": 60, "pulses": 3})
+    sensor = SensorBench.__new__(SensorBench)
+    vars(sensor).update(vars(bench), dut=SimpleNamespace(clk=None), spad=[], tready=[])
+
+    async def nothing(*_):
+        pass
+
+    sensor.program = sensor._start = nothing
+    nobody = np.zeros(0, np.int64)
+    told = []
+    limit = cycle_limit(config, stalled)
+    with pytest.raises(
+        AssertionError, match=f"^no frame end after {limit} cycles: the sensor hangs"
+    ):
+        asyncio.run(
+            sensor.play(config, Edges(nobody, nobody, nobody), np.zeros(stalled), None, told.append)
+        )
+    assert told == list(range(cosim.PROGRESS_CYCLES, limit + 1, cosim.PROGRESS_CYCLES))

@@ -12,6 +12,7 @@ from coincid.hdl.export import units_files
 from coincid.hdl.subgroup_pair import SensorModule, Slice
 from coincid.host.transport import RefusedError
 from coincid.model.contract.parameters import TOP, Sensor
+from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.registers import address
 from coincid.model.contract.result import differences
 from coincid.model.golden.frame import Golden
@@ -107,6 +108,25 @@ def test_the_told_cycles_are_in_the_end_those_of_all_frames(threads):
     records = play_side_by_side(chains, told.append, threads=threads)
     assert told == sorted(told)
     assert told[-1] == sum(record.cycles for chain in records for record in chain)
+
+
+@pytest.mark.parametrize("lit", range(2))
+def test_a_frame_lasts_until_the_last_of_its_streams_ends(lit):
+    """Whichever that is: on a slow link, the one whose subgroups see light."""
+    config = random_cases.configured(
+        ODD,
+        {"period": 60, "pulses": 8, "link_gbps": 1.0},
+        {"threshold": 1, "coincidence": False},
+    )
+    edges = random_cases.trouble(config, 1, 12.0)
+    of_stream = config.sensor.stream_subgroups(lit)
+    edges = edges.take(np.isin(pixel_table(config.sensor).subgroup[edges.pixel], of_stream))
+    frame = random_cases.predicted(Golden(config.sensor), config, edges)
+    ends = [int(cycles[-1]) for cycles in frame.expected.beat_cycle]
+    assert ends[lit] > 2 * ends[1 - lit]
+    told = []
+    ((record,),) = play_side_by_side([[frame]], told.append)
+    assert record.cycles == told[-1] == ends[lit] + 1
 
 
 def test_frames_follow_each_other_where_some_subgroups_have_the_controller():
