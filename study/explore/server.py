@@ -120,7 +120,10 @@ def _sockets(port: int | None) -> tuple[list[socket], int]:
 
 
 def serve(port: int | None, *, browser: bool, start: Settings) -> None:
-    """Serve until interrupted."""
+    """Serve until Ctrl-C or SIGTERM.
+
+    Bokeh's own way prints at the end, and goes on serving if nobody takes the output any more.
+    """
     server, address = make_server(port, start)
     server.start()
     # keeps closed tabs and refused requests out of the terminal
@@ -129,4 +132,7 @@ def serve(port: int | None, *, browser: bool, start: Settings) -> None:
     print(f"Coincid explorer: {address} (Ctrl-C ends it)", flush=True)
     if browser:
         webbrowser.open(address)
-    server.run_until_shutdown()
+    try:
+        IOLoop.current().start()
+    except KeyboardInterrupt:
+        server.stop()

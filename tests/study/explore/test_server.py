@@ -175,8 +175,14 @@ def test_the_browser_is_opened_at_the_address_that_is_printed_if_it_is_wanted(
     monkeypatch, capsys, browser
 ):
     given, done = [], []
-    idle = SimpleNamespace(
-        start=lambda: done.append("started"), run_until_shutdown=lambda: done.append("served")
+    idle = SimpleNamespace(start=lambda: done.append("started"), stop=lambda: done.append("ended"))
+
+    def interrupted():
+        done.append("served")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(
+        server, "IOLoop", SimpleNamespace(current=lambda: SimpleNamespace(start=interrupted))
     )
     monkeypatch.setattr(
         server, "make_server", lambda *what: given.append(what) or (idle, "http://here/")
@@ -185,7 +191,7 @@ def test_the_browser_is_opened_at_the_address_that_is_printed_if_it_is_wanted(
     start = check_settings({})
     server.serve(7, browser=browser, start=start)
     assert given == [(7, start)]
-    assert done == ["started", *["http://here/"] * browser, "served"]
+    assert done == ["started", *["http://here/"] * browser, "served", "ended"]
     assert "http://here/" in capsys.readouterr().out
 
 
@@ -246,8 +252,12 @@ def test_uploads_of_a_server_that_ran_before_are_gone(opened, tmp_path):
     assert found == Uploads() and values.get("scene") != "upload" and told
 
 
-def test_it_ends_without_a_complaint():
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("heard", [True, False])
+def test_it_ends_without_a_complaint_also_where_nobody_takes_its_output(number, heard):
     with explorer(*SMALL) as (process, _):
-        process.send_signal(signal.SIGTERM)
-        # 143: the signal came before the server had installed its handler
-        assert process.wait() in (0, 143)
+        if not heard:
+            process.stdout.close()
+        process.send_signal(number)
+        # the other: the signal came before the server had begun to serve
+        assert process.wait(60) in (0, 128 + number)
