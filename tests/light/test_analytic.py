@@ -45,9 +45,11 @@ def test_effective_rates():
     assert noise == pytest.approx(1.2259e8, rel=1e-4) and signal == pytest.approx(
         1.2141e6, rel=1e-4
     )
-    _, signal = analytic.effective_cps(6.37e9, 1.226e6, DEAD_S, 2e6, CORRECTED)
-    # Reduced by the noise's dead time.
-    assert signal == pytest.approx(2e6 * (1 - math.exp(-0.613)) / (1 + 6.37e9 * DEAD_S))
+    noise, signal = analytic.effective_cps(6.37e9, 1.226e6, DEAD_S, 2e6, CORRECTED)
+    # Reduced by the noise's dead time, and the noise by the signal's.
+    live = 1 / (1 + 6.37e9 * DEAD_S)
+    assert signal == pytest.approx(2e6 * (1 - math.exp(-0.613)) * live)
+    assert noise == pytest.approx(6.37e9 * live * (1 - signal * DEAD_S), rel=1e-9)
 
 
 def test_photons_in_window_and_period():
@@ -106,6 +108,17 @@ def test_events_of_a_frame_as_printed():
     assert analytic.signal_counts(noise, signal, 2, 100, 0.5, Sizes(), LITERAL) == pytest.approx(
         100 * joint
     )
+
+
+def test_noise_of_other_pixels_brings_the_threshold_of_the_signal():
+    """In the corrected form, and in as many pulses as the tree is armed in."""
+    noise, signal = photons(0.02), photons(0.05)
+    others = analytic.others_probability(photons(0.07), 3, Sizes(), CORRECTED)
+    joint = -math.expm1(-0.05) * others
+    found = analytic.signal_probability(noise, signal, 3, Sizes(), CORRECTED)
+    assert found == pytest.approx(joint)
+    counts = analytic.signal_counts(noise, signal, 3, 100, 0.5, Sizes(), CORRECTED)
+    assert counts == pytest.approx(100 * 0.5 * joint)
 
 
 def test_bins_of_the_histogram():
@@ -244,6 +257,26 @@ def test_literal_histogram_is_the_printed_chain():
     assert single.shape == found.shape and not np.allclose(single, found)
 
 
+def test_literal_histogram_has_the_photons_of_each_pixels_own_minigroup():
+    """In a sensor whose minigroups are no squares, and whose pixels do not follow each other."""
+    sensor = Sensor(subgroup=(4, 8), minigroup=(2, 4))
+    signal = np.random.default_rng(1).uniform(0.02, 0.2, 32)
+    setting = dict(threshold=2, window_ticks=16, pulses=100, form=LITERAL, sensor=sensor)
+    found = histogram(DISTANCE_M, signal, 1e6, **setting)
+    of_noise, of_signal = analytic.effective_cps(1e6, signal * 2e6, DEAD_S, 2e6, LITERAL)
+    dead = (2, DEAD_S, 32, LITERAL)
+    of_noise = float(analytic.noise_photons(of_noise, 1e-9, *dead))
+    of_signal = analytic.signal_photons(of_signal, 2e6, *dead)
+    noise = MeanPhotons(of_noise, 8 * of_noise, 32 * of_noise)
+    for minigroup in range(sensor.minigroups):
+        own = sensor.members(minigroup)
+        for pixel in own:
+            mean = MeanPhotons(of_signal[pixel], of_signal[own].sum(), of_signal.sum())
+            counts = analytic.signal_counts(noise, mean, 2, 100, 1, Sizes(8, 32), LITERAL)
+            peak = (found[pixel] - found[pixel, 0]).sum()
+            assert peak == pytest.approx(counts * math.sqrt(500 * SIGMA_PER_FWHM), rel=1e-4)
+
+
 def test_pixels_of_a_subgroup_keep_their_own_targets():
     """Half of the subgroup sees a near target; one pixel sees no target."""
     distance_m = np.where(np.arange(64) % 8 < 4, 10.0, 20.0)
@@ -297,6 +330,15 @@ def test_success_probability_counts_largest_bins():
     assert analytic.success_probability(expected, flight_s, timing) == pytest.approx(
         share, abs=error
     )
+
+
+def test_a_histogram_without_a_count_has_no_largest_bin():
+    """With light in one bin only, success is any count in it."""
+    timing = Timing(period_cycles=10)
+    expected = np.zeros(timing.period_ticks)
+    expected[128] = 0.1
+    found = analytic.success_probability(expected, 128.5 * timing.tick_s, timing)
+    assert found == pytest.approx(-math.expm1(-0.1))
 
 
 def test_threshold_rises_with_the_activity():

@@ -14,7 +14,7 @@ from scipy import stats
 from coincid.model.contract.config import parse_config
 from coincid.model.light.code_density import code_density
 from coincid.model.light.light import Arrivals, Light, background_cps, signal_per_pulse
-from coincid.model.light.photons import edge_chunks, generate_edges
+from coincid.model.light.photons import _photons_per_pulse, edge_chunks, generate_edges
 from coincid.model.light.spad import Spad, SpadGate, dark_count_map
 from coincid.model.light.timing import Timing
 from coincid.model.shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
@@ -116,6 +116,27 @@ def test_dead_time_leaves_the_known_rate(paralyzable, dead_fraction):
         expected, variance = photons / (1 + x), photons / (1 + x) ** 3
     at_the_start = 64  # at most one more count per pixel, because it starts ready
     assert_mean(n, expected + at_the_start / 2, math.sqrt(variance) + at_the_start / 2)
+
+
+@pytest.mark.parametrize("mean", [8.0, 32.0, 60.0, 300.0])
+def test_light_in_bins_meets_the_dead_time_in_the_order_of_time(mean):
+    """Photons of bins are drawn in any order; many of them are sorted in another way than few. Spread
+    over the whole period, they are like noise.
+    """
+    pixels, bins, pulses = 8, 50, 500
+    start_s = np.arange(bins) * FINE.period_s / bins
+    arrivals = Arrivals(
+        first=bins * np.arange(pixels + 1),
+        start_s=np.tile(start_s, pixels),
+        photons=np.full(pixels * bins, mean / bins),
+        width_s=FINE.period_s / bins,
+    )
+    scene = light(1, pixels, distance_m=np.nan, arrivals=arrivals)
+    spad = Spad(dead_time_s=8e-9, jitter_fwhm_s=0)
+    dead_fraction = mean * spad.dead_time_s / FINE.period_s
+    expected = pixels * pulses * mean / (1 + dead_fraction)
+    deviation = math.sqrt(expected) / (1 + dead_fraction)
+    assert_mean(len(edges_of(scene, spad, pulses=pulses)), expected, deviation + pixels)
 
 
 def test_gaps_after_the_dead_time_are_exponential_across_pulses():
@@ -248,6 +269,25 @@ def test_same_bytes_for_any_workers_and_chunks(seed, workers, chunk_pulses, star
         whole, edges_of(scene, EVERYTHING, workers=workers, chunk_pulses=chunk_pulses, **options)
     )
     assert whole.pulse.min() >= start and whole.pulse.max() < start + 40
+
+
+def test_more_photons_and_edges_than_were_estimated_are_all_there(monkeypatch):
+    """Crosstalk and afterpulses follow each other, which the sizes of the buffers do not foresee."""
+    spad = Spad(
+        jitter_fwhm_s=0,
+        dead_time_s=1e-9,
+        afterpulse_probability=0.5,
+        afterpulse_s=200e-9,
+        crosstalk_probability=0.25,
+    )
+    scene = light(5, 7, noise_cps=2e8)
+    found = edges_of(scene, spad, pulses=12)
+    assert len(found) > 1.2 * 12 * 35 * 2e8 * FINE.period_s
+    monkeypatch.setattr(
+        "coincid.model.light.photons._photons_per_pulse",
+        lambda *light: 20 * _photons_per_pulse(*light),
+    )
+    assert same(found, edges_of(scene, spad, pulses=12))
 
 
 def test_chunks_are_sorted_and_follow_each_other():
