@@ -312,6 +312,13 @@ def test_default_bounds_keep_noise_rare(window, rearm):
         # an event of six pixels has 58 bits, with offsets 100; a beat has 59
         ({}, {"format": "compact", "link_gbps": 8.0}, 6250 * 59 // 58, [397]),
         ({}, {"format": "compact-full", "link_gbps": 8.0}, 6250 * 59 // 100, [230]),
+        # the last stamp of 256 cycles of 32 ticks has no more bits
+        (
+            {},
+            {"format": "compact", "link_gbps": 8.0, "period": 256},
+            6400 * 59 // 58,
+            [406],
+        ),
         ({}, {"minigroup_records": True}, (25_000 - 100 * 16 * 5) // 2, [531]),
         # the stream with two subgroups may send two records in a period
         (

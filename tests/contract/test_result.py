@@ -165,6 +165,18 @@ def test_streams_in_another_order_are_refused(format):
     result.add([first, second])
 
 
+def test_records_alone_tell_that_streams_are_in_another_order():
+    """No window meets the threshold here."""
+    config = TWO_STREAMS.with_settings(threshold=64).with_frame(mg_threshold=1)
+    first, second = beats_of(config)
+    result = ResultBuilder(config)
+    with pytest.raises(StreamError, match="stream 0 has words of subgroup 1 of another stream"):
+        result.add([second, first])
+    result.add([first, second])
+    arrays = result.arrays()
+    assert len(arrays["pulse"]) == 0 < len(arrays["mg_pulse"])
+
+
 def test_streams_of_different_frames_are_refused():
     golden = Golden(TWO_STREAMS.sensor)
     edges, _ = EDGES[COUNTS].frame(0, TWO_STREAMS.pulses)

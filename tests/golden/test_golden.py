@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Fate
+from coincid.model.contract.groups import FIRST_LSB, HEAD
 from coincid.model.contract.latency import COMMIT
 from coincid.model.contract.parameters import OFFSET_NONE, STAMP_FIELD_BITS
 from coincid.model.contract.result import ResultBuilder, map_numbers
@@ -486,3 +487,16 @@ def test_abort_is_a_shorter_frame():
 def test_a_stamp_fits_beside_any_phases(phases):
     sensor = parse_config({"sensor": {"phases": phases}}).sensor
     assert sensor.coarse_bits == min(10, STAMP_FIELD_BITS - sensor.phase_bits)
+
+
+@pytest.mark.parametrize(
+    ("period", "bits"), [(127, 12), (128, 12), (129, 13), (250, 13), (256, 13), (257, 14)]
+)
+def test_stamps_in_groups_have_the_bits_of_the_last_tick(period, bits):
+    """Of 32 ticks per cycle; a period that is a power of two does not need one more."""
+    frame = {"format": "compact", "period": period, "pulses": 1}
+    config = configured({"rows": 8, "cols": 8}, frame, {"threshold": 1})
+    (beats,) = Golden(config.sensor).frame(config, trouble(config, 1, 4.0)).beats
+    group = int(beats[1])
+    assert group >> FIRST_LSB == 0b101 << 1 | 1
+    assert group >> HEAD.pulse + HEAD.number & 15 == bits
