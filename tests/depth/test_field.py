@@ -16,6 +16,8 @@ from coincid.model.depth.patchmatch import (
     level_on,
 )
 from coincid.model.depth.refine import refine
+from coincid.model.depth.surfaces import Fitter
+from coincid.model.shared.threads import Threads
 
 BINS = 32
 SIGMA_TICKS = 2.0  # of a pixel's time
@@ -104,3 +106,13 @@ def test_a_plane_has_the_score_of_all_pixels_at_its_times(shape):
     most = field.left[:, :, 0] - SLOPE_COST * np.log(rarity)
     assert most.min() > 3.0
     assert planes.score == pytest.approx(most, rel=0.03)
+
+
+@pytest.mark.parametrize("rows", [1, 3, 4, 5, 8, 9, 18])
+def test_each_row_is_in_one_block(rows):
+    """Also where the last block is shorter than the others, or the only one."""
+    taken = []
+    with Threads(2) as threads:
+        fitter = Fitter.of(SIGMA_TICKS, 1000, 100, rows, threads)
+        fitter.blocks(lambda begin, end: taken.extend(range(begin, end)))
+    assert sorted(taken) == list(range(rows))

@@ -13,9 +13,12 @@ from ..told import Told
 
 SIZE = 16
 SENSOR = {"rows": SIZE, "cols": SIZE, "streams": 4}
+ONE_SUBGROUP = {"rows": SIZE, "cols": SIZE, "subgroup": [SIZE, SIZE]}
 
 
-def wall_run(distance_m, reflectivity, *, klux=10, pulses=500, form="id", **subgroup):
+def wall_run(
+    distance_m, reflectivity, *, klux=10, pulses=500, form="id", sensor=SENSOR, **subgroup
+):
     shape = (SIZE, SIZE)
     scene = Scene(
         name="wall",
@@ -23,7 +26,7 @@ def wall_run(distance_m, reflectivity, *, klux=10, pulses=500, form="id", **subg
         reflectivity=np.broadcast_to(np.asarray(reflectivity, np.float64), shape),
     )
     frame = {"pulses": pulses, "format": form}
-    return Run(Setup.of(scene, klux=klux, sensor=SENSOR, frame=frame, subgroup=subgroup), workers=2)
+    return Run(Setup.of(scene, klux=klux, sensor=sensor, frame=frame, subgroup=subgroup), workers=2)
 
 
 def check_unbiased(run, **options):
@@ -44,6 +47,12 @@ def test_light_of_walls_by_every_estimator(method):
     """A half is brighter; pixels of both are in each subgroup."""
     run = wall_run(4.0, np.where(np.arange(SIZE) % 2, 0.1, 0.4), threshold=2)
     check_unbiased(run, method=method)
+
+
+def test_light_of_pixels_whose_maps_have_several_words():
+    """The rows of a subgroup of 256 pixels become brighter."""
+    reflectivity = np.linspace(0.1, 0.4, SIZE)[:, None]
+    check_unbiased(wall_run(8.0, reflectivity, threshold=2, sensor=ONE_SUBGROUP))
 
 
 @pytest.mark.parametrize("threshold", [1, 3])

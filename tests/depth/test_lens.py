@@ -7,7 +7,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from coincid.model.depth.lens import APART, OFF_MAX, Lens, _misses, find_lens
+from coincid.model.depth.lens import APART, LOWEST, OFF_MAX, Lens, _misses, find_lens, seen_at
+from coincid.model.shared.compiled import njit
 
 NEAREST_TICKS = 400.0
 TANGENT_OF_HALF = math.tan(math.radians(22.5))
@@ -79,3 +80,40 @@ def test_misses_are_in_the_variances_of_the_three_peaks(there):
     stretch = wall(7, 11, 0.01, 0.02) / NEAREST_TICKS if there else None
     expected = misses_by_hand(time, weight, stretch)
     assert _misses(time, weight, lens) == pytest.approx(expected, rel=1e-9)
+
+
+@njit
+def _seen_at(lens, time, slopes, r, c, down, right):
+    return seen_at(lens, time, slopes[0], slopes[1], r, c, down, right)
+
+
+LENS = Lens(there=True, down=0.03**2, right=0.05**2, row=3.0, col=5.5)
+TURNED = 0.002, 2e-5, -7e-5  # of a plane in space: what changes evenly, and by how much per pixel
+
+
+def plane_in_space(r, c):
+    """Return the time of a plane at a place of the picture, and its slopes there."""
+    y, x = r - LENS.row, c - LENS.col
+    stretch = math.sqrt(1 + LENS.down * y**2 + LENS.right * x**2)
+    even = TURNED[0] + TURNED[1] * r + TURNED[2] * c
+    time = stretch / even
+    return time, (
+        LENS.down * y / stretch / even - time * TURNED[1] / even,
+        LENS.right * x / stretch / even - time * TURNED[2] / even,
+    )
+
+
+@pytest.mark.parametrize("r, c", [(0, 0), (3, 5), (6, 11), (2, 9)])
+def test_a_plane_in_space_is_followed_from_any_pixel_to_any_other(r, c):
+    """Of pixels that are no squares, in a view that is no square."""
+    time, slopes = plane_in_space(r, c)
+    for there in np.ndindex(7, 12):
+        found = _seen_at(LENS, time, slopes, r, c, there[0] - r, there[1] - c)
+        assert found == pytest.approx(plane_in_space(*there)[0], rel=1e-9)
+
+
+def test_a_plane_is_followed_no_farther_than_to_a_multiple_of_its_distance():
+    """Behind its horizon, there would be no time."""
+    lens = Lens(there=True, down=1e-12, right=1e-12, row=3.0, col=5.0)
+    assert _seen_at(lens, 400.0, (0.0, 50.0), 3, 5, 0, 100) == pytest.approx(400 / LOWEST)
+    assert _seen_at(lens, 400.0, (0.0, 50.0), 3, 5, 0, -8) == pytest.approx(200)
