@@ -14,7 +14,7 @@ from coincid.model.contract.config import parse_config
 from coincid.model.contract.latency import armed_cycle, close_cycle
 from coincid.model.depth.arrivals import SYSTEM_FWHM_S
 from coincid.model.depth.pulse_ticks import pulse_ticks
-from coincid.model.light.light import Light
+from coincid.model.light.light import Arrivals, Light
 from coincid.model.light.spad import Spad
 from coincid.model.shared.constants import SPEED_OF_LIGHT_M_S
 from coincid.model.shared.pulse import Pulse
@@ -250,6 +250,49 @@ def test_the_gate_of_a_pixel_is_judged_at_its_strongest_target():
     assert list(found[:2]) == list(bounds.pixel_bounds_mm(usual, light)[:2])
     assert np.isnan(found[2])
     assert bounds.usual_open_share(gated, light) == 1.0
+
+
+def test_light_in_bins_has_a_background_of_its_own_and_no_distance_that_a_gate_could_hide():
+    """The background among it counts beside the other, and its signal is what is left."""
+    arrivals = Arrivals(
+        first=[0, 1, 2],
+        start_s=[20e-9, 50e-9],
+        photons=[0.7, 0.7],
+        background_cps=2e6,
+        span_s=100e-9,
+    )
+    light = Light(
+        rows=1,
+        cols=2,
+        distance_m=np.nan,
+        signal_per_pulse=0.0,
+        background_cps=1e6,
+        arrivals=arrivals,
+    )
+    assert bounds.median_light(light) == pytest.approx((0.5, 3e6))
+    gated = parse_config({"sensor": {"rows": 8, "cols": 8}}).with_settings(
+        gating=True, gate_start=20
+    )
+    assert bounds.usual_open_share(gated, light) == 1.0
+    expected = bounds.word_bounds_mm(gated, 0.5, 3e6).pixel_mm
+    assert bounds.pixel_bounds_mm(gated, light) == pytest.approx([expected] * 2)
+
+
+def test_a_gate_shows_light_from_beyond_the_range_where_it_comes():
+    """In a later period, as far from its beginning as that of a nearer wall."""
+    moving = parse_config({"frame": {"gate_every": 1, "gate_step": 10, "gate_steps": 5}})
+    gated = moving.with_settings(gating=True, gate_start=LIT_CYCLE, gate_len=10)
+    range_m = gated.period_ticks * gated.tick_m
+    near_m = np.array([8.0, 2.0])
+    shares = [bounds._open_at(gated, near_m + k * range_m).tolist() for k in range(3)]
+    assert shares == [[0.2, 0.0]] * 3
+
+
+@pytest.mark.parametrize("fwhm_s", [5e-9, 20e-9])
+def test_a_pulse_that_is_wider_than_the_period_has_its_gross_errors(fwhm_s):
+    short = parse_config({"frame": {"period": 12}})
+    found = coincid.bound(short, distance_m=0.5, pulses=10, trials=5, system_fwhm_s=fwhm_s)
+    assert 0 <= found.gross_share <= 1
 
 
 @pytest.mark.parametrize(

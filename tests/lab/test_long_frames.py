@@ -20,8 +20,8 @@ from coincid.model.scenes.catalogue import load_scene
 SENSOR = {"rows": 8, "cols": 16}
 
 
-def setup_of(**frame):
-    return Setup.of("five-objects", klux=20, sensor=SENSOR, frame={"frames": 3} | frame)
+def setup_of(*, sensor=SENSOR, **frame):
+    return Setup.of("five-objects", klux=20, sensor=sensor, frame={"frames": 3} | frame)
 
 
 @pytest.fixture
@@ -31,9 +31,13 @@ def long(monkeypatch):
     monkeypatch.setattr(long_frames, "EDGES_SHOWN_MAX", 2700)
 
 
+UNEQUAL_STREAMS = {"rows": 8, "cols": 24, "streams": 2}
+
+
+@pytest.mark.parametrize("sensor", [SENSOR, UNEQUAL_STREAMS], ids=["one stream", "two streams"])
 @pytest.mark.parametrize("subgroup", [{"threshold": 2}, {"auto": True}], ids=["fixed", "auto"])
-def test_a_long_run_gives_the_same_events_and_depth(subgroup, monkeypatch):
-    setup = setup_of(pulses=70, dither_bits=3).but(subgroup=subgroup)
+def test_a_long_run_gives_the_same_events_and_depth(subgroup, sensor, monkeypatch):
+    setup = setup_of(pulses=70, dither_bits=3, sensor=sensor).but(subgroup=subgroup)
     usual = Run(setup)
     expected = usual.result
     monkeypatch.setattr(long_frames, "EDGES_MAX", 0)
