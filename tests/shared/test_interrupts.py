@@ -170,3 +170,11 @@ def test_a_program_is_known_while_it_runs_and_ends_with_an_error(fails):
     running.stdout.close()
     assert running not in PROGRAMS
     assert running.returncode == (-signal.SIGKILL if fails else 0)
+
+
+def test_an_error_behind_a_program_that_has_ended_is_told_as_it_is():
+    """There is nothing left to kill."""
+    with pytest.raises(ZeroDivisionError), program(["true"]) as running:
+        assert running.wait() == 0
+        raise ZeroDivisionError
+    assert running not in PROGRAMS
