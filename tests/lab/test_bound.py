@@ -361,6 +361,24 @@ def test_bounds_of_a_map_are_those_of_its_light():
         assert np.isnan(found[1])
 
 
+def test_bounds_between_the_lights_of_a_map_are_near_those_of_their_own_light():
+    """Though it ranges over two orders of magnitude."""
+    config = parse_config({"sensor": {"rows": 8, "cols": 8}, "subgroup": {"threshold": 2}})
+    signal = np.array([0.02, 0.05, 0.11, 0.3, 0.7, 1.5])
+    light = Light(
+        rows=1, cols=6, distance_m=5.0, signal_per_pulse=signal[:, None], background_cps=1e6
+    )
+    expected = [bounds.word_bounds_mm(config, one, 1e6).pixel_mm for one in signal]
+    assert bounds.pixel_bounds_mm(config, light) == pytest.approx(expected, rel=0.03)
+
+
+def test_the_usual_wall_is_grey_8_m_away_and_in_full_daylight():
+    wall = coincid.bound(distance_m=8, reflectivity=0.4, klux=50, trials=0)
+    usual = coincid.bound(trials=0)
+    for name in ("signal_per_pulse", "background_cps", "photons_mm", "bound_mm"):
+        assert getattr(usual, name) == getattr(wall, name)
+
+
 def tiny(window, rearm):
     """Return three pixels before a wall whose light is as wide as some ticks; of two pixels half of
     the windows are rejected, of one all.

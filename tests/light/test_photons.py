@@ -414,6 +414,21 @@ def test_the_signal_of_a_pixel_is_that_of_its_bins_and_targets(first):
     assert bins.total_signal.tolist() == expected
 
 
+@pytest.mark.parametrize(
+    "first", ([0, 4], [0, 0, 4], [0, 1, 4], [0, 0, 2, 4], [0, 2, 2, 4], [0, 4, 4])
+)
+def test_bins_ascend_in_every_pixel_but_not_from_one_to_the_next(first):
+    """Also beside pixels without bins."""
+    for late in range(3):
+        start_s = np.arange(4.0)
+        start_s[[late, late + 1]] = start_s[[late + 1, late]]
+        if late + 1 in first:
+            Arrivals(first=first, start_s=start_s, photons=np.ones(4))
+            continue
+        with pytest.raises(InputError, match="start_s: must ascend in every pixel"):
+            Arrivals(first=first, start_s=start_s, photons=np.ones(4))
+
+
 def test_light_in_bins_beyond_the_period_meets_the_gap():
     """A gap of half a period: light from 1.25 periods after its pulse comes in the gap, and from
     1.75 a quarter of a period after the next pulse.
