@@ -227,8 +227,7 @@ def check_arrays(arrays: Mapping[str, np.ndarray], *names: str) -> None:
 
 
 def checked_events(arrays: Mapping[str, np.ndarray], config: Config) -> dict[str, np.ndarray]:
-    """Return the columns of a result's events, its maps if it has some, and `opened`, in the
-    processor's byte order.
+    """Return the columns of a result's events, int64, its maps if it has some, and `opened`.
 
     Raises `InputError` if they cannot come from a run of this configuration.
     """
@@ -259,7 +258,7 @@ def checked_events(arrays: Mapping[str, np.ndarray], config: Config) -> dict[str
 
 
 def _column(arrays: Mapping[str, np.ndarray], name: str, length: int, end: int) -> np.ndarray:
-    """Return a column of integers from 0 on, below `end`. Raises `InputError`."""
+    """Return a column of integers from 0 on, below `end`, as int64. Raises `InputError`."""
     values = np.asarray(arrays[name])
     if values.shape != (length,) or values.dtype.kind not in "iu":
         raise _no_run_of(
@@ -269,7 +268,7 @@ def _column(arrays: Mapping[str, np.ndarray], name: str, length: int, end: int) 
         )
     if length and not (values.min() >= 0 and values.max() < end):
         raise _no_run_of(name, f"is {values.min()} to {values.max()}", f"0 to {end - 1}")
-    return values.astype(values.dtype.newbyteorder("="), copy=False)
+    return values.astype(np.int64, copy=False)
 
 
 def _no_run_of(name: str, found: str, due: str) -> InputError:

@@ -12,6 +12,8 @@ from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import pixel_histogram
 from coincid.model.shared.errors import InputError
 
+from .equal import assert_equal_depths
+
 METHODS = ("planes", "maximum")
 
 
@@ -83,3 +85,14 @@ def test_the_order_of_the_bytes_does_not_matter():
         one = estimate_depth(result, run().config, method=method)
         other = estimate_depth({**result, **swapped}, run().config, method=method)
         assert np.array_equal(one.depth_m, other.depth_m, equal_nan=True)
+
+
+@pytest.mark.parametrize("kind", [np.uint16, np.int32, np.uint64])
+@pytest.mark.parametrize("method", METHODS)
+def test_the_size_of_the_integers_does_not_matter(method, kind):
+    """As in a result that was kept in smaller columns."""
+    result = run().result
+    names = ("pulse", "subgroup", "stamp", "count", "winner")
+    other = {**result, **{name: result[name].astype(kind) for name in names}}
+    depths = [estimate_depth(arrays, run().config, method=method) for arrays in (result, other)]
+    assert_equal_depths(*depths, ("depth_m", "confidence", "reason", "signal_per_pulse"))

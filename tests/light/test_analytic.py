@@ -332,15 +332,6 @@ def test_success_probability_counts_largest_bins():
     )
 
 
-def test_a_histogram_without_a_count_has_no_largest_bin():
-    """With light in one bin only, success is any count in it."""
-    timing = Timing(period_cycles=10)
-    expected = np.zeros(timing.period_ticks)
-    expected[128] = 0.1
-    found = analytic.success_probability(expected, 128.5 * timing.tick_s, timing)
-    assert found == pytest.approx(-math.expm1(-0.1))
-
-
 def test_threshold_rises_with_the_activity():
     """Fig. 7: at 50 klux, the highest threshold that still succeeds rises from the lowest to the
     highest value.
