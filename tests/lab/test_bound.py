@@ -188,6 +188,31 @@ def test_a_bound_counts_the_pulses_with_an_open_gate():
     assert moving.photons_mm == usual.photons_mm
 
 
+@pytest.mark.parametrize(
+    "own",
+    [
+        {"threshold": 4},
+        {"window": 40},
+        {"coincidence": False},
+        {"mask": "ffff"},
+        {"gating": True, "gate_start": LIT_CYCLE, "gate_len": 10},
+    ],
+    ids=lambda own: next(iter(own)),
+)
+def test_a_bound_has_the_settings_of_subgroup_0(own):
+    frame = {"gate_every": 1, "gate_step": 10, "gate_steps": 5}
+    wall = {"distance_m": 8.0, "pulses": 100, "trials": 1}
+    usual, of_all = (
+        coincid.bound(parse_config({"frame": frame, "subgroup": subgroup}), **wall)
+        for subgroup in ({}, own)
+    )
+    assert of_all.bound_mm != usual.bound_mm
+    for subgroups, expected in ((range(1), of_all), (range(1, 16), usual)):
+        override = {"subgroups": list(subgroups), **own}
+        config = parse_config({"frame": frame, "override": [override]})
+        assert coincid.bound(config, **wall) == expected
+
+
 def test_a_bound_has_the_pixels_that_are_on():
     """As if the subgroup had no others; so fewer windows become events."""
     half = coincid.bound(**WALL, mask="ffffffff")
