@@ -7,18 +7,16 @@ import pytest
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.depth.histograms import pixel_image
+from coincid.model.depth.intensity import _count_hits
 from coincid.model.scenes.scene import Scene
 
 from ..told import Told
 
 SIZE = 16
 SENSOR = {"rows": SIZE, "cols": SIZE, "streams": 4}
-ONE_SUBGROUP = {"rows": SIZE, "cols": SIZE, "subgroup": [SIZE, SIZE]}
 
 
-def wall_run(
-    distance_m, reflectivity, *, klux=10, pulses=500, form="id", sensor=SENSOR, **subgroup
-):
+def wall_run(distance_m, reflectivity, *, klux=10, pulses=500, form="id", **subgroup):
     shape = (SIZE, SIZE)
     scene = Scene(
         name="wall",
@@ -26,7 +24,7 @@ def wall_run(
         reflectivity=np.broadcast_to(np.asarray(reflectivity, np.float64), shape),
     )
     frame = {"pulses": pulses, "format": form}
-    return Run(Setup.of(scene, klux=klux, sensor=sensor, frame=frame, subgroup=subgroup), workers=2)
+    return Run(Setup.of(scene, klux=klux, sensor=SENSOR, frame=frame, subgroup=subgroup), workers=2)
 
 
 def check_unbiased(run, **options):
@@ -47,12 +45,6 @@ def test_light_of_walls_by_every_estimator(method):
     """A half is brighter; pixels of both are in each subgroup."""
     run = wall_run(4.0, np.where(np.arange(SIZE) % 2, 0.1, 0.4), threshold=2)
     check_unbiased(run, method=method)
-
-
-def test_light_of_pixels_whose_maps_have_several_words():
-    """The rows of a subgroup of 256 pixels become brighter."""
-    reflectivity = np.linspace(0.1, 0.4, SIZE)[:, None]
-    check_unbiased(wall_run(8.0, reflectivity, threshold=2, sensor=ONE_SUBGROUP))
 
 
 @pytest.mark.parametrize("threshold", [1, 3])
@@ -140,3 +132,22 @@ def test_masked_pixels_have_a_depth_of_their_neighbours_and_no_light():
     assert np.isnan(depth.signal_error[masked]).all()
     truth = run.light.total_signal.reshape(SIZE, SIZE)
     assert depth.signal_per_pulse[~masked].mean() == pytest.approx(truth[~masked].mean(), rel=0.05)
+
+
+@pytest.mark.parametrize("words", [1, 2, 4])
+def test_hits_of_each_return_are_those_of_its_pixel_in_its_ticks(words):
+    """In maps of any number of words; a pixel may have several returns, or none."""
+    rng = np.random.default_rng(words)
+    events, pixels, ticks = 60, 64 * words, 20
+    stamp = rng.integers(0, 100, events)
+    weight = rng.uniform(1, 2, events)
+    is_hit = rng.random((events, pixels)) < 0.1
+    maps = np.packbits(is_hit, axis=1, bitorder="little").view("<u8").astype(np.uint64)
+    starts = np.concatenate([[0], np.cumsum(np.arange(pixels) % 3)])
+    pixel = np.repeat(np.arange(pixels), np.diff(starts))
+    first = rng.integers(-10, 90, len(pixel))
+    hits, total = np.zeros(len(pixel)), np.zeros(pixels)
+    _count_hits(stamp, maps, weight, starts, first, ticks, hits, total)
+    assert total == pytest.approx(weight @ is_hit)
+    near = (stamp[:, None] >= first) & (stamp[:, None] < first + ticks)
+    assert hits == pytest.approx(weight @ (is_hit[:, pixel] & near))
