@@ -44,6 +44,17 @@ def test_a_column_of_events_may_hold_its_last_number_and_no_other(name):
                 checked_events(RESULT | {name: column}, CONFIG)
 
 
+@pytest.mark.parametrize("kind", ["u1", "i2", ">i4", "u4", "u8", "i8"])
+def test_columns_of_any_integers_become_int64(kind):
+    """As in a result that was kept in smaller columns: what is computed from them does not wrap."""
+    smaller = {name: RESULT[name].astype(kind) for name in LAST}
+    found = checked_events(RESULT | smaller, CONFIG)
+    for name in LAST:
+        assert found[name].dtype == np.int64
+        assert found[name].dtype.isnative
+        assert np.array_equal(found[name], RESULT[name])
+
+
 def test_a_result_without_events_is_one_of_any_run():
     empty = {name: RESULT[name][:0] for name in (*EVENT_COLUMNS, "hits")}
     found = checked_events(RESULT | empty, CONFIG)
