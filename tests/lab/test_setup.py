@@ -26,6 +26,14 @@ SMALL = {"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 4, "period": 60}}
 small = partial(Setup.of, "flat:5,0.4", **SMALL)
 
 
+def test_a_scene_reaches_as_far_as_its_own_laser_period():
+    """A wall at 110 m is beyond the usual period of 75 m."""
+    config = parse_config({"frame": {"period": 400}})
+    assert np.all(scene_of(config, "flat:110").truth_m == 110.0)
+    with pytest.raises(InputError, match=r"to 119\.9169"):
+        scene_of(config, "flat:120")
+
+
 @pytest.mark.parametrize(
     ("field", "value", "told"),
     [

@@ -20,8 +20,8 @@ endmodule
 module units(input clk, input rst, input on, input [2:0] add, output [23:0] out, output [1:0] odd);
   wire unused_0, unused_1;
   unit unit_0(.clk(clk), .rst(rst), .on(1'b1), .step(3'd6), .add(add), .value(out[5:0]), .odd(odd[0]));
-  unit unit_1(.clk(clk), .rst(rst), .on(on), .step(3'd1), .add(3'd0), .value(out[11:6]), .odd(unused_0));
-  unit unit_2(.clk(clk), .rst(1'b0), .on(1'b0), .step(3'd7), .add(3'd7), .value(out[17:12]), .odd(odd[1]));
+  unit unit_1(.clk(clk), .rst(rst), .on(1'b0), .step(3'd1), .add(3'd0), .value(out[11:6]), .odd(unused_0));
+  unit unit_2(.clk(clk), .rst(1'b0), .on(on), .step(3'd7), .add(3'd7), .value(out[17:12]), .odd(odd[1]));
   unit unit_3(.clk(clk), .rst(rst), .on(on), .step(add), .add(3'd7), .value(out[23:18]), .odd(unused_1));
 endmodule
 """
@@ -33,7 +33,7 @@ def units_by_hand(given):
     for rst, on, add in given:
         out = sum(value << 6 * k for k, value in enumerate(values))
         yield out, (values[0] & 1) | (values[2] & 1) << 1
-        steps = [(rst, 1, 6 + add), (rst, on, 1), (0, 0, 14), (rst, on, add + 7)]
+        steps = [(rst, 1, 6 + add), (rst, 0, 1), (0, on, 14), (rst, on, add + 7)]
         values = [
             5 if reset else value + step & 63 if enable else value
             for value, (reset, enable, step) in zip(values, steps, strict=True)
@@ -47,7 +47,7 @@ def inputs(lane, cycle):
 
 
 def test_inputs_of_units_that_are_tied_to_a_constant():
-    """To 1 and to 0, of some instances only; outputs may be open."""
+    """To 1 and to 0, of some instances only, between others that share an input; outputs may be open."""
     design = Design("units", {"units.v": UNITS}, "units", ["unit"])
     given = [[inputs(lane, cycle) for lane in range(LANES)] for cycle in range(24)]
     seen = []

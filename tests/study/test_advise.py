@@ -930,7 +930,7 @@ COUNTED = {"sensor": {"counts": 1}, "frame": {"format": "counts"}}
         (
             {"sensor": {"counts": 1}, "frame": COUNTED["frame"] | {"period": 256}},
             {"sensor": {"counts": 1}, "frame": COUNTED["frame"] | {"period": 257}},
-            "Hits after cycle 255 of the 257",
+            "Hits after cycle 255",
         ),
     ],
 )
