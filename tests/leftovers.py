@@ -13,7 +13,7 @@ from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 from typing import NamedTuple
 
-PATIENCE_S = 2.0  # that what ends has for it
+PATIENCE_S = 60.0  # that what ends has for it
 PROCESS = Path("/proc/self")
 # Dask keeps threads for the whole process.
 THREADS_OF_LIBRARIES = "Dask-"
