@@ -6,7 +6,7 @@ ones). `HYPOTHESIS_PROFILE=thorough` tries ten times as many unless a test fixes
 test that needs an extra is marked with it (`needs.py`) and skipped without it. `--no-skips` makes a
 skipped test fail; with all extras installed, no test is skipped. `--skipped-before` plays the tests
 that the last run skipped. A failure ends with the command that repeats it. A test that leaves
-threads, children or open files behind fails, too.
+threads or open files behind fails, too.
 """
 
 import os
@@ -134,7 +134,7 @@ def _repeat(item: pytest.Item) -> str:
 
 @pytest.fixture(autouse=True)
 def leaves_nothing_behind(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Fail a test that leaves threads, children or open files in its process."""
+    """Fail a test that leaves threads or open files in its process."""
     before = Held.now()
     yield
     left = [] if request.node.get_closest_marker("leaves") else leftovers(before)

