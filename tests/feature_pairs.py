@@ -82,6 +82,18 @@ REFUSED: frozenset[Pair] = frozenset(
     + [frozenset([("controller", 0), ("threshold_floor", floor)]) for floor in (0, 3)]
 )
 IMPOSSIBLE: frozenset[Pair] = REFUSED | {frozenset([("gap", 0), ("abort", "in a gap")])}
+
+
+def impossible_of(features: Features, uncounted_views: Iterable[str] = ()) -> frozenset[Pair]:
+    """Return the pairs of values of these features that cannot be built.
+
+    uncounted_views: names of the views that know no quarters of a cycle by pixel, which counts need.
+    """
+    refused = {pair for pair in REFUSED if dict(pair).keys() <= features.keys()}
+    uncounted = {frozenset([("view", name), ("counts", 1)]) for name in uncounted_views}
+    return frozenset(refused | uncounted)
+
+
 # Values with which most frames have events, in which a bug can show.
 LIVELY: Features = {
     "light": ("some", "crowded"),

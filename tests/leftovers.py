@@ -2,8 +2,8 @@
 """What a test leaves behind in its process: threads and open files.
 
 What the program starts or opens, it must end and close itself, also where something fails. So every
-test is checked for what it leaves. Files are known on Linux only.
-Child processes are not looked at: those that compile kernels ahead outlive the test that began them.
+test is checked for what it leaves. Files are known on Linux only. Child processes are not looked at:
+those that compile kernels ahead outlive the test that began them.
 """
 
 import gc

@@ -12,7 +12,7 @@ from coincid.board.parameters import Emulator
 from coincid.board.rtl.top import EmulatorTop
 
 from ..digests import write_digests
-from ..feature_pairs import BUILT, REFUSED, Case, Features, covering_cases, sensor_of
+from ..feature_pairs import BUILT, Case, Features, covering_cases, impossible_of, sensor_of
 from ..hdl.circuit_pairs import digests_of_blocks
 from ..random_cases import built_sensor
 
@@ -23,8 +23,7 @@ FEATURES: Features = SIZES | {
     "buffer_beats": (64, 8192),
     "clocks_per_bit": (4, 33),
 }
-IMPOSSIBLE = frozenset(pair for pair in REFUSED if dict(pair).keys() <= FEATURES.keys())
-CASES = covering_cases(FEATURES, IMPOSSIBLE)
+CASES = covering_cases(FEATURES, impossible_of(FEATURES))
 USUAL = {name: values[0] for name, values in BUILT.items()}
 ROOM = Emulator.__module__.rpartition(".")[0]
 

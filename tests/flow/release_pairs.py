@@ -15,7 +15,7 @@ from coincid.hdl.front_end_views import VIEWS, view_at
 from coincid.model.contract.parameters import TOP
 
 from ..digests import write_digests
-from ..feature_pairs import BUILT, REFUSED, Case, Features, covering_cases, sensor_of
+from ..feature_pairs import BUILT, Case, Features, covering_cases, impossible_of, sensor_of
 from ..file_digests import MANIFEST, Digests, digests_of_files
 from ..random_cases import configured
 
@@ -25,14 +25,8 @@ FEATURES: Features = BUILT | {
     "clock_mhz": (400.0, 62.5),
     "prefix": ("", "near_"),
 }
-# Views without quarters of a cycle by pixel have no counts.
-NO_COUNTS = frozenset(
-    frozenset([("view", name), ("counts", 1)])
-    for name, view in VIEWS.items()
-    if not view.has_quarters
-)
-IMPOSSIBLE = NO_COUNTS | {pair for pair in REFUSED if dict(pair).keys() <= FEATURES.keys()}
-CASES = covering_cases(FEATURES, IMPOSSIBLE)
+UNCOUNTED = [name for name, view in VIEWS.items() if not view.has_quarters]
+CASES = covering_cases(FEATURES, impossible_of(FEATURES, UNCOUNTED))
 VERILOG = {f"{TOP}.v": f"module {TOP}; endmodule\n", FILE_LIST: f"{TOP}.v\n"}
 
 

@@ -18,7 +18,7 @@ from coincid.hdl.silicon.circuit import Circuit
 from coincid.hdl.unit import Unit
 
 from ..digests import write_digests
-from ..feature_pairs import BUILT, REFUSED, Case, Features, covering_cases, sensor_of
+from ..feature_pairs import BUILT, Case, Features, covering_cases, impossible_of, sensor_of
 from ..random_cases import built_sensor
 
 DIGESTS = Path(__file__).with_suffix(".json")
@@ -28,14 +28,8 @@ OF_VIEWS: dict[str, View] = {
     "delay line": Asynchronous(Circuit(delay_line=True, gain_ppm=2000, banks=2)),
 }
 FEATURES: Features = BUILT | {"view": tuple(OF_VIEWS)}
-# The asynchronous views know no quarters of a cycle by pixel, which counts need.
-NO_COUNTS = frozenset(
-    frozenset([("view", name), ("counts", 1)])
-    for name, view in OF_VIEWS.items()
-    if not view.has_quarters
-)
-IMPOSSIBLE = NO_COUNTS | {pair for pair in REFUSED if dict(pair).keys() <= FEATURES.keys()}
-CASES = covering_cases(FEATURES, IMPOSSIBLE)
+UNCOUNTED = [name for name, view in OF_VIEWS.items() if not view.has_quarters]
+CASES = covering_cases(FEATURES, impossible_of(FEATURES, UNCOUNTED))
 
 
 def digests_of(case: Case) -> dict[str, str]:

@@ -56,18 +56,20 @@ def test_advice_for_a_scene_of_ones_own(tmp_path):
     assert (tmp_path / "out" / "advise.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_advice_overloads_no_link_where_it_need_not():
-    def tried(wrong, bits, dropped, load):
-        return Tried(
-            config=parse_config({}),
-            wrong=wrong,
-            far=0.0,
-            error_mm=9.0,
-            bits=bits,
-            dropped=dropped,
-            load=load,
-        )
+def outcome(wrong, bits=1, dropped=0.0, load=0.5, config=None):
+    """Return what one configuration leaves."""
+    return Tried(
+        config=config or parse_config({}),
+        wrong=wrong,
+        far=0.0,
+        error_mm=9.0,
+        bits=bits,
+        dropped=dropped,
+        load=load,
+    )
 
+
+def test_advice_overloads_no_link_where_it_need_not():
     def sentence(*settings):
         best = settings[0]
         return Advice(
@@ -75,23 +77,23 @@ def test_advice_overloads_no_link_where_it_need_not():
         ).sentence
 
     full, lossy, fits = (
-        tried(0.004, 100, 0.0, 1.08),
-        tried(0.002, 200, 0.24, 0.9),
-        tried(0.002, 300, 0.0, 0.7),
+        outcome(0.004, 100, 0.0, 1.08),
+        outcome(0.002, 200, 0.24, 0.9),
+        outcome(0.002, 300, 0.0, 0.7),
     )
     assert cheapest([full, lossy, fits], lambda one: one.bits) is fits
-    worse = tried(0.1, 50, 0.0, 0.1)
+    worse = outcome(0.1, 50, 0.0, 0.1)
     assert cheapest([full, lossy, worse], lambda one: one.bits) is full
     # Somewhat more wrong pixels are better than an overload, and the least one comes before the
     # price.
-    a_little_worse = tried(0.005, 900, 0.0, 0.9)
+    a_little_worse = outcome(0.005, 900, 0.0, 0.9)
     assert cheapest([full, lossy, a_little_worse], lambda one: one.bits) is a_little_worse
     # A useful picture on an overloaded link is better than a useless one.
-    useful, useless = tried(0.2, 100, 0.2, 1.02), tried(0.36, 50, 0.0, 0.1)
+    useful, useless = outcome(0.2, 100, 0.2, 1.02), outcome(0.36, 50, 0.0, 0.1)
     assert cheapest([useful, useless], lambda one: one.bits) is useful
-    bad, nothing = tried(0.8, 100, 0.02, 1.02), tried(1.0, 50, 0.0, 0.02)
+    bad, nothing = outcome(0.8, 100, 0.02, 1.02), outcome(1.0, 50, 0.0, 0.02)
     assert cheapest([bad, nothing], lambda one: one.bits) is bad
-    slow, fast = tried(1.0, 100, 0.0, 19.58), tried(1.0, 200, 0.0, 1.2)
+    slow, fast = outcome(1.0, 100, 0.0, 19.58), outcome(1.0, 200, 0.0, 1.2)
     assert cheapest([slow, fast], lambda one: one.bits) is fast
     assert "is overloaded (108%" in sentence(full, worse)
     assert "without an overload leaves 10.0% of the pixels wrong" in sentence(full, worse)
@@ -630,19 +632,6 @@ def test_only_what_can_be_changed_is_tried_as_a_help(tried, light):
     words = {"pulses": "20 laser pulses", "ambient": "ambient light", "distance": "half the"}
     assert [name for name, word in words.items() if word in told] == helps
     assert len(tried) == len(helps)
-
-
-def outcome(wrong, *, bits=1, dropped=0.0, load=0.5, config=None):
-    """Return what one configuration leaves."""
-    return Tried(
-        config=config or parse_config({}),
-        wrong=wrong,
-        far=0.0,
-        error_mm=9.0,
-        bits=bits,
-        dropped=dropped,
-        load=load,
-    )
 
 
 @pytest.mark.parametrize(
