@@ -4,7 +4,7 @@
 import gc
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
@@ -24,11 +24,16 @@ from .unit import Export, Unit, check_drivers
 
 FILE_LIST = "coincid.f"
 DIRECTIONS = {In: PortDirection.Input, Out: PortDirection.Output}
-SENSORS_KEPT = 4  # in memory, because an export, its netlists and its tests use the same sensor
+SENSORS_KEPT = 8  # in memory, because an export, its netlists and its tests use the same sensor
+Wanted = Callable[[Unit], bool]
 START = r"""  reg \1 ;
   /* verilator lint_off INITIALDLY */
   initial \1 <= 0;
   /* verilator lint_on INITIALDLY */"""
+
+
+def _always(unit: Unit) -> bool:
+    return True
 
 
 def verilog_files(sensor: Sensor, view=POLYPHASE, cells: bool = False) -> dict[str, str]:
@@ -73,8 +78,14 @@ def _sensor_blocks(sensor: Sensor, view) -> _Blocks:
 
 def fpga_files(sensor: Sensor) -> dict[str, str]:
     """Return the top for an FPGA by file name, and the blocks that `verilog_files` lacks."""
-    files = units_files([SensorTop(sensor, levels=True)])
-    return {name: files[name] for name in sorted(files.keys() - verilog_files(sensor).keys())}
+    return dict(_fpga_blocks(sensor))
+
+
+@lru_cache(maxsize=SENSORS_KEPT)
+def _fpga_blocks(sensor: Sensor) -> dict[str, str]:
+    there = verilog_files(sensor)
+    top = SensorTop(sensor, levels=True)
+    return _emitted([top], lambda unit: f"{unit.unit_name}.v" not in there).files
 
 
 def units_files(units: list[Unit], cells: bool = False) -> dict[str, str]:
@@ -101,8 +112,10 @@ class Elaborated:
     placed: dict[str, Unit]
 
 
-def _emitted(units: list[Unit]) -> _Blocks:
+def _emitted(units: list[Unit], wanted: Wanted = _always) -> _Blocks:
     """Return the files of these units and of all that they instantiate.
+
+    wanted: as in `elaborated`.
 
     Raises `ConnectionError`.
     """
@@ -110,7 +123,7 @@ def _emitted(units: list[Unit]) -> _Blocks:
     cells = {}
     # One block is converted while the next is elaborated.
     with _garbage_left(), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for block in elaborated(units):
+        for block in elaborated(units, wanted):
             name = block.unit.unit_name
             converted[name] = pool.submit(to_verilog, _text(block))
             if form := block.unit.for_cells():
@@ -121,8 +134,11 @@ def _emitted(units: list[Unit]) -> _Blocks:
     return _Blocks(files, cells)
 
 
-def elaborated(units: list[Unit]) -> Iterator[Elaborated]:
+def elaborated(units: list[Unit], wanted: Wanted = _always) -> Iterator[Elaborated]:
     """Yield these units and all that they instantiate, each once.
+
+    wanted: whether a unit is among them. One that is not is left out, with what only it
+    instantiates.
 
     Raises `ConnectionError` for a dead wire.
     """
@@ -130,7 +146,7 @@ def elaborated(units: list[Unit]) -> Iterator[Elaborated]:
     done: set[str] = set()
     while pending:
         name, unit = pending.popitem()
-        if name not in done:
+        if name not in done and wanted(unit):
             done.add(name)
             platform = Export()
             block = _elaborated(unit, platform)

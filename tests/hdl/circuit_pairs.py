@@ -44,8 +44,7 @@ def digests_of_blocks(top: Unit, room: str = "") -> dict[str, str]:
     with _garbage_left():
         texts = {
             block.unit.unit_name: _text(block)
-            for block in elaborated([top])
-            if type(block.unit).__module__.startswith(room)
+            for block in elaborated([top], lambda unit: type(unit).__module__.startswith(room))
         }
     return {name: hashlib.sha256(texts[name].encode()).hexdigest()[:12] for name in sorted(texts)}
 
