@@ -43,6 +43,7 @@ from coincid.tb.rtl_errors import Mismatch, SimulationError
 from coincid.tools.build import ToolchainError
 
 from .command import assert_refused, command
+from .exports import SMALLEST
 from .random_cases import SENSORS
 from .releases import small_releases
 
@@ -293,6 +294,21 @@ FOLDERS_OUT = ("advise flat:5 --out", "emulator serial --out", "emulate --simula
 def test_bad_options(files, words, told):
     assert_refused(command(words), *told)
     assert sorted(path.name for path in files.iterdir()) == ["config.toml", "edges.npz"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("emulator serial --out edges.npz/below", "cannot be written"),
+        ("emulator ulx3s --set clock_mhz=101.3", "the board's PLL does not make it"),
+    ],
+)
+def test_an_emulator_is_refused_before_its_verilog_is_made(files, monkeypatch, words, told):
+    def emitted(*_):
+        raise AssertionError("Verilog was made")
+
+    monkeypatch.setattr("coincid.hdl.export._emitted", emitted)
+    assert_refused(command(words), told)
 
 
 @pytest.mark.parametrize("words", ["sim --out out/deep", "photons --out out/a.npz"])
@@ -908,22 +924,19 @@ def test_a_finding_of_any_tool_is_in_the_exit_code(monkeypatch, tool):
 
 
 ONE_PLACE = SENSORS["one"] | {"fifo_depth": 1}
-WITH_COUNTS = {"rows": 8, "cols": 8, "counts": 1}
+ALL_BUILT = SMALLEST | {"minigroup": [2, 2], "fifo_depth": 1, "counts": 1}
 
 
 @pytest.mark.parametrize(
-    "view, own, sensors",
-    [("polyphase", OF_SENSOR, (ONE_PLACE, WITH_COUNTS)), ("async", OF_CELLS, (ONE_PLACE,))],
+    "view, own, sensor", [("polyphase", OF_SENSOR, ALL_BUILT), ("async", OF_CELLS, ONE_PLACE)]
 )
-def test_lint_finds_what_is_waived_and_nothing_else(monkeypatch, view, own, sensors):
+def test_lint_finds_what_is_waived_and_nothing_else(monkeypatch, view, own, sensor):
     """A waiver that no sensor needs would hide future warnings. own: those of the view."""
     monkeypatch.setattr("coincid.flow.release.control_file", lambda view: "`verilator_config\n")
-    warnings = []
-    for sensor in sensors:
-        result = lint(sensor, view)
-        assert result.exit_code == 1 and "verilator: found" in result.stdout
-        found = r"^%Warning-(\w+): ([^:]+):[\d:]+ (.*)"
-        warnings += re.findall(found, result.stdout, re.MULTILINE)
+    result = lint(sensor, view)
+    assert result.exit_code == 1 and "verilator: found" in result.stdout
+    found = r"^%Warning-(\w+): ([^:]+):[\d:]+ (.*)"
+    warnings = re.findall(found, result.stdout, re.MULTILINE)
     exact = re.sub(r"^`else.*?^`endif", "", OF_SENSOR + own, flags=re.MULTILINE | re.DOTALL)
     waivers = re.findall(r'^lint_off (-rule \w+ -file ".*" -match ".*")$', exact, re.MULTILINE)
     patterns = [re.escape(waiver).replace(r"\*", ".*") for waiver in waivers]

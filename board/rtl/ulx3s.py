@@ -134,9 +134,10 @@ def board_files(emulator: Emulator, clock_mhz: float) -> dict[str, str]:
 
     Raises `InputError`.
     """
+    board = board_verilog(emulator, clock_mhz)  # first, because it may refuse the clock
     files = emulator_files(emulator)
     del files[EMULATOR_LIST]
-    files |= units_files([Lights()]) | {f"{BOARD_TOP}.v": board_verilog(emulator, clock_mhz)}
+    files |= units_files([Lights()]) | {f"{BOARD_TOP}.v": board}
     return files | {EMULATOR_LIST: "".join(f"{name}\n" for name in files)}
 
 

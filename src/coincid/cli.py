@@ -741,8 +741,9 @@ def emulator(
         _file(page)
     usual = "emulator-axi" if kind == release.AXI else "emulator"
     settings = _config(config or usual, changes)
+    folder = _folder(out)  # before what takes seconds
     files = release.emulator_release(settings, kind, buffer_beats)
-    written = release.write_emulator(_folder(out), files)
+    written = release.write_emulator(folder, files)
     print(
         f"{out}: {len(written)} files, {sum(path.stat().st_size for path in written) / 1000:.0f} kB"
     )
