@@ -23,7 +23,7 @@ from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.quality import wrong_share
 from coincid.model.golden.frame import Golden
 from coincid.model.scenes.catalogue import load_scene
-from coincid.study import progress, schemes, show, simulate
+from coincid.study import pictures, progress, schemes, show, simulate
 from coincid.study.schemes import SCHEMES
 from coincid.study.simulate import (
     ANIMATION,
@@ -65,6 +65,15 @@ def run(out, document=SMALL, scene="flat:5,0.4", threshold=None, waves=False, **
     return report, dict(np.load(out / EVENTS)), console.file.getvalue()
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave out what takes most of the time of a small run: the page and the drawn pictures."""
+    monkeypatch.setattr(simulate, "_write_report_page", lambda *_: False)
+    monkeypatch.setattr(simulate, "_light_picture", lambda *_: None)
+    monkeypatch.setattr(pictures, "save_figure", lambda *_: None)
+
+
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("engine", ["golden", "sliced"])
 def test_the_time_of_a_report_is_that_between_two_looks_at_the_clock(engine, tmp_path, monkeypatch):
     clock = itertools.count(1000.0, 2.0)
@@ -147,6 +156,7 @@ def test_a_scene_that_moves(tmp_path):
     assert not (tmp_path / DEPTHS).exists() and not (tmp_path / ANIMATION).exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_frames_see_the_same_light_under_their_own_thresholds(tmp_path):
     document = SMALL | {"subgroup": {"threshold": 3, "auto": True}}
     report, arrays, _ = run(tmp_path, document, klux=50.0)
@@ -162,6 +172,7 @@ def test_frames_see_the_same_light_under_their_own_thresholds(tmp_path):
     assert (arrays["count"][arrays["pulse"] // 4 == 1] >= 3).all()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_fixed_threshold_is_named_or_the_best_of_all(tmp_path):
     document = SMALL | {"frame": {"period": 60, "pulses": 50}}
     best, *_ = run(tmp_path / "best", document, klux=50.0)
@@ -204,6 +215,7 @@ def test_same_seed_same_bytes(tmp_path):
     assert a == b
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_letter_f_comes_out_as_it_went_in(tmp_path):
     report, arrays, _ = run(tmp_path, LETTER, "letter-f", engine="sliced")
     for name in SCHEMES:
@@ -254,6 +266,7 @@ def test_a_report_page_of_too_many_events_is_left_out_and_told(tmp_path, monkeyp
     assert (tmp_path / REPORT).exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_spad_gate_leaves_fewer_edges(tmp_path):
     # 5 m: cycle 16
     document = SMALL | {"subgroup": {"gating": True, "gate_start": 14, "gate_len": 8}}
@@ -298,6 +311,7 @@ def test_a_difference_stops_the_run_and_is_told(tmp_path, monkeypatch):
     assert (out / "sim.log").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_only_waveforms_of_an_earlier_run_are_deleted(tmp_path):
     """Not the files of an export, whose names begin like those of a waveform."""
     exported = [tmp_path / f"{TOP}{suffix}" for suffix in (".v", ".sdc", ".core")]
