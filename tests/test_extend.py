@@ -163,7 +163,19 @@ def test_light_of_another_shape_than_the_distances_is_refused(part):
 
 @pytest.mark.parametrize(
     ("part", "shape"),
-    [("error_m", SHAPE), ("error_m", (1, 1, 1)), ("slope_m", (*SHAPE, 1)), ("slope_m", (2,))],
+    [
+        ("error_m", SHAPE),
+        ("error_m", (1, 1, 1)),
+        ("slope_m", (*SHAPE, 1)),
+        ("slope_m", (2,)),
+        ("confidence", SHAPE),
+        ("confidence", (*SHAPE, 2)),
+        ("reason", (*SHAPE, 1)),
+        ("reason", (1, 1)),
+        ("depth_m", SHAPE),
+        ("depth_m", (*SHAPE, 2)),
+        ("depth_m", (*SHAPE, 0)),
+    ],
 )
 def test_an_estimate_of_another_shape_is_refused(part, shape):
     run = Run(Setup.of("flat:5,0.4", **SMALL))
@@ -276,6 +288,47 @@ def test_avalanches_between_two_periods_are_no_edges():
         late = generate_edges(light, Late(), timing, pulses=50, seed=5)
         assert len(ready) > 100
         assert len(late) == pytest.approx(share * len(ready), rel=0.1)
+
+
+def edges_by(pixel, time_s, timing, **options):
+    """Return the edges of 4 x 4 pixels with a SPAD that makes these, whatever the photons are."""
+
+    def edges_of(self, photons, *, pixels, seed):
+        return SpadTimes(pixel, time_s)
+
+    own = type("Told", (Ready,), {"edges_of": edges_of, "name": "told"})()
+    light = Light(rows=4, cols=4, distance_m=2.0, signal_per_pulse=0.0)
+    return generate_edges(light, own, timing, **{"pulses": 2, "seed": 1} | options)
+
+
+@pytest.mark.parametrize(
+    ("pixel", "time_s", "told"),
+    [
+        ([0, 16], [0.0, 0.0], "pixel must be from 0 to 15$"),
+        ([-1, 3], [0.0, 0.0], "pixel must be from 0 to 15$"),
+        ([0.0, 1.0], [0.0, 0.0], r"must return int64\[n\] and float64\[n\] of the same length$"),
+        ([0, 1], [0.0], r"must return int64\[n\] and float64\[n\] of the same length$"),
+        ([[0, 1]], [[0.0, 0.0]], r"must return int64\[n\] and float64\[n\] of the same length$"),
+    ],
+)
+def test_avalanches_that_are_none_are_refused(pixel, time_s, told):
+    with pytest.raises(coincid.InputError, match=f"^told.edges_of: {told}"):
+        edges_by(np.array(pixel), np.array(time_s), Timing())
+
+
+@pytest.mark.parametrize("start", [0, 3])
+def test_avalanches_of_all_pixels_count_from_the_first_to_the_last_tick_of_a_period(start):
+    """Times count from the first pulse of the span. The clock is such that they are exact."""
+    timing = Timing(clock_hz=2.0**29, phases=4, period_cycles=40, gap_cycles=8)
+    cycle = np.array([-0.25, 0.0, 39.75, 40.0, 47.75, 48.0, 87.75, 88.0, 96.0, np.inf, np.nan])
+    time_s = cycle / timing.clock_hz
+    pixel = np.arange(len(cycle)) + 5
+    found = edges_by(pixel, time_s, timing, pulse_start=start)
+    rows = np.stack([found.pulse, found.pixel, found.tick], axis=1)
+    first, second = start, start + 1
+    assert rows.tolist() == [[first, 6, 0], [first, 7, 159], [second, 10, 0], [second, 11, 159]]
+    none = np.zeros(0, np.int64)
+    assert len(edges_by(none, none.astype(float), timing)) == 0
 
 
 def touches(maps):

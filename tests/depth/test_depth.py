@@ -9,6 +9,7 @@ from scipy.stats import poisson
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.depth.arrivals import photons_of
+from coincid.model.depth.belief import Reason
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import estimate_depth
 from coincid.model.depth.histograms import SOURCES, subgroup_histograms
@@ -22,6 +23,7 @@ from coincid.model.depth.quality import (
     wrong_share,
 )
 from coincid.model.light.timing import Timing
+from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.constants import SIGMA_PER_FWHM
 from coincid.model.shared.errors import InputError
 from coincid.study.pictures import Panel, depth_row
@@ -101,6 +103,33 @@ def test_every_hit_is_in_the_histogram_of_its_pixel():
         assert np.all(histogram == histogram[0]) and histogram[0].sum() == np.sum(
             result["subgroup"] == s
         )
+
+
+@pytest.fixture(scope="module")
+def steps():
+    """Return a run of a subgroup of 256 pixels that sees a step each 64 of them."""
+    distance_m = np.repeat([4.0, 5.0, 6.0, 7.0], 4)[:, None] * np.ones((16, 16))
+    return Run(
+        Setup.of(
+            load_scene(distance_m, 16, 16),
+            klux=1.0,
+            sensor={"rows": 16, "cols": 16, "subgroup": [16, 16]},
+            frame={"pulses": 60, "format": "full"},
+            subgroup={"threshold": 2},
+        )
+    )
+
+
+@pytest.mark.parametrize("method", ["maximum", "matched/minigroup", "planes"])
+def test_pixels_of_every_word_of_a_map_have_their_own_distance(method, steps):
+    """And they are believed, because the hits are their own, too."""
+    depth = steps.depth(method)
+    off_m = np.abs(depth.depth_m[:, :, 0] - steps.scene.truth_m)
+    believed = depth.reason == Reason.BELIEVED
+    for word in range(4):
+        rows = slice(4 * word, 4 * word + 4)
+        assert np.mean(off_m[rows] < 0.1) > 0.95, word
+        assert believed[rows].mean() > 0.9, word
 
 
 @pytest.mark.parametrize(

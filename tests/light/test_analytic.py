@@ -257,6 +257,21 @@ def test_literal_histogram_is_the_printed_chain():
     assert single.shape == found.shape and not np.allclose(single, found)
 
 
+def test_literal_histogram_of_single_photons_is_that_of_each_pixel_alone():
+    """Of scheme 1: (9) for the noise of a period, and for signal where there is no noise."""
+    signal = np.random.default_rng(2).uniform(0.02, 0.9, 64)
+    setting = dict(threshold=5, window_ticks=16, pulses=100, form=LITERAL, scheme=1)
+    found = histogram(DISTANCE_M, signal, 1.226e6, **setting)
+    of_noise, of_signal = analytic.effective_cps(1.226e6, signal * 2e6, DEAD_S, 2e6, LITERAL)
+    in_period_s = 500e-9 - DEAD_S / 64
+    noise, light = of_noise * in_period_s, of_signal * in_period_s
+    floor = 100 * noise * np.exp(-noise)
+    peak = 100 * (1 - noise * np.exp(-noise)) * light * np.exp(-light)
+    assert found[:, 0] == pytest.approx(np.full(64, floor * 2e6 * 500e-12 * SIGMA_PER_FWHM))
+    of_peak = (found - found[:, :1]).sum(axis=1)
+    assert of_peak == pytest.approx(peak * math.sqrt(500 * SIGMA_PER_FWHM), rel=1e-4)
+
+
 def test_literal_histogram_has_the_photons_of_each_pixels_own_minigroup():
     """In a sensor whose minigroups are no squares, and whose pixels do not follow each other."""
     sensor = Sensor(subgroup=(4, 8), minigroup=(2, 4))

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The link budget against numbers checked by hand, to four digits."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -254,8 +256,38 @@ def test_dark_counts_are_background():
             lambda: irradiance_w_m2(50, 3999.0),
             r"wavelength_nm = 3999.0: must be a number from 287.5 to 3992.5",
         ),
+        (lambda: illuminance_lux("moon"), r"spectrum = 'moon': must be one of am15g, am15d, am0"),
+        (
+            lambda: link_budget(1.1e9, 0.4, 50),
+            r"distance_m = 1100000000.0: must be from .* to 1e\+09",
+        ),
+        (
+            lambda: link_budget(4, 0.4, 1.1e9),
+            r"klux = 1100000000.0: must be a number from 0 to 1e\+09",
+        ),
+        (lambda: link_budget(4, 0.4, 5, sbr_window_s=1.1), r"sbr_window_s = 1.1: .* from 0 to 1$"),
+        (lambda: link_budget([], 0.4, 5), r"distance_m: is empty, must hold at least one distance"),
     ],
 )
 def test_bad_input_names_field_and_range(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+@pytest.mark.parametrize(("filter_shape", "reach_nm"), [("box", 10.0), ("gaussian", 67.946)])
+def test_a_band_lies_within_the_spectra(filter_shape, reach_nm):
+    """Also that of a Gaussian filter, which passes light eight deviations from its middle."""
+    band = {"fwhm_nm": 20.0, "filter_shape": filter_shape}
+    for end_nm, inwards in ((280, 1), (4000, -1)):
+        assert irradiance_w_m2(50, end_nm + 1.001 * inwards * reach_nm, **band) > 0
+        with pytest.raises(InputError, match="wavelength_nm = .* must be a number from"):
+            irradiance_w_m2(50, end_nm + 0.999 * inwards * reach_nm, **band)
+
+
+@pytest.mark.parametrize("reading", SBR_READINGS)
+def test_numbers_of_a_budget_are_finite_up_to_its_limits(reading):
+    for distance_m, klux, window_s in itertools.product((1e-3, 1e9), (1e-9, 1e9), (1e-12, 1.0)):
+        options = {"sbr_reading": reading, "sbr_window_s": window_s}
+        budget = link_budget(distance_m, 1.0, klux, **options)
+        numbers = [value for _, value, _, _ in budget.rows() if isinstance(value, float)]
+        assert np.isfinite(numbers).all()

@@ -26,6 +26,7 @@ LEVEL = 1e-3
 BARE = Spad(dead_time_s=0, jitter_fwhm_s=0)
 # 500 ns in ticks of 1.6 ps: practically continuous time
 FINE = Timing(clock_hz=10e9, phases=64, period_cycles=5000)
+LONG = Timing(phases=1024, period_cycles=1 << 20)  # of as many ticks as a period may have
 EVERYTHING = Spad(
     paralyzable=True,
     jitter_tail_fraction=0.1,
@@ -342,6 +343,18 @@ def test_gates_of_a_configuration():
         assert set(cycle[~gated & (step == each)]) == set(range(250))
 
 
+@pytest.mark.parametrize("moves", [3, 1 << 17, 3 << 30])
+def test_a_gate_without_frames_moves_on_for_ever(moves):
+    """And one that is not told to move never does."""
+    timing = Timing(period_cycles=50)
+    options = {"pulses": 3, "pulse_start": moves * 7, "timing": timing}
+    moving = SpadGate(start_cycles=5, len_cycles=4, step_cycles=1, every_pulses=7, steps=40)
+    still = SpadGate(start_cycles=5, len_cycles=4, step_cycles=1)
+    for gate, start in ((moving, 5 + moves % 40), (still, 5)):
+        edges = edges_of(light(noise_cps=1e8), gate=gate, **options)
+        assert set(edges.tick // timing.phases) == set(range(start, start + 4))
+
+
 def test_a_gate_that_moves_beyond_the_period_is_closed_there():
     """A step of more than a period is legal, as in the sensor."""
     config = configured(
@@ -555,6 +568,16 @@ def test_code_density_by_hand():
             code_density(np.arange(2000), phases)
 
 
+def test_a_chunk_may_have_as_many_pulses_as_a_number_of_an_edge_holds():
+    """Fewer with a long period, whose edges need more bits."""
+    far = {"pulse_start": (1 << 40) - 2, "pulses": 2, "seed": 1}
+    for timing, most in ((LONG, 1 << 27), (Timing(), 1 << 31)):
+        (chunk,) = edge_chunks(light(), BARE, timing, chunk_pulses=most, **far)
+        assert len(chunk) == 0
+        with pytest.raises(InputError, match=f"chunk_pulses = {most + 1}: .* to {most} "):
+            edge_chunks(light(), BARE, timing, chunk_pulses=most + 1, **far)
+
+
 @pytest.mark.parametrize(
     ("signal", "is_told"),
     [
@@ -661,6 +684,16 @@ def test_dark_counts_and_hot_pixels():
             r"steps = 0: must be an integer from 1",
         ),
         (lambda: code_density(np.arange(3), 8), r"tick: holds 3 edges"),
+        (
+            lambda: light(1, 4, arrivals=Arrivals(first=[0, 1, 1], start_s=0.0, photons=[1.0])),
+            r"arrivals: has 2 pixels, must have 4$",
+        ),
+        (
+            lambda: edge_chunks(
+                light(), BARE, Timing(gap_cycles=1), pulses=1, pulse_start=1 << 24, seed=1
+            ),
+            r"pulses = 16777217: must be an integer from 0 to 16777216 \(with a gap, dither or pauses",
+        ),
     ],
 )
 def test_bad_input_names_field_and_range(make, message):

@@ -317,6 +317,14 @@ def test_a_written_ptu_file_is_that_of_its_device(tmp_path):
     assert found == sorted(rows, key=lambda row: (row[0], row[2]))
 
 
+@pytest.mark.parametrize(("period_cycles", "sync_hz"), [(240, 1_666_667), (280, 1_428_571)])
+def test_the_rate_of_a_written_ptu_file_is_the_nearest_whole_one(tmp_path, period_cycles, sync_hz):
+    timing = Timing(clock_hz=400e6, period_cycles=period_cycles)
+    write_edges(tmp_path / "a.ptu", edges((0, 5, 40)), timing)
+    with ptufile.PtuFile(tmp_path / "a.ptu") as file:
+        assert file.tags["TTResult_SyncRate"] == sync_hz
+
+
 @pytest.mark.parametrize("suffix", FORMATS)
 @pytest.mark.parametrize("offset_ps", [None, np.zeros(0)], ids=["", "offsets"])
 def test_a_file_of_no_edges_is_written_and_read(tmp_path, suffix, offset_ps):
@@ -891,6 +899,24 @@ def test_pulses_that_cannot_be_counted_are_refused(tmp_path):
     assert read_recording(path, sync_divider=1 << 14).sync.max() >> 14 == 1 << 48
     with pytest.raises(InputError, match=r"sync-divider = 32768: sync 281474976710656 .*710654$"):
         read_recording(path, sync_divider=1 << 15)
+
+
+def test_a_trigger_may_stand_for_as_many_pulses_as_messages_tell(tmp_path):
+    """By the header, by the rate of the laser, and by the user's word."""
+    most = 1 << 16
+    records = [t2(1, 0, 5), t2(0, 3, 9), t2(1, 0, 10)]
+    rate = {"measurement_specs__laser_repetition_rate": 40e6 * most}
+    plain = photon_hdf5(tmp_path / "a.h5", **SYNCED)
+    for found in (
+        read_recording(ptu(tmp_path / "a.ptu", records, HWSync_Divider=most)),
+        read_recording(photon_hdf5(tmp_path / "b.h5", **SYNCED, **rate)),
+        read_recording(plain, sync_divider=most),
+    ):
+        assert found.kind.endswith("sync divider 65536")
+    with pytest.raises(
+        InputError, match="sync-divider = 65537: must be an integer from 1 to 65536"
+    ):
+        read_recording(plain, sync_divider=most + 1)
 
 
 def test_photon_hdf5_without_nanotimes(tmp_path):

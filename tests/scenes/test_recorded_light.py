@@ -120,6 +120,26 @@ def test_a_peak_that_is_too_near_is_no_surface():
     assert any("1 of 64 histograms have no peak in this range" in note for note in scene.notes)
 
 
+def test_a_peak_at_or_beyond_the_range_is_no_surface():
+    """Of a recording that lasts longer than the laser period."""
+    scene = load_scene(counts(), *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES, range_m=5.9)
+    assert np.array_equal(scene.valid, WALL_M == 3)
+    assert any("32 of 64 histograms have no peak in this range" in note for note in scene.notes)
+    with pytest.raises(InputError, match="no histogram has a peak from 0.05 m to .* of 2.9 m;"):
+        load_scene(counts(), *SHAPE, bin_ps=BIN_PS, range_m=2.9)
+
+
+def test_what_the_histograms_are_is_told_in_numbers():
+    scene = load_scene(counts(), *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES)
+    assert scene.notes[0].startswith("array: 8 x 8 histograms of 640 bins of 100 ps, 64 ns; the")
+    for shape in ((4, 8), (8, 6), (9, 7)):
+        high, wide = shape
+        told = f"has {high} x {wide} histograms, must have 8 x 8, one for each pixel;"
+        told += f" --set rows={high} --set cols={wide} makes the sensor fit$"
+        with pytest.raises(InputError, match=told):
+            load_scene(np.ones((*shape, 40)), *SHAPE, bin_ps=BIN_PS)
+
+
 def test_the_noise_of_a_background_is_no_surface():
     """However its highest bin stands out among so many."""
     noise = counts()

@@ -397,6 +397,50 @@ def test_invalid_samples_become_a_mask_and_a_note(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("bad_m", "what"),
+    [
+        (-1.5, "negative"),
+        (80.0, "at or beyond the laser period's range of 74.95 m"),
+        (RANGE_M, "at or beyond the laser period's range of 74.95 m"),
+        (0.02, "below 0.05 m"),
+    ],
+)
+@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("rows", [1, 3])
+def test_one_number_out_of_range_is_a_mark_unless_it_is_a_near_distance(bad_m, what, several, rows):
+    """Such marks may be many. Other samples out of range may be a tenth."""
+    depth_m = np.full((20, 20), 5.0)
+    depth_m[:rows] = bad_m
+    if several:
+        depth_m[0, 0] *= 1.001
+    number = 20 * rows
+    if not several and bad_m != 0.02:
+        scene = load_scene(depth_m, 20, 20)
+        told = f"array: {number} samples {what} left out (all {bad_m:.6g} m, taken for no depth)"
+        assert told in scene.notes
+    elif rows == 1:
+        scene = load_scene(depth_m, 20, 20)
+        assert f"array: {number} samples {what} left out" in scene.notes
+    else:
+        told = f"^array: 15% of the samples are {what} \\(such as {depth_m[0, 0]:.6g} m\\), must be"
+        with pytest.raises(InputError, match=told):
+            load_scene(depth_m, 20, 20)
+        return
+    assert np.array_equal(scene.valid, depth_m == 5)
+
+
+@pytest.mark.parametrize(("seen", "is_enough"), [(9, False), (10, True)])
+def test_a_tenth_of_the_pixels_must_have_a_depth(seen, is_enough):
+    depth_m = np.zeros((10, 10))
+    depth_m.flat[:seen] = 5.0
+    if is_enough:
+        assert load_scene(depth_m, 10, 10).valid.sum() == seen
+    else:
+        with pytest.raises(InputError, match=r"array: 9.0% of the sensor's pixels have a usable"):
+            load_scene(depth_m, 10, 10)
+
+
+@pytest.mark.parametrize(
     "samples, words",
     [
         (np.zeros((8, 8)), "every sample is 0 or NaN"),

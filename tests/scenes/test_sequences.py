@@ -128,6 +128,12 @@ def test_a_pattern_stands_for_the_files_that_it_fits(tmp_path, pattern, walls_m)
     assert any("along the rays" in note for note in scene.notes[1:])
 
 
+def test_one_line_tells_how_many_pictures_a_scene_has():
+    scene = load_scene(pictures(), *SHAPE)
+    assert repr(scene) == "<Scene array: 8 x 8 pixels, 3 to 3 m, picture 1 of 3>"
+    assert repr(scene.at(2)) == "<Scene array[2]: 8 x 8 pixels, 5 to 5 m>"
+
+
 def test_each_picture_has_the_mask_of_its_own():
     """Of a masked array of several pictures."""
     hidden = np.zeros((3, *SHAPE), bool)
