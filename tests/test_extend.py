@@ -24,7 +24,7 @@ from coincid.model.contract.parameters import Sensor
 from coincid.model.depth import methods
 from coincid.model.depth.belief import LAW
 from coincid.model.depth.depth import Depth
-from coincid.model.depth.estimate import PEAKS, PLANES
+from coincid.model.depth.estimate import PEAKS, PLANES, estimate_depth
 from coincid.model.depth.intensity import Intensity
 from coincid.model.depth.methods import METHODS, method_names, register_estimator
 from coincid.model.golden.frame import golden_result
@@ -183,6 +183,35 @@ def test_an_estimate_of_another_shape_is_refused(part, shape):
     other = type("Misshapen", (Far,), {"estimate": lambda self, reading: found})()
     with pytest.raises(coincid.InputError, match=f"far.estimate: {part} has shape"):
         run.depth(other)
+
+
+@pytest.fixture(scope="module")
+def two_frames():
+    frame = {"frames": 2, "pulses": 40}
+    return Run(Setup.of("flat:5,0.4", sensor=SMALL["sensor"], frame=frame))
+
+
+@pytest.mark.parametrize("method", ["maximum", "planes", Far()], ids=["peaks", "planes", "own"])
+@pytest.mark.parametrize(
+    ("option", "legal", "refused", "told"),
+    [
+        ("frame", (0, 1), (-1, 2, True, 0.0), "an integer from 0 to 1"),
+        ("returns", (1, 8), (0, 9, True, 2.0), "an integer from 1 to 8"),
+        ("workers", (1,), (0, 257, True), "an integer from 1 to 256"),
+        ("system_fwhm_s", (1e-9,), (0.0, -1.0, np.nan, "1"), "a number from 1e-15 to 2e-08"),
+    ],
+)
+def test_options_have_their_ranges_whatever_the_estimator_is(
+    two_frames, method, option, legal, refused, told
+):
+    """Nothing is estimated of a frame that is not there."""
+    result = two_frames.result
+    options = {"method": method, "workers": 1}
+    for value in legal:
+        estimate_depth(result, two_frames.config, **options | {option: value})
+    for value in refused:
+        with pytest.raises(coincid.InputError, match=f"^{option} = .*: must be {told}$"):
+            estimate_depth(result, two_frames.config, **options | {option: value})
 
 
 def test_an_estimator_that_is_none_is_refused():
@@ -397,11 +426,12 @@ class LastRow(Rule):
         return (maps.sum(axis=(1, 2)) >= threshold) & maps[:, -1].any(axis=1)
 
 
-@pytest.mark.parametrize("subgroup", [[4, 8], [8, 4]])
+@pytest.mark.parametrize("subgroup", [[4, 8], [8, 4], [16, 8]])
 def test_a_rule_sees_the_rows_and_columns_of_the_subgroup(subgroup):
+    """Also where the map of a window is several words."""
     setup = Setup.of(
         "flat:5,0.4",
-        sensor={"rows": 8, "cols": 8, "subgroup": subgroup},
+        sensor={"rows": 16, "cols": 8, "subgroup": subgroup},
         frame={"pulses": 200, "link_gbps": 0},
         klux=50.0,
     )

@@ -22,7 +22,7 @@ from ..shared.errors import InputError, check_integer
 from ..shared.pulse import Pulse
 from ..shared.quantities import check_choice
 from ..shared.threads import Threads
-from .arrivals import SYSTEM_FWHM_S
+from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
 from .belief import Signs, believe, find_signs
 from .clusters import forget_clusters
 from .count_likelihood import Seen
@@ -118,6 +118,8 @@ def estimate_depth(
     if not isinstance(chosen, str):
         check_no_source(chosen.name, source)
         returns = check_integer("returns", returns, 1, RETURNS_MAX)
+        frame = _frame_of(arrays, frame)
+        pulse_sigma_ticks(config, system_fwhm_s)
         reading = Reading(
             arrays=_read(chosen, arrays),
             config=config,
@@ -157,6 +159,16 @@ def estimate_depth(
         slope_m=slope_m,
         light=partial(found.light, config, workers),
     )
+
+
+def _frame_of(arrays: dict[str, np.ndarray], frame: int | None) -> int | None:
+    """Return the number of a frame, or None for all frames. Raises `InputError` if the result has no
+    such frame.
+    """
+    if frame is None:
+        return None
+    check_arrays(arrays, "opened")
+    return check_integer("frame", frame, 0, len(arrays["opened"]) - 1)
 
 
 def _read(estimator: Estimator, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

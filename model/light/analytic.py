@@ -354,10 +354,11 @@ def success_probability(expected: np.ndarray, flight_s: float, timing: Timing) -
 
     expected: float64[ticks], mean counts, assumed to be independent and Poisson. flight_s: time of
     flight, also beyond the laser period. The target is at the maximum of the mean within a
-    nanosecond of it. So the lead of the first photons is assumed to be calibrated. A tie counts half.
+    nanosecond of it, or within a tick if that is longer. So the lead of the first photons is assumed
+    to be calibrated. A tie counts half.
     """
     time_s = (np.arange(len(expected)) + 0.5) * timing.tick_s
-    near = np.abs(time_s - flight_s % timing.period_s) < 1e-9
+    near = np.abs(time_s - flight_s % timing.period_s) < max(1e-9, timing.tick_s)
     peak_s = time_s[near][np.argmax(expected[near])]
     inside = np.abs(time_s - peak_s) <= SUCCESS_TOLERANCE_S
     k = np.arange(int(expected.max() + 10 * np.sqrt(expected.max())) + 20)

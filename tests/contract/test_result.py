@@ -8,7 +8,7 @@ import pytest
 
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.gate_counts import Counts
-from coincid.model.contract.packet import FORMATS
+from coincid.model.contract.packet import EVENT_FORMATS, FORMATS, FRAME_END, layout
 from coincid.model.contract.result import (
     EVENT_COLUMNS,
     RECORD_COLUMNS,
@@ -150,6 +150,28 @@ def test_a_frame_of_another_format_is_refused(format, other):
         return
     told = "in place of" if "counts" in (format, other) else f"another format than {other}"
     with pytest.raises(StreamError, match=told):
+        result.add(beats)
+
+
+@pytest.mark.parametrize("place", ["first", "last"])
+@pytest.mark.parametrize("format", ["short", "id", "full"])
+@pytest.mark.parametrize("other", ["short", "id", "full"])
+def test_a_single_event_of_another_format_is_refused(format, other, place):
+    first, second = beats_of(TWO_STREAMS.with_frame(format=format, minigroup_records=False))
+    strange, _ = beats_of(TWO_STREAMS.with_frame(format=other, minigroup_records=False))
+    lengths = layout(TWO_STREAMS.sensor)
+    event = strange[1 : 1 + lengths.length(EVENT_FORMATS[other])]
+    at = (
+        1
+        if place == "first"
+        else -lengths.length(FRAME_END, len(TWO_STREAMS.sensor.stream_subgroups(0)))
+    )
+    result = ResultBuilder(TWO_STREAMS.with_frame(format=format, minigroup_records=False))
+    beats = [np.insert(first, at, event), second]
+    if format == other:
+        result.add(beats)
+        return
+    with pytest.raises(StreamError, match=f"another format than {format}"):
         result.add(beats)
 
 

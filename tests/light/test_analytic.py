@@ -329,6 +329,19 @@ def test_success_beyond_the_period_is_that_of_as_many_periods_nearer():
         analytic.success_by_threshold(0.1, 1e6, math.nan, **setting)
 
 
+@pytest.mark.parametrize("clock_hz", [250e6, 125e6, 50e6, 10e6])
+def test_success_is_known_however_long_a_tick_is(clock_hz):
+    """Ticks of 2 to 50 ns: a bright target is found, also at the border of two ticks, where either
+    may have the largest bin.
+    """
+    timing = Timing(clock_hz=clock_hz, phases=2, period_cycles=40)
+    setting = dict(timing=timing, window_ticks=2, pulses=100, form=CORRECTED)
+    for place, least in ((3.0, 0.4), (3.25, 0.7), (3.5, 0.9), (3.75, 0.7), (39.99, 0.0)):
+        distance_m = place * timing.tick_m
+        found = analytic.success_by_threshold(1.0, 1e5, distance_m, **setting)
+        assert least <= found.min() and found.max() <= 1
+
+
 def test_success_probability_counts_largest_bins():
     rng, timing = np.random.default_rng(1), Timing(period_cycles=10)
     ticks, flight_s = np.arange(timing.period_ticks), 8e-9

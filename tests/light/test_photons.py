@@ -684,15 +684,14 @@ def test_dark_counts_and_hot_pixels():
             r"steps = 0: must be an integer from 1",
         ),
         (lambda: code_density(np.arange(3), 8), r"tick: holds 3 edges"),
-        (
-            lambda: light(1, 4, arrivals=Arrivals(first=[0, 1, 1], start_s=0.0, photons=[1.0])),
-            r"arrivals: has 2 pixels, must have 4$",
-        ),
-        (
-            lambda: edge_chunks(
-                light(), BARE, Timing(gap_cycles=1), pulses=1, pulse_start=1 << 24, seed=1
-            ),
-            r"pulses = 16777217: must be an integer from 0 to 16777216 \(with a gap, dither or pauses",
+        *(
+            (
+                lambda waits=waits: edge_chunks(
+                    light(), BARE, Timing(**waits), pulses=1, pulse_start=1 << 24, seed=1
+                ),
+                r"pulses = 16777217: must be an integer from 0 to 16777216 \(with a gap, dither or",
+            )
+            for waits in ({"gap_cycles": 1}, {"dither_bits": 1}, {"search_pulses": 1})
         ),
     ],
 )

@@ -234,6 +234,15 @@ def test_numbers_of_a_pgm_file_are_as_wide_as_its_largest_needs(tmp_path, white,
     assert np.array_equal(read_pgm(tmp_path / "d.pgm"), numbers)
 
 
+@pytest.mark.parametrize(
+    "head", [b"P5", b"P5 3 2", b"P5 3 x 255 ", b"P2 3.5 2 255\n", b"P5 3 2 255"]
+)
+def test_a_grey_pgm_file_begins_with_its_size_and_white(tmp_path, head):
+    path = content(tmp_path / "d.pgm", head)
+    with pytest.raises(InputError, match=r"d\.pgm: is not a grey PGM file$"):
+        load_scene(path, *SHAPE)
+
+
 FILES = {  # file with a wall at 4 m
     "PGM in millimetres, with a maximum of 10000": lambda at: content(
         at / "d.pgm", b"P5\n# by a camera\n4 4\n10000\n" + np.full(SHAPE, 4000, ">u2").tobytes()
@@ -527,6 +536,34 @@ def test_arrays_in_archives(tmp_path):
     (tmp_path / "e.mat").write_bytes(b"no archive")
     with pytest.raises(InputError, match="e.mat: is not a readable archive"):
         load_scene(str(tmp_path / "e.mat"), *SHAPE)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "h5", "mat"])
+@pytest.mark.parametrize(
+    ("shapes", "told"),
+    [
+        ({"far": (3, 4, 4), "near": (2, 4, 4)}, "none, of three dimensions far, near; must name"),
+        (
+            {"far": SHAPE, "moving": (2, 4, 4), "near": SHAPE},
+            "far, near, of three dimensions moving; must name",
+        ),
+        ({"deep": (2, 2, 4, 4)}, "none; must name"),
+    ],
+)
+def test_arrays_of_an_archive_are_told_by_their_dimensions(tmp_path, suffix, shapes, told):
+    path = tmp_path / f"a.{suffix}"
+    arrays = {name: np.full(shape, 4.0) for name, shape in shapes.items()}
+    if suffix == "npz":
+        np.savez(path, **arrays)
+    elif suffix == "mat":
+        savemat(path, arrays)
+    else:
+        with h5py.File(path, "w") as archive:
+            archive.update(arrays)
+    with pytest.raises(InputError) as error:
+        load_scene(str(path), *SHAPE)
+    assert str(error.value).startswith(f"{path}: has the arrays of two dimensions {told} one of")
+    assert str(error.value).endswith(f"them, as {path}:NAME")
 
 
 @pytest.mark.parametrize("suffix", ["npy", "npz", "h5", "mat", "png", "pfm", "exr"])

@@ -126,6 +126,7 @@ def test_bins_without_width_are_targets(photons, seed):
         (dict(first=[0, 4, 3]), "first: must ascend"),
         (dict(start_s=[1e-9, 3e-9, 2e-9]), "start_s: must ascend in every pixel"),
         (dict(photons=[1.0, -1.0, 0.0]), "photons"),
+        (dict(photons=[[1.0, 1.0, 1.0]]), r"photons: has shape \(1, 3\), must have a number per"),
         (dict(first=[0, 1, 3]), "arrivals: has 2 pixels, must have 1"),
     ],
 )
@@ -195,7 +196,7 @@ def stub(monkeypatch, tmp_path):
     """
     monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
     path, transient = tmp_path / "scene.xml", synthetic(np.ones((2, 2, 10)))
-    made = SimpleNamespace(renders=0, contents=b"1", path=path, transient=transient)
+    made = SimpleNamespace(renders=0, contents=b"1", path=path, transient=transient, beside={})
     made.path.touch()
 
     def render(*_, **__):
@@ -205,7 +206,9 @@ def stub(monkeypatch, tmp_path):
     read = SimpleNamespace(cameras=2, kind="orthographic", emitters=3)
     tracer = SimpleNamespace(
         render=render,
-        read_scene=lambda path: SimpleNamespace(files={"scene": made.contents}, **vars(read)),
+        read_scene=lambda path: SimpleNamespace(
+            files={"scene": made.contents, **made.beside}, **vars(read)
+        ),
     )
     monkeypatch.setattr(ray_scene, "_tracer", lambda: tracer)
     monkeypatch.setattr(ray_scene, "version", lambda name: "1")
@@ -223,6 +226,38 @@ def test_rendered_once_for_each_content(stub):
         stub.contents = contents
         load_scene(str(stub.path), size, 2)
         assert stub.renders == renders
+
+
+def test_a_rendering_is_kept_for_all_that_it_depends_on(stub, monkeypatch):
+    """Files in their places, size, view, range, packages and the code of this project."""
+
+    def is_rendered(rows=2, cols=2, **options):
+        before = stub.renders
+        ray_scene.ray_scene(str(stub.path), rows, cols, **{"range_m": 50.0} | options)
+        assert stub.renders - before in (0, 1)
+        return stub.renders > before
+
+    def is_new(**options):
+        """Once: it is kept from then on."""
+        return is_rendered(**options) and not is_rendered(**options)
+
+    assert is_new()
+    for beside in ({"a": b"1", "b": b"23"}, {"a": b"23", "b": b"1"}, {"a": b"12", "b": b"3"}):
+        stub.beside = beside
+        assert is_new()
+    for options in (
+        {"rows": 4},
+        {"cols": 4},
+        {"range_m": 60.0},
+        {"optics": Optics(fov_h_deg=30.0)},
+        {"optics": Optics(fov_v_deg=30.0)},
+    ):
+        assert is_new(**options)
+    for package in ray_scene.PACKAGES:
+        monkeypatch.setattr(ray_scene, "version", lambda name, new=package: str(name == new))
+        assert is_new()
+    monkeypatch.setattr(ray_scene, "sources_digest", lambda room: "other code")
+    assert is_new()
 
 
 def test_what_is_overridden_is_said(stub):

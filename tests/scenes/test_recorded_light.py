@@ -208,6 +208,13 @@ def test_what_is_no_histogram_is_refused():
             load_scene(values, *SHAPE, **{"bin_ps": BIN_PS} | options)
 
 
+@pytest.mark.parametrize("name", ["counts.png", "counts.exr", "counts"])
+def test_a_picture_holds_no_histograms(tmp_path, name):
+    (tmp_path / name).touch()
+    with pytest.raises(InputError, match=f"{name}: must be .npy, .npz, .h5, .hdf5, .mat to hold"):
+        load_scene(str(tmp_path / name), *SHAPE, bin_ps=BIN_PS)
+
+
 def test_histograms_without_their_width_are_told_apart_from_a_sequence():
     scene = load_scene(np.full((3, 8, 64), 4.0), *SHAPE)
     assert any("--bin-ps" in note for note in scene.notes)

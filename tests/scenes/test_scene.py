@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
+from coincid.model.light.light import Light
 from coincid.model.scenes.catalogue import RANGE_M, load_scene
 from coincid.model.scenes.depth_file import BRIGHTEST, DARKEST, depth_scene
 from coincid.model.scenes.image_files import centre_crop, covered_samples
@@ -615,6 +616,10 @@ def test_a_pixel_has_its_nearest_target_whichever_comes_first():
     assert repr(scene) == "<Scene own: 1 x 4 pixels, 3 to 7 m>"
 
 
+def scene_of(distance_m, reflectivity, klux):  # noqa: ARG001 as of `Light.from_scene`
+    return Scene(name="own", distance_m=distance_m, reflectivity=reflectivity)
+
+
 def test_what_is_wrong_with_the_light_of_a_scene_is_told_as_it_was_given():
     scene = load_scene("flat:5", 4, 4)
     with pytest.raises(InputError, match="^klux = 1000000000000.0: is too much ambient light"):
@@ -623,6 +628,14 @@ def test_what_is_wrong_with_the_light_of_a_scene_is_told_as_it_was_given():
         scene_light(scene, 5, background="dark")
     with pytest.raises(InputError, match="^system_fwhm_s"):
         scene_light(scene, 5, system_fwhm_s=-1.0)
+
+
+@pytest.mark.parametrize("shape", [(), (4,), (2, 3, 4, 1)])
+@pytest.mark.parametrize("make", [scene_of, Light.from_scene])
+def test_distances_have_rows_columns_and_perhaps_targets(make, shape):
+    told = f"distance_m: has {len(shape)} dimensions, must have 2 or 3: rows, cols, targets"
+    with pytest.raises(InputError, match=f"^{told}$"):
+        make(np.full(shape, 4.0), 0.4, 5.0)
 
 
 @pytest.mark.parametrize(
