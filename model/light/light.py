@@ -250,13 +250,13 @@ class Light:
         broadcast to it. klux: ambient light, a number or float64[rows, cols]. background: one of
         `BACKGROUNDS`. others: fields of `Light`.
         """
-        distance_m = np.asanyarray(distance_m, dtype=np.float64)
-        if distance_m.ndim not in (2, 3):
+        shape = np.shape(distance_m)
+        if len(shape) not in (2, 3):
             raise InputError(
-                f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets"
+                f"distance_m: has {len(shape)} dimensions, must have 2 or 3: rows, cols, targets"
             )
-        rows, cols = distance_m.shape[:2]
-        distance_m = real_array("distance_m", distance_m, distance_m.shape, NEAREST_M, nan=True)
+        rows, cols = shape[:2]
+        distance_m = real_array("distance_m", distance_m, shape, NEAREST_M, nan=True)
         reflectivity = real_array("reflectivity", reflectivity, distance_m.shape, 0, 1)
         signal = signal_per_pulse(distance_m, reflectivity)
         flat = (rows * cols, -1)

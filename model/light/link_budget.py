@@ -175,7 +175,8 @@ def link_budget(
     signal_rate_cps = laser.average_power_w * cps_per_watt
     # the same at every distance, up to rounding
     on_target = irradiance * target_area_m2 * cps_per_watt
-    background_rate_cps = float(np.mean(on_target) + np.mean(spad.dark_cps))
+    dark_cps = real_array("dark_cps", spad.dark_cps, np.shape(spad.dark_cps), 0)
+    background_rate_cps = float(np.mean(on_target) + np.mean(dark_cps))
     background_live_cps = background_rate_cps / (1 + background_rate_cps * spad.dead_time_s)
     signal_per_pulse = signal_rate_cps / laser.repetition_hz
     signal, background = {

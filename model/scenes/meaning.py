@@ -2,6 +2,7 @@
 """What the numbers of a depth file mean, as far as the user says so."""
 
 from collections.abc import Sequence
+from types import NoneType
 
 import numpy as np
 from attrs import frozen
@@ -44,6 +45,7 @@ class Meaning:
         if self.unit is not None:
             check_unit(self.unit)
         check_kind("z", self.z, bool, np.bool_)
+        check_kind("channel", self.channel, str, NoneType)
         if self.bin_ps is None and self.recorded_pulses is not None:
             raise InputError(
                 f"recorded_pulses = {self.recorded_pulses}: goes with histograms, whose bins need"

@@ -266,6 +266,15 @@ def test_dark_counts_are_background():
             r"klux = 1100000000.0: must be a number from 0 to 1e\+09",
         ),
         (lambda: link_budget(4, 0.4, 5, sbr_window_s=1.1), r"sbr_window_s = 1.1: .* from 0 to 1$"),
+        (
+            lambda: link_budget(4, 0.4, 5, spad=Spad(dark_cps=-1)),
+            r"dark_cps = -1.0: must be at least 0",
+        ),
+        (
+            lambda: link_budget(4, 0.4, 5, spad=Spad(dark_cps=np.array([1.0, np.nan]))),
+            r"dark_cps\[1\] = nan: must be at least 0",
+        ),
+        (lambda: link_budget(4, 0.4, 5, spad=Spad(dark_cps="few")), r"dark_cps: must hold numbers"),
         (lambda: link_budget([], 0.4, 5), r"distance_m: is empty, must hold at least one distance"),
     ],
 )

@@ -176,6 +176,13 @@ def test_the_channel_of_depth(tmp_path, case):
         assert np.all(load_scene(path, *SHAPE, **options).truth_m == expected)
 
 
+@pytest.mark.parametrize("wrong", [3, b"Z", ["Z"], True])
+def test_a_channel_that_is_no_name_is_refused(tmp_path, wrong):
+    path = exr(tmp_path / "d.exr", R=0.5, Z=4)
+    with pytest.raises(InputError, match="^channel = .*: must be str or None$"):
+        load_scene(path, *SHAPE, channel=wrong)
+
+
 @pytest.mark.parametrize("origin", [(0, 0), (3, 5), (-2, 1), (6, -7)])
 def test_a_part_of_an_exr_picture_is_at_its_place(tmp_path, origin):
     """The data window of OpenEXR is the part of the display window that is stored, wherever the

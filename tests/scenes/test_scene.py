@@ -616,6 +616,16 @@ def test_a_pixel_has_its_nearest_target_whichever_comes_first():
     assert repr(scene) == "<Scene own: 1 x 4 pixels, 3 to 7 m>"
 
 
+@pytest.mark.parametrize("wrong", ["five", "", 1j, 2**2000, object()])
+@pytest.mark.parametrize("name", ["distance_m", "reflectivity", "klux"])
+def test_light_of_a_scene_is_made_of_numbers(name, wrong):
+    """Also where they are elements of an array, and not all of them are wrong."""
+    given = {"distance_m": [[4.0, 5.0]], "reflectivity": [[0.4, 0.4]], "klux": [[5.0, 5.0]]}
+    given[name] = [[given[name][0][0], wrong]]
+    with pytest.raises(InputError, match=rf"^{name}(: must hold numbers|\[0, 1\] = nan: must be) "):
+        Light.from_scene(**given)
+
+
 def scene_of(distance_m, reflectivity, klux):  # noqa: ARG001 as of `Light.from_scene`
     return Scene(name="own", distance_m=distance_m, reflectivity=reflectivity)
 
