@@ -78,7 +78,7 @@ def all_proofs() -> dict[str, Proof]:
 def prove(
     names: Sequence[str] = (), tell: Callable[[Verdict], None] = lambda verdict: None
 ) -> list[Verdict]:
-    """Run the proofs `names` (default: those of all rooms), and return their verdicts.
+    """Run the proofs `names` (default: those of all rooms), each once, and return their verdicts.
 
     tell: gets each verdict as it comes. Logs are in `build_root()/formal/<name>`. Raises
     `InputError` for a name that is no proof's, and `ToolchainError` without the tools.
@@ -91,7 +91,7 @@ def prove(
             raise ToolchainError(f"{package} is not installed; run: pip install 'coincid[formal]'")
     root = build_root() / "formal"
     programs = _programs(root / "bin")
-    chosen = [proofs[name] for name in names or proofs]
+    chosen = [proofs[name] for name in dict.fromkeys(names) or proofs]
 
     def run(proof: Proof) -> Verdict:
         verdict = _run(proof, root / proof.name, programs)

@@ -161,6 +161,10 @@ class Asynchronous(View):
     def at(self, clock_mhz: float) -> "Asynchronous":
         return evolve(self, circuit=evolve(self.circuit, clock_mhz=clock_mhz))
 
+    def check(self, sensor: Sensor) -> None:
+        super().check(sensor)
+        self.circuit.check(sensor)
+
     def spad_bits(self, sensor: Sensor) -> int:
         return sensor.pixels
 

@@ -104,6 +104,7 @@ class Front:
 
     def __init__(self, sensor: Sensor, circuit: Circuit):
         view = Asynchronous(circuit)
+        view.check(sensor)
         self.sensor, self.circuit, self.cells = sensor, circuit, view.cells
         self.front, self.tdc = view.front_end(sensor), view.tdc(sensor, 1)
 

@@ -7,13 +7,14 @@ requirements on the macros: docs/async.md.
 """
 
 from pathlib import Path
+from typing import Any
 
 from amaranth.hdl import Const, Instance, Module, Mux, Signal, Value
-from attrs import field, frozen
+from attrs import Converter, field, frozen
 
 from ...model.contract.parameters import CLOCK_MHZ, PHASES_MAX, Sensor
-from ...model.shared.errors import InputError
-from ...model.shared.quantities import real
+from ...model.shared.errors import InputError, check_integer
+from ...model.shared.quantities import integer, real
 from ..logic import popcount
 
 # For simulation: behaviour in femtoseconds. For synthesis: only the cells.
@@ -31,6 +32,20 @@ SYNCHRONISER_REARM = (
     3  # shortest re-arm gap of a single window bank: two synchronising flops are in its clear
 )
 ERROR_BITS = 32  # width of one boundary's mismatch in the generator's parameter
+ERROR_MAX = (1 << (ERROR_BITS - 1)) - 1
+GAIN_PPM_MAX = 999_999  # a line with an error of -1 million has no length
+
+
+def _integers(low: int, high: int) -> Any:
+    """Return an attrs field that holds integers from `low` to `high`, by default none."""
+
+    def checked(values: Any, attribute: Any) -> tuple[int, ...]:
+        return tuple(
+            check_integer(f"{attribute.name}[{k}]", value, low, high)
+            for k, value in enumerate(values)
+        )
+
+    return field(default=(), converter=Converter(checked, takes_field=True))
 
 
 @frozen(kw_only=True)
@@ -45,21 +60,24 @@ class Circuit:
     """
 
     clock_mhz: float = real(CLOCK_MHZ, SLOWEST_MHZ, FASTEST_MHZ)
-    banks: int | None = field(default=None)
-    mismatch_fs: tuple[int, ...] = ()
-    pixel_skew_fs: tuple[int, ...] = field(default=())
+    banks: int | None = integer(None, 1, 2)
+    mismatch_fs: tuple[int, ...] = _integers(-ERROR_MAX, ERROR_MAX)
+    pixel_skew_fs: tuple[int, ...] = _integers(0, ERROR_MAX)
     delay_line: bool = False
-    gain_ppm: int = 0
-
-    @pixel_skew_fs.validator
-    def _late_only(self, _, skews):
-        if any(skew < 0 for skew in skews):
-            raise InputError(f"pixel_skew_fs = {min(skews)}: must be at least 0")
+    gain_ppm: int = integer(0, -GAIN_PPM_MAX, GAIN_PPM_MAX)
 
     @property
     def clock_fs(self) -> int:
         """A cycle of the system clock in femtoseconds."""
         return clock_fs(self.clock_mhz)
+
+    def check(self, sensor: Sensor) -> None:
+        """Raise `InputError` unless the properties fit a sensor."""
+        self.banks_of(sensor)
+        for name, most in (("mismatch_fs", sensor.phases), ("pixel_skew_fs", sensor.pixels)):
+            numbers = len(getattr(self, name))
+            if numbers not in (0, most):
+                raise InputError(f"{name}: has {numbers} numbers, must have none or {most}")
 
     def banks_of(self, sensor: Sensor) -> int:
         """Return the number of window banks.

@@ -230,13 +230,13 @@ def proven(monkeypatch, tmp_path):
 DEPTHS = {"short": 2, "long": 30, "middle": 8}
 
 
-@pytest.mark.parametrize("names", [[], ["middle"], ["short", "long"]])
+@pytest.mark.parametrize("names", [[], ["middle"], ["short", "long"], ["short", "long", "short"]])
 def test_proofs_are_played_as_they_are_named_the_longest_first(names, proven, tmp_path):
-    """All, if none is named; each is told when it is done."""
+    """All, if none is named; one that is named twice, once. Each is told when it is done."""
     told = []
     verdicts = prove(names, told.append)
     found = [verdict.proof.name for verdict in verdicts]
-    assert found == sorted(names or DEPTHS, key=lambda name: -DEPTHS[name])
+    assert found == sorted({*names} or DEPTHS, key=lambda name: -DEPTHS[name])
     assert sorted(verdict.proof.name for verdict in told) == sorted(found)
     assert sorted(proven) == sorted(tmp_path / "formal" / name for name in found)
 

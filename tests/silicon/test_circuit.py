@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a circuit of the asynchronous view may be, and its trees and numbers by hand."""
 
+import re
+
 import pytest
 from amaranth.hdl import Cat, Instance, Module, Signal
 from amaranth.sim import Simulator
 
+from coincid.hdl.front_end_views import Asynchronous
+from coincid.hdl.sensor import SensorTop
 from coincid.hdl.silicon import circuit
 from coincid.hdl.silicon.circuit import (
     HIT_FS,
@@ -18,8 +22,10 @@ from coincid.hdl.silicon.circuit import (
     levels,
     or_tree,
 )
+from coincid.hdl.subgroup import Subgroup
 from coincid.model.contract.parameters import PHASES_MAX, Sensor
 from coincid.model.shared.errors import InputError
+from coincid.tb.stress import Front
 
 SIZES = (*range(1, 20), 31, 32, 33, 64, 100)
 
@@ -30,12 +36,46 @@ SIZES = (*range(1, 20), 31, 32, 33, 64, 100)
         ({"clock_mhz": 0.99}, "clock_mhz = 0.99: must be a number from 1 to 1000"),
         ({"clock_mhz": 1000.5}, "clock_mhz = 1000.5: must be a number from 1 to 1000"),
         ({"clock_mhz": float("nan")}, "clock_mhz = nan: must be a number"),
-        ({"pixel_skew_fs": (3, -7, 0, -2)}, "pixel_skew_fs = -7: must be at least 0"),
+        ({"pixel_skew_fs": (3, -7, 0, -2)}, "pixel_skew_fs[1] = -7: must be an integer from 0 to"),
+        ({"pixel_skew_fs": (3, 0.5)}, "pixel_skew_fs[1] = 0.5: must be an integer"),
+        (
+            {"mismatch_fs": (0, 0, 1 << 31)},
+            "mismatch_fs[2] = 2147483648: must be an integer from -",
+        ),
+        ({"mismatch_fs": (-1 << 31,)}, "mismatch_fs[0] = -2147483648: must be an integer from -"),
+        ({"banks": 0}, "banks = 0: must be an integer from 1 to 2"),
+        ({"banks": 3}, "banks = 3: must be an integer from 1 to 2"),
+        ({"gain_ppm": -1_000_000}, "gain_ppm = -1000000: must be an integer from -999999 to"),
+        ({"gain_ppm": 0.5}, "gain_ppm = 0.5: must be an integer"),
     ],
 )
 def test_a_circuit_that_cannot_be_is_refused(given, told):
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=f"^{re.escape(told)}"):
         Circuit(**given)
+
+
+SENSOR = Sensor(rows=8, cols=8, phases=8, window_max=16)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"mismatch_fs": (1,) * 7}, "mismatch_fs: has 7 numbers, must have none or 8"),
+        ({"mismatch_fs": (1,) * 9}, "mismatch_fs: has 9 numbers, must have none or 8"),
+        ({"pixel_skew_fs": (1,) * 63}, "pixel_skew_fs: has 63 numbers, must have none or 64"),
+        ({"pixel_skew_fs": (1,) * 65}, "pixel_skew_fs: has 65 numbers, must have none or 64"),
+        ({"banks": 1}, "sensor.rearm = 0: must be at least 3 with a single window bank"),
+    ],
+)
+def test_a_circuit_is_placed_only_in_a_sensor_that_it_fits(given, told):
+    """Each boundary has its error, and each pixel its delay, or there are none."""
+    for number in (0, 8):
+        Subgroup(SENSOR, Asynchronous(Circuit(mismatch_fs=(-5,) * number)))
+        Subgroup(SENSOR, Asynchronous(Circuit(pixel_skew_fs=(5,) * 8 * number)))
+    view = Asynchronous(Circuit(**given))
+    for place in (SensorTop, Subgroup, lambda sensor, view: Front(sensor, view.circuit)):
+        with pytest.raises(InputError, match=f"^{told}$"):
+            place(SENSOR, view)
 
 
 @pytest.mark.parametrize("clock_mhz", [1, 1000])
