@@ -97,6 +97,8 @@ module bench;
     #50 start = 0;
     #500 start = 1;      // it falls too early: this window does not end
     #100 start = 0;
+    #300 start = 1;      // its end would come now; this window has an end of its own
+    #2000 start = 0;
     #3000 $finish;
   end
 endmodule
@@ -163,13 +165,19 @@ def test_borders_and_strobes_of_a_cycle(tmp_path):
     }
 
 
+LINE_PS = round((4.5 * 1.02 + 2) * 200)
+
+
 @pytest.mark.parametrize(
-    ("kind", "ends_ps"),
-    [("counted", 50 + 7 * 200), ("line", round((4.5 * 1.02 + 2) * 200))],
+    ("kind", "changes"),
+    [
+        ("counted", [(1, 50 + 7 * 200), (0, 2100)]),
+        ("line", [(1, LINE_PS), (0, 2100), (1, 3000 + LINE_PS), (0, 5000)]),
+    ],
 )
-def test_a_window_ends_after_its_ticks_and_a_quarter_of_a_cycle(tmp_path, kind, ends_ps):
-    """Counted in borders, or with the gain error of a line of (ticks - 1/2) LSB; only while its
-    start is high.
+def test_a_window_ends_after_its_ticks_and_a_quarter_of_a_cycle(tmp_path, kind, changes):
+    """Counted in borders, of which the last window has none, or with the gain error of a line of
+    (ticks - 1/2) LSB; only while its start is high, and not by the start of a window before it.
     """
     said = [line for line in said_by(WINDOW, tmp_path) if line.startswith(kind)]
-    assert said == [f"{kind} 1 {ends_ps}", f"{kind} 0 2100"]
+    assert said == [f"{kind} {value} {at}" for value, at in changes]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from coincid.model.contract.edges import Edges
+from coincid.model.contract.registers import control
 from coincid.tb import cosim
 from coincid.tb.cosim import SensorBench, _Outputs
 from coincid.tb.frame_record import STORED_TO_COMMIT, cycle_limit
@@ -138,3 +139,64 @@ def test_a_frame_that_hangs_ends_at_its_limit(stalled, bench, monkeypatch):
             sensor.play(config, Edges(nobody, nobody, nobody), np.zeros(stalled), None, told.append)
         )
     assert told == list(range(cosim.PROGRESS_CYCLES, limit + 1, cosim.PROGRESS_CYCLES))
+
+
+class Laser:
+    """A laser that fires at some reading, or never; a bench that waits for ever is told."""
+
+    def __init__(self, fires_at=None):
+        self.fires_at, self.readings = fires_at, 0
+
+    @property
+    def value(self):
+        self.readings += 1
+        assert self.readings < 100, "it still waits for the laser"
+        return int(self.readings == self.fires_at)
+
+
+class Done:
+    """A task that has ended, with the error of its coroutine."""
+
+    def __init__(self, coroutine):
+        self.error = None
+        try:
+            coroutine.send(None)
+        except StopIteration:
+            pass
+        except ValueError as error:
+            self.error = error
+
+    def done(self):
+        return True
+
+    def result(self):
+        if self.error:
+            raise self.error
+
+
+@pytest.mark.parametrize("refused", [False, True])
+def test_a_start_that_is_refused_is_told_instead_of_waited_for(refused, monkeypatch):
+    """Otherwise the frame begins when the laser fires, however long after the answer; no beat is
+    taken before it.
+    """
+    monkeypatch.setattr(cosim, "cocotb", SimpleNamespace(start_soon=Done))
+    laser = Laser(None if refused else 20)
+    lines = [SimpleNamespace(value=1) for _ in range(2)]
+    sensor = SensorBench.__new__(SensorBench)
+    vars(sensor).update(dut=SimpleNamespace(laser=laser), tready=lines)
+    written = []
+
+    async def write(*given):
+        written.append(given)
+        if refused:
+            raise ValueError("SLVERR")
+
+    sensor.write = write
+    if refused:
+        with pytest.raises(ValueError, match="^SLVERR$"):
+            asyncio.run(sensor._start(Now(None)))
+    else:
+        assert isinstance(asyncio.run(sensor._start(Now(None))), Done)
+        assert laser.readings == 20
+    assert written == [("control", control("start")[1])]
+    assert [line.value for line in lines] == [0, 0]

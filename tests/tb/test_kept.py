@@ -77,6 +77,23 @@ def test_no_unit_of_verilator_is_taken_for_another(kept, monkeypatch, tmp_path):
     assert len(set(kept)) == len(kept) == 2 + len(others)
 
 
+def test_no_run_time_of_verilator_is_taken_for_another(kept, monkeypatch):
+    """It is compiled from the files of one version by one compiler; every unit has the same."""
+    monkeypatch.setattr(verilated.toolchain, "verilator", lambda: TOOL)
+    assert verilated.run_time() == verilated.run_time()
+    changes = [
+        (verilated.toolchain, "verilator", lambda: f"{TOOL}-of-another-version"),
+        (verilated, "COMPILER", ("another",)),
+        (verilated, "RUN_TIME", ("verilated.cpp",)),
+        (verilated, "UNOPTIMISED", "-O3"),
+    ]
+    for change in changes:
+        with monkeypatch.context() as patch:
+            patch.setattr(*change)
+            verilated.run_time()
+    assert len(set(kept)) == len(kept) - 1 == 1 + len(changes)
+
+
 def test_emitted_verilog_is_that_of_its_parameters_and_rooms(kept, monkeypatch):
     """Of a room that is named beside those of the sensor, too."""
     state = dict.fromkeys(("hdl", "model.contract", "model.shared", "board"), 0)

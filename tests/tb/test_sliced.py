@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from attrs import evolve
 from pywellen import Waveform
 
 from coincid.hdl.export import units_files
@@ -31,6 +32,7 @@ from coincid.tools.build import ToolchainError
 from .. import random_cases
 
 SENSOR, ODD = random_cases.SENSORS["default"], random_cases.SENSORS["odd"]
+PROOF = Sensor(rows=4, cols=4, subgroup=(4, 4), phases=4, window_max=20, records=0, controller=0)
 CYCLE_PS = 2000  # of the simulators' clock
 # Signals that may differ: what the host asks for and when, a count that never rests, a choice among
 # nothing, a word of which nobody sets the count, and steps of edges that no window has counted: they
@@ -349,6 +351,51 @@ def test_every_sensor_of_an_engine_shows_the_registers_of_its_own_subgroups():
     engine.close()
 
 
+@pytest.fixture(scope="module")
+def large():
+    """Return a sensor of more subgroups than a part of a word has lanes; its second stream lies in
+    two parts, and has more subgroups than a port of the core has bits in a word.
+    """
+    return evolve(PROOF, cols=70 * PROOF.cols, streams=2)
+
+
+def of_large(sensor, number):
+    """Return settings of which no two neighbours, nor their places in two sensors, are alike."""
+    thresholds = [1 + (s + s // 3 + number) % 3 for s in range(sensor.subgroups)]
+    tables = ({"subgroups": [s], "threshold": value} for s, value in enumerate(thresholds))
+    frame = {"period": 40 + number, "pulses": 4}
+    return random_cases.configured(sensor, frame, {"window": 6}, *tables), thresholds
+
+
+def test_sensors_of_any_size_are_played_side_by_side(large):
+    frames = []
+    for number in range(2):
+        config, _ = of_large(large, number)
+        edges = random_cases.trouble(config, number, 30.0)
+        frames.append(random_cases.predicted(Golden(large), config, edges))
+        stored = np.bincount(frames[-1].expected.commit_subgroup, minlength=large.subgroups)
+        assert (stored > 0).all()
+    together = play_side_by_side([[frame] for frame in frames], threads=1)
+    for number, (frame, (record,)) in enumerate(zip(frames, together, strict=True)):
+        check(large, frame.expected, record, number)
+
+
+def test_registers_of_a_sensor_of_any_size_are_those_of_its_subgroups(large):
+    engine, threshold, own = Engine(large, 2), "subgroup_0.dpcu.threshold", {}
+    sensors = [SlicedSensor(large, engine, number) for number in range(2)]
+    for number, rtl in enumerate(sensors):
+        config, thresholds = of_large(large, number)
+        rtl.begin(config, random_cases.random_edges(config, 0, 1))
+        own |= {(number, s): value for s, value in enumerate(thresholds)}
+    engine.call("run", config.period)
+    for number, subgroup in ((0, 69), (1, 0), (1, 63), (1, 64)):
+        sensors[number].poke(subgroup, threshold, 9)
+        own[number, subgroup] = 9
+    assert {(k, s): sensors[k].peek(s, threshold) for k, s in own} == own
+    assert [sensors[1].peek(s, "number") for s in (0, 63, 64, 69)] == [0, 63, 64, 69]
+    engine.close()
+
+
 def test_the_beats_of_a_frame_are_received_once():
     """Stream by stream, and those of the latest frame only."""
     golden = Golden(random_cases.built_sensor(ODD))
@@ -528,6 +575,30 @@ def test_an_error_in_the_progress_ends_all_sensors_and_is_told(monkeypatch):
     assert sorted(map(id, closed)) == sorted(map(id, made))
 
 
+def test_an_interrupt_ends_all_sensors(monkeypatch):
+    """At the end of the cycles that they play at once, not of their frames."""
+    config = of_odd(pulses=20_000)
+    chains = [[FrameJob(config, random_cases.random_edges(config, 0, 1))] for _ in range(3)]
+    sliced.build_library(config.sensor)
+    played, close = [], Engine.close
+
+    class Interrupted(sliced.ThreadPoolExecutor):
+        def map(self, *given):
+            super().map(*given)
+            raise KeyboardInterrupt
+
+    def noted(engine):
+        played.append(engine.call("cycles"))
+        close(engine)
+
+    monkeypatch.setattr(sliced, "ThreadPoolExecutor", Interrupted)
+    monkeypatch.setattr(Engine, "close", noted)
+    with pytest.raises(KeyboardInterrupt):
+        play_side_by_side(chains, threads=3)
+    assert len(played) == 3
+    assert max(played) < config.frame_cycles / 2
+
+
 @pytest.mark.parametrize("longest", LANES[1:])
 def test_words_are_the_shortest_that_hold_all_sensors(longest, monkeypatch):
     """Of those that the processor has; sensors of less than a chunk of 64 share it, and never lie
@@ -542,9 +613,6 @@ def test_words_are_the_shortest_that_hold_all_sensors(longest, monkeypatch):
             words = [width for width in LANES[1:] if width <= longest]
             due = min((width for width in words if width >= bits), default=longest)
             assert sliced.lanes(sensor, sensors) == due, (subgroups, sensors)
-
-
-PROOF = Sensor(rows=4, cols=4, subgroup=(4, 4), phases=4, window_max=20, records=0, controller=0)
 
 
 def test_a_module_that_is_not_two_slices_is_found_and_told(tmp_path):

