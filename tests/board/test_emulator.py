@@ -486,15 +486,26 @@ def test_blocks_of_the_page_run(tmp_path, monkeypatch):
 
 
 def test_a_port_is_opened_as_it_is_asked_for(monkeypatch):
-    """Device and rate; the line's own rate is that of a port without one."""
-    opened = []
+    """Device and rate; the line's own rate is that of a port without one. A reading waits for
+    some milliseconds, in seconds, so that the patience for an answer can end; a device that takes
+    no bytes is no longer waited for some time later.
+    """
+    opened, waits = [], []
     module = ModuleType("serial")
     module.SerialException = OSError
-    module.Serial = lambda device, baud, **options: opened.append((device, baud))
+
+    def serial(device, baud, timeout, write_timeout):
+        opened.append((device, baud))
+        waits.append((timeout, write_timeout))
+
+    module.Serial = serial
     monkeypatch.setitem(sys.modules, "serial", module)
     serial_transport.SerialPort("/dev/ttyUSB3")
     serial_transport.SerialPort("/dev/ttyUSB4", 115_200)
     assert opened == [("/dev/ttyUSB3", BAUD), ("/dev/ttyUSB4", 115_200)]
+    for timeout, write_timeout in waits:
+        assert 0 < timeout <= serial_transport.PATIENCE_S / 5
+        assert serial_transport.PATIENCE_S < write_timeout < 10
 
 
 class OpenedError(Exception):

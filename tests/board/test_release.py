@@ -16,7 +16,7 @@ from coincid.board.lint import lint_emulator
 from coincid.board.netlist import emulator_netlist
 from coincid.board.parameters import Emulator
 from coincid.board.place import ulx3s
-from coincid.board.release import PINS, TOPS, emulator_release
+from coincid.board.release import PINS, TOPS, emulator_release, write_emulator
 from coincid.board.rtl.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, pll
 from coincid.board.run import Session
 from coincid.board.serial_transport import SerialTransport
@@ -167,3 +167,17 @@ def test_a_clock_that_makes_no_line_is_refused(clock_mhz):
     with pytest.raises(InputError, match=told):
         Emulator.of(config(clock_mhz=clock_mhz))
     assert Emulator.of(config(clock_mhz=36.7)).clocks_per_bit == 12
+
+
+def test_the_files_of_an_emulator_are_written_whole_or_not_at_all(tmp_path):
+    """In the order in which they are given. A file that fails is the one of before."""
+    folder = tmp_path / "deep" / "out"
+    texts = {"b.v": "module b;\n", "a.v": "// \u00e4\n"}
+    assert write_emulator(folder, texts) == [folder / "b.v", folder / "a.v"]
+    for name, text in texts.items():
+        assert (folder / name).read_bytes() == text.encode()
+    no_text = "\ud800"
+    with pytest.raises(UnicodeEncodeError):
+        write_emulator(folder, {"b.v": "changed", "a.v": no_text, "c.v": no_text})
+    left = {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()}
+    assert left == texts | {"b.v": "changed"}

@@ -12,6 +12,7 @@ from attrs import evolve
 from coincid.board import driver as board_driver
 from coincid.board import run, serial_transport, simulated
 from coincid.board.driver import EmulatorDriver
+from coincid.board.parameters import SPREAD_MAX
 from coincid.board.run import RECOVERIES_MAX, Session, Tally, source_settings
 from coincid.board.serial_link import BAUD
 from coincid.board.serial_transport import SerialTransport
@@ -63,6 +64,22 @@ def test_the_picture_is_drawn_while_frames_come(driver, tmp_path, monkeypatch):
     assert titles == [f"{n} frames of the emulator" for n in (1, 2, 3)]
 
 
+def test_while_frames_come_fast_a_picture_is_drawn_once_a_second(monkeypatch, tmp_path):
+    """Always after the last frame, too. The clock goes on by 0.3 s at each reading."""
+    readings, titles = iter(range(1000)), []
+    clock = SimpleNamespace(monotonic=lambda: 0.3 * next(readings))
+    monkeypatch.setattr(run, "time", clock)
+    monkeypatch.setattr(run.Session, "_now", lambda session: (0.0, 0.0))
+    monkeypatch.setattr(
+        run, "depth_row", lambda path, panels, truth_m, **_: titles.append(panels[0].title)
+    )
+    scene = scene_of(CONFIG, "flat:5")
+    settings = source_settings(CONFIG, scene, 50.0)
+    run.emulate(Predicted(CONFIG, settings), CONFIG, scene, tmp_path, klux=50.0, frames=10)
+    # Four readings after the last picture: 1.2 s. To begin anew is a reading, too.
+    assert titles == [f"{n} frames of the emulator" for n in (4, 8, 10)]
+
+
 def scene_with(distances_m):
     """A scene in which each pixel of the preset has targets at these distances, in this order."""
     sensor = load_config("emulator").sensor
@@ -107,6 +124,17 @@ def test_a_scene_as_settings():
     assert (settings.level == round((1 - np.exp(-0.613 * (4 / 6) ** 2)) * 256)).all()
     assert (settings.background == round((1 - np.exp(-1.226e6 * cycle_s)) * 65536)).all()
     assert settings.dead_cycles == 1
+
+
+@pytest.mark.parametrize(("klux", "distance_m"), [(1e7, 4.0), (0.0, 0.05)])
+def test_light_beyond_what_a_source_can_make_is_the_most_that_it_can(klux, distance_m):
+    """Of the sun or of the laser; and so is a longer spread than the longest one."""
+    config = load_config("emulator")
+    settings = source_settings(config, scene_with([distance_m]), klux, spread=SPREAD_MAX + 1)
+    most = {"background": settings.background, "level": settings.level}
+    assert (most["background" if klux else "level"] == (65535 if klux else 255)).all()
+    assert settings.spread == SPREAD_MAX
+    settings.register_writes(config.sensor)
 
 
 def test_each_subgroup_has_the_background_of_its_own_pixels():

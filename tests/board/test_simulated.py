@@ -10,7 +10,7 @@ import pytest
 from attrs import evolve
 
 from coincid.board import simulated
-from coincid.board.simulated import READ_CYCLES, ROOM, SimulatedPort, emulator_rtl
+from coincid.board.simulated import READ_CYCLES, ROOM, SimulatedPort, clocks_at, emulator_rtl
 
 from .sensors import SENSOR
 
@@ -46,6 +46,49 @@ def test_no_emulator_is_taken_for_another(monkeypatch, tmp_path):
         (file,) = emulator_rtl(emulator)
         assert file == tmp_path / str(len(kept)) / f"{emulator.buffer_beats}.v"
     assert len(set(kept)) == len(kept) - 1 == 1 + len(OTHERS)
+
+
+def test_no_library_of_a_line_is_taken_for_another(monkeypatch, tmp_path):
+    """Its name has its design and the program around it; both are compiled for the same headers."""
+    made, commands = [], []
+
+    def once(directory, make):
+        made.append(directory)
+        make(directory, commands.append)
+        return directory
+
+    def unit(top, prefix, sources, options, optimise):
+        named = "-".join([top, *sources, *options, optimise])
+        return tmp_path / named
+
+    source = tmp_path / "line.cpp"
+    source.write_text("// first", encoding="utf-8")
+    monkeypatch.setattr(simulated, "SOURCE", source)
+    monkeypatch.setattr(simulated, "compile_once", once)
+    monkeypatch.setattr(simulated, "verilated_unit", unit)
+    monkeypatch.setattr(simulated, "include", lambda: ["-Iheaders"])
+    monkeypatch.setattr(simulated, "run_time", lambda: tmp_path / "run-time")
+    monkeypatch.setattr(simulated, "objects_in", lambda *of: [folder / "a.o" for folder in of])
+    usual = {"sources": ["a"], "top": "top", "options": ["-x"], "optimise": "-O2"}
+    others = [{"sources": ["b"]}, {"top": "other"}, {"options": []}, {"optimise": "-O0"}]
+    for changed in ({}, *others):
+        assert simulated.build_line(**usual | changed) == made[-1] / simulated.LIBRARY
+    source.write_text("// changed", encoding="utf-8")
+    simulated.build_line(**usual)
+    monkeypatch.setattr(simulated, "COMPILER", ("another",))
+    simulated.build_line(**usual)
+    assert len(set(made)) == len(made) == 3 + len(others)
+    own = unit("top", "", ["a"], ["-x"], "-O2")
+    objects = [str(own / "a.o"), str(tmp_path / "run-time" / "a.o")]
+    assert {str(source), f"-I{own}", "-Iheaders", "-shared", *objects} < {*commands[0]}
+
+
+@pytest.mark.parametrize(
+    ("baud", "clock_mhz", "clocks"),
+    [(600_000, 100, 167), (3_000_000, 100, 33), (3_000_000, 62.5, 21), (1526, 100, 65531)],
+)
+def test_a_simulated_line_has_the_nearest_rate_that_the_clock_makes(baud, clock_mhz, clocks):
+    assert clocks_at(baud, clock_mhz) == clocks
 
 
 class Line:
