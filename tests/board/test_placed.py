@@ -15,7 +15,13 @@ from coincid.board import netlist, place, release
 from coincid.board.parameters import DEAD_MAX, Emulator
 from coincid.board.place import ulx3s
 from coincid.board.release import PINS, TOPS, emulator_release
-from coincid.board.rtl.ulx3s import BOARD_TOP, OSCILLATOR_MHZ, board_files, board_pins
+from coincid.board.rtl.ulx3s import (
+    BOARD_TOP,
+    OSCILLATOR_MHZ,
+    board_files,
+    board_pins,
+    board_verilog,
+)
 from coincid.board.run import source_settings
 from coincid.flow import pnr
 from coincid.flow.pnr import BITSTREAM, Placement
@@ -24,6 +30,7 @@ from coincid.model.contract.config import load_config
 from coincid.model.light.spad import Spad
 
 from ..command import command
+from ..hdl.test_memory import simulated
 from .sensors import SENSOR, config
 
 BEATS = 64, 128
@@ -128,6 +135,41 @@ def test_the_netlist_is_that_of_the_emulator_it_is_returned_with(files, monkeypa
     assert (emulator.buffer_beats, emulator.clocks_per_bit) == (128, 7)
     assert files == [emulator] and boards[0].options == "-nobram"
     assert library.parent == tmp_path
+
+
+# In place of the blocks of the board: they show their wires.
+SHOWN = """
+module coincid_emulator(input clk, rst, rx, output tx, laser);
+  assign tx = ~rx;
+  assign laser = clk & ~rst;
+endmodule
+module coincid_lights(input clk, rst, laser, rx, tx, output [7:0] led);
+  assign led = {3'b101, clk, laser, tx, rx, rst};
+endmodule
+module bench;
+  reg clk = 0, rst = 0, rx = 1;
+  wire tx;
+  wire [7:0] led;
+  ulx3s_bench dut (.clk(clk), .rst(rst), .rx(rx), .tx(tx), .led(led));
+  task edges(input integer n); repeat (n) begin #5 clk = 1; #5 clk = 0; #1 $write("%0d", led[0]); end endtask
+  task show; #1 $display(" %b %b %b %b", led, tx, dut.wifi_gpio0, dut.board.clk); endtask
+  initial begin
+    edges(20); show;
+    rst = 1; edges(1); rst = 0; edges(4); show;
+    rx = 0; show;
+    clk = 1; show;
+  end
+endmodule
+"""
+
+
+def test_the_board_for_a_simulation_is_reset_until_its_pll_locks_and_by_its_button(tmp_path):
+    """A press of a cycle is a reset of a cycle, behind two registers. Line and lights are wired."""
+    models = [path.read_text(encoding="utf-8") for path in (netlist.BENCH, netlist.PLL_MODEL)]
+    said = simulated(tmp_path, SHOWN, board_verilog(Emulator(sensor=SENSOR), 100), *models)
+    reset = "1" * 16 + "0" * 4
+    quiet, busy, high = "10100010 0 1 0", "10100100 1 1 0", "10111100 1 1 1"
+    assert said.splitlines() == [f"{reset} {quiet}", f"01000 {quiet}", f" {busy}", f" {high}"]
 
 
 @pytest.mark.parametrize("clock_mhz", [50, 80, 125, 233, 400, 1000])

@@ -4,6 +4,7 @@ port.
 """
 
 import ctypes
+import subprocess
 from types import SimpleNamespace
 
 import pytest
@@ -163,6 +164,50 @@ def test_time_passes_while_a_port_reads_and_writes(line):
         port.connect(False)
     calls = [("new", 4), ("reset", simulated.RESET_CYCLES), ("connect", False), ("delete",)]
     assert line.calls == calls
+
+
+# A design that gives back what it hears, a cycle later.
+LOOP = """
+struct VerilatedContext {};
+struct Vemulator {
+    unsigned char clk = 0, rst = 0, rx = 1, tx = 1;
+    explicit Vemulator(VerilatedContext*) {}
+    void eval() { if (clk) tx = rx; }
+};
+"""
+
+
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory):
+    """Compile the program around a design with one that gives back its bytes."""
+    folder = tmp_path_factory.mktemp("loop")
+    (folder / "Vemulator.h").write_text(LOOP, encoding="utf-8")
+    library = folder / simulated.LIBRARY
+    command = [*simulated.COMPILER, "-O0", "-shared", "-o", library, simulated.SOURCE]
+    subprocess.run([*command, f"-I{folder}"], check=True)
+    return library
+
+
+@pytest.mark.parametrize("clocks", [4, 5, 33])
+def test_bytes_take_the_time_of_their_line_and_come_back_through_a_loop(clocks, loop):
+    """Of any value, at any rate; none while the cable is out."""
+    data = bytes(range(256))
+    with SimulatedPort(evolve(EMULATOR, clocks_per_bit=clocks), 100.0, loop) as port:
+        for turn in (1, 2):
+            port.write(data)
+            found = b""
+            while part := port.read():
+                found += part
+            assert found == data
+            byte_cycles = 10 * clocks
+            spent = port.cycles - turn * READ_CYCLES
+            assert turn * len(data) - 1 < spent / byte_cycles <= turn * len(data)
+        port.connect(False)
+        port.write(data)
+        assert port.read() == b""
+        port.connect(True)
+        before = port.cycles
+        assert len(port.read()) == 1 and port.cycles <= before + 20 * clocks
 
 
 def test_a_design_that_is_given_resets_itself(line, tmp_path):

@@ -14,11 +14,19 @@ from coincid.flow.async_constraints import async_constraints
 from coincid.flow.silicon_report import Domain, domains, latches, netlist
 from coincid.hdl.export import units_files
 from coincid.hdl.front_end_views import Asynchronous, Polyphase, view_at
-from coincid.hdl.silicon.circuit import SYNCHRONISER_REARM, Circuit, clock_fs, lag_fs
+from coincid.hdl.silicon.circuit import (
+    HIT_FS,
+    LEVEL_FS,
+    SYNCHRONISER_REARM,
+    Circuit,
+    clock_fs,
+    lag_fs,
+    levels,
+)
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
-from coincid.model.contract.parameters import Sensor
+from coincid.model.contract.parameters import QUARTERS, Sensor
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.result import differences
 from coincid.model.golden.frame import Golden
@@ -109,12 +117,18 @@ def test_every_property_of_a_circuit_reaches_its_cells():
     assert tuple(found) == mismatch_fs
     delays = [cell["DELAY_FS"] for cell in cells["delay"]]
     assert sorted(delay for delay in delays if delay in skew_fs) == list(skew_fs[1:])
+    # Each minigroup's event is as late as the root; each hit, in both banks, as the window's end.
+    others = sorted(delay for delay in delays if delay not in skew_fs)
+    event = lag_fs(sensor) - HIT_FS - LEVEL_FS * levels(sensor.minigroup_pixels)
+    shown = lag_fs(sensor) + clock_fs(400.0) // QUARTERS - HIT_FS
+    assert others == [event] * sensor.minigroups + [shown] * 2 * sensor.pixels
 
 
 def config(window=12, pulses=8, **subgroup):
+    """Return settings at another clock than the usual one."""
     return configured(
         SENSORS["one"],
-        {"period": 40, "pulses": pulses} | FULL,
+        {"period": 40, "pulses": pulses, "clock_mhz": 400.0} | FULL,
         {"window": window, "threshold": 1} | subgroup,
     )
 

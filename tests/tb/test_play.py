@@ -34,7 +34,14 @@ from ..random_cases import configured, trouble
 
 CONFIG = configured(
     {"rows": 8, "cols": 16},
-    {"period": 60, "pulses": 5, "format": "full", "minigroup_records": True},
+    # At another clock than the usual one.
+    {
+        "period": 60,
+        "pulses": 5,
+        "format": "full",
+        "minigroup_records": True,
+        "clock_mhz": 400.0,
+    },
     {"threshold": 1, "coincidence": False},
 )
 FRAMES = 3

@@ -24,10 +24,11 @@ from coincid.tb.stimulus import tick_ps
 from ..random_cases import trouble
 
 PULSES, FRAMES, PERIOD, PIXELS = 3, 2, 40, 64
+# At another clock than the usual one.
 CONFIG = parse_config(
     {
         "sensor": {"rows": 8, "cols": 8},
-        "frame": {"pulses": PULSES, "frames": FRAMES, "period": PERIOD},
+        "frame": {"pulses": PULSES, "frames": FRAMES, "period": PERIOD, "clock_mhz": 320.0},
     }
 )
 TOO_MUCH = {"pulse": PULSES * FRAMES, "pixel": PIXELS, "tick": CONFIG.period_ticks}
@@ -156,7 +157,7 @@ def asked(monkeypatch):
         return Recorded(trace.beats, trace.beat_cycle, *commits, cycles=700)
 
     def play(frames, engine, out_dir, *, progress=None, view):
-        found.update(engine=engine, view=view.name, progress=progress, chains=[len(frames)])
+        found.update(engine=engine, view=view, progress=progress, chains=[len(frames)])
         return [recorded(job) for job in frames], None
 
     def play_side_by_side(chains, progress=None, threads=None):
@@ -178,14 +179,16 @@ def asked(monkeypatch):
     ],
 )
 def test_every_engine_gets_all_frames_the_receiver_and_the_progress(engine, view, chains, asked):
-    """Frames that depend on none before are played side by side where the engine can."""
+    """Frames that depend on none before are played side by side where the engine can. The view has
+    the clock of the configuration.
+    """
     edges = trouble(CONFIG, 1, 20.0)
     ready = np.arange(FRAMES * CONFIG.frame_cycles) % 3 == 0
     found = replay(engine, CONFIG, edges, ready, print, view)
     assert not differences(replay("golden", CONFIG, edges, ready), found)
     assert len(found["pulse"]) > 10
     assert (asked["engine"], asked["progress"], asked["chains"]) == (engine, print, chains)
-    assert asked.get("view", "polyphase") == view
+    assert asked.get("view", VIEWS["polyphase"]) == VIEWS[view].at(CONFIG.clock_mhz)
 
 
 def test_offsets_beyond_a_tick_are_refused_by_the_view_that_has_them(asked):

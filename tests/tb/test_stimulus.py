@@ -19,7 +19,8 @@ from coincid.tb.stimulus import (
 
 from ..random_cases import SENSORS, configured
 
-CONFIG = configured(SENSORS["tiny"], {"pulses": 3, "dither_bits": 2})
+# At another clock than the usual one.
+CONFIG = configured(SENSORS["tiny"], {"pulses": 3, "dither_bits": 2, "clock_mhz": 320.0})
 TICK_FS = clock_fs(CONFIG.clock_mhz) // CONFIG.sensor.phases
 EDGES = Edges(
     pulse=np.array([0, 0, 1, 2, 2]),
@@ -90,6 +91,7 @@ def test_a_line_falls_half_way_to_its_next_edge_at_the_latest():
 
 
 def test_an_offset_outside_of_its_tick_is_refused():
+    assert tick_ps(CONFIG) == TICK_FS / 1000
     beyond = np.array([0.0, tick_ps(CONFIG), 1.5 * tick_ps(CONFIG), 0.0, 0.0])
     edges = Edges(EDGES.pulse, EDGES.pixel, EDGES.tick, beyond)
     told = rf"^offset_ps\[2\] = {beyond[2]}: must be a number from 0 to {tick_ps(CONFIG):g}$"
