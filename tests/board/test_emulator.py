@@ -666,6 +666,62 @@ def test_a_refusal_names_the_first_word_that_is_refused(word):
     assert transport.read_block(0x100, word) == list(range(0x100, refused, 4))
 
 
+class Answering(Counting):
+    """A device that gives other status codes to some requests, by their number."""
+
+    def __init__(self, status):
+        super().__init__()
+        self.status = status
+
+    def parts(self, answer):
+        (body,) = Deframer().add(answer)
+        request = len(self.asked) - 1
+        if request in self.status:
+            body = body[:1] + bytes([self.status[request]])
+        return [frame(body)]
+
+
+RESET = "^the device was reset: its settings are lost$"
+GREETED = [Operation.HELLO, Operation.READ]
+
+
+@pytest.mark.parametrize(
+    ("status", "error", "told"),
+    [
+        ({0: Answer.FRESH}, None, None),  # a device of which nothing was known
+        ({2: Answer.FRESH, 3: Answer.FRESH}, DeviceResetError, RESET),
+        ({2: Answer.SEQUENCE}, LinkError, "^the device answers SEQUENCE: .* use the port\\?$"),
+        ({2: Answer.UNKNOWN}, LinkError, "^the device answers UNKNOWN: .* use the port\\?$"),
+    ],
+)
+def test_a_device_that_does_not_go_on_is_greeted_anew(status, error, told):
+    """It was reset, or has answered another program; the next request is carried out."""
+    line = Answering(status)
+    transport = SerialTransport(line, tries=1, patience_s=1.0)
+    assert transport.read(8) == 8
+    if error:
+        with pytest.raises(error, match=told):
+            transport.read(12)
+    assert transport.read(16) == 16
+    again = [Operation.READ, *GREETED] if error else [Operation.READ]
+    assert [operation for operation, *_ in line.asked] == [*GREETED, *again]
+
+
+def test_a_reset_behind_a_dead_line_is_told_once():
+    """By the greeting after it."""
+    line = Answering({3: Answer.FRESH})
+    line.lost = {2}
+    transport = SerialTransport(line, tries=1, patience_s=1.0)
+    assert transport.read(8) == 8
+    with pytest.raises(LinkError, match="^no right answer in 1 tries$"):
+        transport.read(12)
+    with pytest.raises(DeviceResetError, match=RESET):
+        transport.read(12)
+    assert transport.read(12) == 12
+    operations = [operation for operation, *_ in line.asked]
+    assert operations == [*GREETED, Operation.READ, *GREETED]
+
+
 class Slow(Counting):
     """A device whose answers come in parts, each a little later."""
 

@@ -369,6 +369,25 @@ def test_what_slices_cannot_play_is_said():
         Design("through", {"through.v": through}, "through", ["inner"])
 
 
+UNIT = "module {}(input clk, input [1:0] a, input d, output q);{} endmodule\n"
+KEEPS_ROWS = (
+    "reg [3:0] row; reg rows [0:3]; always @(posedge clk) rows[a] <= d; assign q = rows[a];"
+)
+HAS_UNITS = "inner one(.clk(clk), .a(a), .d(d), .q(q));"
+REGISTER = "reg r; always @(posedge clk) r <= d ^ a[0]; assign q = r ^ a[1];"
+
+
+@pytest.mark.parametrize(
+    ("outer", "inner"), [(HAS_UNITS, KEEPS_ROWS), (KEEPS_ROWS, REGISTER), (HAS_UNITS, REGISTER)]
+)
+def test_a_unit_has_neither_rows_nor_units_of_its_own(outer, inner):
+    text = UNIT.format("inner", inner) + UNIT.format("outer", outer)
+    text += UNIT.format("whole", "outer one(.clk(clk), .a(a), .d(d), .q(q));")
+    told = "^outer: a unit with a memory of rows, or with units of its own$"
+    with pytest.raises(NetlistError, match=told):
+        Design("whole", {"whole.v": text}, "whole", ["outer", "inner"])
+
+
 class _Folder(NamedTuple):
     """A design as `library` sees it."""
 
