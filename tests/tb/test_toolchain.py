@@ -15,6 +15,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pywellen import Waveform
 
 from coincid.model.shared.errors import InputError
 from coincid.tb import toolchain
@@ -716,6 +717,52 @@ def test_verilator_is_asked_for_what_a_build_has(waves, there, delays, monkeypat
     assert units == {"--timescale" if delays else "--timescale-override"}
     assert command[command.index(*units) + 1] == toolchain.TIMESCALE
     assert installed == (["liblz4-dev", "zlib1g-dev"] if waves and not there else [])
+
+
+@pytest.mark.parametrize(
+    ("dumps", "option", "shown"),
+    [
+        ({"waves": True}, "fst", {"clk", "count", "inner.count", "inner.square"}),
+        ({"scopes": ["toy.inner"]}, "vcd", {"inner.count", "inner.square"}),
+        ({"scopes": ["toy"]}, "vcd", {"clk", "count"}),
+    ],
+)
+def test_a_waveform_has_all_nets_or_those_of_the_named_instances(
+    dumps, option, shown, toy, tmp_path
+):
+    """On Icarus, without a test: the design rests, so its simulation ends at once."""
+    program = build("icarus", toy, **dumps).directory / toolchain.SIM_FILE["icarus"]
+    subprocess.run(["vvp", "-n", program, f"-{option}"], cwd=tmp_path, check=True)
+    waveform = Waveform(str(tmp_path / f"toy.{option}"))
+    assert {one.full_name for one in waveform.all_vars()} == {f"toy.{name}" for name in shown}
+
+
+@pytest.mark.parametrize("simulator", SIMULATORS)
+@pytest.mark.parametrize("waves", [False, True])
+def test_a_build_with_waveforms_has_a_statement_that_dumps_them(
+    simulator, waves, toy, monkeypatch, tmp_path
+):
+    """From the beginning, for every simulator; Verilator puts it into the top."""
+    commands = []
+
+    def once(directory, make):
+        tmp_path.joinpath("made").mkdir()
+        make(tmp_path / "made", commands.append)
+        return directory
+
+    monkeypatch.setattr(toolchain, "compile_once", once)
+    monkeypatch.setattr(toolchain, "_make_model", lambda *_: None)
+    monkeypatch.setattr(toolchain, "_compiles", lambda *headers: True)
+    build(simulator, toy, waves=waves)
+    dump = tmp_path / "made" / "coincid_dump.v"
+    (command,) = commands
+    assert dump.exists() == waves == ("coincid_dump.v" in command)
+    if waves:
+        text = dump.read_text(encoding="utf-8")
+        assert '$dumpfile("toy.fst")' in text and "$dumpvars(0, toy)" in text
+        assert "\nbind toy coincid_dump " in text
+        tops = [command[k + 1] for k, word in enumerate(command) if word == "-s"]
+        assert tops == (["toy", "coincid_dump"] if simulator == "icarus" else [])
 
 
 @pytest.mark.parametrize(
