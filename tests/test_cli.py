@@ -282,6 +282,7 @@ FOLDERS_OUT = ("advise flat:5 --out", "emulator serial --out", "emulate --simula
         (REPLAY.replace("out/result.npz", "."), ("is a folder",)),
         ("bench --repeats 0", ("repeats = 0", "from 1 to 1000")),
         ("bench --repeats 1001", ("repeats = 1001", "from 1 to 1000")),
+        ("bench --out out/a.md", ("out = 'out/a.md': must not end with .md",)),
         *((f"{words} .", ("is a folder",)) for words in FILES_OUT),
         *((f"{words} edges.npz/below", ("cannot be written",)) for words in FOLDERS_OUT),
         ("sim --out out --spad dead_time_s=fast", ("--spad dead_time_s=fast: must be a number",)),

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import typer
 
-from coincid.board import driver, netlist, serial_transport, simulated
+from coincid.board import driver, netlist, serial_link, serial_transport, simulated
 from coincid.board import release as board_release
 from coincid.board import run as board_run
 from coincid.cli import app
@@ -22,13 +22,17 @@ from coincid.flow import fpga_module, lint, pnr, release, synth
 from coincid.flow.layout import tools as layout_tools
 from coincid.formal import prove
 from coincid.lab import setup as lab_setup
-from coincid.lab.setup import Setup
+from coincid.lab.setup import SETTLING, Setup, fixed_thresholds
 from coincid.model.contract import edges as contract_edges
 from coincid.model.contract import result as contract_result
 from coincid.model.contract.config import Config
 from coincid.model.contract.edges import Edges
+from coincid.model.contract.packet import BEAT_BITS
+from coincid.model.contract.parameters import Sensor
+from coincid.model.depth.arrivals import SYSTEM_FWHM_S
+from coincid.model.light.spectrum import SPECTRA
 from coincid.model.recorded import exchange, recordings
-from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.catalogue import load_scene, usual_klux
 from coincid.study import advise, bench, simulate, sweep, sweep_spec
 from coincid.study.explore import server
 from coincid.tb import replay
@@ -319,3 +323,26 @@ def test_the_trigger_of_a_recording_is_told_with_its_channel_before_its_divider(
         given = begun(work, f"{usual} {words}")
         at = given.index("PosixPath('a.csv')")
         assert given[at + 1 : at + 3] == told
+
+
+KLUX = [usual_klux(*of) for of in (("tunnel",), ("a.npy", 50.0), ("flat:5",))]
+DEFAULTS = {  # what is said to be done without an option
+    ("sim", "threshold"): f"the best of 1 to {fixed_thresholds(Sensor())[-1]}.",
+    ("sim", "frames"): f"default: {SETTLING + 1}, or one for each picture",
+    ("sim", "link_gbps"): f"0: {BEAT_BITS} bits per cycle; default: the configuration's, "
+    f"otherwise {simulate.LINK_GBPS:g}.",
+    ("sim", "klux"): "Default: {:g} for sun-and-shade and tunnel, {:g} for histograms, "
+    "otherwise {:g}.".format(*KLUX),
+    ("sim", "pulse"): f"Default: a Gaussian of {SYSTEM_FWHM_S * 1e12:g} ps.",
+    ("sim", "engine"): "; default: sliced; with --waves verilator, with --view async icarus.",
+    ("replay", "engine"): "; default: golden; with --view async icarus.",
+    ("explore", "port"): f"default: {server.PORT}, or the next free one.",
+    ("emulate", "baud"): f"default: {serial_link.BAUD:,} on a board",
+    ("budget", "spectrum"): f"{', '.join(SPECTRA[:-1])} or {SPECTRA[-1]}; default: {SPECTRA[0]}.",
+}
+
+
+@pytest.mark.parametrize(("name", "parameter"), DEFAULTS)
+def test_help_tells_the_defaults_that_hold(name, parameter):
+    (told,) = [one.help for one in ALL[name].params if one.name == parameter]
+    assert DEFAULTS[name, parameter] in told

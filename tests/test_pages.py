@@ -391,6 +391,15 @@ def test_what_an_earlier_process_left_changes_nothing(made_up, kept):
     assert "coincid.room.other" not in Sources(root, cache).closure("coincid.room.program").modules
 
 
+def test_what_an_earlier_process_left_is_not_read_again(made_up, monkeypatch):
+    root = made_up(**{"room/program.py": "from . import other\n"}).root
+    first = Sources(root, root / "facts.json")
+    expected = first.closure("coincid.room.program")
+    first.keep()
+    monkeypatch.setattr(Sources, "_parsed", lambda *given: 1 / 0)
+    assert Sources(root, root / "facts.json").closure("coincid.room.program") == expected
+
+
 @pytest.mark.parametrize(
     ("total", "told"),
     [

@@ -175,6 +175,14 @@ def test_an_index_is_left_out_only_where_pip_leaves_it_out(yes):
     assert uv_options(f"install.no-index='{yes}'\n") == ["--no-index"]
 
 
+def test_pip_is_asked_for_its_settings_and_one_that_fails_has_none():
+    """So uv or pip is tried all the same."""
+    says = "import sys; print(sys.argv[1:] == ['config', 'list']); sys.exit({})"
+    answers = [locked._pip_settings([sys.executable, "-c", says.format(code)]) for code in (0, 1)]
+    assert answers == ["True\n"] * 2
+    assert uv_options(answers[1]) == uv_options("") == []
+
+
 def test_missing_packages_are_found(tmp_path):
     lock = tmp_path / "some.lock"
     lock.write_text(

@@ -793,7 +793,9 @@ def budget(
     distance_m: Annotated[float, option("Distance of the target in metres.")] = 4.0,
     reflectivity: Annotated[float, option("Reflectivity of the target, 0 to 1.")] = 0.4,
     klux: Annotated[float, option("Sunlight in klux.")] = 50.0,
-    spectrum: Annotated[str | None, option("am15g or planck; default: am15g.", "SPECTRUM")] = None,
+    spectrum: Annotated[
+        str | None, option("am15g, am15d, am0 or planck; default: am15g.", "SPECTRUM")
+    ] = None,
     form: Annotated[
         str, option("literal (as printed in the paper) or corrected.", "FORM")
     ] = "literal",
@@ -931,6 +933,8 @@ def bench(
     with extra("rtl"):
         from coincid.study.bench import benchmark, table
     repeats = check_integer("repeats", repeats, 1, REPEATS_MAX)
+    if out.suffix == ".md":
+        raise InputError(f"out = {str(out)!r}: must not end with .md, as the table beside it does")
     print(table(benchmark(_file(out), repeats=repeats, tell=console.print)), end="")
 
 

@@ -116,6 +116,20 @@ def test_a_long_run_keeps_the_edges_and_fates_of_the_first_pulses(long):
     assert run.edge_count == len(everything)
 
 
+@pytest.mark.parametrize("lack", [0, 1])
+def test_a_frame_whose_edges_just_fit_keeps_all_of_them(lack, monkeypatch):
+    """One more, and its last pulse is left out."""
+    setup = setup_of(pulses=20, frames=1)
+    edges = setup.photons.edges()
+    monkeypatch.setattr(long_frames, "EDGES_SHOWN_MAX", len(edges) - lack)
+    chunks = [edges.take(edges.pulse < 10), edges.take(edges.pulse >= 10)]
+    golden = Golden(setup.config.sensor)
+    (seen,) = long_frames.play_long_frames(golden, setup.config, iter(chunks)).seen
+    pulses = int(edges.pulse[-1]) if lack else 20
+    assert (seen.pulses, seen.total) == (pulses, len(edges))
+    assert np.array_equal(seen.edges.tick, edges.tick[edges.pulse < pulses])
+
+
 @pytest.mark.parametrize("format_name", ["id", "compact"])
 def test_memory_does_not_grow_with_the_events_of_a_long_frame(format_name, monkeypatch):
     monkeypatch.setattr(long_frames, "EDGES_SHOWN_MAX", 1000)

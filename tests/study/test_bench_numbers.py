@@ -225,6 +225,30 @@ def test_a_new_process_has_its_own_environment(monkeypatch):
     assert "COINCID_BENCHED" not in os.environ
 
 
+def test_every_stage_of_the_benchmark_is_told_with_its_round(engines, tmp_path):
+    told = []
+    bench.benchmark(tmp_path / "bench.json", repeats=2, tell=told.append)
+    assert told == [
+        "building",
+        "engines: round 1 of 2",
+        "engines: round 2 of 2",
+        *(f"{size}: 2 frames" for size in bench.SIZES),
+        *(f"photons to depth, {name}: 2 frames" for name in bench.TO_DEPTH),
+        "builds: round 1 of 2",
+        "builds: round 2 of 2",
+    ]
+
+
+UNITS = {"_cycles_per_s": "cycles/s", "_edges_per_s": "edges/s", "_s": "s", "_mib": "MiB"}
+
+
+def test_the_unit_of_a_number_is_that_with_which_its_key_ends():
+    """Numbers without one in their keys have none."""
+    for key, (unit, _) in bench.KEYS.items():
+        expected = next((told for end, told in UNITS.items() if key.endswith(end)), "")
+        assert unit == expected, key
+
+
 @pytest.mark.parametrize("size", bench.SIZES)
 def test_the_parts_of_a_frame_are_its_whole(size, result):
     """Without the first frame, which loads compiled code, and without one of a busy machine."""

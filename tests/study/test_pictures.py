@@ -10,7 +10,14 @@ from PIL import Image
 from coincid.model.depth.belief import SENTENCES, Reason
 from coincid.study import animation, pictures
 from coincid.study.pictures import Panel, draw_row, light_row
-from coincid.study.plot_style import legend_below, new_figure, save_figure, share_axis, style
+from coincid.study.plot_style import (
+    figure_bytes,
+    legend_below,
+    new_figure,
+    save_figure,
+    share_axis,
+    style,
+)
 
 ROWS, COLS = 8, 24
 
@@ -133,10 +140,13 @@ def test_light_is_told_as_its_share_of_the_truth(monkeypatch, tmp_path):
     truth[0] = 0.0
     third = truth / 3
     third[1, :7] = np.nan
+    # the median of the shares, not the share of the medians
+    uneven = truth * np.where(truth > 0.3, 0.1, 3.0)
     shares = {"third": (third, 1 / 3), "twice": (2 * truth, 2.0), "none": (truth * np.nan, None)}
+    shares["uneven"] = uneven, 3.0
     panels = [(name, light) for name, (light, _) in shares.items()]
     light_row(tmp_path / "light.png", panels, truth)
-    first, *others = drawn[0].axes[:4]
+    first, *others = drawn[0].axes[: 1 + len(panels)]
     assert first.get_title() == "truth"
     for axis, (name, (light, share)) in zip(others, shares.items(), strict=True):
         told = "" if share is None else f"\nmedian of estimate / truth {share:.2f}"
@@ -267,6 +277,18 @@ def test_a_legend_has_each_label_once_in_as_many_columns_as_there_are():
     assert [text.get_text() for text in legend.get_texts()] == ["a", "b", "c"]
     assert legend._ncols == 3
     assert legend.legend_handles[1].get_color() == first.lines[1].get_color()
+
+
+@pytest.mark.parametrize("kind", ["svg", "png"])
+def test_equal_figures_have_equal_bytes(kind):
+    """Also where parts of a file have names, and outside of the style in which it was drawn."""
+    files = []
+    for _ in range(2):
+        with style():
+            figure = new_figure(2, 1)
+            figure.subplots().plot([0, 1], [0, 1], "o-")
+        files.append(figure_bytes(figure, kind))
+    assert files[0] == files[1]
 
 
 def test_figures_have_no_dates(tmp_path):

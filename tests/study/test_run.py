@@ -7,6 +7,7 @@ import html
 import subprocess
 import sys
 from importlib.metadata import packages_distributions, requires
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from packaging.utils import canonicalize_name
 
 import coincid
 from coincid.model.contract.result import EVENT_COLUMNS, differences, map_numbers
+from coincid.model.depth.belief import SENTENCES
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.histograms import subgroup_histograms
 from coincid.model.depth.intensity import Intensity
@@ -23,6 +25,8 @@ from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.light.link_budget import Optics
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.view import View
+from coincid.study import run as study_run
+from coincid.study.point_cloud import write_ply
 from coincid.study.show.assets import FILES
 
 RTL = {
@@ -284,6 +288,21 @@ def test_ply_holds_the_points(run, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
+def test_ply_tells_its_axes_its_units_and_the_reasons(tmp_path):
+    """The axes are those of its points: the last pixel is on the right, below and in front."""
+    depth_m = np.full((2, 2, 1), 3.0)
+    depth = Depth(depth_m, np.ones_like(depth_m), np.zeros((2, 2), np.uint8))
+    points = coincid.point_cloud(depth)
+    assert min(points[-1][axis] for axis in "xyz") > 0
+    write_ply(tmp_path / "cloud.ply", points)
+    header = (tmp_path / "cloud.ply").read_bytes().partition(b"end_header\n")[0].decode()
+    assert [line for line in header.splitlines() if line.startswith("comment")] == [
+        "comment metres; x right, y down, z forward",
+        "comment signal, signal_error: detected photons per laser pulse, before the dead time",
+        *(f"comment reason {int(reason)}: {told}" for reason, told in SENTENCES.items()),
+    ]
+
+
 @pytest.mark.parametrize("preset", ["silicon", "fpga"])
 def test_a_preset_measures_the_wall(preset):
     config = coincid.load_config(preset).with_frame(pulses=60)
@@ -384,6 +403,19 @@ def test_an_array_of_distances_is_a_scene():
 def test_what_simulate_refuses(arguments, options, words):
     with pytest.raises(coincid.InputError, match=words):
         coincid.simulate(*arguments, **options)
+
+
+def test_every_doubt_about_a_scene_is_told_of_the_line_that_simulates_it(monkeypatch):
+    """Before anything is computed."""
+    doubts = "It is dark.", "It is far."
+    seen = SimpleNamespace(doubts=doubts)
+    monkeypatch.setattr(study_run, "scene_of", lambda *given, **meaning: seen)
+    monkeypatch.setattr(study_run, "for_pictures", lambda config, scene: 1 / 0)
+    with pytest.warns(UserWarning) as told, pytest.raises(ZeroDivisionError):
+        coincid.simulate(None, "flat:5")
+    assert [(str(one.message), one.filename) for one in told] == [
+        (doubt, __file__) for doubt in doubts
+    ]
 
 
 def test_a_saved_depth_is_that_of_the_options(run, tmp_path):

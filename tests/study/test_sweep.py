@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -214,6 +215,14 @@ def test_every_setting_reaches_the_setup_of_its_point(tmp_path):
         (given,) = grid(tmp_path, f"{name} = {json.dumps(other)}\n{scene}{document}").points
         assert first.key != second.key, name
         assert second.key == given.key, name
+
+
+def test_the_base_of_a_grid_has_no_value_of_a_point(tmp_path):
+    """It is what the file says besides the axes."""
+    axes = "[[axis]]\nframe.pulses = [3, 5]\n[[axis]]\nsensor.fifo_depth = [4, 8]\nklux = [5, 50]\n"
+    spec = grid(tmp_path, f"{BASE}{axes}")
+    assert spec.base == tomllib.loads(BASE)
+    assert [point.setup.config.pulses for point in spec.points] == [3, 3, 5, 5]
 
 
 def test_keys_of_an_axis_may_repeat_a_value_beside_another_one(tmp_path):

@@ -104,6 +104,9 @@ def test_a_table_tells_the_versions_of_all_its_engines(tmp_path):
     assert (told["base"], told["axes"]) == (spec.base, spec.axes)
 
 
+WRITTEN = [Path("one.png"), Path("two.npz")]
+
+
 def told_of(config, **others):
     """Return what the console shows of a made-up report of three schemes."""
     report = {"frames": 5, "checked": 1234, "cycles": 5000, "seconds": 2.0, "cycles_per_s": 2500.0}
@@ -122,7 +125,7 @@ def told_of(config, **others):
         report[f"wrong_share_{name}_peak"] = 0.2 * number
     console = Console(file=io.StringIO(), width=200)
     titles = {name: f"with {name}" for name in SCHEMES}
-    simulate._tell(console, ["a note"], config, titles, report | others, [Path("one.png")])
+    simulate._tell(console, ["a note", "[more] :x:"], config, titles, report | others, WRITTEN)
     return console.file.getvalue().splitlines()
 
 
@@ -139,7 +142,8 @@ def test_the_console_tells_each_number_in_the_unit_of_its_column():
     ]
     assert "the controller's thresholds after 5 frames, by subgroup:" in lines
     assert "  3 4" in lines
-    assert "a note" in lines and "results: one.png" in lines
+    assert lines[lines.index("a note") + 1] == "[more] :x:"  # neither markup nor a picture
+    assert "results: one.png two.npz" in lines
     checked = "1,234 beats and commits equal the golden model's"
     assert f"5,000 cycles in 2.0 s (2,500 cycles/s): {checked}" in lines
     assert not any("Mbit/s" in line for line in lines)

@@ -496,6 +496,50 @@ def test_of_a_failed_program_the_last_lines_are_told(tmp_path):
     assert str(failed.value).splitlines() == expected
 
 
+YOSYS_INPUT = {"files": {"a.v": "one", "b.v": "two"}, "script": ["read", "write"], "state": ["x"]}
+OTHER_INPUTS = {
+    "the same in another order": {"files": {"b.v": "two", "a.v": "one"}},
+    "another text": {"files": {"a.v": "one", "b.v": "three"}},
+    "another name": {"files": {"a.v": "one", "c.v": "two"}},
+    "another file": {"files": {"a.v": "one"}},
+    "another line": {"script": ["read", "write", "check"]},
+    "another order of lines": {"script": ["write", "read"]},
+    "another state": {"state": ["y"]},
+    "no state": {"state": ()},
+}
+
+
+@pytest.mark.parametrize("other", [*OTHER_INPUTS, "another Yosys"])
+def test_yosys_runs_again_for_any_other_input_and_for_no_other_reason(other, tmp_path, monkeypatch):
+    """What is made of it then is complete, or there is nothing."""
+    run, release = [], "1"
+
+    def noted(folder, *lines):
+        run.append(({one.name: one.read_text(encoding="utf-8") for one in folder.iterdir()}, lines))
+
+    def fail(folder):
+        assert run
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(wheels, "run_yosys", noted)
+    monkeypatch.setattr(wheels, "wheel_folder", lambda package: tmp_path)
+    monkeypatch.setattr(wheels, "version", lambda package: release)
+    place = tmp_path / "made"
+    with pytest.raises(ZeroDivisionError):
+        wheels.yosys_once(place, **YOSYS_INPUT, then=fail)
+    first, again = (
+        wheels.yosys_once(place, **YOSYS_INPUT, then=lambda folder: (folder / "done").touch())
+        for _ in range(2)
+    )
+    assert first == again and first.parent == tmp_path and first.name.startswith("made-")
+    assert sorted(one.name for one in first.iterdir()) == ["a.v", "b.v", "done"]
+    assert run == [(YOSYS_INPUT["files"], ("read", "write"))] * 2
+    release = "2" if other == "another Yosys" else release
+    found = wheels.yosys_once(place, **YOSYS_INPUT | OTHER_INPUTS.get(other, {}))
+    is_same = other.startswith("the same")
+    assert (found == first, len(run)) == (is_same, 3 - is_same)
+
+
 def test_yosys_shows_its_output_or_writes_it_to_a_log_or_drops_it(tmp_path):
     """Errors are always shown, and in the exit code."""
     (tmp_path / "good.ys").write_text("log told by the script\n", encoding="utf-8")

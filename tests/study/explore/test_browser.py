@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 import coincid
+from coincid.model.depth.belief import SENTENCES, Reason
 from coincid.study.explore.control_values import check_settings
 from coincid.study.explore.controls import CONTROLS
 from coincid.study.explore.stages import Explorer
@@ -23,6 +24,7 @@ from coincid.study.show.figures import (
     period_columns,
 )
 from coincid.study.show.report import write_report
+from coincid.study.show.words import number_rows
 
 from .test_server import SMALL, explorer
 from .test_settings import other_value
@@ -584,6 +586,53 @@ def assert_same_columns(found, expected):
         assert found[name] == (pytest.approx(values, rel=1e-6) if numbers else values), name
 
 
+TOLD = (  # of a pixel below the maps: words, attribute of the view, digits, unit
+    ("truth", "truth_m", 2, " m"),
+    ("depth", "depth_m", 2, " m"),
+    ("error", "error_m", 3, " m"),
+    ("confidence", "confidence", 2, ""),
+    ("threshold", "threshold", 0, " pixels"),
+    ("drops of the subgroup", "drops", 0, ""),
+    ("reflectivity", "reflectivity", 2, ""),
+    ("signal", "signal", 3, ""),
+    ("background", "background", 3, ""),
+    ("estimated signal", "estimated", 3, ""),
+    ("±", "estimated_error", 3, ""),
+    ("lowest possible error", "bound_mm", 1, " mm"),
+)
+
+
+def told_of_pixel(view, row, col):
+    """Return what is told of a pixel below the maps."""
+    told = {}
+    for words, name, digits, unit in TOLD:
+        value = float(np.float32(getattr(view, name)[row, col]))
+        told[words] = f"{words} {'none' if np.isnan(value) else f'{value:.{digits}f}{unit}'}"
+    told["confidence"] += f" ({SENTENCES[Reason(view.reason[row, col])]})"
+    told["signal"] += f" and {told.pop('background')} photons per pulse"
+    told["estimated signal"] += f" {told.pop('±')}"
+    where = f"row {row}, column {col}, subgroup {view.subgroup_of(row, col)}"
+    return " · ".join([where, *told.values()])
+
+
+def assert_pulses_play(tab, pulse, pulses):
+    """Let the pulses of a report play, by a clock of our own; they begin again after the last."""
+    tab.evaluate("""() => {
+      window.setInterval = (step, ms) => { window.step = step; return 7; };
+      window.clearInterval = (timer) => { window.ended = timer; };
+    }""")
+    for pressed in ("true", "false"):
+        tab.click("#play")
+        assert tab.get_attribute("#play", "aria-pressed") == pressed
+        if pressed == "true":
+            for _ in range(pulses + 1):
+                pulse = (pulse + 1) % pulses
+                tab.evaluate("step()")
+                assert tab.input_value("[data-look=pulse]") == str(pulse)
+                wait_for_title(tab, "timeline", f"includes(', pulse {pulse}:')")
+    assert tab.evaluate("ended") == 7
+
+
 def test_a_report_looks_up_what_the_explorer_draws(tabs, tmp_path):
     """Of pixels from each 32 of a large subgroup, in any pulse and frame."""
     size = {"rows": 16, "cols": 32, "subgroup": "8x16", "fifo_depth": 2, "threshold": 1}
@@ -619,6 +668,17 @@ def test_a_report_looks_up_what_the_explorer_draws(tabs, tmp_path):
         assert found.keys() == expected.keys()
         for name, one in expected.items():
             assert_same_columns(found[name], one)
+        for at in ((row, col), (7, 16), (15, 31), (0, 0)):
+            tab.evaluate("([row, col]) => overMap(all.pictures, {x: col + 0.4, y: row - 0.4})", at)
+            assert tab.text_content("#pixel") == told_of_pixel(view, *at)
+        tab.evaluate(
+            "[[0, 32], [16, 0]].map(([row, col]) => overMap(all.pictures, {x: col, y: row}))"
+        )
+        assert tab.text_content("#pixel").startswith("row 0, column 0, ")
+    for name, rows in (("objects", len(view.objects)), ("numbers", len(number_rows(view)))):
+        scopes = f"[...document.querySelectorAll('#{name} th')].map((cell) => cell.scope)"
+        assert sorted(tab.evaluate(scopes)).count("row") == rows
+    assert_pulses_play(tab, pulse, 6)
 
 
 def test_reports_and_a_notebooks_pages_need_no_server(tabs, tmp_path):

@@ -4,12 +4,14 @@ share.
 """
 
 import html
+import re
 from itertools import permutations
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from bokeh.models import ColorBar, ColumnDataSource
+from jinja2 import Environment, FileSystemLoader
 
 import coincid
 from coincid.model.contract.config import parse_config
@@ -17,8 +19,10 @@ from coincid.model.contract.edges import Fate
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.depth.belief import Reason
 from coincid.model.shared.errors import InputError
+from coincid.study.palette import NO_VALUE_ON_PAGE
 from coincid.study.pictures import REASONS
 from coincid.study.show import notebook
+from coincid.study.show.assets import SHOW
 from coincid.study.show.figures import (
     CLICKS,
     COMPARED,
@@ -27,6 +31,7 @@ from coincid.study.show.figures import (
     FATES,
     LIGHT,
     MAPS,
+    REASON_MARKS,
     VERDICT_MARKS,
     VERDICTS,
     HistogramFigure,
@@ -124,6 +129,34 @@ def test_the_key_beside_a_figure_has_the_sign_the_colour_and_the_meaning_of_each
         assert others == [form, meaning]
         assert mark == (sign, colour, meaning)
     assert len({colour for colour, *_ in drawn.values()}) == len(drawn)
+
+
+def test_the_key_below_the_views_has_the_marks_of_edges_windows_and_reasons():
+    """Each behind its own word, below all figures: the maps, what is to be chosen, and the rest."""
+    page = Environment(loader=FileSystemLoader(SHOW)).from_string(
+        "{% from 'views.html' import views %}"
+        "{% call views(embed, roots, maps, fates, verdicts, reasons) %}<choice>{% endcall %}"
+    )
+    names = "map_a", "map_b", "histogram", "timeline", "fifo"
+    marks = {"fates": FATE_MARKS, "verdicts": VERDICT_MARKS, "reasons": REASON_MARKS}
+    roots = {name: f"<figure {name}>" for name in names}
+    text = page.render(embed=str, roots=roots, maps=names[:2], **marks)
+    drawn = [roots[name] for name in names]
+    assert re.findall("<figure .*?>|<choice>", text) == [*drawn[:2], "<choice>", *drawn[2:]]
+    own = r'data-mark="(.)" style="--mark: (.*?)">(.*?)</span>'
+    words = "edges: ", "windows: ", "light expected", "depth not to be believed: "
+    parts = re.split("|".join(words), text)[1:]
+    shown = [re.findall(own, part) for part in parts]
+    assert shown == [FATE_MARKS, VERDICT_MARKS, [], REASON_MARKS]
+
+
+def test_what_has_no_value_is_grey_on_every_map():
+    """As no value is."""
+    source, empty = ColumnDataSource(map_columns(view_of(1))), ColumnDataSource({})
+    for shows, (_, palette) in MAPS.items():
+        one = MapFigure(shows, "map", source, empty, empty)
+        assert one.mapper.nan_color == NO_VALUE_ON_PAGE
+        assert NO_VALUE_ON_PAGE not in palette
 
 
 def test_errors_are_blue_in_front_white_where_right_and_orange_behind():

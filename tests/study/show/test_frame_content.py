@@ -251,6 +251,9 @@ def test_a_report_holds_the_numbers_of_a_sensor_that_is_no_square():
     found = {name: float(number) for name, number in re.findall(r'"(\w+)",([^\]]+)', held)}
     assert found == pytest.approx(numbers)
     assert "cdn.bokeh.org" not in page
+    looks = r'data-look="(\w+)" min="0" max="(\d+)" value="(\d+)"'
+    assert re.findall(looks, page) == [("row", "7", "4"), ("col", "47", "24"), ("pulse", "6", "0")]
+    assert re.findall(r'<option value="(\d+)">(.*?)</option>', page) == [("0", "a frame")]
 
 
 def test_a_report_holds_the_times_of_the_longest_period():

@@ -18,6 +18,8 @@ from coincid.study.show.figures import (
     VERDICTS,
     HistogramFigure,
     TimelineFigure,
+    Views,
+    cursor_columns,
     light_columns,
     period_columns,
 )
@@ -249,3 +251,16 @@ def test_each_part_of_a_period_is_drawn_from_its_own_columns():
     assert (line.x, line.y, line.mode) == ("x", "fill", "after")
     assert (commit.x, commit.y, commit.marker) == ("commit", 0, "commit_mark")
     assert [source for source, _ in below] == [drawn.fill, drawn.fill, drawn.windows]
+
+
+def test_a_picked_pixel_is_framed_and_told_with_its_subgroup():
+    """On the maps, in the histogram and in the laser period."""
+    parts = vars(pixel_view()) | vars(period_view())
+    view = SimpleNamespace(**parts, subgroup_of=lambda row, col: col // 4)
+    views = Views()
+    for row, col, pulse in ((2, 5, 3), (3, 1, 0)):
+        views.pick(view, row, col, pulse)
+        assert (views.cursor.data, views.around.data) == cursor_columns(view, row, col)
+        assert views.histogram.figure.title.text.startswith(f"row {row}, column {col}: ")
+        title = views.timeline.figure.title.text
+        assert title.startswith(f"subgroup {col // 4}, pulse {pulse}: ")
