@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs that follow from others, and stages that are given to a run."""
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -143,3 +143,15 @@ def test_every_stage_of_a_run_has_its_workers(monkeypatch):
     monkeypatch.setattr(long_frames, "EDGES_MAX", 0)
     _ = Run(run().setup, workers=2).frame().depth_m
     assert told == {"chunks": 2, "estimate_depth": 2}
+
+
+@pytest.mark.parametrize("value", [0, 1, False, 2.5, b"planes", ["planes"]], ids=repr)
+def test_what_is_no_estimator_is_refused_before_anything_is_computed(value):
+    """Most of all the number of a frame, which has a name of its own."""
+    whole = Run(run().setup)
+    told = f"estimator = {value!r}: must be METHOD or METHOD/SOURCE; a frame is given as frame={value!r}"
+    for ask in (whole.depth, partial(whole.frame, 0), lambda value: whole.depth(method=value)):
+        with pytest.raises(InputError) as refused:
+            ask(value)
+        assert str(refused.value) == told
+    assert whole._edges is None

@@ -384,7 +384,7 @@ def unplayed(monkeypatch):
             super().done(amount, total)
             told.append(amount)
 
-    def unplayed(out, document, scene="flat:5", error=Ended):
+    def unplayed(out, document, scene="flat:5", error=Ended, **setup):
         def play(*given, progress, **options):
             progress(77)
             raise error
@@ -394,7 +394,7 @@ def unplayed(monkeypatch):
         monkeypatch.setattr(simulate, "_golden_runs", lambda *given: runs)
         monkeypatch.setattr(simulate, "play_runs", play)
         with pytest.raises(type(error) if isinstance(error, Exception) else error):
-            run(out, document, scene)
+            run(out, document, scene, **setup)
         return told
 
     return unplayed
@@ -447,6 +447,27 @@ def test_after_a_mismatch_only_the_report_is_left(unplayed, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {REPORT, "sim.log"}
     report = json.loads((tmp_path / REPORT).read_text(encoding="utf-8"))
     assert (report["mismatches"], report["mismatch"]) == (1, "beat 3 differs")
+
+
+def test_a_report_tells_of_what_its_frames_were_made(unplayed, tmp_path):
+    """In the units of its keys; times and rates of frames with gaps, of 60 cycles in 4 periods."""
+    frame = SMALL["frame"] | {"clock_mhz": 400.0, "gap": 90}
+    given = {"klux": "5|20", "background": "even", "seed": 7, "spad_gate": True}
+    document = {"sensor": SMALL["sensor"] | {"phases": 16}, "frame": frame}
+    unplayed(tmp_path, document, error=Mismatch("it differs"), **given)
+    report = json.loads((tmp_path / REPORT).read_text(encoding="utf-8"))
+    words = {"scene": "flat:5", "engine": "golden", "view": "polyphase", "frames": FRAMES}
+    assert {name: report[name] for name in words | given} == words | given
+    frame_s = (4 * 60 + 3 * 90) / 400e6
+    numbers = {
+        "clock_mhz": 400.0,
+        "tick_s": 1 / 400e6 / 16,
+        "range_m": 299_792_458 / 2 * 60 / 400e6,
+        "frames_per_s": 1 / frame_s,
+        "pulse_nj": 10e-3 * frame_s / 4 * 1e9,
+    }
+    assert {name: report[name] for name in numbers} == pytest.approx(numbers)
+    assert report["configuration"]["frame"]["gap"] == 90
 
 
 @pytest.mark.parametrize(

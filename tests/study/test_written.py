@@ -169,6 +169,80 @@ def test_the_console_tells_the_bits_of_counts():
     ]
 
 
+class MadeUpFrame:
+    """A frame whose maps and shares follow from its number and its estimator."""
+
+    config = CONFIG
+
+    def __init__(self, number, method=""):
+        self.number, self.method = number, method
+        self.threshold = np.array([number, 7])
+        self.depth_m = np.full((8, 16), number + len(method) / 100)
+        self.truth_m = np.full((8, 16), 20.0 + number)
+        light = np.stack([self.depth_m / 2, self.depth_m * 3], axis=2)
+        self.first = SimpleNamespace(reason=self.depth_m.astype(np.uint8), signal_per_pulse=light)
+        self.light = SimpleNamespace(total_signal=np.arange(128.0) + number)
+
+    def by(self, method):
+        return MadeUpFrame(self.number, method)
+
+    def __getitem__(self, measure):
+        return self.number, self.method, measure
+
+
+def drawn_of(monkeypatch, name):
+    """Return the list of what the function of this name in `pictures` will be asked to draw."""
+    drawn = []
+
+    def note(path, panels, truth, heading, blocks=None):
+        drawn.append((path, panels, truth, heading, blocks))
+
+    monkeypatch.setattr(f"coincid.study.pictures.{name}", note)
+    return drawn
+
+
+@pytest.mark.parametrize("names", [SCHEMES, SCHEMES[:2]])
+def test_each_picture_has_the_depth_of_its_estimator_and_its_shares_have_their_keys(
+    names, monkeypatch, tmp_path
+):
+    """Truth and thresholds are those of the last scheme, which may be the controller's."""
+    drawn = drawn_of(monkeypatch, "depth_row")
+    seen = {name: MadeUpFrame(number) for number, name in enumerate(names, 1)}
+    titles = {name: f"with {name}" for name in names}
+    shares = simulate._pictures(tmp_path, "a wall", titles, seen)
+    keys = ("depth.png", "planes", ""), ("depth_peak.png", "maximum", "_peak")
+    expected = {}
+    for (file, method, suffix), (path, panels, truth_m, heading, (told, blocks)) in zip(
+        keys, drawn, strict=True
+    ):
+        assert path == tmp_path / file and heading.startswith("a wall: ")
+        assert [panel.title for panel in panels] == list(titles.values())
+        for panel, frame in zip(panels, seen.values(), strict=True):
+            assert np.array_equal(panel.depth_m, frame.by(method).depth_m)
+            assert np.array_equal(panel.reason, frame.by(method).first.reason)
+        assert (truth_m == 20.0 + len(names)).all()
+        assert told.startswith("the controller's" if "auto" in names else "the thresholds")
+        assert blocks.tolist() == [[len(names), 7]]
+        for number, name in enumerate(names, 1):
+            expected[f"wrong_share_{name}{suffix}"] = number, method, "wrong_share"
+            expected[f"wrong_share_{name}{suffix}_15cm"] = number, method, "wrong_share_15cm"
+    assert shares == expected
+
+
+def test_the_picture_of_light_has_the_first_returns_of_each_scheme(monkeypatch, tmp_path):
+    """Beside the light of the last one's frame."""
+    drawn = drawn_of(monkeypatch, "light_row")
+    seen = {name: MadeUpFrame(number) for number, name in enumerate(SCHEMES, 1)}
+    titles = {name: f"with {name}" for name in SCHEMES}
+    simulate._light_picture(tmp_path / "light.png", "a wall", titles, seen)
+    ((path, panels, truth, heading, _),) = drawn
+    assert path == tmp_path / "light.png"
+    assert heading == "a wall: light, photons per pulse"
+    for (title, light), (name, frame) in zip(panels, seen.items(), strict=True):
+        assert title == titles[name] and np.array_equal(light, frame.depth_m / 2)
+    assert np.array_equal(truth, 3 + np.arange(128.0).reshape(8, 16))
+
+
 @pytest.mark.parametrize(
     ("engine", "settling", "pictures", "frames"),
     [

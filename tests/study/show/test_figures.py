@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bokeh.models import ColorBar, ColumnDataSource
+from bokeh.models import ColorBar, ColumnDataSource, CustomJS
 from jinja2 import Environment, FileSystemLoader
 
 import coincid
@@ -235,6 +235,21 @@ def test_a_click_on_any_map_picks_the_pixel_below_it(compared):
         for click in CLICKS:
             one.figure._trigger_event(click(one.figure, x=17.4, y=2.6))
     assert picked == [(3, 17)] * len(maps) * len(CLICKS)
+
+
+def test_a_click_on_any_map_of_a_page_picks_its_pixel_and_tells_its_numbers():
+    """By a mouse or a finger, which never hovers; a mouse that hovers is told them, too."""
+    views, code = Views(), CustomJS(code="picked()")
+    views.pick_in_page(code)
+    for one in views.maps:
+        run = one.figure.js_event_callbacks
+        assert run.keys() == {click.event_name for click in CLICKS}
+        told, picks = zip(*run.values(), strict=True)
+        hover = one.figure.hover.callback
+        assert {*picks} == {code} and len(set(told)) == 1
+        for numbers, at in ((told[0], "cb_obj"), (hover, "cb_data.geometry")):
+            assert numbers.code == f"overMap(source, {at})"
+            assert numbers.args == {"source": views.pictures}
 
 
 @pytest.mark.parametrize("shows", MAPS)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from attrs import evolve
-from bokeh.models import HoverTool
+from bokeh.models import HoverTool, PanTool, ResetTool, WheelZoomTool
 
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Fate
@@ -158,6 +158,14 @@ def test_each_histogram_of_a_pixel_stands_on_the_axis_with_its_name():
         assert (one.glyph.left, one.glyph.right, one.glyph.bottom) == ("left", "right", 0)
         labels = [item.label.value for item in plot.legend[0].items if one in item.renderers]
         assert labels == [name]
+
+
+@pytest.mark.parametrize("drawn", [HistogramFigure, TimelineFigure])
+def test_distance_and_time_can_be_moved_and_zoomed_and_nothing_else(drawn):
+    plot = drawn().figure
+    for tool in (PanTool, WheelZoomTool):
+        assert [one.dimensions for one in plot.select(type=tool)] == ["width"]
+    assert len([*plot.select(type=ResetTool)]) == 1
 
 
 def test_what_is_told_over_a_bar_or_a_return_is_its_own():
