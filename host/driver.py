@@ -23,6 +23,7 @@ from ..model.contract.registers import (
 from ..model.contract.stream import NO_HEADER, StreamError, is_grouped, kind_of
 from ..model.contract.table import Kind, Setting
 from ..model.shared.errors import InputError, check_integer
+from ..model.shared.quantities import check_choice
 from .transport import (
     ERRORS,
     STATUS,
@@ -68,7 +69,7 @@ def find(sensor: Sensor, key: Key) -> Word:
     `("mask", 3, 1)`, word 1 of subgroup 3's mask. A missing index is 0. Raises `InputError` with
     the wrong part and the legal range.
     """
-    name, *numbers = key if isinstance(key, tuple) else (key,)
+    name, *numbers = key if isinstance(key, tuple) and key else (key,)
     register = registers.BY_NAME.get(str(name))
     if register is None:
         raise InputError(f"register {name!r}: must be one of {', '.join(registers.BY_NAME)}")
@@ -237,8 +238,11 @@ class Driver:
         return Status(busy, done, errors_in(word))
 
     def clear(self, *names: str) -> None:
-        """Clear sticky bits of the status, by name; without names, all of them."""
-        chosen = names or ("done", *ERRORS)
+        """Clear sticky bits of the status, by name; without names, all of them. Raises `InputError`
+        for another name.
+        """
+        sticky = "done", *ERRORS
+        chosen = [check_choice("bit of the status", name, sticky) for name in names or sticky]
         self.transport.write(
             registers.address("status"), sum(1 << STATUS.bit(name) for name in chosen)
         )

@@ -5,15 +5,13 @@
 
 import ctypes
 import mmap
-import os
-from pathlib import Path
 
 import numpy as np
 
 from ..model.contract import registers
 from ..model.contract.registers import ADDRESS_BITS
 from ..model.shared.errors import InputError
-from ..model.shared.files import FilePath
+from ..model.shared.files import FilePath, check_path
 from .transport import ERRORS, STATUS, RefusedError, errors_in
 
 STATUS_ADDRESS = registers.address("status")
@@ -34,12 +32,13 @@ class MemoryTransport:
     """
 
     def __init__(self, path: FilePath, base: int = 0, size: int = 1 << ADDRESS_BITS):
+        path = check_path(path)
         try:
-            with Path(path).open("r+b", buffering=0) as file:
+            with path.open("r+b", buffering=0) as file:
                 self._map = mmap.mmap(file.fileno(), size, mmap.MAP_SHARED, offset=base)
-        except (OSError, ValueError) as error:
+        except (OSError, OverflowError, ValueError) as error:
             raise InputError(
-                f"{os.fspath(path)}: {size} bytes from {base:#x} on cannot be mapped ({error})"
+                f"{path}: {size} bytes from {base:#x} on cannot be mapped ({error})"
             ) from None
         self._words = (ctypes.c_uint32 * (size // 4)).from_buffer(self._map)
         self._errors = 0  # sticky error bits that were cleared in the sensor, but not by the user

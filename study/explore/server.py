@@ -27,6 +27,7 @@ from .uploads import Kept, Uploads
 
 ADDRESS, PORT = "127.0.0.1", 5006
 PORTS_TRIED = 20  # from `PORT` on, if none is given
+DIGITS_MAX = 20  # no number of uploads has so many
 MESSAGE_BYTES_MAX = 64 << 20  # an upload in base64, with room to spare
 
 
@@ -85,7 +86,8 @@ def make_server(port: int | None = None, start: Settings | None = None) -> tuple
         )
         values = (start.values if start else {}) | given
         if number.isdecimal():
-            uploads = kept.get(int(number))
+            # one of thousands of digits, which Python converts to no integer, is that of no set
+            uploads = kept.get(int(number) if len(number) < DIGITS_MAX else -1)
         else:
             uploads = start.uploads if start else Uploads()
         values, lost = without_lost_pictures(values, uploads)

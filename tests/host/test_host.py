@@ -3,9 +3,11 @@
 library and a mapped file.
 """
 
+import inspect
 import itertools
 import mmap
 import re
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +25,12 @@ from coincid.host.transport import (
     write_block,
 )
 from coincid.model.contract import registers
-from coincid.model.contract.config import parse_config, sensor_table
+from coincid.model.contract.config import load_config, parse_config, sensor_table
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.registers import ADDRESS_BITS, BY_NAME, Access, address
 from coincid.model.contract.result import ResultBuilder
+from coincid.model.contract.settings import FRAME
 from coincid.model.contract.stream import StreamError, decode_frame
 from coincid.model.golden.frame import Golden
 from coincid.model.shared.errors import InputError
@@ -79,6 +82,33 @@ def test_the_end_of_a_frame_leaves_what_went_wrong_before():
         assert not memory.written
 
 
+def test_only_sticky_bits_can_be_cleared_and_another_name_is_told_them():
+    memory = Memory()
+    for name in ("busy", "moon", ""):
+        with pytest.raises(
+            InputError, match=f"^bit of the status = '{name}': must be one of done, "
+        ):
+            Driver(memory, SENSOR).clear("done", name)
+    assert not memory.written
+
+
+@pytest.mark.parametrize("command", ["start", "abort", "reset"])
+def test_a_command_is_its_bit_of_the_control_register(command):
+    memory = Memory()
+    getattr(Driver(memory, SENSOR), command)()
+    assert memory.written == [(address("control"), 1 << BY_NAME["control"].bit(command))]
+
+
+def test_a_frame_is_waited_for_longer_than_the_longest_one_takes():
+    """Also of an FPGA, whose clock is slow."""
+    clock_mhz = load_config("fpga").clock_mhz
+    longest = parse_config({"sensor": {"coarse_bits": Sensor().coarse_bits_max}})
+    longest = longest.with_frame(pulses=FRAME["pulses"].high, period=longest.sensor.period_max)
+    seconds = longest.with_frame(clock_mhz=clock_mhz).frame_cycles / clock_mhz * 1e-6
+    for wait in (Driver.finish, Driver.receive):
+        assert inspect.signature(wait).parameters["seconds"].default > seconds
+
+
 class Refusing(Memory):
     """A transport that refuses all writes but those to the status."""
 
@@ -99,6 +129,16 @@ def test_a_refusal_clears_its_reasons_and_nothing_else(reason, done):
         Driver(memory, SENSOR)["threshold", 1] = 2
     assert refused.value.reasons == (reason,)
     assert memory.written == [(status, 1 << STATUS.bit(reason))]
+
+
+@pytest.mark.parametrize("done", [False, True])
+def test_a_refusal_without_a_reason_tells_and_clears_none(done):
+    memory = Refusing()
+    memory.words[address("status")] = done << STATUS.bit("done")
+    with pytest.raises(RefusedError) as refused:
+        Driver(memory, SENSOR)["threshold", 1] = 2
+    assert (str(refused.value), refused.value.reasons) == ("refused", ())
+    assert not memory.written
 
 
 def test_a_setting_that_is_not_known_is_written_whatever_its_value():
@@ -211,6 +251,7 @@ def test_a_message_names_a_word_by_its_subgroup_and_then_its_index(key, shown):
     "key, value, says",
     [
         ("periods", 1, "must be one of"),
+        ((), 1, r"register \(\): must be one of"),
         ("search_pulses", 1, "register 'search_pulses': the sensor is built without it"),
         ("threshold", 1, "must be written as"),
         (("threshold", 2), 1, "from 0 to 1"),
@@ -301,8 +342,10 @@ def test_only_what_changes_is_written():
     assert driver.program(of) == 0
     driver["threshold", 1] = np.int64(2)
     assert driver.program(of) == 1 and memory.words[address("threshold", 1)] == 3
-    with pytest.raises(InputError, match="the sensor is"):
-        driver.program(parse_config({}))
+    other = parse_config({})
+    told = f"sensor: the configuration is for {other.sensor}, the sensor is {SENSOR}"
+    with pytest.raises(InputError, match=f"^{re.escape(told)}$"):
+        driver.program(other)
 
 
 def test_runs():
@@ -422,19 +465,19 @@ def test_frames_cut_anywhere():
 class Delivery(Memory):
     """A transport that delivers what is put into its streams, one portion per call."""
 
-    def __init__(self):
+    def __init__(self, sensor=ODD):
         super().__init__()
-        self.streams = {stream: [] for stream in range(ODD.streams)}
+        self.streams = {stream: [] for stream in range(sensor.streams)}
 
     def receive(self, stream):
         portions = self.streams[stream]
         return portions.pop(0) if portions else np.zeros(0, np.uint64)
 
 
-def three_frames(number=0, **settings):
-    """The beats of three frames of the odd sensor from that number on, by frame and stream."""
-    of = configured(SENSORS["odd"], {"pulses": 2} | settings)
-    golden = Golden(ODD)
+def three_frames(number=0, sensor=ODD, **settings):
+    """The beats of three frames of a sensor from that number on, by frame and stream."""
+    of = configured(sensor, {"pulses": 2} | settings)
+    golden = Golden(sensor)
     golden.frames = number
     return [golden.frame(of, random_edges(of, 300, seed)).beats for seed in range(3)]
 
@@ -481,6 +524,40 @@ def test_a_reset_leaves_no_frame_that_other_streams_have_not_sent():
     for stream, portions in delivery.streams.items():
         portions.append(first[stream])
     assert all(map(np.array_equal, driver.receive(seconds=0.05), first))
+
+
+THREE = built_sensor(SENSORS["tiny"] | {"rows": 16})  # three streams
+
+
+@pytest.mark.parametrize(
+    "lost", [(0, 0, 1), (0, 1, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1), (0, 1, 2), (2, 0, 1), (1, 2, 0)]
+)
+def test_the_first_frame_that_no_stream_has_lost_is_received(lost):
+    """Whichever streams have lost how many of those before it."""
+    frames = three_frames(sensor=THREE)
+    delivery = Delivery(THREE)
+    for stream, portions in delivery.streams.items():
+        portions += [frame[stream] for frame in frames[lost[stream] :]]
+    driver = Driver(delivery, THREE, fresh=True)
+    for frame in frames[max(lost) :]:
+        assert all(map(np.array_equal, driver.receive(seconds=0.05), frame))
+
+
+def test_a_reset_leaves_the_frames_that_all_streams_have_sent():
+    """Also if an error came before they were put together."""
+    first, second, _ = three_frames()
+    for damage in ([], [np.zeros(1, np.uint64)]):
+        delivery = Delivery()
+        driver = Driver(delivery, ODD, fresh=True)
+        for stream, portions in delivery.streams.items():
+            portions.append(np.concatenate([first[stream], second[stream]]))
+        *_, last = delivery.streams.values()
+        last[0] = np.concatenate([last[0], *damage])
+        with pytest.raises(StreamError) if damage else nullcontext():
+            assert all(map(np.array_equal, driver.receive(seconds=0.05), first))
+        driver.reset()
+        for frame in (first, second) if damage else (second,):
+            assert all(map(np.array_equal, driver.receive(seconds=0.05), frame))
 
 
 def after_an_error(first, second):
@@ -566,7 +643,9 @@ def test_mapped_file(tmp_path):
         assert all(image[at // 4] == value for at, value in of.register_writes())
 
 
-@pytest.mark.parametrize(("base", "size"), [(0, 4096), (0x3000, 8192)])
+@pytest.mark.parametrize(
+    ("base", "size"), [(0, 4096), (0x3000, 8192), (-4096, 16), (1 << 70, 16), (0, 1 << 70)]
+)
 def test_a_file_that_cannot_be_mapped_is_named_with_what_was_asked_of_it(tmp_path, base, size):
     short = tmp_path / "short"
     short.write_bytes(bytes(16))
@@ -574,6 +653,9 @@ def test_a_file_that_cannot_be_mapped_is_named_with_what_was_asked_of_it(tmp_pat
         told = re.escape(f"{path}: {size} bytes from {base:#x} on cannot be mapped (")
         with pytest.raises(InputError, match=f"^{told}"):
             MemoryTransport(path, base, size)
+    for nothing in (None, 3):
+        with pytest.raises(InputError, match="^path = .*: must be the name of a file"):
+            MemoryTransport(nothing, base, size)
 
 
 def test_a_mapped_file_is_free_after_its_use(tmp_path):

@@ -247,9 +247,11 @@ def test_uploads_of_a_server_that_ran_before_are_gone(opened, tmp_path):
     uploads = Uploads(depth=tmp_path / "wall.npy")
     start = check_settings({"scene": "upload"}, uploads)
     assert opened(start)[:2] == (start.values, uploads)
-    assert opened(start, uploads="none")[1] == uploads
-    values, found, told = opened(start, uploads="7")
-    assert found == Uploads() and values.get("scene") != "upload" and told
+    assert opened(start, uploads="none")[1:] == (uploads, "")
+    for unknown in ("7", "9" * 5000):  # also one that is no integer of Python's
+        values, found, told = opened(start, uploads=unknown)
+        assert found == Uploads() and values.get("scene") != "upload"
+        assert told == "Scene: the file is not here any more; please choose it again."
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
