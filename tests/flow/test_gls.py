@@ -136,5 +136,11 @@ def test_totals_of_played_frames(monkeypatch):
             self.checked, self.cycles = checked, cycles
 
     records = [Record(3, 100), Record(5, 1000)]
-    monkeypatch.setattr(gls, "play_in", lambda *_, **__: (records, None))
-    assert gls.played(None, [], "name") == (8, 1100)
+    asked = []
+    monkeypatch.setattr(
+        gls, "play_in", lambda *of, lines: asked.append((*of, lines)) or (records, None)
+    )
+    for lines in (False, True):
+        assert gls.played("a build", [], "name", lines) == (8, 1100)
+        build, jobs, folder, told = asked[-1]
+        assert (build, jobs, folder.name, told) == ("a build", [], "name", lines)

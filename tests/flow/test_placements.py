@@ -4,6 +4,7 @@
 import json
 import re
 
+import numpy as np
 import pytest
 from attrs import evolve
 
@@ -18,6 +19,8 @@ from coincid.flow.pnr import (
     skewed,
     write_placement_page,
 )
+from coincid.flow.ports import port_rows
+from coincid.hdl.sensor import FPGA_TOP
 from coincid.model.contract.config import load_config
 
 BOARD = Board(
@@ -306,6 +309,56 @@ def test_ports_of_the_module_lie_along_the_edge_of_the_chip_bit_by_bit(module_of
     pads = [name for name, *_ in PADS_IN_ORDER]
     assert located == list(zip(ports, pads, strict=False))
     assert len(board.pins.splitlines()) == len(ports)
+
+
+def connected(text, instance):
+    """Return what an instance in a Verilog text has at each of its ports."""
+    _, _, ports = text.partition(f" {instance} (")
+    ports, ended, _ = ports.partition("\n  );")
+    assert ended
+    return dict(re.findall(r"\.(\w+)\(([^()]*)\)", ports))
+
+
+def test_the_wrapper_has_a_pin_for_every_port_of_the_module():
+    """Of the same name, width and direction; SPADs follow one another, subgroup by subgroup."""
+    text = fpga_module.WRAPPER.read_text(encoding="utf-8")
+    head, _, _ = text.partition(");")
+    declared = re.findall(r"^  (in|out)put (?:\[(\d+):0\] )?(\w+)", head, re.MULTILINE)
+    pins = {name: (way, int(high or 0) + 1) for way, high, name in declared}
+    sensor = evolve(load_config("fpga").sensor, rows=8, cols=16)
+    ports = {row.name: (row.direction, row.width) for row in port_rows(sensor, FPGA_TOP)}
+    found = connected(text, "sensor")
+    assert found.keys() == ports.keys()
+    own = {"clk": "clk", "rst": "reset[1]", "phase_clocks": "phase_clocks", "test_enable": "1'b0"}
+    own |= {"line_0": "spad[63:0]", "line_1": "spad[127:64]"}
+    own |= {"s_axi_awprot": "3'd0", "s_axi_arprot": "3'd0"}
+    assert {name: found[name] for name in own} == own
+    for name in ports.keys() - own.keys():
+        assert (found[name], pins[name]) == (name, ports[name])
+    assert pins.keys() - ports.keys() == {"clk_in", "rst_in", "spad"}
+
+
+def test_the_wrappers_clocks_come_a_tick_after_one_another():
+    """The oscillator runs at the output's divider times the clock; its phases count in periods and
+    eighths of a period.
+    """
+    text = fpga_module.WRAPPER.read_text(encoding="utf-8")
+    preset = load_config("fpga")
+    values = {name: int(number) for name, number in re.findall(r"\.(CLK\w+)\((\d+)\)", text)}
+    outputs = "CLKOP", "CLKOS", "CLKOS2", "CLKOS3"
+    assert values["CLKI_DIV"] == values["CLKFB_DIV"] == 1
+    assert len({values[f"{name}_DIV"] for name in outputs}) == 1
+    oscillator_ns = 1000 / preset.clock_mhz / values["CLKOP_DIV"]
+    after_ns = [
+        oscillator_ns * (values[f"{name}_CPHASE"] + values[f"{name}_FPHASE"] / 8)
+        for name in outputs
+    ]
+    tick_ns = preset.tick_s * 1e9
+    assert np.diff(after_ns) == pytest.approx([tick_ns] * (preset.sensor.phases // 2 - 1))
+    pll = connected(text, "pll")
+    clocks = {"CLKI": "clk_in", "CLKFB": "clk", "CLKOP": "clk", "LOCK": "locked"}
+    clocks |= {name: f"phase_clocks[{k}]" for k, name in enumerate(outputs[1:])}
+    assert clocks.items() <= pll.items()
 
 
 def test_no_placement_is_taken_for_another(monkeypatch, tmp_path):

@@ -3,6 +3,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,8 @@ from coincid.flow.yosys import LIBERTY
 from coincid.model.contract.config import load_config
 
 from .sensors import SMALL
+
+ROOT = Path(__file__).parents[2]
 
 
 def module(cells, area):
@@ -243,6 +246,27 @@ def test_the_page_of_costs_has_both_presets_and_the_version_of_yosys(made_up, tm
         "## silicon",
         "## fpga",
     ]
+
+
+@pytest.mark.parametrize(
+    ("words", "page"),
+    [
+        ("cost_page.md", "synthesis.md"),
+        ("cost_whole_blocks.md", "synthesis.md"),
+        ("layout/page.md", "layout.md"),
+    ],
+)
+def test_words_around_the_numbers_of_a_page_are_those_of_their_file(words, page):
+    """One after the other, whatever the numbers are."""
+    shown, template = (
+        " ".join(re.sub("<!--.*?-->", "", path.read_text(encoding="utf-8")).split())
+        for path in (ROOT / "docs" / page, ROOT / "flow" / words)
+    )
+    at = 0
+    for part in re.split(r"\{[^{}]*\}", template):
+        found = shown.find(part, at)
+        assert found >= at, part
+        at = found + len(part)
 
 
 @pytest.fixture

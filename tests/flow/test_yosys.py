@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from coincid.flow.yosys import (
+    ENABLES,
     LIBERTY,
     bound,
     cells_folder,
@@ -20,7 +21,7 @@ from coincid.hdl.clock_gate import ClockGate
 from coincid.hdl.export import units_files
 from coincid.model.contract.config import load_config
 from coincid.model.shared.errors import InputError
-from coincid.tools.wheels import yosys_once
+from coincid.tools.wheels import run_yosys, yosys_once
 
 LARGE_GATE, SMALL_GATE = ClockGate(), ClockGate(small=True)
 
@@ -88,6 +89,38 @@ def test_no_gate_has_an_initial_value(flatten, tmp_path):
     cells = [cell["type"] for module in modules.values() for cell in module["cells"].values()]
     assert sum("DFF" in kind for kind in cells) == 5
     assert not [net for net in nets if "init" in net["attributes"]]
+
+
+FLOPS = [
+    f"$_SDFF{with_enable}_PP{value}{polarity}_"
+    for with_enable in ("E", "CE")
+    for value in "01"
+    for polarity in "PN"
+]
+
+
+def test_flip_flops_in_front_of_clock_gates_do_what_they_did_before(tmp_path):
+    """Of every polarity, value of the reset, and order of reset and enable; a clock gate takes the
+    only kind that is left.
+    """
+    pins = ".C(C), .D(D), .E(E)"
+    lines = ["module top (input C, D, R, E, output [8:0] q);"]
+    lines += [f"  \\{kind} f{k} ({pins}, .R(R), .Q(q[{k}]));" for k, kind in enumerate(FLOPS)]
+    lines += [f"  \\$_DFFE_PN_ plain ({pins}, .Q(q[8]));", "endmodule", ""]
+    (tmp_path / "flops.v").write_text("\n".join(lines), encoding="utf-8")
+    (tmp_path / ENABLES.name).write_text(ENABLES.read_text(encoding="utf-8"), encoding="utf-8")
+    run_yosys(
+        tmp_path,
+        "read_verilog -icells flops.v",
+        "copy top mapped",
+        f"techmap -map {ENABLES.name} mapped",
+        "simplemap mapped",
+        "select -assert-count 9 mapped/t:$_DFFE_PP_",
+        "select -assert-none mapped/t:$_SDFF* mapped/t:$_DFFE_PN_",
+        "dffunmap",
+        "miter -equiv -flatten top mapped both",
+        "sat -verify -tempinduct -set-init-zero -prove trigger 0 both",
+    )
 
 
 @pytest.fixture
