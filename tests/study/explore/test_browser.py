@@ -6,6 +6,7 @@ there is no Chromium.
 import re
 import shutil
 import signal
+from itertools import pairwise
 from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
@@ -15,8 +16,9 @@ from PIL import Image
 import coincid
 from coincid.model.depth.belief import SENTENCES, Reason
 from coincid.study.explore.control_values import check_settings
-from coincid.study.explore.controls import CONTROLS
+from coincid.study.explore.controls import CONTROL, CONTROLS
 from coincid.study.explore.stages import Explorer
+from coincid.study.explore.tab import TRIES
 from coincid.study.show.figures import (
     cursor_columns,
     histogram_columns,
@@ -407,6 +409,115 @@ def test_a_slider_and_its_field_move_together_and_a_film_stops(tabs, address):
     ordered = tab.evaluate("orders")
     tab.wait_for_timeout(1000)  # two steps of a film
     assert tab.evaluate("orders") == ordered
+
+
+def test_what_a_control_does_is_told_where_the_mouse_or_the_focus_is(tabs, address):
+    """So it is of buttons; what was tried says what to look for, until all is reset."""
+    tab = tabs(address)
+    about = tab.locator("#about")
+    for name in ("threshold", "scene"):
+        tab.hover(f"[data-control={name}] label")
+        assert about.text_content() == CONTROL[name].sentence
+    tab.focus("#controls [name=window]")
+    assert about.text_content() == CONTROL["window"].sentence
+    for button in ("[data-do=keep_a]", "[data-do=rtl]"):
+        tab.hover(button)
+        assert about.text_content() == tab.get_attribute(button, "data-says")
+    tab.locator("[data-try]").nth(1).click()
+    shown(tab)
+    _, _, sentence = TRIES[1]
+    assert tab.locator("#tried").text_content() == sentence
+    tab.click("[data-do=reset]")
+    assert tab.locator("#tried").text_content() == ""
+
+
+def test_what_was_said_of_other_settings_goes_with_the_next_question(tabs, address):
+    """Also what was ignored in the link, once all is reset. Only a result that is shown can be kept,
+    checked and saved.
+    """
+    tab = tabs(f"{address}?moon=1")
+    tab.select_option("#save", "command")
+    tab.wait_for_selector("#said:not([hidden])")
+    tab.fill("[data-look=row]", "99")
+    tab.wait_for_selector("#looked:has-text('Row = 99')")
+    of_results = [tab.locator(name) for name in ("[data-do=keep_a]", "[data-do=rtl]", "#save")]
+    assert [one.is_enabled() for one in of_results] == [True] * 3
+    for bad in (True, False):
+        tab.evaluate(
+            "(bad) => { link.rtl_check = {number: asked, text: `bad: ${bad}`, bad}; }", bad
+        )
+        assert tab.locator("#rtl").text_content() == f"bad: {str(bad).lower()}"
+        assert tab.locator("#rtl.bad").count() == bad
+    put(tab, "threshold", 999)
+    assert tab.locator("#looked").text_content() == ""
+    assert tab.locator("#said").is_hidden() and tab.locator("#rtl").is_hidden()
+    assert refused(tab) and [one.is_enabled() for one in of_results] == [False] * 3
+    assert "moon" in tab.locator("#ignored").text_content()
+    tab.click("[data-do=reset]")
+    shown(tab)
+    assert tab.locator("#ignored").is_hidden()
+    assert [one.is_enabled() for one in of_results] == [True] * 3
+
+
+def test_what_the_server_tells_stands_in_its_place(tabs, address):
+    """Unless it is of an earlier question; a field in which somebody types keeps what was typed. So
+    does its progress: its share, if that is known, and the seconds since the question.
+    """
+    tab = tabs(address)
+    tab.focus("[data-look=pulse]")
+    before = tab.input_value("[data-look=pulse]")
+    told = {
+        "story": "a story",
+        "where": "look here",
+        "notes": ["first note", "second note"],
+        "wastes": ["first waste", "second waste"],
+        "meaning": [["size", "8 x 8"], ["light", "50 klux"]],
+        "look": {"row": 5, "col": 6, "pulse": 7, "frame": 0, "which": "B"},
+    }
+    tell = "([words, age]) => { link.new_words = {number: asked - age, words: {...link.answer.words, ...words}}; }"
+    tab.evaluate(tell, [told, 0])
+    tab.evaluate(tell, [told | {"story": "an old story"}, 1])
+    for name in ("story", "where"):
+        assert tab.locator(f"#{name}").text_content() == told[name]
+    assert tab.locator("#notes").text_content() == "first note\nsecond note"
+    assert tab.locator("#wastes li").all_text_contents() == told["wastes"]
+    rows = "[...document.querySelectorAll('#meaning tbody tr')].map((r) => [...r.children].map((c) => c.textContent))"
+    assert tab.evaluate(rows) == told["meaning"]
+    look = [tab.input_value(f"[data-look={name}]") for name in ("row", "col", "pulse")]
+    assert look == ["5", "6", before]
+    tell = "([share, age]) => { link.progress = {number: asked - age, stage: 'depth', share}; }"
+    shares = "[$('#progress').hasAttribute('value'), $('#progress').value]"
+    for share, age, expected in ((0.25, 0, [True, 0.25]), (0.75, 1, [True, 0.25])):
+        tab.evaluate(tell, [share, age])
+        assert tab.evaluate(shares) == expected
+    tab.evaluate(tell, [0, 0])
+    assert tab.evaluate(shares)[0] is False  # how far it is, is not known
+    tab.evaluate("state('asked'); began = performance.now() - 500_000")
+    tab.wait_for_function("$('#status').textContent.startsWith('computing: depth, 5')")
+    said = r"computing: depth, 5\d\d s\. Any change overtakes it\."
+    assert re.fullmatch(said, tab.locator("#status").text_content())
+    assert tab.locator("#progress").is_visible()
+
+
+def test_quick_changes_of_one_control_are_one_step_of_the_browser(tabs, address):
+    """Slow ones are several, and so are changes of two controls; what changes nothing is none."""
+    tab = tabs(address)
+    steps = [tab.evaluate("history.length")]
+    quick, slow = "stepped.time = performance.now() + 1e9", "stepped.time = -1e9"
+    for name, value, pace in (
+        ("threshold", 3, slow),
+        ("threshold", 4, quick),
+        ("threshold", 5, slow),
+        ("window", 20, quick),
+        ("window", 20, slow),
+    ):
+        tab.evaluate(pace)
+        tab.evaluate(
+            "([name, value]) => { write(name, value); changed = name; ask(); }", [name, value]
+        )
+        shown(tab)
+        steps.append(tab.evaluate("history.length"))
+    assert [after - before for before, after in pairwise(steps)] == [1, 0, 1, 1, 0]
 
 
 def test_back_forgets_a_file_that_was_refused(tabs, address, tmp_path):

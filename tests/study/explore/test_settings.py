@@ -17,10 +17,14 @@ import h5py
 import numpy as np
 import OpenEXR
 import pytest
+from attrs import asdict
 from PIL import Image
 
+from coincid.lab.options import OPTIONS
+from coincid.lab.outcomes import Run, StageCache
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.parameters import Sensor
+from coincid.model.light.spad import Spad
 from coincid.model.scenes.ambient import ambient_klux
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.errors import InputError
@@ -114,6 +118,57 @@ def test_every_control_beside_the_configuration_changes_the_experiment(control):
     before = {"rows": 8, "cols": 8} | WITH.get(control.name, {})
     changed = {control.name: other_value(control)}
     assert check_settings(before | changed).setup().key != check_settings(before).setup().key
+
+
+@pytest.mark.parametrize(
+    "control",
+    [one for one in CONTROLS if one.where is None and one.kind in ("integer", "real")],
+    ids=lambda control: control.name,
+)
+def test_both_ends_of_a_range_are_an_experiment_and_what_lies_beyond_is_told(control):
+    """The range is that of the control, in its unit; the light takes all of it."""
+    small = {"rows": 8, "cols": 8, "pulses": 2, "scene": "flat"}
+    for value in (control.low, control.high):
+        settings = check_settings(small | {control.name: value})
+        setup = settings.setup()
+        if control.group == "SPAD":
+            assert len(Run(setup, cache=StageCache(1)).edges) >= 0
+    told = f" from {control.low} to {control.high}"
+    beyond = (control.low - 1, control.high + 1)
+    if control.kind == "real":
+        told = f" from {control.low:.10g} to {control.high:.10g}"
+        beyond = np.nextafter((control.low, control.high), (-np.inf, np.inf)).tolist()
+    for value in beyond:
+        with pytest.raises(InputError, match=f"{re.escape(told)}$") as refused:
+            check_settings({control.name: value})
+        assert control_of(refused.value) is control
+
+
+@pytest.mark.parametrize(
+    "control", [one for one in CONTROLS if one.choices], ids=lambda control: control.name
+)
+def test_every_choice_is_legal(control):
+    for choice in control.choices:
+        assert check_settings({control.name: choice}).values[control.name] == choice
+
+
+def test_without_a_change_it_is_the_experiment_of_the_command_line():
+    settings = check_settings({})
+    told = {name: OPTIONS[name].default for name in settings.values if name in OPTIONS}
+    usual = {name: value for name, value in told.items() if value is not None}
+    assert len(usual) > 4 and usual.items() <= settings.values.items()
+    found, paper = asdict(settings.spad), asdict(Spad())
+    assert found == {name: pytest.approx(value) for name, value in paper.items()}
+    assert np.all(settings.klux() == 50)
+    assert settings.pulse() is None
+
+
+def test_times_in_sentences_are_those_of_the_usual_sensor():
+    config = check_settings({}).config
+    cycle_ns = 1000 / config.clock_mhz
+    metres = cycle_ns * 1e-9 * 299_792_458 / 2
+    assert f"a cycle is {cycle_ns:g} ns, {metres:.1f} m." in CONTROL["gate_start"].sentence
+    assert f"16 ticks are {16 * config.tick_s * 1e9:g} ns." in CONTROL["window"].sentence
 
 
 def test_properties_of_the_detector_are_in_the_units_of_their_fields():
@@ -452,6 +507,39 @@ def test_a_picture_keeps_the_end_of_its_name(tmp_path, letters):
     uploads = uploaded(tmp_path, "depth", letters * "a" + "wall.png", depth_mm)
     assert uploads.depth.name.endswith("wall.png")
     assert len(uploads.depth.name) <= NAME_MAX
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "tiff", "pgm", "pfm", "exr", "npy", "npz", "h5"])
+def test_a_depth_file_of_every_form_can_be_uploaded(tmp_path, suffix):
+    path = tmp_path / f"d.{suffix}"
+    depth_m = np.full((32, 32), 4.0, np.float32)
+    if suffix in ("png", "tif", "tiff", "pgm"):
+        picture = Image.fromarray(np.full((32, 32), 4000, np.uint16))
+        picture.save(path, "PPM" if suffix == "pgm" else None)
+    elif suffix == "pfm":
+        path.write_bytes(b"Pf\n32 32\n-1.0\n" + depth_m.tobytes())
+    elif suffix == "exr":
+        form = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(form, {"Z": depth_m}).write(str(path))
+    elif suffix == "npy":
+        np.save(path, depth_m)
+    elif suffix == "npz":
+        np.savez(path, depth=depth_m)
+    else:
+        with h5py.File(path, "w") as archive:
+            archive["depth"] = depth_m
+    used = Uploads().with_file("depth", path.name, path.read_bytes(), tmp_path)
+    assert np.allclose(check_settings({"scene": "upload"}, used).scene().truth_m, 4.0)
+
+
+@pytest.mark.parametrize("form", ["PNG", "TIFF", "JPEG"])
+@pytest.mark.parametrize("kind", ["colour", "sun"])
+def test_a_picture_of_every_form_can_be_uploaded(tmp_path, kind, form):
+    file = io.BytesIO()
+    Image.new("L", (32, 32), 255).save(file, form)
+    suffixes = {"PNG": ".png", "TIFF": ".tif", "JPEG": ".jpg"}
+    used = Uploads().with_file(kind, f"a{suffixes[form]}", file.getvalue(), tmp_path)
+    assert used.files()[kind].is_file()
 
 
 def test_each_picture_of_an_uploaded_sequence_is_scaled(tmp_path):

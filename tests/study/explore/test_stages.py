@@ -211,8 +211,14 @@ def test_the_check_of_settings_that_have_changed_is_never_told():
 
 def test_what_is_saved():
     explored = Explorer().run(check_settings(SMALL))
-    for kind, save in SAVES.items():
-        assert save.content(explored, 0) and save.name.endswith(kind) and "/" in save.media_type
+    names = {name: (save.name, save.media_type) for name, save in SAVES.items()}
+    assert names == {
+        "toml": ("coincid.toml", "application/toml"),
+        "csv": ("events.csv", "text/csv"),
+        "png": ("depth.png", "image/png"),
+    }
+    for save in SAVES.values():
+        assert save.content(explored, 0)
     rows = list(csv.DictReader(events_csv(explored, 0).decode().splitlines()))
     assert len(rows) == len(explored.run.result["pulse"])
     assert int(rows[0]["count"]) == int(rows[0]["hits"], 16).bit_count()
