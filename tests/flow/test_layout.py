@@ -5,8 +5,11 @@ from Verilog to a checked GDS.
 
 import itertools
 import json
+import re
 
 import pytest
+
+from coincid.flow.yosys import LIBERTY, cells_folder
 
 from ..needs import imported
 
@@ -100,6 +103,30 @@ def test_widths_are_those_of_all_cells_of_a_file(tmp_path):
     fill = "MACRO FILL\n  CLASS CORE SPACER ;\n  SIZE 0.19 BY 1.4 ;\nEND FILL\n"
     path.write_text(fill + LEF + LEF.replace("TWO", "X4").replace("0.57", "1.33"), encoding="utf-8")
     assert pins.cell_widths_um(path) == {"FILL": 0.19, "TWO": 0.57, "X4": 1.33}
+
+
+@pytest.mark.parametrize("low", [400, 405, 410])
+def test_a_via_fits_metal_that_is_just_as_high(low):
+    """At the only height, if that is one that is tried."""
+    x = pins.FIRST_TRACK
+    metal = db.Region(db.Box(x - pins.PAD_HALF, low, x + pins.PAD_HALF, low + 2 * pins.HALF))
+    (place, *_) = pins._places(metal)
+    middle = low + pins.HALF
+    assert (place.x, place.fits) == (x, middle % pins.STEP == 0)
+    assert place.y == middle // pins.STEP * pins.STEP
+
+
+def test_outputs_are_those_of_the_library():
+    text = (cells_folder() / LIBERTY).read_text(encoding="utf-8")
+    _, *parts = re.split(r"^\s*cell \((\w+)\) \{", text, flags=re.MULTILINE)
+    pin = re.compile(r"^\s*pin \((\w+)\) \{.*?^\s*direction : (\w+)", re.MULTILINE | re.DOTALL)
+    told = {
+        (kind, name): way == "output"
+        for kind, cell in zip(parts[::2], parts[1::2], strict=True)
+        for name, way in pin.findall(cell)
+    }
+    assert len(told) > 100
+    assert {(kind, name): wires.is_output(kind, name) for kind, name in told} == told
 
 
 def test_a_pin_is_all_of_its_shapes(tmp_path):

@@ -345,7 +345,9 @@ def test_wires_are_stars_around_their_drivers(module, lef):
     assert wired.farads == pytest.approx(
         {"n": 3 * 0.047 + 0.06 + 0.1, "a": 2 * 0.047 + 0.05, "y": 0.05}
     )
-    nets = wired.spef.split("*D_NET ")[1:]
+    head, *nets = wired.spef.split("*D_NET ")
+    units = {"*T_UNIT 1 NS", "*C_UNIT 1 FF", "*R_UNIT 1 OHM"}
+    assert units < set(head.splitlines()) and '*DESIGN "top"' in head
     assert [net.split()[0] for net in nets] == ["a", "n", "y"]
     way_um = (2.0 - 0.1) + (1.4 - 0.5 - 0.5)
     ohm_per_um = (3 * 3.0 + 0.05) / 4

@@ -23,6 +23,8 @@ PINS = {
         {"!E & !GCK": 1.5, "E & !GCK": 9.0},
         1.5,
     ),
+    "clock of a latch, while the data stay": ("G", "", {"!D & Q": 9.0, "D & Q": 3.0}, 3.0),
+    "the same of one that is open while it is low": ("GN", "", {"!D & Q": 9.0, "D & Q": 3.0}, 3.0),
     "any other pin, the mean": ("A", "", {"B": 1.0, "!B": 3.0}, 2.0),
 }
 

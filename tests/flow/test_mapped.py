@@ -12,6 +12,7 @@ from coincid.flow.mapped import FLOP, GATE, LATCH, Mapped, least_slacks_ns, with
 from coincid.flow.yosys import LIBERTY
 from coincid.hdl.clock_gate import ClockGate
 from coincid.hdl.front_end_views import VIEWS
+from coincid.hdl.silicon.circuit import MACROS
 from coincid.tools.build import ToolchainError
 
 # Of latches: a path's slack is what it has not borrowed of the most that it may borrow.
@@ -99,6 +100,14 @@ def test_macros_count_apart_from_cells(asked):
     assert block.name == "coincid_clock_gate" and block.area_um2 == 12.5
     assert block.cells == {"NAND2_X1": 7, "coincid_delayed": 5}
     assert block.macros == {"coincid_mutex": 2, "coincid_delay": 7}
+
+
+def test_every_black_box_is_a_macro():
+    boxes = re.findall(r"^module (\w+)", MACROS.read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(boxes) > 3
+    for box in boxes:
+        for kind in (box, f"$paramod\\{box}\\WIDTH=4", f"$paramod$0123\\{box}"):
+            assert mapped.MACRO.match(kind)[1] == box
 
 
 def test_a_block_is_mapped_with_clock_gates_of_the_library_unless_without(asked):

@@ -228,6 +228,19 @@ def test_a_clock_tree_by_hand():
     )
 
 
+def test_a_buffer_of_a_clock_tree_drives_its_own_loads():
+    """Its energy is that at an equal share of the pins and wires behind it."""
+    energies = Energies(np.array([0.0, 1000.0]), np.array([7.0, 2007.0]))  # and 2 fJ per fF
+    buffer = {"A": Pin(False, 4.0, None, False), "Z": Pin(True, 0.0, energies, False)}
+    library = {"DFF": Cell(0.0, {"CK": CLOCK}), CLOCK_BUFFER: Cell(0.0, buffer)}
+    instances = [Instance("a", "DFF", {"CK": 2}) for _ in range(20)]
+    of = Design(["", "a"], instances, {2: [("clk", 0)]}, library, 2.0)
+    tree = clock_tree_mw(of, {"clk": np.array([[20]])}, 0, 10, 100.0, wire_ff=0.5)
+    of_one_ff = 10 * (1.0 + 0.5)
+    fj = 22 * 2.0 * 0.5 + 2 * (7.0 + 2.0 * of_one_ff + 2.0 * 4.0)
+    assert tree == {"a": pytest.approx(PER_FJ * 20 * fj)}
+
+
 @pytest.mark.parametrize(
     ("sinks", "wires", "buffers"),
     [(1, 1, 0), (16, 16, 0), (17, 19, 2), (256, 272, 16), (257, 276, 19)],

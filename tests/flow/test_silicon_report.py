@@ -84,6 +84,26 @@ def test_the_report_has_the_edge_and_the_reset_of_each_clock():
     ]
 
 
+@pytest.mark.parametrize("kind", ["$dlatch", "$adlatch", "$dlatchsr", "$sr"])
+def test_every_kind_of_latch_is_found(kind):
+    cells = {"one": {"type": kind}, "flop": {"type": "$dff"}, "or": {"type": "$or"}}
+    assert silicon_report.latches({"cells": cells}) == ["one"]
+
+
+KINDS = "dff dffe adff adffe aldff aldffe dffsr dffsre sdff sdffe sdffce"
+
+
+@pytest.mark.parametrize("kind", KINDS.split())
+@pytest.mark.parametrize("inverter", ["$not", "$_NOT_"])
+def test_every_kind_of_flip_flop_counts_at_its_edge(kind, inverter):
+    cells = {
+        "one": flop(f"${kind}", 3, "1", width=2),
+        "turned": {"type": inverter, "connections": {"A": [2], "Y": [3]}},
+    }
+    module = {"cells": cells, "netnames": {"clk": {"bits": [2]}}}
+    assert silicon_report.domains(module) == [silicon_report.Domain("clk", True, "", 2)]
+
+
 @pytest.fixture
 def written(monkeypatch, tmp_path):
     """Return a function that writes a report, with these latches and complaints of the tools."""

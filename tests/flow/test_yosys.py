@@ -123,6 +123,27 @@ def test_flip_flops_in_front_of_clock_gates_do_what_they_did_before(tmp_path):
     )
 
 
+@pytest.mark.needs("cells")
+@pytest.mark.parametrize(
+    ("flops", "gates"), [(2, None), (3, "CLKGATE_X1"), (63, "CLKGATE_X1"), (64, "CLKGATE_X2")]
+)
+def test_flip_flops_that_share_an_enable_share_the_smallest_gate_that_drives_them(
+    flops, gates, tmp_path
+):
+    """From three on, also where they have a reset; none has a scan input."""
+    text = f"""
+module top (input clk, input rst, input enable, input [{flops - 1}:0] d, output reg [{flops - 1}:0] q);
+  always @(posedge clk) if (rst) q <= 0; else if (enable) q <= d;
+endmodule
+"""
+    script = ["read_verilog top.v", *cells_script("top"), "write_json netlist.json"]
+    folder = yosys_once(tmp_path / "made", {"top.v": text} | library_files(), script)
+    netlist = json.loads((folder / "netlist.json").read_text(encoding="utf-8"))
+    kinds = [cell["type"] for cell in netlist["modules"]["top"]["cells"].values()]
+    assert sum(kind.startswith("DFF") for kind in kinds) == flops
+    assert [kind for kind in kinds if kind.startswith("CLKGATE")] == ([gates] if gates else [])
+
+
 @pytest.fixture
 def wheel_of_cells(tmp_path, monkeypatch):
     """Return a function that installs a wheel of standard cells with these files."""

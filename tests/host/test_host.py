@@ -100,9 +100,10 @@ def test_a_command_is_its_bit_of_the_control_register(command):
 
 
 def test_a_frame_is_waited_for_longer_than_the_longest_one_takes():
-    """Also of an FPGA, whose clock is slow."""
+    """Of the fewest phases, whose counter is the longest, at the slow clock of an FPGA."""
     clock_mhz = load_config("fpga").clock_mhz
-    longest = parse_config({"sensor": {"coarse_bits": Sensor().coarse_bits_max}})
+    few = {"phases": 4, "window_max": 4}
+    longest = parse_config({"sensor": few | {"coarse_bits": Sensor(**few).coarse_bits_max}})
     longest = longest.with_frame(pulses=FRAME["pulses"].high, period=longest.sensor.period_max)
     seconds = longest.with_frame(clock_mhz=clock_mhz).frame_cycles / clock_mhz * 1e-6
     for wait in (Driver.finish, Driver.receive):

@@ -469,6 +469,7 @@ def test_what_the_server_tells_stands_in_its_place(tabs, address):
     told = {
         "story": "a story",
         "where": "look here",
+        "a_says": "A: as before",
         "notes": ["first note", "second note"],
         "wastes": ["first waste", "second waste"],
         "meaning": [["size", "8 x 8"], ["light", "50 klux"]],
@@ -477,6 +478,7 @@ def test_what_the_server_tells_stands_in_its_place(tabs, address):
     tell = "([words, age]) => { link.new_words = {number: asked - age, words: {...link.answer.words, ...words}}; }"
     tab.evaluate(tell, [told, 0])
     tab.evaluate(tell, [told | {"story": "an old story"}, 1])
+    assert tab.locator("#a-says").text_content() == told.pop("a_says")
     for name in ("story", "where"):
         assert tab.locator(f"#{name}").text_content() == told[name]
     assert tab.locator("#notes").text_content() == "first note\nsecond note"
@@ -497,6 +499,16 @@ def test_what_the_server_tells_stands_in_its_place(tabs, address):
     said = r"computing: depth, 5\d\d s\. Any change overtakes it\."
     assert re.fullmatch(said, tab.locator("#status").text_content())
     assert tab.locator("#progress").is_visible()
+    tab.evaluate("document.body.removeAttribute('data-earlier')")
+    tab.evaluate("link.refusal = {number: asked, message: 'not so', control: 'window'}")
+    nothing = "Nothing is shown: these settings are not possible."
+    assert tab.locator("#status").text_content() == nothing
+    assert tab.locator(".illegal [name=window]").count() == tab.locator(".illegal").count() == 1
+    put(tab, "threshold", 3)
+    shown(tab)
+    assert tab.locator(".illegal").count() == 0
+    hidden = [tab.locator(name).is_hidden() for name in ("#progress", "#film", "[data-do=drop_a]")]
+    assert hidden == [True] * 3
 
 
 def test_quick_changes_of_one_control_are_one_step_of_the_browser(tabs, address):
@@ -652,10 +664,12 @@ def test_two_settings_side_by_side(tabs, address):
 
 def test_what_is_saved(tabs, address):
     tab = tabs(address)
-    toml = ("toml", b"[sensor]")
-    for kind, start in (toml, toml, ("csv", b"subgroup,pulse"), ("png", b"\x89PNG")):
+    toml = ("toml", "coincid.toml", b"[sensor]")
+    csv, png = ("csv", "events.csv", b"subgroup,pulse"), ("png", "depth.png", b"\x89PNG")
+    for kind, name, start in (toml, toml, csv, png):
         with tab.expect_download() as download:
             tab.select_option("#save", kind)
+        assert download.value.suggested_filename == name
         with open(download.value.path(), "rb") as file:
             assert file.read(16).startswith(start)
     tab.select_option("#save", "command")

@@ -17,8 +17,8 @@ from coincid.model.scenes.conventions import DEPTH_FILES
 from coincid.model.shared.pulse import PULSE_FILES
 from coincid.study.explore import out
 from coincid.study.explore.controls import CONTROLS, GROUPS
-from coincid.study.explore.tab import TRIES, Page
-from coincid.study.explore.uploads import Kept, Uploads
+from coincid.study.explore.tab import LOOK_LABELS, TRIES, Page
+from coincid.study.explore.uploads import USED_BY, Kept, Uploads
 
 EMPTY = ("input", "link", "meta", "br")  # elements without an end
 
@@ -151,3 +151,42 @@ def test_all_that_can_be_saved_is_offered_by_its_label(page):
     assert offered.pop("") == "..."
     command = {"command": "command that repeats it"}
     assert offered == {name: save.label for name, save in out.SAVES.items()} | command
+
+
+def test_a_file_is_chosen_beside_the_control_that_uses_it(page):
+    """Each with its own label."""
+    labels = {
+        "depth": "Depth picture",
+        "colour": "Colour picture",
+        "sun": "Picture of the sun",
+        "pulse": "File of the pulse",
+    }
+    (form,) = page.find("form", id="controls")
+    before, found = "", {}
+    for part in form.find("div", class_="control"):
+        if kind := part.attributes.get("data-upload"):
+            (file,) = part.find("input", type="file")
+            (label,) = part.find("label")
+            assert file.attributes["data-kind"] == kind
+            assert label.attributes["for"] == file.attributes["id"]
+            assert label.text.startswith(labels[kind])
+            found[kind] = before
+        else:
+            before = part.attributes["data-control"]
+    assert found == {kind: control for kind, (control, _) in USED_BY.items()}
+
+
+def test_what_is_looked_at_and_ordered_is_named_on_the_page(page):
+    (part,) = page.find("div", id="look")
+    labels = {
+        one.attributes["data-look"]: label.text.split()[0]
+        for label in part.find("label")
+        for one in (*label.find("input"), *label.find("select"))
+    }
+    assert labels == LOOK_LABELS | {"which": "Details"}
+    orders = {one.attributes.get("data-do"): one.text for one in page.find("button")}
+    assert orders.pop("reset") == "Reset all to defaults"
+    assert (orders["keep_a"], orders["drop_a"]) == ("Keep as A", "Drop A")
+    assert orders["rtl"] == "Check on RTL"
+    plays = {one.attributes.get("data-play"): one.text for one in page.find("button")}
+    assert (plays["pulse"], plays["frame"]) == ("Play pulses", "Play frames")

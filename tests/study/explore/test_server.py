@@ -10,6 +10,7 @@ import subprocess
 import sys
 import urllib.request
 from contextlib import contextmanager
+from http.client import HTTPConnection
 from types import SimpleNamespace
 from urllib.error import HTTPError
 
@@ -88,6 +89,27 @@ def test_this_machine_is_answered_by_either_name_and_its_browser_keeps_no_page(a
     own = {"Host": host, "Origin": f"http://{host}", "Sec-Fetch-Site": "same-origin"}
     with urllib.request.urlopen(urllib.request.Request(address, headers=own)) as page:
         assert (page.status, page.headers["Cache-Control"]) == (200, "no-store")
+
+
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost"])
+@pytest.mark.parametrize(("origin", "status"), [("own", 101), ("http://example.org", 403)])
+def test_a_page_of_either_name_gets_its_session_and_no_other_one_does(
+    address, name, origin, status
+):
+    host = f"{name}:{address.rstrip('/').rpartition(':')[2]}"
+    headers = {
+        "Host": host,
+        "Origin": f"http://{host}" if origin == "own" else origin,
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Protocol": "bokeh, none",
+    }
+    client = HTTPConnection(address.removeprefix("http://").rstrip("/"), timeout=60)
+    client.request("GET", "/ws", headers=headers)
+    assert client.getresponse().status == status
+    client.close()
 
 
 def test_a_port_in_use_is_named(address):

@@ -163,7 +163,10 @@ def test_without_a_change_it_is_the_experiment_of_the_command_line():
     assert settings.pulse() is None
 
 
-def test_times_in_sentences_are_those_of_the_usual_sensor():
+def test_numbers_in_sentences_are_those_of_the_usual_sensor():
+    settings = check_settings({"scene": "flat", "klux": 50.0})
+    (kcps,) = set((settings.light(settings.scene()).background_cps / 1000).round().tolist())
+    assert f"50 klux give {kcps:.0f} kcps." in CONTROL["dark_kcps"].sentence
     config = check_settings({}).config
     cycle_ns = 1000 / config.clock_mhz
     metres = cycle_ns * 1e-9 * 299_792_458 / 2
