@@ -119,7 +119,7 @@ def test_a_via_fits_metal_that_is_just_as_high(low):
 def test_outputs_are_those_of_the_library():
     text = (cells_folder() / LIBERTY).read_text(encoding="utf-8")
     _, *parts = re.split(r"^\s*cell \((\w+)\) \{", text, flags=re.MULTILINE)
-    pin = re.compile(r"^\s*pin \((\w+)\) \{.*?^\s*direction : (\w+)", re.MULTILINE | re.DOTALL)
+    pin = re.compile(r"^\s*pin ?\((\w+)\) ?\{.*?^\s*direction\s*:\s*\"?(\w+)", re.M | re.S)
     told = {
         (kind, name): way == "output"
         for kind, cell in zip(parts[::2], parts[1::2], strict=True)
