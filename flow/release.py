@@ -396,10 +396,12 @@ def write_release(
             _take_along(folder, fresh)
             folder.rename(stale)
         fresh.rename(folder)
-    except OSError as error:
+    except BaseException as error:  # also Ctrl-C
         if stale.exists() and not folder.exists():
             stale.rename(folder)
-        raise InputError(f"{given}: cannot be written: {error.strerror}") from None
+        if isinstance(error, OSError):
+            raise InputError(f"{given}: cannot be written: {error.strerror}") from None
+        raise
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return sorted(folder / name for name in files)

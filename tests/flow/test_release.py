@@ -977,12 +977,13 @@ def test_another_export_into_a_folder_keeps_the_files_of_others(tmp_path):
     assert not (folder / "old.v").exists()
 
 
+@pytest.mark.parametrize("interrupted", [False, True])
 @pytest.mark.parametrize("failing", ["fresh", "rtl"])
 def test_an_export_that_cannot_be_put_in_place_leaves_the_earlier_one(
-    monkeypatch, tmp_path, failing
+    monkeypatch, tmp_path, failing, interrupted
 ):
-    """Whether the earlier one cannot be moved away, or the new one not into its place; nothing is
-    left beside it.
+    """Whether the earlier one cannot be moved away, or the new one not into its place, or Ctrl-C comes
+    before it is; nothing is left beside it.
     """
     folder = tmp_path / "rtl"
     folder.mkdir()
@@ -993,14 +994,15 @@ def test_an_export_that_cannot_be_put_in_place_leaves_the_earlier_one(
 
     def refused(path, target):
         if path.name == failing:
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            denied = PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            raise KeyboardInterrupt if interrupted else denied
         return rename(path, target)
 
     monkeypatch.setattr(release, "_contents", lambda *_: {"b.v": b"new"})
     monkeypatch.setattr(release.Path, "rename", refused)
-    with pytest.raises(
-        InputError, match=f"^{re.escape(str(folder))}: cannot be written: Permission denied$"
-    ):
+    told = f"^{re.escape(str(folder))}: cannot be written: Permission denied$"
+    expected = (KeyboardInterrupt, None) if interrupted else (InputError, told)
+    with pytest.raises(expected[0], match=expected[1]):
         write_release(folder, load_config("silicon"))
     assert {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()} == own
     assert list(tmp_path.iterdir()) == [folder]
