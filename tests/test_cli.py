@@ -282,7 +282,6 @@ FOLDERS_OUT = ("advise flat:5 --out", "emulator serial --out", "emulate --simula
         (REPLAY.replace("out/result.npz", "."), ("is a folder",)),
         ("bench --repeats 0", ("repeats = 0", "from 1 to 1000")),
         ("bench --repeats 1001", ("repeats = 1001", "from 1 to 1000")),
-        ("bench --out out/a.md", ("out = 'out/a.md': must not end with .md",)),
         *((f"{words} .", ("is a folder",)) for words in FILES_OUT),
         *((f"{words} edges.npz/below", ("cannot be written",)) for words in FOLDERS_OUT),
         ("sim --out out --spad dead_time_s=fast", ("--spad dead_time_s=fast: must be a number",)),
@@ -310,6 +309,12 @@ def test_an_emulator_is_refused_before_its_verilog_is_made(files, monkeypatch, w
 
     monkeypatch.setattr("coincid.hdl.export._emitted", emitted)
     assert_refused(command(words), told)
+
+
+def test_a_benchmark_is_not_named_as_the_table_beside_it(monkeypatch, files):
+    monkeypatch.setattr("coincid.study.bench.benchmark", lambda *given, **options: 1 / 0)
+    assert_refused(command("bench --out a.md"), "out = 'a.md': must not end with .md")
+    assert isinstance(command("bench --out a").exception, ZeroDivisionError)
 
 
 @pytest.mark.parametrize("words", ["sim --out out/deep", "photons --out out/a.npz"])

@@ -310,6 +310,18 @@ def drawn(monkeypatch):
     return figures
 
 
+def test_every_panel_of_the_plot_is_labelled_as_what_it_shows():
+    words = {
+        "wrong_share": "wrong pixels",
+        "depth_share": "pixels with depth",
+        "right_rms_m": "RMS error of right pixels",
+        "commits_per_pulse": "commits per laser pulse",
+        "dropped_share": "dropped commits",
+        "stream_load": "load of the busiest stream",
+    }
+    assert {name: label.partition(" in ")[0] for name, (label, _) in PANELS.items()} == words
+
+
 def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, drawn):
     """Across is the first axis, a line each value of the second; bands span the third.
 
@@ -636,7 +648,10 @@ def test_outputs_that_cannot_be(tmp_path):
 
 def test_the_documentation_has_the_columns_and_settings():
     page = DOCS / "sweeps.md"
-    assert [name for name, _ in rows(page, "column")] == [*SWEPT]
+    told = dict(rows(page, "column"))
+    assert [*told] == [*SWEPT]
+    for name, meaning in told.items():  # as in the file, and maybe more of it
+        assert meaning.startswith(MEASURES[name].meaning), name
     assert {name: default for name, default, _ in rows(page, "setting")} == {
         name: json.dumps(default) for name, default in {"config": None, **SETTINGS}.items()
     }
