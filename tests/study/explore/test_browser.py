@@ -20,13 +20,15 @@ from coincid.study.explore.controls import CONTROL, CONTROLS
 from coincid.study.explore.stages import Explorer
 from coincid.study.explore.tab import TRIES
 from coincid.study.show.figures import (
+    HistogramFigure,
+    TimelineFigure,
     cursor_columns,
     histogram_columns,
     light_columns,
     period_columns,
 )
 from coincid.study.show.report import write_report
-from coincid.study.show.words import number_rows
+from coincid.study.show.words import OBJECT_HEADS, number_rows, object_table, story
 
 from .test_server import SMALL, explorer
 from .test_settings import other_value
@@ -758,6 +760,37 @@ def assert_pulses_play(tab, pulse, pulses):
     assert tab.evaluate("ended") == 7
 
 
+CELLS = """(id) => [...document.getElementById(id).rows].map((row) =>
+  [...row.cells].map((cell) => [cell.textContent, cell.scope]))"""
+
+
+def assert_described(tab, view, row, col, subgroup, pulse):
+    """Check the titles and scales of a pixel's figures, and the words and tables of its frame."""
+    histogram, timeline = HistogramFigure(), TimelineFigure()
+    histogram.show(view, row, col)
+    timeline.show(view, subgroup, pulse)
+    titles = "[all.histogram, all.timeline].map((one) => one.figure.title.text)"
+    assert tab.evaluate(titles) == [one.figure.title.text for one in (histogram, timeline)]
+    spans = "[all.histogram.figure.y_range, all.histogram.subgroup_range]"
+    expected = [
+        (one.start, one.end) for one in (histogram.figure.y_range, histogram.subgroup_range)
+    ]
+    for found, span in zip(
+        tab.evaluate(f"{spans}.map((one) => [one.start, one.end])"), expected, strict=True
+    ):
+        assert found == pytest.approx(span)
+    assert tab.text_content("#story") == story(view)
+    tables = {
+        "objects": (OBJECT_HEADS, object_table(view)),
+        "numbers": (("", ""), number_rows(view)),
+    }
+    for name, (heads, rows) in tables.items():
+        first, *others = tab.evaluate(CELLS, name)
+        assert first == [[head, "col"] for head in heads]
+        assert [[text for text, _ in line] for line in others] == rows
+        assert [line[0][1] for line in others] == ["row"] * len(rows)
+
+
 def test_a_report_looks_up_what_the_explorer_draws(tabs, tmp_path):
     """Of pixels from each 32 of a large subgroup, in any pulse and frame."""
     size = {"rows": 16, "cols": 32, "subgroup": "8x16", "fifo_depth": 2, "threshold": 1}
@@ -800,9 +833,10 @@ def test_a_report_looks_up_what_the_explorer_draws(tabs, tmp_path):
             "[[0, 32], [16, 0]].map(([row, col]) => overMap(all.pictures, {x: col, y: row}))"
         )
         assert tab.text_content("#pixel").startswith("row 0, column 0, ")
-    for name, rows in (("objects", len(view.objects)), ("numbers", len(number_rows(view)))):
-        scopes = f"[...document.querySelectorAll('#{name} th')].map((cell) => cell.scope)"
-        assert sorted(tab.evaluate(scopes)).count("row") == rows
+        assert_described(tab, view, row, col, subgroup, pulse)
+    for written, row in (("99", 15), ("-3", 0), ("2.6", 3), ("", 0)):
+        tab.fill("[data-look=row]", written)
+        wait_for_title(tab, "histogram", f"startsWith('row {row}, column {col}:')")
     assert_pulses_play(tab, pulse, 6)
 
 
