@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import zipfile
+from contextlib import nullcontext
 from functools import partial
 from inspect import getdoc
 from types import SimpleNamespace
@@ -309,6 +310,21 @@ def test_an_emulator_is_refused_before_its_verilog_is_made(files, monkeypatch, w
 
     monkeypatch.setattr("coincid.hdl.export._emitted", emitted)
     assert_refused(command(words), told)
+
+
+@pytest.mark.parametrize("gap", [0, 100])
+def test_the_bar_of_a_replay_ends_with_the_cycles_of_all_frames_and_their_gaps(
+    files, monkeypatch, gap
+):
+    bars, told = [], []
+    monkeypatch.setattr(
+        "coincid.cli._progress",
+        lambda *bar: bars.append(bar) or nullcontext(SimpleNamespace(done=told.append)),
+    )
+    assert command(f"{REPLAY} --set gap={gap}").exit_code == 0
+    cycles = 2 * (3 * 40 + 2 * gap)
+    assert bars == [(cycles, "200 edges, 2 frames, golden")]
+    assert cycles <= told[-1] < cycles + 40
 
 
 def test_a_benchmark_is_not_named_as_the_table_beside_it(monkeypatch, files):

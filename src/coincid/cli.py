@@ -441,9 +441,8 @@ def replay(
             settings, loaded, check_integer("offset_seed", offset_seed, 0, SEED_MAX)
         )
 
-    with _progress(
-        pulses * settings.period, f"{len(loaded)} edges, {settings.frames} frames, {engine}"
-    ) as bar:
+    cycles = settings.frames * settings.frame_cycles
+    with _progress(cycles, f"{len(loaded)} edges, {settings.frames} frames, {engine}") as bar:
         result = run(engine, settings, loaded, low(stall), bar.done, view=view)
     write_result(out, result)
     if settings.counting:

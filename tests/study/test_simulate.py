@@ -504,3 +504,21 @@ def test_the_configuration_in_a_report_repeats_the_run(sensor):
         again = again.with_settings(**told["subgroup"])
         assert again.sensor == config.sensor and again.frame == config.frame
         assert again.register_writes() == config.register_writes()
+
+
+@pytest.mark.parametrize(
+    ("sensor", "derived"),
+    [
+        ({"controller": 0, "counts": 0}, []),
+        ({"controller": 1, "counts": 0}, ["auto_bounds", "capacity"]),
+        ({"controller": 0, "counts": 1}, ["search_pulses"]),
+        ({"controller": 1, "counts": 1}, ["auto_bounds", "capacity", "search_pulses"]),
+    ],
+)
+def test_what_follows_from_a_configuration_is_told_of_sensors_that_have_it(sensor, derived):
+    """Though nobody has set it."""
+    config = parse_config({"sensor": {"rows": 8, "cols": 8} | sensor})
+    frame = settings_of(config)["frame"]
+    for name in ("auto_bounds", "capacity", "search_pulses"):
+        follows = np.asarray(getattr(config, name)).tolist() if name in derived else None
+        assert frame[name] == follows, name

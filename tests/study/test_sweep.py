@@ -272,6 +272,20 @@ def test_points_of_equal_content_are_played_once_and_have_a_row_each(tmp_path, m
     assert table(tmp_path)["klux"].to_pylist() == [5.0, 5.0, 50.0]
 
 
+def test_the_bar_of_a_sweep_has_the_points_that_are_played(tmp_path, monkeypatch):
+    """Those of equal content are one."""
+
+    class Begun(Exception):
+        """The work would begin."""
+
+    def begin(total, what):
+        raise Begun(total, what)
+
+    monkeypatch.setattr("coincid.cli._progress", begin)
+    begun = sweep(tmp_path, f"{BASE}[[axis]]\nklux = [5, 5.0, 50]\n").exception
+    assert begun.args == (2, "s.toml")
+
+
 def test_only_new_points_run_and_stale_ones_are_not_in_the_result(tmp_path, quick):
     sweep(tmp_path)
     before = points(tmp_path)
