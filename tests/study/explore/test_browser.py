@@ -834,6 +834,13 @@ def test_a_report_looks_up_what_the_explorer_draws(tabs, tmp_path):
         )
         assert tab.text_content("#pixel").startswith("row 0, column 0, ")
         assert_described(tab, view, row, col, subgroup, pulse)
+    # with all events in one bin, both scales are larger than the smallest one
+    tab.evaluate("(frame) => { all.frames[frame].events.data.bin.fill(5); show(false); }", frame)
+    of_subgroup = len(view.events.maps(subgroup, 128))
+    assert 3 < hits[inside] < of_subgroup
+    for name, most in (("figure.y_range", hits[inside]), ("subgroup_range", of_subgroup)):
+        span = tab.evaluate(f"[all.histogram.{name}.start, all.histogram.{name}.end]")
+        assert span == pytest.approx([-0.12 * most, 1.15 * most])
     for written, row in (("99", 15), ("-3", 0), ("2.6", 3), ("", 0)):
         tab.fill("[data-look=row]", written)
         title = tab.evaluate("all.histogram.figure.title.text")
