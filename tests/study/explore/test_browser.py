@@ -16,9 +16,8 @@ from PIL import Image
 import coincid
 from coincid.model.depth.belief import SENTENCES, Reason
 from coincid.study.explore.control_values import check_settings
-from coincid.study.explore.controls import CONTROL, CONTROLS
+from coincid.study.explore.controls import CONTROLS
 from coincid.study.explore.stages import Explorer
-from coincid.study.explore.tab import TRIES
 from coincid.study.show.figures import (
     HistogramFigure,
     TimelineFigure,
@@ -411,54 +410,6 @@ def test_a_slider_and_its_field_move_together_and_a_film_stops(tabs, address):
     ordered = tab.evaluate("orders")
     tab.wait_for_timeout(1000)  # two steps of a film
     assert tab.evaluate("orders") == ordered
-
-
-def test_what_a_control_does_is_told_where_the_mouse_or_the_focus_is(tabs, address):
-    """So it is of buttons; what was tried says what to look for, until all is reset."""
-    tab = tabs(address)
-    about = tab.locator("#about")
-    for name in ("threshold", "scene"):
-        tab.hover(f"[data-control={name}] label")
-        assert about.text_content() == CONTROL[name].sentence
-    tab.focus("#controls [name=window]")
-    assert about.text_content() == CONTROL["window"].sentence
-    for button in ("[data-do=keep_a]", "[data-do=rtl]"):
-        tab.hover(button)
-        assert about.text_content() == tab.get_attribute(button, "data-says")
-    tab.locator("[data-try]").nth(1).click()
-    shown(tab)
-    _, _, sentence = TRIES[1]
-    assert tab.locator("#tried").text_content() == sentence
-    tab.click("[data-do=reset]")
-    assert tab.locator("#tried").text_content() == ""
-
-
-def test_what_was_said_of_other_settings_goes_with_the_next_question(tabs, address):
-    """Also what was ignored in the link, once all is reset. Only a result that is shown can be kept,
-    checked and saved.
-    """
-    tab = tabs(f"{address}?moon=1")
-    tab.select_option("#save", "command")
-    tab.wait_for_selector("#said:not([hidden])")
-    tab.fill("[data-look=row]", "99")
-    tab.wait_for_selector("#looked:has-text('Row = 99')")
-    of_results = [tab.locator(name) for name in ("[data-do=keep_a]", "[data-do=rtl]", "#save")]
-    assert [one.is_enabled() for one in of_results] == [True] * 3
-    for bad in (True, False):
-        tab.evaluate(
-            "(bad) => { link.rtl_check = {number: asked, text: `bad: ${bad}`, bad}; }", bad
-        )
-        assert tab.locator("#rtl").text_content() == f"bad: {str(bad).lower()}"
-        assert tab.locator("#rtl.bad").count() == bad
-    put(tab, "threshold", 999)
-    assert tab.locator("#looked").text_content() == ""
-    assert tab.locator("#said").is_hidden() and tab.locator("#rtl").is_hidden()
-    assert refused(tab) and [one.is_enabled() for one in of_results] == [False] * 3
-    assert "moon" in tab.locator("#ignored").text_content()
-    tab.click("[data-do=reset]")
-    shown(tab)
-    assert tab.locator("#ignored").is_hidden()
-    assert [one.is_enabled() for one in of_results] == [True] * 3
 
 
 def test_what_the_server_tells_stands_in_its_place(tabs, address):
