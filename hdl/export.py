@@ -32,7 +32,7 @@ START = r"""  reg \1 ;
   /* verilator lint_on INITIALDLY */"""
 
 
-def _always(unit: Unit) -> bool:
+def _always(_unit: Unit) -> bool:
     return True
 
 
