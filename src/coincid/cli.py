@@ -729,6 +729,7 @@ def emulator(
 ) -> None:
     """Build the emulator for a board. Exit code 1: lint found something, or one of five seeds misses a clock."""
     from coincid.board.parameters import Emulator
+    from coincid.model.shared.files import whole_file
 
     with extra("rtl"):
         from coincid.board import release
@@ -751,7 +752,8 @@ def emulator(
         board = ulx3s(settings, Emulator.of(settings, buffer_beats))
         placements = pnr.place(board)
         bitstream = out / f"{board.top}.bit"
-        bitstream.write_bytes(pnr.fastest(placements).bitstream.read_bytes())
+        with whole_file(bitstream) as file:
+            file.write(pnr.fastest(placements).bitstream.read_bytes())
         pnr.write_placement_page(board, placements, page)
         print(f"{bitstream}\n{page or board.page}")
         _all_met(pnr.missed(board, placements))

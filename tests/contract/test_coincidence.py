@@ -37,6 +37,24 @@ class Never(Rule):
         return np.zeros(len(maps), bool)
 
 
+class EveryRow(Rule):
+    """Light in every row, at any threshold."""
+
+    name, version = "every row", "1"
+
+    def meets(self, maps, threshold):
+        return maps.any(axis=2).all(axis=1)
+
+
+def test_random_windows_have_the_rows_and_columns_of_a_subgroup():
+    """By counting: of 15 pairs of pixels in two rows of three, 9 light both rows, and of 20
+    triples 18.
+    """
+    found = rises(EveryRow(), (2, 3), 2)
+    assert [rise.pixels for rise in found] == [2, 3, 4]
+    assert [rise.share for rise in found] == pytest.approx([0.6, 0.3, 0.1], abs=0.03)
+
+
 def test_rules_are_the_same_if_class_name_and_version_are():
     """What is kept for a rule is not that of another version."""
     assert More("1") == More("1")

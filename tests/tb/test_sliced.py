@@ -323,6 +323,18 @@ def test_a_refusal_names_its_access_and_is_over_after_it():
         assert all(map(np.array_equal, record.beats, frame.expected.beats))
 
 
+def test_what_is_posted_behind_a_refused_access_is_given_up():
+    config = random_cases.configured(ODD, {"period": 60, "pulses": 3}, {"threshold": 1})
+    nowhere, period = 0xFFC, address("period")
+    with SlicedSensor(config.sensor) as rtl:
+        rtl.driver.program(config)
+        for write in ((nowhere, 1), (period, config.period + 1)):
+            rtl._call("write", *write)
+        with pytest.raises(RefusedError, match="^both: SLVERR$"):
+            rtl._finish("both")
+        assert rtl.read(period) == config.period
+
+
 def test_every_sensor_of_an_engine_shows_the_registers_of_its_own_subgroups():
     """The sensors and their subgroups are as many lanes, in two parts of a word; no two that are
     together in a part have the same threshold.
