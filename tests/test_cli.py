@@ -462,9 +462,11 @@ def test_help_for_a_terminal_of_an_odd_size_is_short(size):
     assert len(done.stdout) < 100_000
 
 
-def test_where_nothing_can_be_said_the_exit_code_tells():
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_where_nothing_can_be_said_the_exit_code_tells(unbuffered):
     line = f"exec {sys.executable} -m coincid show none.toml > /dev/full 2> /dev/full"
-    done = subprocess.run(["sh", "-c", line], capture_output=True, check=False)
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(["sh", "-c", line], env=environment, capture_output=True, check=False)
     assert done.returncode == 2
 
 

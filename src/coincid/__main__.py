@@ -8,7 +8,7 @@ second. Once a command has ended, its exit code stands, and signals change nothi
 import os
 import signal
 import sys
-from contextlib import suppress
+from typing import TextIO
 
 BAD_INPUT = 2
 SIGNALS = signal.SIGINT, signal.SIGTERM
@@ -41,7 +41,7 @@ def _run() -> int | str | None:
         _forget_interrupt()
         return exit_code(why)
     except OSError as error:
-        _forget_output()
+        _forget(sys.stdout)
         _tell(_told(error))
         return BAD_INPUT
     except MemoryError as error:
@@ -57,8 +57,10 @@ def _run() -> int | str | None:
 
 def _tell(message: str) -> None:
     """Print the one line that says why the program ends, if the standard error takes it."""
-    with suppress(OSError):
+    try:
         print(f"coincid: {message}", file=sys.stderr, flush=True)
+    except OSError:
+        _forget(sys.stderr)
 
 
 def _first_cause(error: BaseException) -> str:
@@ -129,12 +131,12 @@ def _forget_interrupt() -> None:
     eval("None")
 
 
-def _forget_output() -> None:
-    """Discard what is left for a standard output that takes no more, so that the end of the
-    program does not try again.
+def _forget(output: TextIO) -> None:
+    """Discard what is left for a standard file that takes no more, so that the end of the program
+    does not try again, and its exit code stands.
     """
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
+    os.dup2(nowhere, output.fileno())
     os.close(nowhere)
 
 
