@@ -545,7 +545,19 @@ def test_arrays_in_archives(tmp_path):
         load_scene(str(tmp_path / "e.mat"), *SHAPE)
 
 
-@pytest.mark.parametrize("suffix", ["npz", "h5", "mat"])
+def write_npz(path, arrays):
+    np.savez(path, **arrays)
+
+
+def write_hdf5(path, arrays):
+    with h5py.File(path, "w") as archive:
+        archive.update(arrays)
+
+
+ARCHIVES = {"npz": write_npz, "h5": write_hdf5, "mat": savemat}
+
+
+@pytest.mark.parametrize("suffix", ARCHIVES)
 @pytest.mark.parametrize(
     ("shapes", "told"),
     [
@@ -559,34 +571,22 @@ def test_arrays_in_archives(tmp_path):
 )
 def test_arrays_of_an_archive_are_told_by_their_dimensions(tmp_path, suffix, shapes, told):
     path = tmp_path / f"a.{suffix}"
-    arrays = {name: np.full(shape, 4.0) for name, shape in shapes.items()}
-    if suffix == "npz":
-        np.savez(path, **arrays)
-    elif suffix == "mat":
-        savemat(path, arrays)
-    else:
-        with h5py.File(path, "w") as archive:
-            archive.update(arrays)
+    ARCHIVES[suffix](path, {name: np.full(shape, 4.0) for name, shape in shapes.items()})
     with pytest.raises(InputError) as error:
         load_scene(str(path), *SHAPE)
     assert str(error.value).startswith(f"{path}: has the arrays of two dimensions {told} one of")
     assert str(error.value).endswith(f"them, as {path}:NAME")
 
 
-@pytest.mark.parametrize("suffix", ["npy", "npz", "h5", "mat", "png", "pfm", "exr"])
+@pytest.mark.parametrize("suffix", [*ARCHIVES, "npy", "png", "pfm", "exr"])
 def test_a_suffix_may_be_in_capitals(tmp_path, suffix):
     """As some cameras and most files from Windows have it."""
     small = tmp_path / f"d.{suffix}"
     depth_m = np.full(SHAPE, 4.0)
-    if suffix == "npy":
+    if suffix in ARCHIVES:
+        ARCHIVES[suffix](small, {"depth": depth_m})
+    elif suffix == "npy":
         np.save(small, depth_m)
-    elif suffix == "npz":
-        np.savez(small, depth=depth_m)
-    elif suffix == "h5":
-        with h5py.File(small, "w") as archive:
-            archive["depth"] = depth_m
-    elif suffix == "mat":
-        savemat(small, {"depth": depth_m})
     elif suffix == "png":
         png(small, np.full(SHAPE, 4000, np.uint16))
     elif suffix == "pfm":
