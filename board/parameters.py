@@ -12,6 +12,7 @@ from attrs import frozen
 from ..model.contract.config import Config
 from ..model.contract.parameters import Sensor
 from ..model.contract.registers import CONSTANT, COUNTER, PULSE, SETTING, Register
+from ..model.shared.arguments import check_kind
 from ..model.shared.errors import InputError, out_of_range, wrong_value
 from ..model.shared.quantities import integer
 from .serial_link import BAUD, BAUD_TOLERANCE
@@ -81,6 +82,7 @@ class Emulator:
         """Return the emulator of a configuration's sensor, with a line of `BAUD`. Raises
         `InputError` if its clock cannot make that.
         """
+        check_kind("config", config, Config)
         clocks = config.clock_mhz * 1e6 / BAUD
         if clocks < 4 or abs(clocks / round(clocks) - 1) > BAUD_TOLERANCE:
             message = f"frame.clock_mhz = {config.clock_mhz:g}: does not make {BAUD} baud to {BAUD_TOLERANCE:.0%}"

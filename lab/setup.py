@@ -6,6 +6,7 @@ computed here.
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, cached_property
 from importlib.metadata import version
+from types import NoneType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,10 +26,11 @@ from ..model.scenes.ambient import Ambient, ambient_klux
 from ..model.scenes.catalogue import load_scene
 from ..model.scenes.recorded_light import RecordedLight
 from ..model.scenes.scene import Scene, scene_light
-from ..model.shared.errors import SEED_MAX, InputError, wrong_value
+from ..model.shared.arguments import check_kind
+from ..model.shared.errors import SEED_MAX, InputError
 from ..model.shared.own_part import OwnPart
 from ..model.shared.pulse import Pulse, pulse_of
-from ..model.shared.quantities import Numbers, check_choice, check_switch, integer
+from ..model.shared.quantities import Numbers, check_choice, check_switch, integer, shape_of
 from ..model.shared.sources import digest, sources_digest
 from ..tb.engines import ENGINES
 from ..tb.replay import DEFAULT_VIEW
@@ -166,8 +168,11 @@ class Setup:
     def __attrs_post_init__(self) -> None:
         if self.light is not None and self.pulse is not None:
             raise InputError("pulse: goes with a scene, a Light has its own", field="pulse")
-        if not isinstance(self.spad, Spad):
-            raise wrong_value("spad", self.spad, "a Spad")
+        check_kind("config", self.config, Config)
+        check_kind("scene", self.scene, Scene, NoneType)
+        check_kind("light", self.light, Light, NoneType)
+        check_kind("spad", self.spad, Spad)
+        check_kind("edges", self.edges, Edges, NoneType)
         check_choice("engine", self.engine, ENGINES)
         check_choice("background", self.background, BACKGROUNDS)
         check_switch("spad_gate", self.spad_gate)
@@ -179,20 +184,24 @@ class Setup:
     @classmethod
     def of(
         cls,
-        scene: Scene | str | None = None,
+        scene: Scene | str | np.ndarray | None = None,
         *,
         sensor: dict[str, Any] | None = None,
         frame: dict[str, Any] | None = None,
         subgroup: dict[str, Any] | None = None,
         **fields: Any,
     ) -> "Setup":
-        """Return the setup for a scene or its name, with the tables of a configuration file. Raises
+        """Return the setup for a scene, its name or its distances, with the tables of a configuration file. Raises
         `InputError`.
         """
         config = parse_config(
-            {"sensor": sensor or {}, "frame": frame or {}, "subgroup": subgroup or {}}
+            {
+                "sensor": {} if sensor is None else sensor,
+                "frame": {} if frame is None else frame,
+                "subgroup": {} if subgroup is None else subgroup,
+            }
         )
-        seen = scene_of(config, scene) if isinstance(scene, str) else scene
+        seen = None if scene is None else scene_of(config, scene)
         if seen is not None:
             config = for_pictures(config, seen)
         return cls(config=config, scene=seen, **fields)
@@ -316,7 +325,7 @@ def with_tables(config: Config, tables: Mapping[str, Mapping[str, Any]]) -> Conf
     for table, settings in tables.items():
         for name, value in settings.items():
             own.discard(name)
-            if table == "subgroup" and np.ndim(value):
+            if table == "subgroup" and shape_of(f"{table}.{name}", value):
                 several[name] = value
             else:
                 document[table][name] = value

@@ -3,15 +3,13 @@
 clouds.
 """
 
-from types import NoneType
-
 import numpy as np
 
 from ..model.depth.belief import SENTENCES
 from ..model.depth.depth import Depth
 from ..model.light.link_budget import Optics
 from ..model.scenes.view import View
-from ..model.shared.arguments import check_kind
+from ..model.shared.arguments import check_kind, given_or_new
 from ..model.shared.errors import InputError
 from ..model.shared.files import FilePath, check_suffix, whole_file
 from ..model.shared.quantities import check_switch
@@ -52,11 +50,10 @@ def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = F
         If normals are requested and the depth has no slopes.
     """
     check_kind("depth", depth, Depth)
-    check_kind("optics", optics, Optics, NoneType)
     check_switch("normals", normals)
     if normals and depth.slope_m is None:
         raise InputError("normals: the depth has no slopes, its method must be planes")
-    optics = optics or Optics()
+    optics = given_or_new("optics", optics, Optics)
     rows, cols, _ = depth.depth_m.shape
     right, down = View(h_deg=optics.fov_h_deg, v_deg=optics.fov_v_deg).tangents(rows, cols)
     ray = np.stack([right, down, np.ones_like(right)], axis=2)

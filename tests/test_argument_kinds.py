@@ -1,17 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """An argument of the wrong kind is refused in a sentence: each argument of each function that the
-library exports, and of each method of a run, in a call that is right otherwise.
+library exports or that a page shows, and of each method of a run, in a call that is right
+otherwise.
 """
 
 import inspect
+import re
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import coincid
+from coincid.board.parameters import Emulator
+from coincid.lab.setup import Setup
+from coincid.model.contract.registers import address
+from coincid.model.depth.depth import Depth
+from coincid.model.depth.pulse_ticks import pulse_ticks
+from coincid.model.light.analytic import expected_threshold, success_by_threshold
+from coincid.model.light.code_density import code_density
 from coincid.model.light.light import Arrivals, Interferer
-from coincid.model.light.link_budget import Laser, Optics
+from coincid.model.light.link_budget import Laser, Optics, link_budget
+from coincid.model.light.photons import edge_chunks
+from coincid.model.recorded.exchange import read_recording, write_edges
+from coincid.model.recorded.recordings import recorded_edges
 from coincid.model.scenes.view import View
 from coincid.model.shared.pulse import Pulse
 
@@ -30,6 +43,7 @@ ODD = (
     {},
     np.array([1.0, 2.0]),
     np.array("x"),
+    [[1.0], [2.0, 3.0]],
     object(),
 )
 # What holds for all arguments of these names is tested elsewhere.
@@ -41,6 +55,8 @@ OPTIONS = {  # that functions pass on
     "simulate": ("rows", "pulses", "threshold", "format", "gating", "mask", "clock_mhz"),
     "generate_edges": ("pulses", "seed", "pulse_start", "workers", "gate"),
     "bound": ("pulses", "threshold", "window", "coincidence"),
+    "success_by_threshold": ("spad", "sensor", "scheme", "system_fwhm_s", "form", "pulses"),
+    "Setup.of": ("scene", "light", "pulse", "spad", "seed", "edges", "engine", "estimators"),
 }
 NO_CALLS = {"Config", "InputError"}  # parse_config makes the one, checks raise the other
 NOT_CHECKED = {  # (function, argument): Python's own error comes out of it
@@ -60,6 +76,16 @@ NOT_CHECKED = {  # (function, argument): Python's own error comes out of it
     ("Scene", "view"),
     ("Scene", "later"),
     ("Light", "range_ambiguity"),
+    ("address", "subgroup"),
+    ("address", "index"),
+}
+IN_BLOCKS_OF_OTHERS = {  # functions of pages that an estimator of one's own or a study calls
+    "arrival_ticks",
+    "campaign",
+    "pixel_table",
+    "read_measures",
+    "register_estimator",
+    "to_table",
 }
 
 
@@ -116,7 +142,41 @@ def calls(run, tmp_path_factory):
     found["Laser"] = Laser, {}
     found["View"] = View, {"h_deg": 45.0, "v_deg": 45.0}
     found["Pulse"] = Pulse, {"time_s": [-1e-10, 0, 1e-10], "density": [0.0, 1.0, 0.0]}
-    return found
+    write_edges(folder / "edges.ptu", run.edges, coincid.Timing())
+    recording = read_recording(folder / "edges.ptu")
+    analytic = {"window_ticks": 16, "pulses": 100, "form": "literal"}
+    arguments = {
+        address: {"name": "status"},
+        code_density: {"tick": np.arange(64), "phases": 32},
+        edge_chunks: arguments["generate_edges"],
+        expected_threshold: {"success": np.arange(7) / 7},
+        link_budget: {"distance_m": 4.0, "reflectivity": 0.4, "klux": 50},
+        pulse_ticks: {"config": run.config},
+        read_recording: {"path": folder / "edges.ptu"},
+        recorded_edges: {
+            "recording": recording,
+            "config": run.config,
+            "timing": coincid.Timing(),
+        },
+        success_by_threshold: {
+            "signal_per_pulse": 0.05,
+            "noise_cps": 1e6,
+            "distance_m": 8.0,
+            **analytic,
+        },
+        write_edges: {
+            "path": folder / "again.ptu",
+            "edges": run.edges,
+            "timing": coincid.Timing(),
+        },
+        Setup.of: {"sensor": {"rows": 8, "cols": 8}},
+        Depth.of: {"depth_m": WALL_M},
+        coincid.Light.from_scene: {"distance_m": WALL_M, "reflectivity": 0.4, "klux": 50},
+        Emulator.of: {"config": coincid.load_config("emulator")},
+    }
+    return found | {
+        function.__qualname__: (function, given) for function, given in arguments.items()
+    }
 
 
 METHODS = {  # of a run: arguments of a call that is right
@@ -131,8 +191,23 @@ METHODS = {  # of a run: arguments of a call that is right
     "result_of": {"number": 0},
     "seen_edges": {"number": 0},
 }
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*.py")]
+SHOWN = {  # names that pages import from the rooms of models and experiments
+    name
+    for page in PAGES
+    for names in re.findall(
+        r"^from coincid\.(?:model|lab)\.\S+ import (.+)$", page.read_text(encoding="utf-8"), re.M
+    )
+    for name in names.split(", ")
+    if name.islower()
+}
+CLASSES = {
+    *("Arrivals", "Interferer", "Laser", "Optics", "Pulse", "View"),
+    *("Depth.of", "Emulator.of", "Light.from_scene", "Setup.of"),
+}
 FUNCTIONS = sorted(
-    set(coincid.__all__) - NO_CALLS | {"Arrivals", "Interferer", "Laser", "Optics", "Pulse", "View"}
+    set(coincid.__all__) - NO_CALLS | CLASSES | {"address"} | SHOWN - IN_BLOCKS_OF_OTHERS
 )
 
 

@@ -14,6 +14,7 @@ import pytest
 import coincid
 from coincid.model.contract.config import changes_of_text
 from coincid.model.contract.edges import checked_edges
+from coincid.model.recorded.exchange import read_recording, write_edges
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.files import whole_file
 
@@ -102,6 +103,8 @@ WITH_PATH = {
     "Run.to_ply": lambda run, path: run.to_ply(path),
     "Edges.save": lambda run, path: run.edges.save(path),
     "Depth.save": lambda run, path: run.depth().save(path),
+    "read_recording": lambda run, path: read_recording(path),
+    "write_edges": lambda run, path: write_edges(path, run.edges, coincid.Timing()),
 }
 
 

@@ -19,6 +19,7 @@ from attrs import asdict, evolve, field, frozen
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError, check_integer, out_of_range, wrong_value
 from ..shared.files import FilePath
+from ..shared.quantities import shape_of
 from . import registers
 from .coincidence import AT_LEAST, Rule
 from .counters import EVENTS_MAX
@@ -368,7 +369,8 @@ class Config(SubgroupSettings):
         for name, value in _known("subgroup", settings, SUBGROUP).items():
             setting, many = (
                 SUBGROUP[name],
-                isinstance(value, list | tuple | np.ndarray) and np.ndim(value) > 0,
+                isinstance(value, list | tuple | np.ndarray)
+                and shape_of(SUBGROUP[name].key, value) != (),
             )
             if not many:
                 columns[name] = _column(setting, value, self.sensor)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimated depth, as every estimator returns it."""
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..shared.errors import InputError
 from ..shared.files import FilePath, write_npz
+from ..shared.quantities import real_array, shape_of
 from .belief import BELIEVED_MIN, SENTENCES, Reason
 
 if TYPE_CHECKING:
@@ -86,20 +88,21 @@ class Depth:
         depth_m: float64[rows, cols] or [rows, cols, returns], NaN = none; confidence: broadcast
         to it, 0 where there is no depth. Raises `InputError`.
         """
-        distance_m = np.array(depth_m, np.float64)
-        if distance_m.ndim == 2:
-            distance_m = distance_m[:, :, None]
-        if distance_m.ndim != 3 or not distance_m.shape[2]:
+        shape = shape_of("depth_m", depth_m)
+        if len(shape) not in (2, 3) or not all(shape[2:]):
             raise InputError(
-                f"depth_m: has shape {np.shape(depth_m)}, must be [rows, cols] or [rows, cols, returns]",
+                f"depth_m: has shape {shape}, must be [rows, cols] or [rows, cols, returns]",
                 field="depth_m",
             )
-        sure = np.asarray(confidence, np.float64)
-        if sure.ndim == 2:
-            sure = sure[:, :, None]
-        sure = np.where(np.isnan(distance_m), 0.0, np.broadcast_to(sure, distance_m.shape))
-        if np.any((sure < 0) | (sure > 1)):
-            raise InputError("confidence: must be from 0 to 1 everywhere", field="confidence")
+        distance_m = real_array("depth_m", depth_m, shape, -math.inf, nan=True).copy()
+        if distance_m.ndim == 2:
+            distance_m = distance_m[:, :, None]
+        if len(shape_of("confidence", confidence)) == 2:
+            confidence = np.asanyarray(confidence)[:, :, None]
+        sure = real_array("confidence", confidence, distance_m.shape, 0, 1, nan=True)
+        sure = np.where(np.isnan(distance_m), 0.0, sure)
+        if np.isnan(sure).any():
+            raise InputError("confidence: is NaN where there is a depth", field="confidence")
         reason = np.full(distance_m.shape[:2], Reason.FEW_PHOTONS, np.uint8)
         reason[np.isnan(distance_m[:, :, 0])] = Reason.NO_LIGHT
         reason[sure[:, :, 0] >= BELIEVED_MIN] = Reason.BELIEVED

@@ -7,6 +7,7 @@ import numpy as np
 from attrs import frozen
 
 from ..contract.config import Config
+from ..shared.arguments import check_kind
 from ..shared.errors import InputError, wrong_value
 from ..shared.own_part import OwnPart, check_part
 from ..shared.pulse import Pulse
@@ -135,7 +136,7 @@ def taken_along(estimators: tuple[Method, ...]) -> tuple[Method, ...]:
 
     Other names stay as they are: `estimate_depth` checks them.
     """
-    return tuple(_taken_along(estimator) for estimator in estimators)
+    return tuple(_taken_along(one) for one in check_kind("estimators", estimators, tuple, list))
 
 
 def _taken_along(estimator: Method) -> Method:

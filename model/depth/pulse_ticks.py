@@ -6,12 +6,14 @@ It is a Gaussian, or the table of a measured pulse (`Pulse`). Laser and jitter a
 
 import math
 from functools import lru_cache
+from types import NoneType
 from typing import NamedTuple
 
 import numpy as np
 from scipy import special
 
 from ..contract.config import Config
+from ..shared.arguments import check_kind
 from ..shared.pulse import Pulse
 from ..shared.quantities import Numbers
 from .arrivals import SYSTEM_FWHM_S, pulse_sigma_ticks
@@ -83,7 +85,9 @@ def pulse_ticks(
     """Return the shape in ticks: of a measured pulse, or of a Gaussian (None). Raises
     `InputError`.
     """
+    check_kind("config", config, Config)
     sigma_ticks = pulse_sigma_ticks(config, system_fwhm_s)
+    check_kind("pulse", pulse, Pulse, NoneType)
     if pulse is None:
         return PulseTicks(sigma_ticks)
     times = pulse.time_s / config.tick_s

@@ -27,6 +27,7 @@ from ..contract.coincidence import AT_LEAST, event_share, rises
 from ..contract.latency import armed_cycle, close_cycle
 from ..contract.parameters import Sensor
 from ..contract.pixels import pixel_table
+from ..shared.arguments import given_or_new
 from ..shared.compiled import njit
 from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S, SUCCESS_TOLERANCE_S
 from ..shared.errors import InputError, check_integer
@@ -36,6 +37,7 @@ from .spad import Spad
 from .timing import Timing
 
 VALID_DEAD_FRACTION = 0.05
+PULSES_MAX = 1 << 24  # of a histogram whose bins are compared count by count
 SCHEMES = (1, 2)  # 1: winner takes all, no coincidence; 2: coincidence
 THRESHOLDS = range(1, 8)  # as in the paper's Fig. 7
 # Of (18) as printed: with ps, the bins sum to 14.6 times the signal (sigma 212 ps), with s to
@@ -312,7 +314,11 @@ def histogram(
     exact except for the terms named in the module's docstring, and for pixels of unequal light,
     whose count is assumed to be binomial with their mean.
     """
-    sensor, timing, spad = sensor or Sensor(), timing or Timing(), spad or Spad()
+    sensor = given_or_new("sensor", sensor, Sensor)
+    timing = given_or_new("timing", timing, Timing)
+    spad = given_or_new("spad", spad, Spad)
+    pulses = check_integer("pulses", pulses, 1, PULSES_MAX)
+    system_fwhm_s = check_real("system_fwhm_s", system_fwhm_s, 0, 1)
     check_choice("scheme", scheme, SCHEMES)
     threshold = check_integer("threshold", threshold, 1, sensor.pixels)
     if _literal(form) and sensor.rule != AT_LEAST:
@@ -380,7 +386,7 @@ def success_by_threshold(
     """`success_probability` of a pixel in an evenly lit subgroup, for each of `THRESHOLDS`:
     float64[7]. See `histogram`.
     """
-    timing = timing or Timing()
+    timing = given_or_new("timing", timing, Timing)
     flight_s = 2 * check_real("distance_m", distance_m, 0) / SPEED_OF_LIGHT_M_S
 
     def success(threshold: int) -> float:
@@ -396,6 +402,8 @@ def expected_threshold(success: np.ndarray, slack: float = 0.01) -> int:
 
     Of equally good thresholds, the highest one sends the fewest events. Fig. 7 shows it against the
     activity. The paper does not give its rule; this one is our choice.
+
+    success: float64[7], that of each of `THRESHOLDS`. Raises `InputError`.
     """
     return int(_tolerated(success, slack).max())
 
@@ -406,7 +414,9 @@ def lowest_threshold(success: np.ndarray, slack: float = 0.01) -> int:
 
 
 def _tolerated(success: np.ndarray, slack: float) -> np.ndarray:
-    """Thresholds whose success is within `slack` of the best, ascending."""
+    """Thresholds whose success is within `slack` of the best, ascending. Raises `InputError`."""
+    success = real_array("success", success, (len(THRESHOLDS),), 0, 1)
+    slack = check_real("slack", slack, 0, 1)
     return np.array(THRESHOLDS)[success >= success.max() - slack]
 
 

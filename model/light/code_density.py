@@ -10,6 +10,7 @@ import numpy as np
 from attrs import frozen
 
 from ..shared.errors import InputError, check_integer
+from ..shared.quantities import shape_of
 
 
 @frozen(eq=False)
@@ -33,9 +34,10 @@ def code_density(tick: np.ndarray, phases: int) -> CodeDensity:
     Raises `InputError` if there is less than one edge per phase on average.
     """
     phases = check_integer("phases", phases, 2, 1024)
+    shape = shape_of("tick", tick)
     tick = np.asarray(tick)
-    if tick.ndim != 1 or tick.dtype.kind not in "iu":
-        raise InputError(f"tick: holds {tick.dtype}{list(tick.shape)}, must hold integers [n]")
+    if len(shape) != 1 or tick.dtype.kind not in "iu":
+        raise InputError(f"tick: holds {tick.dtype}{list(shape)}, must hold integers [n]")
     if len(tick) < phases:
         raise InputError(
             f"tick: holds {len(tick)} edges, must hold at least one per phase ({phases})"

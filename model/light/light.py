@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from ..shared.arguments import check_kind
 from ..shared.errors import InputError
 from ..shared.pulse import Pulse, pulse_of
-from ..shared.quantities import Numbers, check_choice, given, integer, real, real_array
+from ..shared.quantities import Numbers, check_choice, given, integer, real, real_array, shape_of
 
 # detected, per pixel; our preset: a level at which thresholds are selective
 BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50
@@ -40,7 +40,7 @@ def background_cps(klux: Numbers, reflectivity: ArrayLike = REFERENCE_REFLECTIVI
     Equation (2) of the paper: proportional to the light and to the reflectivity of the surface,
     independent of its distance. The level is our preset. Raises `InputError`.
     """
-    checked_klux = real_array("klux", klux, np.shape(klux), 0)
+    checked_klux = real_array("klux", klux, shape_of("klux", klux), 0)
     relative = np.asarray(reflectivity) / REFERENCE_REFLECTIVITY
     with np.errstate(over="ignore"):  # `Light` refuses an infinite rate
         rate_cps = BACKGROUND_CPS_PER_KLUX * checked_klux * relative
@@ -110,8 +110,10 @@ class Arrivals:
     span_s: float = real(0.0, 0, 1)
 
     def __attrs_post_init__(self) -> None:
-        photons = real_array("photons", self.photons, np.shape(self.photons), 0, SIGNAL_MAX)
-        first = real_array("first", self.first, np.shape(self.first), 0, 2.0**53)
+        own = shape_of("photons", self.photons)
+        photons = real_array("photons", self.photons, own, 0, SIGNAL_MAX)
+        own = shape_of("first", self.first)
+        first = real_array("first", self.first, own, 0, 2.0**53)
         if photons.ndim != 1:
             raise InputError(f"photons: has shape {photons.shape}, must have a number per bin")
         n = len(photons)
@@ -178,8 +180,10 @@ class Light:
         check_kind("arrivals", self.arrivals, Arrivals, NoneType)
         check_kind("interferer", self.interferer, Interferer, NoneType)
         for name in ("distance_m", "signal_per_pulse", "system_fwhm_s"):
-            array = np.asanyarray(getattr(self, name))  # with its mask
-            object.__setattr__(self, name, array[:, None] if array.ndim == 1 else array)
+            value = getattr(self, name)
+            own = shape_of(name, value)
+            array = np.asanyarray(value)  # with its mask
+            object.__setattr__(self, name, array[:, None] if len(own) == 1 else array)
         targets = max(self.distance_m.shape[-1:] + self.signal_per_pulse.shape[-1:], default=1)
         per_target = (self.pixels, targets)
         for name, shape, highest in (
@@ -250,7 +254,7 @@ class Light:
         broadcast to it. klux: ambient light, a number or float64[rows, cols]. background: one of
         `BACKGROUNDS`. others: fields of `Light`.
         """
-        shape = np.shape(distance_m)
+        shape = shape_of("distance_m", distance_m)
         if len(shape) not in (2, 3):
             raise InputError(
                 f"distance_m: has {len(shape)} dimensions, must have 2 or 3: rows, cols, targets"

@@ -15,9 +15,10 @@ import numpy as np
 from attrs import field, fields, frozen
 from numpy.typing import ArrayLike
 
+from ..shared.arguments import given_or_new
 from ..shared.constants import PLANCK_J_S, SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError
-from ..shared.quantities import Numbers, check_choice, check_real, real, real_array
+from ..shared.quantities import Numbers, check_choice, check_real, real, real_array, shape_of
 from .spad import Spad
 from .spectrum import FILTERS, SPECTRA, irradiance_w_m2
 
@@ -135,7 +136,9 @@ def link_budget(
     sbr_window_s: window of readings E (default: the SPAD's jitter FWHM) and F (default:
     `COINCIDENCE_WINDOW_S`). Raises `InputError` for values out of range and unknown names.
     """
-    optics, laser, spad = optics or Optics(), laser or Laser(), spad or Spad()
+    optics = given_or_new("optics", optics, Optics)
+    laser = given_or_new("laser", laser, Laser)
+    spad = given_or_new("spad", spad, Spad)
     check_choice("form", form, FORMS)
     check_choice("sbr_reading", sbr_reading, tuple(SBR_READINGS))
     reflectivity = check_real("reflectivity", reflectivity, 0, 1)
@@ -143,7 +146,7 @@ def link_budget(
         sbr_window_s = COINCIDENCE_WINDOW_S if sbr_reading == "F" else spad.jitter_fwhm_s
     sbr_window_s = check_real("sbr_window_s", sbr_window_s, 0, WINDOW_MAX_S)
     klux = check_real("klux", klux, 0, KLUX_MAX)
-    shape = np.shape(distance_m)
+    shape = shape_of("distance_m", distance_m)
     distance_m = real_array("distance_m", distance_m, shape, DISTANCE_MIN_M, DISTANCE_MAX_M)
     if not distance_m.size:
         raise InputError(
@@ -175,7 +178,7 @@ def link_budget(
     signal_rate_cps = laser.average_power_w * cps_per_watt
     # the same at every distance, up to rounding
     on_target = irradiance * target_area_m2 * cps_per_watt
-    dark_cps = real_array("dark_cps", spad.dark_cps, np.shape(spad.dark_cps), 0)
+    dark_cps = real_array("dark_cps", spad.dark_cps, shape_of("dark_cps", spad.dark_cps), 0)
     background_rate_cps = float(np.mean(on_target) + np.mean(dark_cps))
     background_live_cps = background_rate_cps / (1 + background_rate_cps * spad.dead_time_s)
     signal_per_pulse = signal_rate_cps / laser.repetition_hz

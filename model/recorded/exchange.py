@@ -16,7 +16,6 @@ import io
 import re
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import h5py
@@ -25,8 +24,9 @@ from attrs import evolve
 
 from ..contract.edges import NAMES, Edges
 from ..light.timing import Timing
+from ..shared.arguments import check_kind
 from ..shared.errors import InputError, check_integer
-from ..shared.files import FilePath, read_npz, reading, whole_file
+from ..shared.files import FilePath, check_path, read_npz, reading, whole_file
 from .columns import Columns, checked_columns, integers, not_negative
 from .photon_hdf5 import is_photon_hdf5, read_photon_hdf5
 from .ptu import read_ptu, write_ptu
@@ -98,6 +98,8 @@ def write_edges(path: FilePath, edges: Edges, timing: Timing) -> None:
     """Write edges to a file, whole or not at all; the same edges give the same bytes. The suffix
     selects the format. PTU files have no place for offsets.
     """
+    check_kind("edges", edges, Edges)
+    check_kind("timing", timing, Timing)
     suffix = check_suffix(path)
     if suffix == ".npz":
         edges.save(path)
@@ -136,7 +138,7 @@ def offsets_note(path: FilePath, edges: Edges) -> str:
 
 def check_suffix(path: FilePath) -> str:
     """Return the kind of the file, which is its suffix in lower case. Raises `InputError`."""
-    suffix = Path(path).suffix.lower()
+    suffix = check_path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: must end with one of {', '.join(SUFFIXES)}")
     return suffix

@@ -3,12 +3,15 @@
 pixel, time to tick.
 """
 
+from types import NoneType
+
 import numpy as np
 from attrs import evolve, frozen
 
 from ..contract.config import Config
 from ..contract.edges import Edges
 from ..light.timing import Timing
+from ..shared.arguments import check_kind
 from ..shared.errors import InputError, check_integer
 from ..shared.quantities import check_real
 
@@ -124,6 +127,10 @@ def recorded_edges(
     every time. Raises `InputError` if no photon is left, and for options that do not fit the
     recording.
     """
+    check_kind("recording", recording, Recording)
+    check_kind("config", config, Config)
+    check_kind("timing", timing, Timing)
+    check_kind("channels", channels, dict, NoneType)
     first_sync = check_integer("first-sync", first_sync, 0, SYNC_MAX)
     delay_ps = check_real("delay-ps", delay_ps, -np.inf)
     if not len(recording.sync):

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..shared.errors import InputError
 from ..shared.files import FilePath
-from ..shared.quantities import Numbers, check_real, real_array
+from ..shared.quantities import Numbers, check_real, real_array, shape_of
 from .image_files import centre_crop, check_picture_array, covered_samples, open_picture, read_array
 
 Ambient: TypeAlias = str | float | np.ndarray
@@ -33,7 +33,7 @@ def ambient_klux(source: Ambient, rows: int, cols: int) -> Numbers:
     if not isinstance(source, str):
         return (
             real_array("klux", source, (rows, cols), 0)
-            if np.ndim(source)
+            if shape_of("klux", source)
             else check_real("klux", source, 0)
         )
     if (number := _number(source)) is not None:

@@ -8,9 +8,10 @@ from attrs import evolve
 
 from ..light.light import NEAREST_M
 from ..light.timing import RANGE_M
+from ..shared.arguments import given_or_new
 from ..shared.errors import InputError
 from ..shared.files import FilePath
-from ..shared.quantities import check_real, real_array
+from ..shared.quantities import check_real, real_array, shape_of
 from .conventions import RAY, convention
 from .depth_pictures import Pictures, Stored, picture_files, pictures_of
 from .depth_units import metres, raw_numbers
@@ -56,8 +57,8 @@ def depth_scene(
     `BRIGHTEST`. Of a sequence, it may be a sequence, too. reflectivity: a number, or an array of
     the shape of a picture or of all.
     """
-    meaning = meaning or Meaning()
-    if not np.ndim(reflectivity):
+    meaning = given_or_new("meaning", meaning, Meaning)
+    if not shape_of("reflectivity", reflectivity):
         reflectivity = check_real("reflectivity", reflectivity, 0, 1)
     pictures = pictures_of(depth, meaning)
     shares: list[float | np.ndarray] = [reflectivity] * pictures.count

@@ -58,8 +58,8 @@ class Meaning:
         convention.
         """
         known = convention(self.unit)
-        given = () if self.missing is None else np.atleast_1d(self.missing)
         try:
+            given = () if self.missing is None else np.atleast_1d(self.missing)
             if np.iscomplexobj(given):
                 raise TypeError
             numbers = np.asarray([*given, *MARKS, *(known.missing if known else ())], np.float64)

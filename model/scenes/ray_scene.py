@@ -17,6 +17,7 @@ import numpy as np
 
 from ..light.light import NEAREST_M
 from ..light.link_budget import Optics
+from ..shared.arguments import given_or_new
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError
 from ..shared.folders import build_root
@@ -64,7 +65,7 @@ def ray_scene(
     period. optics: the pixels share its field of view. Pixels without a usable surface (none,
     too near, at or beyond the range) are masked and noted; their light stays.
     """
-    optics = optics or Optics()
+    optics = given_or_new("optics", optics, Optics)
     path = _path(source)
     name = source if path.parent == SCENES else path.name
     tracer = _tracer()

@@ -11,7 +11,7 @@ from attrs import evolve, field, frozen
 from ..light.light import NEAREST_M, RATE_MAX_CPS, Light
 from ..shared.arguments import check_kind
 from ..shared.errors import InputError, told_number
-from ..shared.quantities import Numbers, given, real_array
+from ..shared.quantities import Numbers, given, real_array, shape_of
 from .ambient import Ambient, ambient_klux, told_klux
 from .view import View
 
@@ -59,9 +59,9 @@ class Scene:
     later: tuple["Scene", ...] = ()
 
     def __attrs_post_init__(self) -> None:
-        own = np.shape(self.distance_m)
+        own = shape_of("distance_m", self.distance_m)
         distance_m = real_array("distance_m", self.distance_m, own, NEAREST_M, nan=True)
-        own = np.shape(self.reflectivity)
+        own = shape_of("reflectivity", self.reflectivity)
         reflectivity = real_array("reflectivity", self.reflectivity, own, 0, 1)
         if distance_m.ndim == 2:
             distance_m = distance_m[:, :, None]

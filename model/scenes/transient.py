@@ -103,7 +103,7 @@ class Transient:
         klux: ambient light, a number or float64[rows, cols]; background: one of `BACKGROUNDS`;
         others: fields of `Light`.
         """
-        photons = self.strength_per_m2 * photons_per_strength(optics or Optics(), laser or Laser())
+        photons = self.strength_per_m2 * photons_per_strength(optics, laser)
         arrivals = Arrivals(
             first=self.first,
             start_s=self.index * BIN_S,
@@ -129,13 +129,13 @@ def arriving_light(
 
 
 @cache
-def photons_per_strength(optics: Optics, laser: Laser) -> float:
+def photons_per_strength(optics: Optics | None, laser: Laser | None) -> float:
     """Return the detected photons per pixel and pulse for a returned light of 1 / m2.
 
     The link budget at 1 m with r = 1 gives them, because such a surface returns 1 / pi.
 
     As everywhere in the project, a pixel has the light of one of `optics.pixels` pixels,
-    whatever the size of the array.
+    whatever the size of the array. None: the paper's. Raises `InputError`.
     """
     budget = link_budget(1.0, 1.0, 0.0, optics=optics, laser=laser, form="corrected")
     return float(budget.signal_per_pulse) * math.pi

@@ -23,3 +23,10 @@ def check_kind(name: str, value: _T, *kinds: type) -> _T:
         told = ["None" if kind is type(None) else kind.__name__ for kind in kinds]
         raise wrong_value(name, value, " or ".join(told))
     return value
+
+
+def given_or_new(name: str, value: _T | None, kind: type[_T]) -> _T:
+    """Return `value` if it is of this class, or one with the defaults for None. Raises
+    `InputError`.
+    """
+    return kind() if value is None else check_kind(name, value, kind)

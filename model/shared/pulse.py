@@ -13,7 +13,7 @@ from attrs import field, frozen
 from .constants import SIGMA_PER_FWHM
 from .errors import InputError, wrong_value
 from .files import FilePath, reading
-from .quantities import check_real, given, real_array
+from .quantities import check_real, given, real_array, shape_of
 
 PULSE_FILES = (".csv", ".npy")
 SAMPLES_MAX = 1 << 16
@@ -51,7 +51,7 @@ class Pulse:
     density: np.ndarray = field(converter=given)
 
     def __attrs_post_init__(self) -> None:
-        shape = np.shape(self.time_s)
+        shape = shape_of("pulse.time_s", self.time_s)
         if len(shape) != 1 or not 2 <= shape[0] <= SAMPLES_MAX:
             raise InputError(
                 f"pulse.time_s: has shape {shape}, must have 2 to {SAMPLES_MAX} samples",

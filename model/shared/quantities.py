@@ -68,6 +68,18 @@ def _checked_field(default: Any, checked: Callable[[str, Any], Any]) -> Any:
     return field(default=default, converter=Converter(of_field, takes_field=True))
 
 
+def shape_of(name: str, value: ArrayLike) -> tuple[int, ...]:
+    """Return the shape of a number, an array, or lists in lists. Raises `InputError` for lists of
+    different lengths.
+    """
+    try:
+        return np.shape(value)
+    except ValueError:
+        raise InputError(
+            f"{name}: holds lists of different lengths, must be a number or an array", field=name
+        ) from None
+
+
 def real_array(
     name: str,
     value: ArrayLike,

@@ -447,6 +447,11 @@ def test_a_depth_is_believed_from_the_lowest_confidence_on(confidence):
     assert depth.reason.tolist() == [[expected, Reason.NO_LIGHT]]
 
 
+def test_a_depth_needs_no_confidence_where_there_is_none():
+    depth = Depth.of([[5.0, np.nan]], [[0.75, np.nan]])
+    assert depth.confidence[:, :, 0].tolist() == [[0.75, 0.0]]
+
+
 def test_a_depth_stays_as_it_is_when_the_callers_arrays_change():
     distance_m = np.full((2, 2, 1), 5.0)
     confidence = np.full((2, 2, 1), 0.75)
@@ -462,8 +467,13 @@ def test_a_depth_stays_as_it_is_when_the_callers_arrays_change():
     [
         (lambda: Depth.of(np.zeros(4)), r"depth_m: has shape \(4,\), must be"),
         (lambda: Depth.of(np.zeros((2, 2, 0))), "depth_m: has shape"),
-        (lambda: Depth.of(np.ones((2, 2)), confidence=5.0), "confidence: must be from 0 to 1"),
-        (lambda: Depth.of(np.ones((2, 2)), confidence=-0.1), "confidence: must be from 0 to 1"),
+        (lambda: Depth.of([["far"]]), "depth_m: must hold numbers"),
+        (lambda: Depth.of([[1.0], [2.0, 3.0]]), "depth_m: holds lists of different lengths"),
+        (lambda: Depth.of([[1.0, np.inf]]), r"depth_m\[0, 1\] = inf: must be"),
+        (lambda: Depth.of(np.ones((2, 2)), confidence=5.0), r"confidence.* = 5.0: must be"),
+        (lambda: Depth.of(np.ones((2, 2)), confidence=-0.1), r"confidence.* = -0.1: must be"),
+        (lambda: Depth.of(np.ones((2, 2)), [1.0, 1.0, 1.0]), r"confidence: has shape \(3,\)"),
+        (lambda: Depth.of([[1.0, 2.0]], [[1.0, np.nan]]), "confidence: is NaN where there is"),
         (lambda: write_depths("depths.npz", []), "depths: is empty"),
     ],
 )

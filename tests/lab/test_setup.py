@@ -34,11 +34,20 @@ def test_a_scene_reaches_as_far_as_its_own_laser_period():
         scene_of(config, "flat:120")
 
 
+def test_a_setup_of_distances_sees_them():
+    distance_m = np.linspace(2.0, 9.0, 64).reshape(8, 8)
+    seen = Setup.of(distance_m, **SMALL).scene
+    assert np.array_equal(seen.truth_m, distance_m)
+
+
 @pytest.mark.parametrize(
     ("field", "value", "told"),
     [
-        ("spad", 3, "spad = 3: must be a Spad"),
-        ("spad", {"dead_time_s": 1e-9}, "spad = {'dead_time_s': 1e-09}: must be a Spad"),
+        ("light", "sun", "light = 'sun': must be Light or None"),
+        ("spad", 3, "spad = 3: must be Spad"),
+        ("spad", {"dead_time_s": 1e-9}, "spad = {'dead_time_s': 1e-09}: must be Spad"),
+        ("edges", [], "edges = []: must be Edges or None"),
+        ("estimators", "planes", "estimators = 'planes': must be tuple or list"),
         ("spad_gate", 1, "spad_gate = 1: must be true or false"),
         ("engine", "gold", "engine = 'gold': must be one of golden, sliced, verilator, icarus"),
         ("background", "dark", "background = 'dark': must be one of reflected, even"),
