@@ -9,7 +9,7 @@ import numpy as np
 from ..shared import pulse
 from ..shared.arguments import check_kind
 from ..shared.arrays import joined
-from ..shared.errors import InputError
+from ..shared.errors import InputError, check_integer
 from ..shared.files import FilePath, GrowingNpz, read_npz, write_npz
 from .config import Config
 from .counters import COUNTER_NAMES
@@ -224,6 +224,11 @@ def check_arrays(arrays: Mapping[str, np.ndarray], *names: str) -> None:
     for name in names:
         if name not in arrays:
             raise InputError(f"arrays: {name} is missing, which a result has", field="arrays")
+
+
+def check_frame(frame: int | None, frames: int) -> int | None:
+    """Return the number of one of so many frames, or None for all of them. Raises `InputError`."""
+    return None if frame is None else check_integer("frame", frame, 0, frames - 1)
 
 
 def checked_events(arrays: Mapping[str, np.ndarray], config: Config) -> dict[str, np.ndarray]:

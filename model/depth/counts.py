@@ -18,8 +18,7 @@ from ..contract.config import Config
 from ..contract.counts import COUNT_MOST, GATES, NO_GATE
 from ..contract.gate_counts import Counts
 from ..contract.pixels import pixel_table
-from ..contract.result import check_arrays
-from ..shared.errors import check_integer
+from ..contract.result import check_arrays, check_frame
 from ..shared.threads import Threads
 from .belief import REACH_SIGMAS, ByChance, Hits, Lit, Signs, signs_of
 from .count_light import Trials, better_background, first_background, fit_lights, pulse_shares
@@ -55,10 +54,8 @@ def gate_counts(
     """
     check_arrays(arrays, *Counts._fields)
     frames = len(arrays["gate_cycle"])
-    chosen = range(frames)
-    if frame is not None:
-        frame = check_integer("frame", frame, 0, frames - 1)
-        chosen = range(frame, frame + 1)
+    frame = check_frame(frame, frames)
+    chosen = range(frames) if frame is None else range(frame, frame + 1)
     of_frames = [_trials_of(arrays, config, k) for k in chosen]
     trials = Trials(
         first=np.concatenate([one.first for one in of_frames], axis=2),

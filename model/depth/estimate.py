@@ -15,7 +15,7 @@ from attrs import evolve
 
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
-from ..contract.result import check_arrays, known_counters
+from ..contract.result import check_arrays, check_frame, known_counters
 from ..shared.arguments import check_kind, check_workers
 from ..shared.constants import SUCCESS_TOLERANCE_S
 from ..shared.errors import InputError, check_integer
@@ -118,7 +118,8 @@ def estimate_depth(
     if not isinstance(chosen, str):
         check_no_source(chosen.name, source)
         returns = check_integer("returns", returns, 1, RETURNS_MAX)
-        frame = _frame_of(arrays, frame)
+        check_arrays(arrays, "opened")
+        frame = check_frame(frame, len(arrays["opened"]))
         pulse_sigma_ticks(config, system_fwhm_s)
         reading = Reading(
             arrays=_read(chosen, arrays),
@@ -159,16 +160,6 @@ def estimate_depth(
         slope_m=slope_m,
         light=partial(found.light, config, workers),
     )
-
-
-def _frame_of(arrays: dict[str, np.ndarray], frame: int | None) -> int | None:
-    """Return the number of a frame, or None for all frames. Raises `InputError` if the result has no
-    such frame.
-    """
-    if frame is None:
-        return None
-    check_arrays(arrays, "opened")
-    return check_integer("frame", frame, 0, len(arrays["opened"]) - 1)
 
 
 def _read(estimator: Estimator, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

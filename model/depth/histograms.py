@@ -18,7 +18,7 @@ from ..contract.config import Config
 from ..contract.packet import BEAT_BITS
 from ..contract.parameters import OFFSET_NONE, Sensor
 from ..contract.pixels import Pixels, pixel_table
-from ..contract.result import check_arrays, checked_events, known_counters
+from ..contract.result import check_arrays, check_frame, checked_events, known_counters
 from ..shared.arguments import check_kind
 from ..shared.compiled import njit, part
 from ..shared.errors import InputError, check_integer
@@ -86,8 +86,7 @@ def frame_events(
     _check_events(config)
     check_arrays(arrays, *EVENT_ARRAYS)
     columns = checked_events(arrays, config)
-    if frame is not None:
-        frame = check_integer("frame", frame, 0, len(columns["opened"]) - 1)
+    frame = check_frame(frame, len(columns["opened"]))
     row = _rows_by_subgroup(columns["pulse"], columns["subgroup"], config.pulses, frame)
     subgroup = columns["subgroup"][row]
     stamp = columns["stamp"][row]
