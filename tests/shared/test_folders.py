@@ -8,7 +8,7 @@ import pytest
 
 from coincid.model.shared import folders
 from coincid.model.shared.errors import InputError
-from coincid.model.shared.folders import build_root, checkout
+from coincid.model.shared.folders import build_root, checkout, is_plain
 
 
 @pytest.fixture
@@ -37,6 +37,20 @@ def test_a_checkout_has_its_own_folder(tmp_path, monkeypatch):
     assert build_root() == tmp_path / "build"
     found = checkout()
     assert found is None or (found / "model" / "shared" / "folders.py").exists()
+
+
+@pytest.mark.parametrize("name", ["my clone", "Jörg", "copy (1)", "o'brien", "a#b", "a$b", "a:b"])
+def test_a_checkout_that_make_cannot_name_uses_the_users_cache(name, tmp_path, monkeypatch):
+    monkeypatch.delenv("COINCID_BUILD", raising=False)
+    monkeypatch.setattr(folders, "checkout", lambda: tmp_path / name)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert build_root() == tmp_path / "cache" / "coincid"
+    assert not (tmp_path / name).exists()
+
+
+@pytest.mark.parametrize("name", ["clone", "A-1_2.3", "a+b", "@work", "a,b"])
+def test_a_plain_path_is_one_that_make_takes(name):
+    assert is_plain(Path("/home/user") / name)
 
 
 @pytest.mark.parametrize(("cache", "place"), [(None, ".cache"), ("", ".cache"), ("other", "other")])

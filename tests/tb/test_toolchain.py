@@ -96,6 +96,32 @@ def test_run_leaves_log_and_results_and_nothing_on_the_terminal(simulator, toy, 
     assert done.wave is None and not wave.exists()
 
 
+def test_cocotb_may_lie_in_a_folder_that_make_cannot_name(toy, tmp_path, monkeypatch):
+    """As in a clone in such a folder, whose environment is in it."""
+    libraries = tmp_path / "Jörg's (1) & #2" / "libs"
+    libraries.parent.mkdir()
+    libraries.symlink_to(toolchain.cocotb_config.libs_dir)
+    monkeypatch.setattr(toolchain.cocotb_config, "libs_dir", libraries)
+    toy.write_text(f"// {tmp_path}\n{TOY}", encoding="utf-8")  # never built before
+    built = build("verilator", toy)
+    assert run(built, tmp_path / "out").results.exists()
+    shutil.rmtree(built.directory)
+    for left in built.directory.parent.glob(f"{built.directory.name}.*"):
+        left.unlink()
+
+
+@pytest.mark.parametrize("word", ["/opt/python3", "/o'brien & co/$x/#1/python (2)"])
+def test_a_program_of_make_may_have_any_path(word, tmp_path):
+    (tmp_path / "makefile").write_text(
+        f"PROGRAM = {toolchain._for_make(word)}\nall:\n\t@printf '%s' $(PROGRAM)\n",
+        encoding="utf-8",
+    )
+    done = subprocess.run(
+        ["make", "-C", tmp_path, "--no-print-directory"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == word
+
+
 def test_seed_decides_the_random_numbers(toy, tmp_path):
     def number(seed):
         lines = []
@@ -160,8 +186,8 @@ def test_second_build_is_the_first_and_a_change_is_not(simulator, toy, tmp_path)
 def test_a_build_keeps_its_sources_and_of_the_compilers_files_the_program(simulator, toy):
     built = build(simulator, toy)
     assert (built.directory / "toy.v").read_text(encoding="utf-8") == TOY
-    own = {"verilator": "design.vlt", "icarus": "timescale.f"}[simulator]
-    kept = {"toy.v", own, toolchain.SIM_FILE[simulator]}
+    own = {"verilator": {"design.vlt", "verilator.cpp"}, "icarus": {"timescale.f"}}[simulator]
+    kept = {"toy.v", *own, toolchain.SIM_FILE[simulator]}
     assert {path.name for path in built.directory.iterdir()} == kept
 
 
@@ -577,9 +603,10 @@ def test_build_root_is_settable_and_must_be_writable(tmp_path, monkeypatch):
         toolchain.build_root()
 
 
-def test_verilator_needs_a_build_root_without_spaces(toy, tmp_path, monkeypatch):
-    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "a b"))
-    with pytest.raises(InputError, match="contains a space"):
+@pytest.mark.parametrize("name", ["a b", "ü", "(1)", "a'b", "a#b"])
+def test_verilator_needs_a_plain_build_root(name, toy, tmp_path, monkeypatch):
+    monkeypatch.setenv("COINCID_BUILD", str(tmp_path / name))
+    with pytest.raises(InputError, match="has a space or another character that make does not"):
         build("verilator", toy)
 
 
