@@ -2,7 +2,7 @@
 """What is proven changes only on purpose."""
 
 import pytest
-from amaranth.hdl import Signal
+from amaranth.hdl import Module, Signal
 
 from coincid.formal.proof_bench import Bench, Proof
 from coincid.formal.prove import all_proofs
@@ -39,7 +39,32 @@ CHANGES = {
     "situation": lambda b, x, y: b.cover(x < y),
     "before": lambda b, x, y: b.always(b.past(x) < y),
     "before across a reset": lambda b, x, y: b.always(b.last(x) < y),
+    "one of two with a name": lambda b, x, y: b.always(_first(b.past(x), b.past(y)) < y),
+    "the other of two": lambda b, x, y: b.always(_first(*reversed([b.past(x), b.past(y)])) < y),
+    "register": lambda b, x, y: b.always(_copy(b, x, 3) < y),
+    "narrow register": lambda b, x, y: b.always(_copy(b, x, 2) < y),
+    "register with a first value": lambda b, x, y: b.always(_copy(b, x, 3, init=1) < y),
+    "register without a reset": lambda b, x, y: b.always(_copy(b, x, 3, reset_less=True) < y),
+    "free output": lambda b, x, y: _put_inside(b, x, b.anything(3)),
+    "constant output": lambda b, x, y: _put_inside(b, x, b.constant(3)),
 }
+
+
+def _first(one, other):
+    return one
+
+
+def _copy(bench, of, width, **how):
+    """Return a register that holds what a signal was one cycle ago."""
+    copy = Signal(width, name="copy", **how)
+    bench.m.d.sync += copy.eq(of)
+    return copy
+
+
+def _put_inside(bench, output, value):
+    """Drive a signal inside a module of the bench."""
+    bench.m.submodules.inner = inner = Module()
+    inner.d.comb += output.eq(value)
 
 
 def test_no_change_of_a_proof_keeps_its_digest():
