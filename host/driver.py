@@ -279,8 +279,9 @@ class Driver:
                     end = time.monotonic() + seconds
             self._join()
             if not self._joined and time.monotonic() > end:
+                silent = next(each for each in self._assemblers if not each.frames)
                 raise HostError(
-                    f"stream {waiting[0].stream}: nothing more came for {seconds:g} s; the frame is not whole"
+                    f"stream {silent.stream}: nothing more came for {seconds:g} s; the frame is not whole"
                 )
         return self._joined.pop(0)
 
