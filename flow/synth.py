@@ -167,14 +167,19 @@ def _blocks(folder: Path, top: str, measured: list[str]) -> dict[str, Block]:
         ].items()
     }
     levels = _levels(folder, top, measured) if measured else {}
-    instances, order = Counter({top: 1}), [top]
+    inside = {
+        name: {kind: n for kind, n in module["num_cells_by_type"].items() if kind in modules}
+        for name, module in modules.items()
+    }
+    order, level = list[str](), [top]
+    while level:  # so a module comes behind all that contain it
+        order = [*(name for name in order if name not in level), *level]
+        below = [kind for name in level for kind in inside[name]]
+        level = [*reversed(dict.fromkeys(reversed(below)))]
+    instances = Counter({top: 1})
     for name in order:
-        for kind, count in modules[name]["num_cells_by_type"].items():
-            if kind in modules:
-                instances[kind] += count * instances[name]
-                if kind in order:
-                    order.remove(kind)
-                order.append(kind)
+        for kind, count in inside[name].items():
+            instances[kind] += count * instances[name]
     cells: dict[str, Counter[str]] = defaultdict(Counter)
     area: dict[str, float] = defaultdict(float)
     for name in order:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts, areas and depths of blocks from Yosys's files, for a made-up hierarchy."""
 
+import itertools
 import json
 import math
 import re
@@ -107,6 +108,26 @@ def test_blocks_have_their_own_cells_area_and_the_product_of_instances(folder):
     assert sensor.total(lambda block: block.area_um2) == 100
     assert sensor.total(lambda block: block.flops) == 2 * 19 + 7 * 11
     assert sensor.total(lambda block: block.total) == 5 + 2 * 49 + 7 * 18
+
+
+@pytest.mark.parametrize("order", [*itertools.permutations("xyz")])
+def test_a_block_counts_after_all_that_contain_it(order, tmp_path):
+    """In whatever order the statistics name them: x contains y and z, and y contains z, which has
+    one more block inside.
+    """
+    inside = {
+        "top": {f"coincid_{name}": 2 for name in order},
+        "coincid_x": {"coincid_z": 1, "coincid_y": 3},
+        "coincid_y": {"coincid_z": 5},
+        "coincid_z": {"coincid_last": 1},
+        "coincid_last": {"INV": 1},
+    }
+    statistics = {name: module(cells, "0.0") for name, cells in inside.items()}
+    (tmp_path / "stat.json").write_text(json.dumps({"modules": statistics}), encoding="utf-8")
+    x, y = 2, 2 + 2 * 3
+    z = 2 + x + 5 * y
+    found = {block.name: block.instances for block in _blocks(tmp_path, "top", []).values()}
+    assert found == {"top": 1, "x": x, "y": y, "z": z, "last": z}
 
 
 def test_the_depth_of_a_block_is_that_of_its_deepest_instance(folder):
