@@ -25,13 +25,13 @@ from coincid.hdl.axi import OKAY, SLVERR
 from coincid.model.contract.parameters import Sensor
 
 
-@pytest.mark.parametrize(("size", "seeded"), [(4, 0), (4, 1), (16, 0)])
+@pytest.mark.parametrize(("size", "seeded"), [((4, 4), 0), ((4, 4), 1), ((14, 16), 0)])
 def test_seeder(size, seeded):
     """The seeder makes the states of the golden model: with less than a lane of pixels, and with
-    four lanes. It starts over in the middle of any subgroup.
+    four lanes of which the last one is not full. It starts over in the middle of any subgroup.
     """
     sensor = Sensor(
-        rows=size, cols=2 * size, phases=8, window_max=16, subgroup=(size, size), minigroup=(2, 2)
+        rows=size[0], cols=2 * size[1], phases=8, window_max=16, subgroup=size, minigroup=(2, 2)
     )
     dut, seed, frame = Seeder(Emulator(sensor=sensor)), 0x1234_5678, 77
     states = np.zeros((2, sensor.pixels), np.uint32)

@@ -244,6 +244,38 @@ def test_the_example_prints_every_event_as_captured(tmp_path, table, pixels, une
 DIGITS_OF_GROUP = f"{GROUP_KIND << 1:x}", f"{(GROUP_KIND << 1) + 1:x}"  # first digits of a beat
 
 
+def end_of_stream_0(beats):
+    """Return the places of the first stream's first beat of the frame end, and behind its last."""
+    sensor = random_cases.built_sensor(UNEVEN)
+    end = sum(one[0] == "0" for one in beats)
+    return end - 1 - layout(sensor).counter_beats * len(sensor.stream_subgroups(0)), end
+
+
+def ended_twice(beats):
+    begin, end = end_of_stream_0(beats)
+    return [*beats[:end], *beats[begin:end], *beats[end:]]
+
+
+def with_one_more_stored(beats, index):
+    """Return the beats, of which the counters of a subgroup have one stored event more."""
+    begin, end = end_of_stream_0(beats)
+    beat, half = divmod(COUNTER_NAMES.index("stored"), 2)
+    of_subgroup = range(begin + 1, end)[
+        index * layout(random_cases.built_sensor(UNEVEN)).counter_beats :
+    ][beat]
+    stream, value, last = beats[of_subgroup].split()
+    more = int(value, 16) + (1 << 32 * half)
+    return [*beats[:of_subgroup], f"{stream} {more:016x} {last}", *beats[of_subgroup + 1 :]]
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory):
+    """Return a folder with the compiled example for a sensor of several streams."""
+    folder = tmp_path_factory.mktemp("example")
+    compile_example(random_cases.built_sensor(UNEVEN), folder)
+    return folder
+
+
 @pytest.mark.parametrize(
     ("damage", "told"),
     [
@@ -255,14 +287,17 @@ DIGITS_OF_GROUP = f"{GROUP_KIND << 1:x}", f"{(GROUP_KIND << 1) + 1:x}"  # first 
         (lambda beats: [one for one in beats if one[0] != "2"], "stream 2: is missing"),
         (lambda beats: [beats[0], *beats], "stream 0: is no whole frame"),
         (lambda beats: [one for one in beats if one[2] not in DIGITS_OF_GROUP], "stream 0: is no"),
+        (lambda beats: with_one_more_stored(beats, 0), "stream 0: is no whole frame"),
+        (lambda beats: with_one_more_stored(beats, 1), "stream 0: is no whole frame"),
+        (ended_twice, "stream 0: is no whole frame"),
     ],
-    ids=["nothing", "last beat", "start", "stream 0", "stream 1", "stream 2", "starts", "groups"],
+    ids=["nothing", "last beat", "start", "stream 0", "stream 1", "stream 2", "starts", "groups"]
+    + ["an event of the first subgroup", "one of the last", "ends"],
 )
-def test_the_example_refuses_what_is_no_whole_frame(tmp_path, damage, told):
-    """A frame without its groups looks whole, except for its counters."""
+def test_the_example_refuses_what_is_no_whole_frame(example, damage, told):
+    """A frame without its groups, or without one event, looks whole, except for its counters."""
     sensor = random_cases.built_sensor(UNEVEN)
-    assert sensor.streams == 3
-    compile_example(sensor, tmp_path)
+    assert sensor.streams == 3 and len(sensor.stream_subgroups(0)) == 2
     ((name, content),) = [
         (name, content)
         for name, content in captured_files(sensor).items()
@@ -271,10 +306,10 @@ def test_the_example_refuses_what_is_no_whole_frame(tmp_path, damage, told):
     heading, *beats = content.decode().splitlines()
     damaged = damage(beats)
     assert damaged != beats
-    (tmp_path / "damaged.txt").write_text("\n".join([heading, *damaged, ""]), encoding="utf-8")
+    (example / "damaged.txt").write_text("\n".join([heading, *damaged, ""]), encoding="utf-8")
     done = subprocess.run(
         ["./decode", "damaged.txt"],
-        cwd=tmp_path,
+        cwd=example,
         check=False,
         capture_output=True,
         text=True,

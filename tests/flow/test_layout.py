@@ -7,7 +7,9 @@ import itertools
 import json
 import re
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from coincid.flow.yosys import LIBERTY, cells_folder
 
@@ -314,8 +316,10 @@ def one_block(tmp_path):
     source.write(str(library))
     wires_of = db.Layout()
     wires_of.dbu = 0.001
-    shapes = {15: (0.5, 0.2, 1.5, 0.27), 16: (0.5, 0.2, 0.57, 0.27), 17: (0.5, 0, 0.57, 1.4)}
+    shapes = {15: (0.5, 0.2, 1.5, 0.27), 16: (0.5, 0.2, 0.57, 0.27)}
     top = wires_of.create_cell("top")
+    path = db.DPath([db.DPoint(0.535, 0), db.DPoint(0.535, 1.4)], 0.07)
+    top.shapes(wires_of.layer(17, 0)).insert(path)
     for layer, corners in (*shapes.items(), (9, (0, 0, 5, 5)), (31, (0, 0, 5, 5))):
         top.shapes(wires_of.layer(layer, 0)).insert(db.DBox(*corners))
     top.shapes(wires_of.layer(15, 1)).insert(db.DBox(0, 0, 5, 5))
@@ -364,7 +368,7 @@ def test_each_port_is_named_once_at_the_first_pin_of_its_net(one_block):
 
 
 def test_routed_wires_are_drawn_and_metal4_is_wide_at_vias_from_metal3(one_block):
-    """Of masks of metals and vias only."""
+    """Of masks of metals and vias only, whether they are boxes or paths."""
     via, wide = (0.5, 0.2, 0.57, 0.27), (0.465, 0.165, 0.605, 0.305)
     assert boxes_um(one_block, "top", drawn.metal(3)) == [(0.5, 0.2, 1.5, 0.27)]
     assert boxes_um(one_block, "top", drawn.metal(3) + 1) == [via]
@@ -459,6 +463,8 @@ def test_a_slot_of_a_net_is_filled_where_it_is_too_narrow(i, turned):
         before_um2 = metal_um2(layout, i)
         too_narrow = slot_um < rule_um
         assert broken_rules(layout) == ({f"metal{i}: distance"} if too_narrow else set())
+        again = slotted(i, slot_um, joined, turned)
+        assert drawn._close_gaps(again, "top", drawn.Wires(again, "top")) == filled
         assert drawn.connect(layout, "top", nothing, {}) == (0, [], [], [])
         assert (f"metal{i}: distance" in broken_rules(layout)) is (too_narrow and not filled)
         added_um2 = metal_um2(layout, i) - before_um2
@@ -489,6 +495,44 @@ def test_of_two_cuts_of_a_net_that_are_too_near_one_stays(i):
         drawn.connect(layout, "top", {"cells": [], "ports": {}}, {})
         kept = layout.cell("top").begin_shapes_rec(layout.layer(drawn.metal(i) + 1, 0))
         assert db.Region(kept).merged().count() == left, (gap_um, one_net)
+
+
+@pytest.mark.parametrize(
+    ("cuts", "gaps", "rounds"),
+    [([0], [0], 1), ([2, 0], [0, 0], 2), ([0, 0, 0], [1, 3, 0], 3), ([1] * 9, [0] * 9, 4)],
+)
+def test_repairs_go_on_while_something_is_repaired(monkeypatch, cuts, gaps, rounds):
+    """A repair may cause another one, but not for ever."""
+    left = {"_thin_cuts": list(cuts), "_close_gaps": list(gaps)}
+    for name, counts in left.items():
+        monkeypatch.setattr(drawn, name, lambda *_, counts=counts: counts.pop(0))
+    layout, _, _ = two_cells([])
+    drawn.connect(layout, "top", {"cells": [], "ports": {}}, {})
+    assert [len(counts) for counts in left.values()] == [len(cuts) - rounds, len(gaps) - rounds]
+
+
+def test_the_picture_shows_the_whole_block_in_the_colours_of_its_metals(monkeypatch, tmp_path):
+    """From corner to corner, without its outline; what has no colour is not there."""
+    layout = db.Layout()
+    layout.dbu = drawn.DBU_UM
+    top = layout.create_cell("top")
+    shown = {drawn.metal(3): (0, 0, 20, 20), drawn.metal(6): (80, 80, 100, 100)}
+    hidden = {drawn.OUTLINE: (0, 0, 100, 100), drawn.metal(7): (0, 80, 20, 100)}
+    for layer, corners in (shown | hidden).items():
+        top.shapes(layout.layer(layer, 0)).insert(drawn.box(*corners))
+    gds, png = tmp_path / "block.gds", tmp_path / "block.png"
+    layout.write(str(gds))
+    monkeypatch.setattr(drawn, "PICTURE_PIXELS", 200)
+    drawn.draw_picture(gds, png)
+    pixels = imread(png)
+    height, width = pixels.shape[:2]
+    assert (height, width) == (200, 200)
+    rgb = np.rint(255 * pixels[:, :, :3]).astype(int) @ [1 << 16, 1 << 8, 1]
+    below, right = np.mgrid[:height, :width] > 100
+    for layer, corner in ((drawn.metal(3), below & ~right), (drawn.metal(6), ~below & right)):
+        of_layer = rgb == drawn.COLOURS[layer]
+        assert of_layer.any() and not (of_layer & ~corner).any()
+    assert (rgb[~below & ~right] == 0xFFFFFF).all()
 
 
 @pytest.mark.needs("cells")

@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 from coincid.flow import layout
+from coincid.flow.layout import tools as layout_tools
 from coincid.flow.liberty import Cell, Energies, Pin
 from coincid.hdl.minigroup import Minigroup
+from coincid.model.shared.errors import InputError
 
 from .sensors import SMALL
 
@@ -635,6 +637,10 @@ def test_slacks_of_a_routed_block_are_those_with_its_wires(flow, monkeypatch, tm
     def timing_report(folder, top, netlist, clock_ns, commands):
         asked.append((folder, top, netlist, clock_ns))
         assert f"read_spef {flow.SPEF}" in commands and "propagated" in commands
+        longest, shortest = commands.split('puts "SHORTEST"')
+        assert longest.count("-path_delay max") == longest.count("report_checks") > 0
+        assert "report_checks -path_delay min" in shortest
+        assert f"write_sdf {flow.SDF}" in shortest
         (folder / flow.SDF).write_text(
             "(IOPATH A Z (0.010::0.030) (-0.02::0.04))", encoding="utf-8"
         )
@@ -1042,3 +1048,15 @@ def test_every_setting_of_the_file_is_set_at_its_place(module):
     values = {"katana": {"a": 2, "inner": {"b": "c"}}, "etesian": {"d": [3]}}
     technology._set(config, values)
     assert (config.katana.a, vars(inner), config.etesian.d) == (2, {"other": 1, "b": "c"}, [3])
+
+
+@pytest.mark.parametrize("missing", ["cells", "coriolis", "klayout", None])
+def test_each_tool_of_a_layout_that_is_missing_is_told_with_what_installs_it(monkeypatch, missing):
+    there = Path("cells")
+    monkeypatch.setattr(layout_tools, "find_spec", lambda name: None if name == missing else name)
+    monkeypatch.setattr(layout_tools, "cells_folder", lambda: None if missing == "cells" else there)
+    if missing is None:
+        assert layout_tools.layout_cells() == there
+        return
+    with pytest.raises(InputError, match="not installed; run: scripts/setup cells layout$"):
+        layout_tools.layout_cells()

@@ -10,6 +10,7 @@ PINS = {
     "data of a flip-flop, while its clock is low": ("D", "", {"CK": 9.0, "!CK": 2.0}, 2.0),
     "data of a latch, while it is closed": ("D", "", {"G": 9.0, "!G": 3.0}, 3.0),
     "data, without conditions": ("D", "", {"": 4.0}, 4.0),
+    "data, with and without a condition": ("D", "", {"CK": 9.0, "": 4.0}, 4.0),
     "clock, while the data stay": (
         "CK",
         "clock : true;",
@@ -17,6 +18,7 @@ PINS = {
         2.0,
     ),
     "clock, without conditions": ("CK", "clock : true;", {"": 5.0}, 5.0),
+    "clock, with and without a condition": ("CK", "clock : true;", {"!D & Q": 9.0, "": 5.0}, 5.0),
     "clock of a gate, while the gate is closed": (
         "CK",
         'clock_gate_clock_pin : "true";',

@@ -157,6 +157,23 @@ def test_sum_by_hand():
         power(design, {"clk": toggles["clk"], "q": toggles["a.q"]}, 0, 10, 100.0)
 
 
+@pytest.mark.parametrize("order", [("CK", "D", "Q"), ("Q", "D", "CK"), ("D", "Q", "CK")])
+def test_an_output_without_a_net_changes_as_the_other_output(order):
+    """Not as another pin of its cell, in whatever order a netlist has them."""
+    output = Pin(True, 0.0, always(1.0), False)
+    library = {
+        "DFF": Cell(
+            0.0, {"CK": CLOCK, "D": Pin(False, 0.0, None, False), "Q": output, "QN": output}
+        )
+    }
+    nets = {"CK": 2, "D": 3, "Q": 4}
+    instances = [Instance("", "DFF", {pin: nets[pin] for pin in order})]
+    names = {2: [("clk", 0)], 3: [("d", 0)], 4: [("q", 0)]}
+    toggles = {"clk": np.array([[20]]), "d": np.array([[9]]), "q": np.array([[5]])}
+    of = power(Design([""], instances, names, library, 2.0), toggles, 0, 10, 100.0)
+    assert of[""].internal == pytest.approx(PER_FJ * 2 * 5 * 1.0)
+
+
 def test_a_gated_flip_flop_by_hand():
     """clk clocks a gate, which clocks a flip-flop in two of ten cycles; the flip-flop changes in
     one of them.

@@ -369,6 +369,9 @@ def test_every_name_of_an_export_has_its_prefix(two_sensors):
         assert cells and all(fnmatch(name, latches) for name in cells)
         core = (two_sensors / f"{prefix}{TOP}.core").read_text(encoding="utf-8")
         assert f'name: "coincid:sensor:{prefix}{TOP}:' in core
+        header = (two_sensors / f"{prefix}coincid_regs.h").read_text(encoding="utf-8")
+        macros = re.findall(r"^#define (\w+)", header, re.MULTILINE)
+        assert macros and all(name.startswith(f"{prefix.upper()}COINCID_") for name in macros)
 
 
 def test_a_prefix_changes_names_only_in_the_manifest(two_sensors, smallest):
