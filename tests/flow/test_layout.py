@@ -154,10 +154,13 @@ def strips_of(tmp_path, **rectangles):
 
 
 def test_pins_that_can_take_tracks_of_their_own_do_so(tmp_path):
-    """Also where the best place of each is on the same track."""
-    wide = strips_of(tmp_path, A="0.05 0.3 0.4 0.5", Z="0.05 0.7 0.4 0.9")
-    assert sorted(strip.x for strip in wide.values()) == pytest.approx([0.095, 0.285])
-    assert len({(strip.low, strip.high) for strip in wide.values()}) == 1
+    """Also where the best place of each is on the same track; and not side by side if there is a
+    third track.
+    """
+    for right, tracks_um in ((0.4, [0.095, 0.285]), (0.55, [0.095, 0.475])):
+        wide = strips_of(tmp_path, A=f"0.02 0.3 {right} 0.5", Z=f"0.02 0.7 {right} 0.9")
+        assert sorted(strip.x for strip in wide.values()) == pytest.approx(tracks_um)
+        assert len({(strip.low, strip.high) for strip in wide.values()}) == 1
 
 
 @pytest.mark.parametrize("order", ["AZ", "ZA"])
@@ -416,6 +419,52 @@ def test_rules_are_checked():
         "via2: covered by both metals",
         "via2: metal beyond it on two sides",
     }
+
+
+LEAST_UM = {1: 0.065, 2: 0.07, 3: 0.07, 4: 0.14, 5: 0.14, 6: 0.14}  # of a metal, and between two
+CUTS_UM = {1: 0.08, 2: 0.09, 3: 0.09, 4: 0.16, 5: 0.16}  # between two cuts
+STEP_UM, CUT_UM, PLATE_UM = 0.005, 0.14, (-1.0, -1.0, 2.0, 2.0)
+
+
+def rules_broken_by(*shapes):
+    return broken_rules(two_cells(shapes)[0])
+
+
+@pytest.mark.parametrize("i", LEAST_UM)
+def test_a_metal_that_is_just_wide_and_far_enough_breaks_no_rule(i):
+    """Less of either is told, of this metal only."""
+    for length_um, broken in ((LEAST_UM[i], False), (LEAST_UM[i] - STEP_UM, True)):
+        wire = (drawn.metal(i), (0.0, 0.0, 1.0, length_um))
+        assert rules_broken_by(wire) == ({f"metal{i}: width"} if broken else set())
+        apart = [(drawn.metal(i), (x, 0.0, x + 1.0, 1.0)) for x in (0.0, 1.0 + length_um)]
+        assert rules_broken_by(*apart) == ({f"metal{i}: distance"} if broken else set())
+
+
+@pytest.mark.parametrize("i", CUTS_UM)
+def test_cuts_that_are_just_far_enough_and_covered_break_no_rule(i):
+    """Less is told, of this via only, whichever of its metals is missing or too short: on no two
+    opposite sides does it reach far enough.
+    """
+    below, via, above = drawn.metal(i), drawn.metal(i) + 1, drawn.metal(i + 1)
+    plates = [(below, PLATE_UM), (above, PLATE_UM)]
+    cut = (via, (0.0, 0.0, CUT_UM, CUT_UM))
+    for gap_um, broken in ((CUTS_UM[i], False), (CUTS_UM[i] - STEP_UM, True)):
+        left_um = CUT_UM + gap_um
+        other = (via, (left_um, 0.0, left_um + CUT_UM, CUT_UM))
+        found = rules_broken_by(*plates, cut, other)
+        assert found == ({f"via{i}: distance"} if broken else set())
+    ends = {f"via{i}: metal beyond it on two sides"} if i < 4 else set()
+    for plate in plates:
+        assert rules_broken_by(plate, cut) == {f"via{i}: covered by both metals"} | ends
+        other = below + above - plate[0]
+        for (left, bottom, right, top), broken in (
+            ((0.035, 0.0, 0.035, 0.0), False),
+            ((0.0, 0.035, 0.0, 0.035), False),
+            ((0.03, 0.03, 0.035, 0.035), True),
+            ((0.035, 0.0, 0.03, 0.0), True),
+        ):
+            short = (other, (-left, -bottom, CUT_UM + right, CUT_UM + top))
+            assert rules_broken_by(plate, cut, short) == (ends if broken else set())
 
 
 def test_a_cut_too_near_its_neighbour_goes():

@@ -245,6 +245,24 @@ def test_a_clock_tree_by_hand():
     )
 
 
+def test_a_clock_tree_reaches_the_inputs_of_a_gated_clock_and_not_its_gate():
+    """The gate is one pin of the tree in front of it, and drives the tree behind it."""
+    gate = {"CK": Pin(False, 4.0, None, True), "GCK": Pin(True, 0.0, None, True)}
+    buffer = {"A": Pin(False, 4.0, None, False), "Z": Pin(True, 0.0, always(7.0), False)}
+    library = {"GATE": Cell(0.0, gate), "DFF": Cell(0.0, {"CK": CLOCK})}
+    library[CLOCK_BUFFER] = Cell(0.0, buffer)
+    instances = [Instance("gate", "GATE", {"CK": 2, "GCK": 3})]
+    instances += [Instance("a", "DFF", {"CK": 3}) for _ in range(4)]
+    of = Design(["", "a", "gate"], instances, {2: [("clk", 0)], 3: [("gated", 0)]}, library, 2.0)
+    toggles = {"clk": np.array([[20]]), "gated": np.array([[6]])}
+    tree = clock_tree_mw(of, toggles, 0, 10, 100.0, wire_ff=0.5)
+    wire_fj = 2.0 * 0.5
+    assert tree == {
+        "gate": pytest.approx(PER_FJ * 20 * wire_fj),
+        "a": pytest.approx(PER_FJ * 6 * 4 * wire_fj),
+    }
+
+
 def test_a_buffer_of_a_clock_tree_drives_its_own_loads():
     """Its energy is that at an equal share of the pins and wires behind it."""
     energies = Energies(np.array([0.0, 1000.0]), np.array([7.0, 2007.0]))  # and 2 fJ per fF

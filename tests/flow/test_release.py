@@ -12,6 +12,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from fnmatch import fnmatch
 from itertools import pairwise
 from pathlib import Path
@@ -640,9 +641,18 @@ def counting(tmp_path_factory):
 
 
 def test_smoke_test_of_counts_passes_with_the_forms_for_cells(counting):
-    """Clocks that stop between frames run while gates are searched, and while counts leave."""
+    """Clocks that stop between frames run while gates are searched, and while counts leave. Every
+    answer, word and end of a word is checked.
+    """
     done = simulated(counting, sources=f"-f {CELLS_LIST} {SMOKE}.v")
-    assert re.fullmatch(r"PASS: \d\d\d+ checks\n", done.stdout), done.stdout + done.stderr
+    text = (counting / f"{SMOKE}.v").read_text(encoding="utf-8")
+    tables = Counter(re.findall(r"^ +(\w+)\[\d+\] = ", text, re.MULTILINE))
+    frames = tables["counter_from"] - 1
+    # Of a frame: a write that is refused and cleared, the start, two readings, and its end.
+    reads = tables["constant"] + tables["counter"] + 2 * frames
+    writes = tables["setting"] + 3 * frames + frames - 1
+    checks = 2 * reads + writes + 2 * tables["expected"] + frames
+    assert frames == 2 and done.stdout == f"PASS: {checks} checks\n", done.stdout + done.stderr
 
 
 def test_smoke_test_finds_a_difference_in_counts(counting, tmp_path):

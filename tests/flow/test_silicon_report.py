@@ -71,6 +71,8 @@ def test_the_report_has_the_edge_and_the_reset_of_each_clock():
     module = {"cells": cells, "netnames": {name: {"bits": bits} for name, bits in names.items()}}
     paths = [("clk", "spads", 1.98, 0.75), ("spads", "clk", 0.5, 0.6)]
     text = silicon_report.report(SMALL, Circuit(), module, paths)
+    built = f"of 1 subgroups of 16 SPADs, {Circuit().banks_of(SMALL)} window bank(s), R = {SMALL.rearm};"
+    assert built in text and "for a cycle of 2 ns:" in text
     rows = [line[2:-2].split(" | ") for line in text.splitlines() if line.startswith("| ")]
     assert [row for row in rows if "---" not in row[0]] == [
         ["clock", "edge", "flip-flops", "asynchronous reset"],
