@@ -203,14 +203,16 @@ ROW_SITES = 71
 
 
 def written(path, **cells):
-    """Write a GDS file of cells, each with its metal1 (boxes in um); return its path."""
+    """Write a GDS file of cells, each with its metal1 (boxes in um); return its path. Its unit is
+    not that of a drawn layout.
+    """
     layout = db.Layout()
-    layout.dbu = drawn.DBU_UM
+    layout.dbu = 2 * drawn.DBU_UM
     metal1 = layout.layer(drawn.metal(1), 0)
     for name, boxes in cells.items():
         shapes = layout.create_cell(name).shapes(metal1)
         for corners in boxes:
-            shapes.insert(drawn.box(*corners))
+            shapes.insert(db.DBox(*corners))
     layout.write(str(path))
     return path
 
@@ -315,7 +317,7 @@ def one_block(tmp_path):
     source = db.Layout()
     source.read(str(library))
     for layer in (drawn.OUTLINE, drawn.TEXT_OF_CELLS):
-        source.cell("C").shapes(source.layer(layer, 0)).insert(drawn.box(0, 0, 0.57, 1.4))
+        source.cell("C").shapes(source.layer(layer, 0)).insert(db.DBox(0, 0, 0.57, 1.4))
     source.write(str(library))
     wires_of = db.Layout()
     wires_of.dbu = 0.001

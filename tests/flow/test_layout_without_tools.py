@@ -1004,6 +1004,45 @@ def test_a_via_reaches_beyond_its_cut_along_each_of_its_narrow_metals(module, mo
     assert made == expected
 
 
+def test_each_metal_and_each_via_has_its_layer_its_width_and_its_distance(module, monkeypatch):
+    """Layers of the GDS of the cells: from metal1 on, metals and vias take turns."""
+    technology = module("technology")
+    made = {}
+
+    def create(tech, name, kind, size=0, spacing=0, gds2Layer=None):
+        made[name] = kind, size, spacing, gds2Layer
+        return SimpleNamespace(setBlockageLayer=lambda layer: None)
+
+    kinds = {"nWell", "pWell", "nImplant", "pImplant", "active", "poly", "other", "blockage"}
+    material = SimpleNamespace(**{kind: kind for kind in kinds | {"metal", "cut"}})
+    anything = SimpleNamespace(create=lambda *_: None, get=lambda: None)
+    unit = SimpleNamespace(UnitPowerMicro=None, setPrecision=lambda _: None)
+    unit.setPhysicalsPerGrid = lambda *_: None
+    file, files = SimpleNamespace(gdsDriver=SimpleNamespace()), SimpleNamespace(ConfigurationFile=0)
+    for name, stand_in in (
+        ("BasicLayer", SimpleNamespace(Material=material)),
+        ("CRL", SimpleNamespace(System=anything)),
+        ("CfgCache", lambda priority: nullcontext(file)),
+        ("DataBase", anything),
+        ("DbU", unit),
+        ("Technology", anything),
+        ("Cfg", SimpleNamespace(Parameter=SimpleNamespace(Priority=files))),
+        ("createBL", create),
+        ("_via", lambda *_: None),
+    ):
+        monkeypatch.setattr(technology, name, stand_in)
+    technology._technology()
+    for i, um in technology.WIDTH_UM.items():
+        width = round(1000 * um)
+        assert made[f"metal{i}"] == ("metal", width, width, 9 + 2 * i)
+        if i in technology.CUT_SPACE_UM:
+            space = round(1000 * technology.CUT_SPACE_UM[i])
+            assert made[f"via{i}"] == ("cut", width, space, 10 + 2 * i)
+    assert made.keys() >= {f"via{i}" for i in range(1, 10)} and "via10" not in made
+    layers = [layer for *_, layer in made.values() if layer is not None]
+    assert len(set(layers)) == len(layers)
+
+
 def test_tracks_alternate_and_only_the_lower_metals_are_routed(module, monkeypatch):
     """Metal2 has the pins only; metal7 and above are for supplies."""
     technology = module("technology")
