@@ -1090,6 +1090,22 @@ def test_limits_hold_where_every_edge_is_an_event():
     assert beats_of["full"] > largest_frame(of) / 2
 
 
+def test_limits_count_what_all_subgroups_hold_at_the_end():
+    """The stream has moved a beat in each cycle, and then all that waits in FIFOs and for records,
+    and the counters of all.
+    """
+    sizes = {"rows": 32, "cols": 64, "subgroup": [4, 4], "minigroup": [2, 2], "fifo_depth": 2}
+    of = parse_config(
+        {
+            "sensor": sizes | {"phases": 4, "window_max": 8},
+            "frame": {"period": 60, "pulses": 3, "format": "full", "minigroup_records": True},
+            "subgroup": {"threshold": 1, "coincidence": False},
+        }
+    )
+    (beats,) = Golden(of.sensor).frame(of, random_edges(of, 60_000, seed=1)).beats
+    assert 0.9 * largest_frame(of) < len(beats) <= largest_frame(of)
+
+
 # Sensors in which neither a record nor an event without a group is longer than a group of one.
 LONG_GROUPS = [
     dict(subgroup=[4, 16], minigroup=[2, 4], phases=16, coarse_bits=3, window_max=13),

@@ -52,6 +52,18 @@ def test_paths_of_the_asynchronous_view_have_required_and_taken_in_order(monkeyp
     assert len(set(pairs)) == len(silicon_report.CLOCKS) ** 2
 
 
+def test_a_netlist_is_mapped_from_its_own_files(monkeypatch, tmp_path):
+    """Not from those that an earlier run has left beside them."""
+    scripts = []
+    monkeypatch.setattr(silicon_report, "run_yosys", lambda folder, *script: scripts.append(script))
+    monkeypatch.setattr(silicon_report, "library_files", lambda: {"enables.v": "", "lib": ""})
+    for name in ("b.v", "a.v", "timing.tcl", silicon_report.MAPPED, silicon_report.TIMED):
+        (tmp_path / name).write_text("", encoding="utf-8")
+    silicon_report.mapped(tmp_path, "top")
+    assert "read_verilog -sv a.v b.v" in scripts[0]
+    assert scripts[0][-1].endswith(f" {silicon_report.MAPPED}")
+
+
 def flop(kind, clock, polarity, width=1, **pins):
     connections = {"CLK": [clock], "Q": list(range(100, 100 + width))} | pins
     return {"type": kind, "parameters": {"CLK_POLARITY": polarity}, "connections": connections}
