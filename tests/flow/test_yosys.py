@@ -21,8 +21,7 @@ from coincid.hdl.clock_gate import ClockGate
 from coincid.hdl.export import units_files
 from coincid.model.contract.config import load_config
 from coincid.model.shared.errors import InputError
-from coincid.tools.build import ToolchainError
-from coincid.tools.wheels import TAIL_LINES, run_program, run_yosys, yosys_once
+from coincid.tools.wheels import run_yosys, yosys_once
 
 LARGE_GATE, SMALL_GATE = ClockGate(), ClockGate(small=True)
 
@@ -49,21 +48,6 @@ def test_without_clock_gates_none_are_left():
     assert bound(bound(plain), gated=False) == plain
     assert any("clockgate" in line for line in cells_script("top"))
     assert not any("clockgate" in line for line in cells_script("top", gated=False))
-
-
-@pytest.mark.parametrize("code", [0, 3])
-def test_of_a_program_that_fails_the_end_of_its_words_is_told(code, tmp_path):
-    """Of output and errors, with its name and its folder; otherwise all of them are its answer."""
-    words = f"import sys; [print(k, flush=True, file=f) for k in range(99) for f in (sys.stdout, sys.stderr)]; sys.exit({code})"
-    lines = [str(k) for k in range(99) for _ in "oe"]
-    if not code:
-        assert run_program([sys.executable, "-c", words], tmp_path, "prog").splitlines() == lines
-        return
-    with pytest.raises(ToolchainError) as failed:
-        run_program([sys.executable, "-c", words], tmp_path, "prog")
-    first, *others = str(failed.value).splitlines()
-    assert first == f"prog failed in {tmp_path}"
-    assert others == lines[-TAIL_LINES:]
 
 
 def test_logic_is_mapped_for_a_part_of_the_cycle():
