@@ -50,7 +50,7 @@ U32 = ctypes.c_uint32
 READ = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, U32, ctypes.POINTER(U32))
 WRITE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, U32, U32)
 EVENT_KINDS = {packet.code for packet in EVENT_FORMATS.values()}
-REFUSED, TIMEOUT, BAD_STREAM = -1, -3, -4
+REFUSED, NO_SENSOR, TIMEOUT, BAD_STREAM = -1, -2, -3, -4
 
 
 class Bus(ctypes.Structure):
@@ -216,6 +216,62 @@ def test_a_command_is_the_write_of_its_bit(library, call, command):
     assert written == [(address("control"), 1 << BY_NAME["control"].bit(command))]
 
 
+class Words(dict):
+    """A sensor of which some words are known; `refused` are places that it does not let read or
+    write. asked: what was read.
+    """
+
+    def __init__(self, words, refused=()):
+        super().__init__(words)
+        self.refused, self.asked = refused, []
+
+    def read(self, place):
+        self.asked.append(place)
+        if place in self.refused:
+            raise RefusedError("read")
+        return self[place]
+
+    def write(self, place, value):
+        if place in self.refused:
+            raise RefusedError("write")
+
+
+CONSTANTS = {one.offset: one.reset(SENSOR) for one in GLOBAL if one.access is Access.CONSTANT}
+
+
+def test_no_sensor_is_found_where_one_constant_cannot_be_read(library):
+    """Whichever it is; nothing is computed of what is not there."""
+    whole = Words(CONSTANTS)
+    assert library.coincid_probe(ctypes.byref(bus_of(whole)), ctypes.byref(Info())) == 0
+    assert {address("id"), address("version"), address("phases")} < {*whole.asked}
+    for place in whole.asked:
+        bus = bus_of(Words(CONSTANTS, [place]))
+        assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(Info())) == NO_SENSOR, place
+
+
+@pytest.mark.parametrize(
+    ("name", "more", "found"),
+    [("id", 1, NO_SENSOR), ("version", 1 << 16, NO_SENSOR), ("version", 1, 0)],
+    ids=["other ID", "other version", "later map of the version"],
+)
+def test_a_sensor_is_known_by_its_id_and_the_version_of_its_map(library, name, more, found):
+    bus = bus_of(Words(CONSTANTS | {address(name): CONSTANTS[address(name)] + more}))
+    assert library.coincid_probe(ctypes.byref(bus), ctypes.byref(Info())) == found
+
+
+def test_what_the_sensor_refuses_is_told_by_every_call(library):
+    """Also where only the end of a frame cannot be cleared."""
+    control, status = address("control"), address("status")
+    done = {status: 1 << BY_NAME["status"].bit("done")}
+    for call in COMMANDS:
+        bus = bus_of(Words({}, [control]))
+        assert getattr(library, call)(ctypes.byref(bus)) == REFUSED
+    assert library.coincid_wait(ctypes.byref(bus_of(Words(done, [status]))), 3) == REFUSED
+    frame_done = Words(done)
+    frame_done.write = Words(done, [status]).write
+    assert library.coincid_wait(ctypes.byref(bus_of(frame_done)), 3) == REFUSED
+
+
 WIDE = random_cases.GOLDEN_SENSORS["wide"]  # more than 64 pixels in a subgroup, and counts
 UNEVEN = random_cases.SENSORS["tiny"] | {"rows": 16}  # four subgroups on three streams
 
@@ -317,6 +373,21 @@ def test_the_example_refuses_what_is_no_whole_frame(example, damage, told):
     )
     assert done.returncode == 1, name
     assert told in done.stderr
+
+
+@pytest.mark.parametrize("names", [[], ["none.txt"], ["empty.txt"], ["empty.txt", "empty.txt"]])
+def test_the_example_tells_its_use_if_it_is_not_given_a_file(example, names):
+    (example / "empty.txt").write_text("", encoding="utf-8")
+    done = subprocess.run(
+        ["./decode", *names],
+        cwd=example,
+        check=False,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+    )
+    told = "usage: coincid_decode captured/NAME.txt\n"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", told)
 
 
 def test_the_driver_drives_and_decodes(library):
