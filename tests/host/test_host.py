@@ -524,7 +524,7 @@ def test_a_reset_leaves_no_frame_that_other_streams_have_not_sent():
     driver.reset()
     for stream, portions in delivery.streams.items():
         portions.append(first[stream])
-    assert all(map(np.array_equal, driver.receive(seconds=0.05), first))
+    assert all(map(np.array_equal, driver.receive(), first))
 
 
 THREE = built_sensor(SENSORS["tiny"] | {"rows": 16})  # three streams
@@ -541,7 +541,7 @@ def test_the_first_frame_that_no_stream_has_lost_is_received(lost):
         portions += [frame[stream] for frame in frames[lost[stream] :]]
     driver = Driver(delivery, THREE, fresh=True)
     for frame in frames[max(lost) :]:
-        assert all(map(np.array_equal, driver.receive(seconds=0.05), frame))
+        assert all(map(np.array_equal, driver.receive(), frame))
 
 
 def test_a_reset_leaves_the_frames_that_all_streams_have_sent():
@@ -555,10 +555,10 @@ def test_a_reset_leaves_the_frames_that_all_streams_have_sent():
         *_, last = delivery.streams.values()
         last[0] = np.concatenate([last[0], *damage])
         with pytest.raises(StreamError) if damage else nullcontext():
-            assert all(map(np.array_equal, driver.receive(seconds=0.05), first))
+            assert all(map(np.array_equal, driver.receive(), first))
         driver.reset()
         for frame in (first, second) if damage else (second,):
-            assert all(map(np.array_equal, driver.receive(seconds=0.05), frame))
+            assert all(map(np.array_equal, driver.receive(), frame))
 
 
 def after_an_error(first, second):
@@ -581,7 +581,7 @@ def test_a_frame_that_one_stream_has_lost_is_dropped_from_the_others(number):
     _, *others = delivery.streams
     for stream in others:
         delivery.streams[stream].append(second[stream])
-    assert all(map(np.array_equal, driver.receive(seconds=0.05), second))
+    assert all(map(np.array_equal, driver.receive(), second))
 
 
 def test_a_reset_after_an_error_leaves_no_frame_that_one_stream_has_sent():
@@ -592,7 +592,7 @@ def test_a_reset_after_an_error_leaves_no_frame_that_one_stream_has_sent():
     driver.reset()
     for stream, portions in delivery.streams.items():
         portions.append(first[stream])
-    assert all(map(np.array_equal, driver.receive(seconds=0.05), first))
+    assert all(map(np.array_equal, driver.receive(), first))
 
 
 @pytest.mark.parametrize("seconds", [0, 4])
