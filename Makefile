@@ -4,8 +4,10 @@ BIN := .venv/bin
 # Ignore an environment or search path that the caller has activated, and keep compiled modules: there are a thousand of them.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 
+# $(call quoted,SCENE): the value of SCENE= as one word of the shell.
+quoted = '$(subst ','\'',$(value $1))'
 # $(call option,scene,SCENE): --scene 'value' if SCENE= was given.
-option = $(if $(value $2),--$1 '$(value $2)')
+option = $(if $(value $2),--$1 $(call quoted,$2))
 
 .PHONY: help pages release setup sim explore check test formal upsets soak mutation coverage verilog synth gls power layout pnr cost lint figures compare modes raytrace bench clean emulate emulator docs
 
@@ -38,7 +40,7 @@ sim: ## simulate a scene and check every word of the RTL; results in build/sim/
 		$(call option,fov,FOV) $(call option,reflectivity,REFLECTIVITY) $(call option,threshold,THRESHOLD) \
 		$(call option,frames,FRAMES) $(call option,link-gbps,LINK_GBPS) $(call option,klux,KLUX) $(call option,pulse,PULSE) \
 		$(call option,pulses,PULSES) $(call option,config,CONFIG) $(call option,seed,SEED) \
-		$(if $(value GAP),--set gap='$(value GAP)') $(call option,view,VIEW) $(if $(filter-out 0,$(WAVES)),--waves) \
+		$(if $(value GAP),--set gap=$(call quoted,GAP)) $(call option,view,VIEW) $(if $(filter-out 0,$(WAVES)),--waves) \
 		--out build/sim
 
 explore: ## the effect of every setting in the browser (PORT=5006)
@@ -53,7 +55,7 @@ check: ## style and the quick tests, before a commit
 
 emulate: ## the emulator, simulated or on a board (PORT=/dev/ttyUSB0)
 	@scripts/setup rtl explore $(if $(PORT),board)
-	@$(BIN)/coincid emulate $(if $(PORT),--port '$(value PORT)',--simulate) $(call option,scene,SCENE) $(call option,klux,KLUX) \
+	@$(BIN)/coincid emulate $(if $(PORT),--port $(call quoted,PORT),--simulate) $(call option,scene,SCENE) $(call option,klux,KLUX) \
 		$(call option,pulses,PULSES) $(call option,frames,FRAMES) $(call option,config,CONFIG) $(call option,seed,SEED)
 
 test: ## the whole regression, on all engines (PYTEST_ARGS="-k fifo -x")
@@ -80,7 +82,7 @@ mutation: ## [more checks, ARGS=--help] mutate RTL, golden model and a sample of
 
 coverage: ## [more checks, ARGS=--help] situations of the contract in random frames, against their goals
 	@scripts/setup test
-	@$(BIN)/python -m tests.coverage
+	@$(BIN)/python -m tests.coverage $(ARGS)
 
 verilog: ## the release: Verilog, register map, constraints; in build/rtl/
 	@scripts/setup rtl

@@ -7,6 +7,7 @@ by beat and fate by fate. So one table covers all engines and needs no simulator
 cocotb-coverage would count in only one of them.
 """
 
+import argparse
 import collections
 import itertools
 import sys
@@ -151,6 +152,7 @@ def steps(config: Config, before: Trace, after: Trace, counts: collections.Count
 
 
 def main() -> None:
+    argparse.ArgumentParser(description="Coverage of the contract in random frames").parse_args()
     counts: collections.Counter = collections.Counter()
     for name in ("default", "tiny", "coarse", "odd"):
         sensor = random_cases.GOLDEN_SENSORS[name]

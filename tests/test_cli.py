@@ -554,6 +554,12 @@ def test_help_shows_every_text_whole(name):
     assert "[[" not in shown
 
 
+def test_without_a_word_every_command_is_shown_with_its_help():
+    shown = letters(command("").output.replace("│", " "))
+    for name, one in get_command(app).commands.items():
+        assert letters(f"{name} {getdoc(one.callback)}") in shown
+
+
 @pytest.mark.parametrize("value", ["True", "1", "yes", ""])
 def test_a_switch_of_the_detector_is_true_or_false(value, tmp_path):
     given = "photons --scene flat:5 --set rows=8 --set cols=8 --set pulses=5"

@@ -19,6 +19,7 @@ from coincid.model.contract.packet import FORMATS, HEADER, header_field
 from coincid.model.contract.preset_files import PRESETS
 from coincid.study.sweep import sweep
 from coincid.study.sweep_spec import read_spec
+from docs import conf
 from docs.studies.drawings import waveform as picture
 
 from .command import command
@@ -243,3 +244,70 @@ def test_named_files_and_commands_exist(page):
         re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     )
     assert set(re.findall(r"(?:^|`)make (\w+)", text, re.MULTILINE)) <= targets
+
+
+def as_restructured(*lines, what="function"):
+    """Return the lines of a docstring as the site reads them."""
+    read = list(lines)
+    conf.plain_text(None, what, "name", None, None, read)
+    return read
+
+
+@pytest.mark.parametrize(
+    ("line", "read"),
+    [
+        ("rows * cols, a|b, C:\\x", r"rows \* cols, a\|b, C:\\x"),
+        ("those of `Config`, and `a*b`", r"those of ``Config``\ , and ``a*b``\ "),
+        ("a name_ and name_of", r"a name\_ and name_of"),
+        ("one ` alone * two", r"one  alone \* two"),
+        ("several `name`s", r"several ``name``\ s"),
+    ],
+)
+def test_docstrings_are_plain_text_but_for_names_in_backticks(line, read):
+    assert as_restructured(line) == [read]
+
+
+def test_headings_lists_and_steps_of_docstrings_stay():
+    """A heading that the style of NumPy has is left to its reader; others are sentences."""
+    assert as_restructured("Returns", "-------", "a * b") == ["Returns", "-------", "a * b"]
+    assert as_restructured("Files", "-----", "a") == ["Files:", "", "a"]
+    assert as_restructured("* first", "  goes on", "* second") == [
+        "* first",
+        "  goes on",
+        "* second",
+    ]
+    assert as_restructured("head:", "  inner", "    deep") == ["| head:", "|   inner", "|     deep"]
+    assert as_restructured("one line", "and another") == ["one line", "and another"]
+    assert as_restructured("float: m", what="property") == ["float -- m"]
+    assert as_restructured("float: m") == ["float: m"]
+
+
+def test_the_contents_of_the_site_are_those_of_the_index():
+    """A part for each heading, with the pages that its list links, and the reference at the end."""
+    index = """# Title
+
+* [not a part](before.md)
+
+## To use
+
+* [one](one.md) is first, then [aside](aside.md)
+* [home](../README.md)
+text with [a link](no.md)
+
+## To read
+
+* [deep](studies/two.md)
+* [elsewhere](https://a.example/b.md)
+"""
+    parts = re.findall(r":caption: (.*)\n\n((?:/.*\n)*)", conf.contents(index))
+    assert [(caption, pages.split()) for caption, pages in parts] == [
+        ("To use", ["/docs/one", "/README"]),
+        ("To read", ["/docs/studies/two"]),
+        ("Reference", ["/gallery/index", "/api/index"]),
+    ]
+
+
+def test_the_site_has_every_page_of_the_documentation_in_its_contents():
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^/docs/(.*)$", conf.contents(index), re.MULTILINE))
+    assert listed == {page.stem for page in PAGES[1:]} - {"index"}

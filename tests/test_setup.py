@@ -379,6 +379,146 @@ def test_another_python_than_that_of_the_environment_is_refused(tmp_path, python
     assert says in done.stderr
 
 
+NOTED = """import os, sys
+from pathlib import Path
+with open("noted", "a", encoding="utf-8") as file:
+    file.write(" ".join([Path(__file__).name, *sys.argv[1:]]) + "\\n")
+sys.exit(os.environ.get("FAILING") == Path(__file__).name)
+"""
+BASIC = "bash cat dirname find flock grep kill rm sed sha256sum sleep sort tr wc".split()
+
+
+@pytest.fixture
+def place(tmp_path):
+    """Return a folder in which the set-up notes what it installs: lock files, by `locked.py`, and
+    system packages, by `system.py`. It has all Python packages but none of the system.
+    """
+    folder = tmp_path / "clone"
+    folder.mkdir()
+    set_up_place(folder)
+    (folder / "tools").mkdir()
+    for name in ("locked.py", "system.py"):
+        (folder / "tools" / name).write_text(NOTED, encoding="utf-8")
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    for name in BASIC:
+        (programs / name).symlink_to(shutil.which(name))
+    (programs / "python3").symlink_to(sys.executable)
+    uv = folder / ".venv" / "bin" / "uv"
+    uv.write_text('#!/bin/sh\necho "uv $*" >>noted\n', encoding="utf-8")
+    uv.chmod(0o755)
+    return folder
+
+
+def set_up(place, *needs, **environment):
+    """Run the set-up; return its exit code, what it says, and what it has installed."""
+    noted = place / "noted"
+    noted.unlink(missing_ok=True)
+    done = subprocess.run(
+        [place / "scripts" / "setup", *needs],
+        cwd=place.parent,
+        env={"PATH": str(place.parent / "programs")} | environment,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+    )
+    installed = noted.read_text(encoding="utf-8").splitlines() if noted.exists() else []
+    return done.returncode, done.stderr, installed
+
+
+def test_a_lock_is_installed_when_it_is_new_or_has_changed_and_only_then(place):
+    """Not one that no need asks for, nor one whose installation has succeeded before."""
+    assert set_up(place) == (0, "", [])
+    for name in ("sweep", "explore", "board"):
+        (place / f"requirements-{name}.lock").write_text("a==1\n", encoding="utf-8")
+    assert set_up(place) == (0, "", [])
+    failed, _, installed = set_up(place, "sweep", "explore", FAILING="locked.py")
+    locks = "requirements-explore.lock requirements-sweep.lock"
+    assert failed == 1 and installed == [f"locked.py {locks}"]
+    assert set_up(place, "sweep", "explore")[2] == [f"locked.py {locks}"]
+    assert set_up(place, "explore")[2] == []
+    for name in ("requirements-sweep.lock", "requirements.lock", "pyproject.toml"):
+        with (place / name).open("a", encoding="utf-8") as file:
+            file.write("# changed\n")
+    locked, editable = set_up(place, "explore")[2]
+    assert locked == "locked.py requirements.lock"
+    assert editable.startswith("uv ") and editable.endswith(" --no-build-isolation --editable .")
+    assert set_up(place, "sweep")[2] == ["locked.py requirements-sweep.lock"]
+    assert set_up(place) == (0, "", [])
+
+
+@pytest.mark.parametrize(
+    ("need", "missing", "packages"),
+    [
+        ("rtl", "g++", "g++"),
+        ("icarus", "iverilog", "iverilog"),
+        ("verilator", "verilator", "verilator"),
+        ("cells", "sta", "opensta"),
+        ("chromium", "chromium", "chromium"),
+    ],
+)
+def test_a_system_package_is_installed_where_its_program_is_missing(place, need, missing, packages):
+    """Only for its need, and without it the set-up fails, but for the optional browser."""
+    assert set_up(place, "explore") == (0, "", [])
+    there = place.parent / "programs"
+    for name in {"g++", missing}:
+        (there / name).symlink_to(shutil.which("true"))
+    assert set_up(place, need) == (0, "", [])
+    (there / missing).unlink()
+    assert set_up(place, need) == (0, "", [f"system.py {packages}"])
+    code, _, installed = set_up(place, need, FAILING="system.py")
+    assert installed == [f"system.py {packages}"]
+    assert code == (need != "chromium")
+
+
+MADE = """#!/bin/sh
+case "$*" in
+    *sys.exit*) exit {old} ;;
+    -V) echo Python 3.9.1 ;;
+    *"-m venv"*) echo "$*" >>noted; rm -rf .venv/bin; mkdir -p .venv/bin; ln -s "$0" .venv/bin/python ;;
+    *locked.py*) exit 0 ;;
+esac
+"""
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_an_environment_is_made_anew_in_a_folder_that_was_moved(place, moved):
+    """What is behind a link stays: it belongs to somebody else."""
+    other = place.parent / "other"
+    other.write_text(MADE.format(old=0), encoding="utf-8")
+    other.chmod(0o755)
+    if moved:
+        place = place.rename(place.with_name("elsewhere"))
+    else:
+        (place / ".venv").rename(place.parent / "theirs")
+        (place / ".venv").symlink_to(place.parent / "theirs")
+        (place.parent / "theirs" / ".stamp").unlink()
+    (place.parent / "programs" / "python3").unlink()
+    (place.parent / "programs" / "python3").symlink_to(other)
+    for name in ("ln", "mkdir"):
+        (place.parent / "programs" / name).symlink_to(shutil.which(name))
+    code, said, installed = set_up(place)
+    assert code == 0, said
+    assert installed[0] == "-m venv --clear --without-pip .venv"
+    assert not (place / ".venv").is_symlink()
+    assert f"made in {place}" in (place / ".venv" / ".stamp").read_text(encoding="utf-8")
+    if not moved:
+        assert (place.parent / "theirs" / "bin" / "uv").exists()
+    assert set_up(place) == (0, "", [])
+
+
+def test_an_old_python_is_refused_by_its_version(place):
+    other = place.parent / "other"
+    other.write_text(MADE.format(old=1), encoding="utf-8")
+    other.chmod(0o755)
+    (place / ".venv").rename(place / "gone")
+    (place.parent / "programs" / "python3").unlink()
+    (place.parent / "programs" / "python3").symlink_to(other)
+    code, said, installed = set_up(place)
+    assert (code, installed) == (1, [])
+    assert said == "Python 3.9.1: 3.11 or newer is needed; name one with PYTHON=...\n"
+
+
 def test_an_unknown_need_is_refused():
     done = subprocess.run(
         [ROOT / "scripts" / "setup", "nothing"], capture_output=True, text=True, encoding="utf-8"

@@ -150,6 +150,29 @@ def test_figures_6_and_8(monkeypatch, written):
     assert "| matched, minigroup stamps | 9.5 % (2) | 9.5 % (2) | 9.5 % (2) |" in written["fig8"]
 
 
+def test_figures_2_and_7(monkeypatch, written):
+    """Each reading has its own distance; each light and threshold has the numbers of every source."""
+    distances_m = {key: 1.25 + k for k, key in enumerate(paper_page.READINGS)}
+    monkeypatch.setattr(
+        paper_page.light_over_distance,
+        "zero_m",
+        lambda form, key: distances_m[key] if form == "literal" else 0.0,
+    )
+    paper_page.figure_2()
+    for key, told in paper_page.READINGS.items():
+        assert f"| {key} | {told} | {distances_m[key]:.2f} m |" in written["fig2"]
+    comparisons = []
+    for k, (which, klux) in enumerate(product(("highest", "lowest"), ("5 klux", "50 klux"))):
+        ours = {name: f"{10 * k + j}" for j, name in enumerate(paper_page.COLUMNS_7.values())}
+        quantity = f"{which} threshold within 1 % of the best, {klux}"
+        comparisons.append(Comparison(quantity, "-", ours))
+    given(monkeypatch, paper_page, (), comparisons)
+    paper_page.figure_7()
+    assert "| 50 klux | highest | 10 | 11 | 12 | 13 |" in written["fig7"]
+    assert "| 5 klux | lowest | 20 | 21 | 22 | 23 |" in written["fig7"]
+    assert "images/paper_fig7.png" in written["fig7"]
+
+
 def test_streams(monkeypatch, written):
     rows = []
     for (rows_, cols), threshold, form, records in product(

@@ -7,17 +7,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from coincid.flow.power import Power
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.packet import BEAT_BITS, EVENT_FORMATS, layout
 from coincid.model.contract.parameters import CLOCK_MHZ
 from coincid.model.depth.histograms import SOURCES
 from coincid.model.depth.quality import TOLERANCE_M
 from docs.studies import (
+    advice,
+    brought_files,
     choices,
     controller_rooms,
     cost,
     count_confidence,
+    count_cost,
     limit,
+    power_against_light,
     pulses_apart,
     returns,
     surfaces,
@@ -167,6 +172,305 @@ def test_parts_that_a_sensor_may_leave_out():
         numbers = [*row.values()][1:]
         told = [form.format(number) for form, number in zip(forms, numbers, strict=True)]
         assert cells == [row["choice"], *told]
+
+
+def test_the_cost_of_a_parameter_is_told_for_each_of_its_values(monkeypatch):
+    """A size of two sides as the number of its pixels."""
+    names = ("area_um2_per_pixel", "bits_id", "bits_full", "mevents_per_s_id", "threshold_bits")
+    costs = {}
+
+    def point(sensor):
+        numbers = [1000 * len(costs) + 7 * k for k in range(len(names))]
+        key = sensor.subgroup, sensor.minigroup, sensor.phases
+        return costs.setdefault(key, dict(zip(names, numbers, strict=True)))
+
+    monkeypatch.setattr(cost, "point", point)
+    rows = cost.sweep()
+    usual = parse_config({}).sensor
+    expected = []
+    for parameter, (_, values) in cost.SWEEPS.items():
+        for value in values:
+            sizes = [usual.subgroup, usual.minigroup, usual.phases]
+            sizes[list(cost.SWEEPS).index(parameter)] = value
+            one = costs[tuple(sizes)]
+            told = value if isinstance(value, int) else value[0] * value[1]
+            numbers = [f"{one['area_um2_per_pixel']:,}", *(str(one[name]) for name in names[1:4])]
+            expected.append([parameter, told, *numbers])
+    assert [cost._cells(row) for row in rows] == expected
+
+
+def test_each_choice_of_parts_has_its_own_areas_and_powers(monkeypatch):
+    """Of a pixel in either view; the power in the dark, in the light, and between frames."""
+    monkeypatch.setattr(choices, "Subgroup", lambda sensor, view: sensor)
+
+    def mapped(sensor, view):
+        um2 = 500 if view is choices.POLYPHASE else 700
+        return SimpleNamespace(area_um2=sensor.pixels * (um2 + sensor.fifo_depth))
+
+    def measured(tell, cases, **parameters):
+        assert list(cases) == [choices.DARK, choices.MIDDLE]
+        depth = parameters.get("fifo_depth", 0)
+        totals = [SimpleNamespace(total=SimpleNamespace(total=mw + depth)) for mw in (1.0, 2.0)]
+        return totals, SimpleNamespace(total=0.5 + depth)
+
+    monkeypatch.setattr(choices, "map_block", mapped)
+    monkeypatch.setattr(choices, "measure", measured)
+    monkeypatch.setattr(choices, "wrong_share", lambda sensor: sensor.fifo_depth / 1000)
+    monkeypatch.setattr(choices, "CHOICES", {"usual": {}, "small": {"fifo_depth": 8}})
+    usual = parse_config({}).sensor.fifo_depth
+    assert [list(row.values()) for row in choices.choices()] == [
+        ["usual", 500.0 + usual, 700.0 + usual, 1.0, 2.0, 0.5, usual / 10],
+        ["small", 508.0, 708.0, 9.0, 10.0, 8.5, 0.8],
+    ]
+
+
+def test_the_energy_of_a_pulse_is_what_more_pulses_take(monkeypatch):
+    """The rest of a frame is that of its searches. Power during a time is energy: mW x us = nJ."""
+    asked = []
+
+    def measured(tell, cases, **sensor):
+        asked.append((sensor["counts"], cases[0].frame))
+        return [SimpleNamespace(total=SimpleNamespace(total=0.5))], None
+
+    monkeypatch.setattr(count_cost, "measure", measured)
+    config = parse_config({"sensor": count_cost.QUARTER, "frame": {"pulses": 5}})
+    found = count_cost._frame_nj("id", 5)
+    assert found == pytest.approx(0.5 * config.frame_cycles / CLOCK_MHZ / 16)
+    count_cost._frame_nj("counts", 5)
+    assert asked == [(form == "counts", {"format": form, "pulses": 5}) for form in ("id", "counts")]
+    monkeypatch.setattr(count_cost, "_frame_nj", lambda form, pulses: 3.0 + 0.25 * pulses)
+    assert count_cost.energy("counts") == pytest.approx((0.25, 3.0))
+
+
+def test_the_power_of_counts_in_the_units_of_its_heads(monkeypatch):
+    """Only counts have searches, once in a frame."""
+    energies = {"id": (0.002, 9.0), "counts": (0.0032, 1.5)}
+    monkeypatch.setattr(count_cost, "energy", lambda form: count_cost.Energy(*energies[form]))
+    assert cells_of(count_cost.power_table()) == [
+        ["`id`", "2.0", "", "0.06"],
+        ["`counts`", "3.2", "1.50", "0.14"],
+    ]
+
+
+def test_the_area_of_counts_with_and_without_macros(monkeypatch):
+    """A macro takes the place of the memory of each minigroup; the slack is that of the worst path."""
+    monkeypatch.setattr(count_cost, "Memory", lambda rows, bits: None)
+    monkeypatch.setattr(count_cost, "Subgroup", lambda sensor: sensor)
+
+    def mapped(block):
+        um2 = 1400.0 if block is None else 64_000.0 + 32_000.0 * block.counts
+        return SimpleNamespace(area_um2=um2, folder=None, name="a")
+
+    monkeypatch.setattr(count_cost, "map_block", mapped)
+    monkeypatch.setattr(count_cost, "slacks_ns", lambda *_: {"a": 0.3, "b": -0.123, "c": 0.1})
+    rows = cells_of(count_cost.area_table())
+    assert [row[0] for row in rows] == list(count_cost.SENSORS)
+    plain = ["64,000", "1,000", "", f"{1000**0.5:.1f}", "-0.12"]
+    # 16 minigroups, each smaller by 400 um2
+    counting = ["96,000", "1,500", "1,400", f"{1400**0.5:.1f}", "-0.12"]
+    assert [row[1:] for row in rows] == [plain, counting] * 2
+
+
+def test_the_answer_of_an_advice_is_quoted_whole(monkeypatch):
+    """In lines of the width of the page, each of which is part of the quotation."""
+    sentence = " ".join(f"{number} mm" for number in range(100, 160))
+    monkeypatch.setattr(advice, "advise", lambda setup, klux: SimpleNamespace(sentence=sentence))
+    pages = []
+    monkeypatch.setattr(advice, "put", lambda *region: pages.append(region))
+    advice.make()
+    ((page, name, text),) = pages
+    assert (page, name) == ("docs/advise.md", "answer")
+    lines = text.splitlines()
+    assert all(line.startswith("> ") and len(line) <= advice.COLUMNS for line in lines)
+    assert " ".join(line.removeprefix("> ") for line in lines) == sentence
+
+
+def test_what_the_reading_of_pictures_does_to_a_wall(monkeypatch):
+    """Lengths in mm: the mean of all pixels, the worst one, and blocks beside each other."""
+    side, block = brought_files.SIDE, brought_files.BLOCK
+    read_m, truth_m, found_m = (np.full((side, side), 4.0) for _ in range(3))
+    read_m[: side // 4] = 3.996  # a quarter
+    truth_m[3, 5] = 4.000125
+    found_m[:, side // 2 :] -= 0.0015
+    found_m[:block, :block] += 0.002
+    found_m[0, :12] = 4.25
+    seen = iter((truth_m, found_m))
+    monkeypatch.setattr(brought_files, "_seen_m", lambda samples_m: read_m)
+    monkeypatch.setattr(brought_files, "_z_m", lambda depth, scene: next(seen))
+    monkeypatch.setattr(brought_files, "_megabytes", lambda: 12.4)
+    run = SimpleNamespace(scene=SimpleNamespace(truth_m=truth_m), depth=lambda: None)
+    monkeypatch.setattr(brought_files, "simulate", lambda *given, **options: run)
+    texts = []
+    monkeypatch.setattr(brought_files, "put", lambda page, name, text: texts.append(text))
+    brought_files.make()
+    off_mm = 1000 * np.abs(found_m - 4)
+    means_mm = [
+        1000 * found_m[row : row + block, col : col + block].mean()
+        for row in range(0, side, block)
+        for col in range(0, side, block)
+    ]
+    assert [cells[1] for cells in cells_of(texts[0])] == [
+        "moves the wall by 1.00 mm, a pixel by at most 4.0 mm",
+        "25.0% of the pixels move",
+        "off by at most 0.125 mm",
+        f"off by {np.median(off_mm):.1f} mm in the middle pixel, 250 mm in 1 of 100;"
+        f" means of 8 x 8 pixels within {max(means_mm) - min(means_mm):.1f} mm of each other",
+        "12 MB",
+    ]
+
+
+GROUPS = [name for _, name in power_against_light.GROUPS]
+
+
+def measured_power():
+    """Return made-up power for all cases of the page: no two numbers are equal, and the first case
+    has no events.
+    """
+    found = []
+    for k, case in enumerate(power_against_light.CASES):
+        groups = {name: Power(*(drawn(k, j, i) for i in range(5))) for j, name in enumerate(GROUPS)}
+        events_cps, wired, tree = 2e6 * k, 30 + drawn(k, 98), 5 + drawn(k, 99)
+        measured = power_against_light.Measured(case, 1e7 * k, events_cps, groups, wired, tree)
+        found.append(measured)
+    return found
+
+
+def table_of(page, head):
+    """Return the rows of the table of a page with a first head, by their names."""
+    lines = page[page.index(f"| {head} |") :].partition("\n\n")[0]
+    return {name: cells for name, *cells in cells_of(lines)}
+
+
+def test_the_power_page_tells_each_number_in_its_row():
+    """Those of the light by light; energies of an event where there are events."""
+    found = measured_power()
+    light = found[: len(power_against_light.LIGHT)]
+    between = Power(0.5, 0.25, 0.125, 0.75)
+    page = power_against_light.page(found, between)
+    mw = [one.total.total for one in light]
+    assert mw == pytest.approx(
+        [
+            sum(group.clock + group.internal + group.switching + group.leakage for group in groups)
+            for groups in ([*one.groups.values()] for one in light)
+        ]
+    )
+
+    def told(form, values):
+        return [form.format(value) for value in values]
+
+    blocks = table_of(page, "block")
+    for name in GROUPS:
+        assert blocks[name] == told("{:.2f}", (one.groups[name].total for one in light))
+    assert blocks["**subgroup**"] == told("**{:.2f}**", mw)
+    assert blocks["with wires"] == told("{:.2f}", (one.wired for one in light))
+    assert blocks["and a clock tree"] == told("{:.2f}", (one.wired + one.tree for one in light))
+    assert blocks["uW per pixel"] == told("{:.0f}", (1000 * one / 64 for one in mw))
+    assert blocks["edges per pixel and us"] == told("{:.2f}", (10 * k for k in range(len(light))))
+    users = table_of(page, "a subgroup")
+    assert users["in a frame, mW"] == told("{:.2f}", mw)
+    assert users["between frames, mW"] == ["1.62"] * len(light)
+    for rate_hz in (30, 100):  # a frame takes 100 periods of 500 ns
+        means = [1.625 + rate_hz * 50e-6 * (one - 1.625) for one in mw]
+        assert users[f"mean at {rate_hz} frames/s, mW"] == told("{:.2f}", means)
+    assert users["events per us"] == told("{:.1f}", (2 * k for k in range(len(light))))
+    nj = [one / (2 * k) for k, one in enumerate(mw[1:], 1)]  # mW of 2 k events per us
+    assert users["nJ per event, all power"] == ["", *told("{:.2f}", nj)]
+    more = [(one - mw[0]) / (2 * k) for k, one in enumerate(mw[1:], 1)]
+    assert users["nJ per event, more than in the dark"] == ["", *told("{:.2f}", more)]
+    energies = table_of(page, "block, nJ per event")
+    for name in GROUPS:
+        of_group = [one.groups[name].total / (2 * k) for k, one in enumerate(light) if k]
+        assert energies[name] == told("{:.2f}", of_group)
+    kinds = table_of(page, "kind")
+    for name, label in power_against_light.KINDS:
+        assert kinds[label] == told("{:.2f}", (getattr(one.total, name) for one in light))
+    assert "0.75 mW of the remaining power is leakage" in page
+
+
+def test_what_settings_save_is_told_beside_the_same_light():
+    """Those in saturation beside saturation; gates could save what flip-flops take in vain."""
+    found = measured_power()
+    page = power_against_light.page(found, Power())
+    settings = table_of(page, "setting")
+    by_klux = {one.case.klux: one.total.total for one in found if not one.case.subgroup}
+    by_klux |= {one.case.klux: one.total.total for one in found[: len(power_against_light.LIGHT)]}
+    others = found[len(power_against_light.LIGHT) :]
+    assert list(settings) == [one.case.name for one in others]
+    for one in others:
+        usual, mw = by_klux[one.case.klux], one.total.total
+        saved = usual - mw
+        assert settings[one.case.name] == [f"{mw:.2f}", f"{saved:+.2f}", f"{saved / usual:+.1%}"]
+    (middle,) = (one for one in found if one.case is power_against_light.MIDDLE)
+    gates = [line for line in page.splitlines() if line.startswith("| ")][-len(GROUPS) - 1 :]
+    for line, (name, group) in zip(gates, middle.groups.items(), strict=False):
+        assert line.split("|")[1:4] == [f" {name} ", f" {group.clock:.2f} ", f" {group.idle:.2f} "]
+
+
+def test_power_is_that_of_the_frames_of_a_subgroup(monkeypatch):
+    """Per case: edges of a pixel and events in a second, with wires and with the clock tree."""
+    config = parse_config({"sensor": {"rows": 4, "cols": 4, "subgroup": [4, 4]}})
+    cases = power_against_light.LIGHT[:2]
+    edges = {case.name: np.zeros(160 * k) for k, case in enumerate(cases)}
+    asked = []
+
+    def setup(case, **sensor):
+        assert sensor == {"rows": 4}
+        return SimpleNamespace(
+            config=config, photons=SimpleNamespace(edges=lambda: edges[case.name])
+        )
+
+    def power(design, toggles, number, cycles, clock_mhz, wire_ff):
+        asked.append((number, cycles, clock_mhz))
+        mw = 1.0 + number
+        return {
+            "subgroup_0.tree": Power(mw),
+            "subgroup_0.tree.fifo_0": Power(wire_ff),
+            "readout": Power(99.0),
+        }
+
+    def golden(sensor):
+        return SimpleNamespace(
+            frame=lambda config, edges: SimpleNamespace(commit_subgroup=edges[:8])
+        )
+
+    made = {
+        "setup": setup,
+        "Golden": golden,
+        "FrameJob": lambda config, edges, trace: SimpleNamespace(
+            config=config, edges=edges, expected=trace
+        ),
+        "design": lambda sensor: "netlist",
+        "count_toggles": lambda sensor, jobs: len(jobs),
+        "power": power,
+        "clock_tree_mw": lambda *given: {"subgroup_0": 0.25, "subgroup_0.tree": 0.5, "top": 9.0},
+        "power_at_rest": lambda *given: {"subgroup_0": Power(0.125), "top": Power(9.0)},
+    }
+    for name, one in made.items():
+        monkeypatch.setattr(power_against_light, name, one)
+    lines = []
+    measured, between = power_against_light.measure(lines.append, cases, rows=4)
+    assert between == Power(0.125)
+    seconds = config.frame_cycles / (config.clock_mhz * 1e6)
+    for number, (one, case) in enumerate(zip(measured, cases, strict=True)):
+        assert (one.case, one.groups["tree"], one.tree) == (case, Power(1.0 + number), 0.75)
+        assert one.total == Power(1.0 + number)
+        assert one.wired == pytest.approx(1.0 + number + power_against_light.WIRE_FF)
+        assert one.edges_cps == pytest.approx(10 * number / seconds)
+        assert one.events_cps == pytest.approx(8 * number / seconds)
+    assert asked == [(k, config.frame_cycles, config.clock_mhz) for k in (0, 0, 1, 1)]
+    assert lines[1:] == ["dark: 1.00 mW", "5 klux: 2.00 mW"]
+
+
+def test_the_cells_of_a_block_of_counts_are_told_by_their_kind():
+    cells = {"DFF_X1": 1000, "DFFR_X1": 30, "DLH_X1": 200, "NAND2_X1": 4000, "INV_X1": 5}
+    block = SimpleNamespace(cells=cells, area_um2=12345.6)
+    assert count_cost._block_row("a block", block) == (
+        "a block",
+        "5,235",
+        "1030",
+        "200",
+        "12,346",
+    )
 
 
 def test_surfaces_one_behind_the_other(monkeypatch):

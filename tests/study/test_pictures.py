@@ -130,6 +130,9 @@ def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path, suffix
     assert titles == [("a wall", f"depth, frame {number}") for number in (4, 2, 7)]
     with Image.open(tmp_path / f"moves.{suffix}") as written:
         assert (written.format, written.n_frames) == (kind, 3)
+        for number in range(3):  # shown long enough, and again after the last one
+            written.seek(number)
+            assert (written.info["duration"], written.info["loop"]) == (250, 0)
 
 
 def test_light_is_told_as_its_share_of_the_truth(monkeypatch, tmp_path):
@@ -205,6 +208,22 @@ def test_all_depths_have_one_scale_that_is_a_little_wider_than_the_truth():
             )
 
 
+def test_what_is_near_is_bright_and_a_high_threshold_is_dark(monkeypatch, tmp_path):
+    """So is bright light, in its own pictures."""
+    drawn = []
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, path: drawn.append(figure))
+    truth = np.linspace(2.0, 12.0, ROWS * COLS).reshape(ROWS, COLS)
+    thresholds = np.array([[1, 5, 10]])
+    figure, _ = draw_row([Panel("depth", truth)], truth, blocks=("thresholds", thresholds))
+    light_row(tmp_path / "light.png", [("estimate", truth)], truth)
+    falling = [*figure.axes[:3], *drawn[0].axes[:2]]
+    for axis, sign in zip(falling, (-1, -1, -1, 1, 1), strict=True):
+        (image,) = axis.images
+        at = np.linspace(*image.get_clim(), 9)
+        brightness = image.to_rgba(at)[:, :3].mean(axis=1)
+        assert (sign * np.diff(brightness) > 0).all(), axis.get_title()
+
+
 def test_the_notes_tell_the_marks_that_are_there():
     truth_m = np.full((ROWS, COLS), 5.0)
     unsure = np.zeros((ROWS, COLS), np.uint8)
@@ -277,6 +296,8 @@ def test_a_legend_has_each_label_once_in_as_many_columns_as_there_are():
     assert [text.get_text() for text in legend.get_texts()] == ["a", "b", "c"]
     assert legend._ncols == 3
     assert legend.legend_handles[1].get_color() == first.lines[1].get_color()
+    legend_below(figure, columns=2)
+    assert figure.legends[-1]._ncols == 2
 
 
 @pytest.mark.parametrize("kind", ["svg", "png"])

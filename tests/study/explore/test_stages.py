@@ -168,6 +168,26 @@ def test_only_the_newest_answer_is_delivered():
     runner.close()
 
 
+def test_a_job_begins_while_three_cancelled_ones_are_still_ending():
+    """They may be in a long step, which tells no progress."""
+    begun, go, got = queue.Queue(), threading.Event(), queue.Queue()
+
+    def busy(progress):
+        begun.put("")
+        go.wait(60)
+
+    runner = Runner(lambda *answer: answer[1] == "progress" or got.put(answer))
+    for _ in range(3):
+        runner.start(busy)
+        begun.get(timeout=60)
+    newest = runner.start(lambda progress: "new")
+    try:
+        assert got.get(timeout=30) == (newest, "done", "new")
+    finally:
+        go.set()
+        runner.close()
+
+
 def test_work_that_is_cancelled_before_it_begins_is_never_done():
     """Neither that which an order took back, nor that which a newer one replaced."""
     begun, go, played = threading.Barrier(THREADS + 1), threading.Event(), []

@@ -264,6 +264,16 @@ def test_a_map_stands_upright_and_has_the_scale_that_it_is_given(shows):
     assert one.figure.title.text == f"A: {MAPS[shows][0]}"
 
 
+@pytest.mark.parametrize(
+    ("shows", "rises"),
+    [("truth_m", False), ("depth_m", False), ("threshold", True), ("drops", True), ("confidence", True)],
+)  # fmt: skip
+def test_what_is_near_is_bright_and_so_is_what_is_much(shows, rises):
+    brightness = [sum(bytes.fromhex(colour[1:7])) for colour in MAPS[shows][1]]
+    assert (np.diff(brightness[::32]) > 0).all() == rises
+    assert (np.diff(brightness[::32]) < 0).all() == (not rises)
+
+
 def renderers_of(one, column):
     """Return the renderers of a figure that draw a column as a picture or as a place."""
     return [
