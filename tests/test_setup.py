@@ -473,8 +473,8 @@ def test_a_system_package_is_installed_where_its_program_is_missing(place, need,
 
 MADE = """#!/bin/sh
 case "$*" in
-    *sys.exit*) exit {old} ;;
-    -V) echo Python 3.9.1 ;;
+    *sys.exit*) exec {python} -c "import sys; sys.version_info = {version}; $2" ;;
+    -V) echo Python 3.10.9 ;;
     *"-m venv"*) echo "$*" >>noted; rm -rf .venv/bin; mkdir -p .venv/bin; ln -s "$0" .venv/bin/python ;;
     *locked.py*) exit 0 ;;
 esac
@@ -485,7 +485,7 @@ esac
 def test_an_environment_is_made_anew_in_a_folder_that_was_moved(place, moved):
     """What is behind a link stays: it belongs to somebody else."""
     other = place.parent / "other"
-    other.write_text(MADE.format(old=0), encoding="utf-8")
+    other.write_text(MADE.format(python=sys.executable, version=(3, 11, 0)), encoding="utf-8")
     other.chmod(0o755)
     if moved:
         place = place.rename(place.with_name("elsewhere"))
@@ -509,14 +509,14 @@ def test_an_environment_is_made_anew_in_a_folder_that_was_moved(place, moved):
 
 def test_an_old_python_is_refused_by_its_version(place):
     other = place.parent / "other"
-    other.write_text(MADE.format(old=1), encoding="utf-8")
+    other.write_text(MADE.format(python=sys.executable, version=(3, 10, 9)), encoding="utf-8")
     other.chmod(0o755)
     (place / ".venv").rename(place / "gone")
     (place.parent / "programs" / "python3").unlink()
     (place.parent / "programs" / "python3").symlink_to(other)
     code, said, installed = set_up(place)
     assert (code, installed) == (1, [])
-    assert said == "Python 3.9.1: 3.11 or newer is needed; name one with PYTHON=...\n"
+    assert said == "Python 3.10.9: 3.11 or newer is needed; name one with PYTHON=...\n"
 
 
 def test_an_unknown_need_is_refused():

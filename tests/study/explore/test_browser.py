@@ -16,8 +16,9 @@ from PIL import Image
 import coincid
 from coincid.model.depth.belief import SENTENCES, Reason
 from coincid.study.explore.control_values import check_settings
-from coincid.study.explore.controls import CONTROLS
+from coincid.study.explore.controls import CONTROL, CONTROLS
 from coincid.study.explore.stages import Explorer
+from coincid.study.explore.tab import TRIES
 from coincid.study.show.figures import (
     HistogramFigure,
     TimelineFigure,
@@ -197,13 +198,19 @@ def test_every_control_reaches_what_is_computed(tabs, address):
 
 def test_a_result_is_shown_only_beside_its_own_legal_settings(tabs, address):
     tab = tabs(address)
-    state, opacity = tab.evaluate("""() => {
+    offered = "['[data-do=rtl]', '[data-do=keep_a]', '#save'].map((one) => $(one).disabled)"
+    assert tab.evaluate(offered) == [False] * 3
+    state, opacity, disabled = tab.evaluate(
+        """() => {
         const field = document.querySelector("#controls [name='threshold']");
         field.value = "5";
         field.dispatchEvent(new Event("input", {bubbles: true}));
-        return [document.body.dataset.state, getComputedStyle(document.getElementById("results")).opacity];
-    }""")
+        const {opacity} = getComputedStyle(document.getElementById("results"));
+        return [document.body.dataset.state, opacity, OFFERED];
+    }""".replace("OFFERED", offered)
+    )
     assert state == "asked" and float(opacity) < 0.1  # at once, before the server has answered
+    assert disabled == [True] * 3  # what they would act on is the earlier result
     for threshold in (6, 7, 3):
         put(tab, "threshold", threshold)
     shown(tab)
@@ -211,6 +218,7 @@ def test_a_result_is_shown_only_beside_its_own_legal_settings(tabs, address):
     assert number(tab, "mean threshold") == ["3.00 pixels"]
     put(tab, "threshold", 999)
     assert refused(tab) == "Threshold = 999: must be an integer from 1 to 64"
+    assert tab.evaluate(offered) == [True] * 3
     assert "illegal" in tab.locator("[data-control=threshold]").get_attribute("class")
     # The earlier result stays, and the page says that it is the earlier one.
     assert tab.locator("#results").evaluate("(one) => getComputedStyle(one).opacity") == "0.6"
@@ -232,9 +240,13 @@ def test_the_threshold_and_the_dark_object(tabs, address):
     ):
         tab.locator("[data-try]").nth(number_of_try).click()
         shown(tab)
+        assert tab.locator("#tried").text_content() == TRIES[number_of_try][2]
         assert re.search(text, tab.locator("#story").text_content())
     rows = tab.locator("#objects tbody tr").all_text_contents()
     assert re.search(r"[1-9]\d\.\d%", rows[0]) and "0.0%" in rows[-1]
+    tab.click("[data-do=reset]")
+    shown(tab)
+    assert tab.locator("#tried").text_content() == ""
 
 
 def test_a_click_picks_a_pixel_and_its_subgroup_and_pulses_play(tabs, address):
@@ -403,6 +415,15 @@ def test_a_slider_and_its_field_move_together_and_a_film_stops(tabs, address):
     put(tab, "threshold", 5)
     assert tab.input_value("[data-slides=threshold]") == "5"
     shown(tab)
+    tab.evaluate("window.mark = 'the same page'")
+    for name in ("window", "threshold"):
+        tab.focus(f"[name={name}]")
+        assert tab.locator("#about").text_content() == CONTROL[name].sentence
+    tab.keyboard.press("Enter")
+    keep = tab.locator("[data-do=keep_a]")
+    keep.hover()
+    assert tab.locator("#about").text_content() == keep.get_attribute("data-says")
+    assert tab.evaluate("window.mark") == "the same page"
     button = tab.locator("[data-play=pulse]")
     for pressed in ("true", "false"):
         button.click()
@@ -452,6 +473,12 @@ def test_what_the_server_tells_stands_in_its_place(tabs, address):
     said = r"computing: depth, 5\d\d s\. Any change overtakes it\."
     assert re.fullmatch(said, tab.locator("#status").text_content())
     assert tab.locator("#progress").is_visible()
+    check = "([text, bad, age]) => { link.rtl_check = {number: asked - age, text, bad}; }"
+    for text, bad, age in (("RTL: 5%", False, 0), ("It differs.", True, 0), ("Old.", False, 1)):
+        tab.evaluate(check, [text, bad, age])
+        verdict = tab.locator("#rtl:not([hidden])")
+        assert verdict.text_content() == (text if age == 0 else "It differs.")
+        assert ("bad" in (verdict.get_attribute("class") or "")) == (bad or age == 1)
     tab.evaluate("document.body.removeAttribute('data-earlier')")
     tab.evaluate("link.refusal = {number: asked, message: 'not so', control: 'window'}")
     nothing = "Nothing is shown: these settings are not possible."
@@ -460,8 +487,8 @@ def test_what_the_server_tells_stands_in_its_place(tabs, address):
     put(tab, "threshold", 3)
     shown(tab)
     assert tab.locator(".illegal").count() == 0
-    hidden = [tab.locator(name).is_hidden() for name in ("#progress", "#film", "[data-do=drop_a]")]
-    assert hidden == [True] * 3
+    gone = ("#progress", "#film", "[data-do=drop_a]", "#rtl")
+    assert [tab.locator(name).is_hidden() for name in gone] == [True] * 4
 
 
 def test_quick_changes_of_one_control_are_one_step_of_the_browser(tabs, address):
