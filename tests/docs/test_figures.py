@@ -4,8 +4,10 @@ a point at 150 m.
 """
 
 import re
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from coincid.lab.campaign import Processes
@@ -13,7 +15,7 @@ from coincid.lab.outcomes import Run
 from coincid.model.depth.quality import TOLERANCE_M
 from coincid.study.plot_style import new_figure, style
 from docs.studies import returns
-from docs.studies.figures import light_over_distance, reconstruction
+from docs.studies.figures import four_modes, light_over_distance, reconstruction, thresholds
 from docs.studies.figures.sections import Comparison, Section, write_figures_page, write_section
 from docs.studies.figures.setups import cases, mean, mean_rows, outcome
 
@@ -130,3 +132,130 @@ def test_a_point_at_150_m():
         abs(returns.point_error_m(Run(returns.point(0.1, 10.0, 1000, 0, nj)))) for nj in (2.0, 0.01)
     )
     assert near < TOLERANCE_M < far
+
+
+def far_outcome(found, right=0.0, rms_m=0.0):
+    """Return a made-up outcome of a target far away."""
+    shares = {"found_share_planes": found, "right_share_planes": right}
+    return SimpleNamespace(measures=shares | {"found_rms_m_planes": rms_m})
+
+
+@pytest.mark.parametrize(
+    ("shares", "told"),
+    [
+        ((0.2, 0.89, 0.9, 0.3, 1, 1, 1, 1), "10 nJ, threshold 2, 2.4 cm RMS"),
+        ((0.9, 0, 0, 0, 0, 0, 0, 0), "2.5 nJ, coincidence off, 0.4 cm RMS"),
+        ((0, 0, 0, 0, 0, 0, 0, 0.899), "more than 500 nJ"),
+    ],
+)
+def test_the_weakest_pulse_that_finds_a_target_is_told_with_its_own_numbers(shares, told):
+    """The share and the precision are means over seeds."""
+    best = [
+        (k, [far_outcome(share + off, rms_m=0.01 * k + 0.004 + off / 10) for off in (-0.01, 0.01)])
+        for k, share in enumerate(shares)
+    ]
+    assert four_modes._need(best) == told
+
+
+def test_the_best_threshold_sees_most_then_is_right_most_then_is_the_highest():
+    def best(*outcomes):
+        table = {
+            (0.1, "scan", 1000, threshold, 5.0): [far_outcome(*one)]
+            for threshold, one in zip(four_modes.FAR_THRESHOLDS, outcomes, strict=True)
+        }
+        return four_modes._best(table, 0.1, "scan", 1000, 5.0)[0]
+
+    assert best((0.5, 0.9), (0.7, 0.1), (0.6, 0.9), (0.1, 1.0)) == 1
+    assert best((0.7, 0.2), (0.7, 0.1), (0.6, 0.9), (0.1, 1.0)) == 0
+    assert best((0.7, 0.2), (0.7, 0.1), (0.7, 0.2), (0.1, 1.0)) == 2
+
+
+def test_a_mode_reaches_the_farthest_distance_that_is_right():
+    """Also if a nearer one is wrong."""
+    shares = [0.9, 1, 1, 0.5, 0.9, 0.89, 0, 0]
+    assert four_modes._reach(shares) == "16 m"
+    assert four_modes._reach([0.89] * len(shares)) == "none"
+
+
+@pytest.mark.parametrize("schedule", four_modes.SCHEDULES)
+def test_the_gate_of_a_far_target_is_that_of_its_schedule(schedule):
+    """Around the target, or through the whole range in equal parts of the frame."""
+    first, second = four_modes._far(0.4, schedule, 1000, 0, 2.0)
+    config = first.config
+    cycle_m = config.tick_m * config.sensor.phases
+    assert (first.seed, second.seed) == (1, 2)
+    assert first.spad_gate == config.gating.all() == (schedule != "none")
+    assert not config.coincidence.any() and config.threshold[0] == 1
+    assert first.light.signal_per_pulse.max() == pytest.approx(
+        2 * four_modes._far(0.4, schedule, 1000, 3, 1.0)[0].light.signal_per_pulse.max()
+    )
+    start_m, end_m = (
+        cycle_m * cycle
+        for cycle in (config.gate_start[0], config.gate_start[0] + config.gate_len[0])
+    )
+    if schedule == "known":
+        assert 95 - cycle_m < start_m <= 95 and 105 - 2 * cycle_m < end_m <= 105
+        assert not config.frame.gate_every
+    if schedule == "scan":
+        assert 3 - cycle_m < start_m <= 3
+        assert config.frame.gate_every * config.frame.gate_steps == config.pulses == 1000
+        steps = config.frame.gate_steps - 1
+        assert end_m + steps * config.frame.gate_step * cycle_m > 100
+
+
+@pytest.mark.parametrize("mode", four_modes.MODES)
+def test_the_gate_of_a_mode_is_around_its_target_and_behind_the_pane(mode):
+    coincidence, gate = four_modes.MODES[mode]
+    (setup, _) = four_modes._flat(mode, 10.0, 4.9, 0.6, 0.3)
+    config = setup.config
+    cycle_m = config.tick_m * config.sensor.phases
+    assert (config.coincidence.all(), config.gating.all()) == (coincidence, gate is not None)
+    assert setup.spad_gate == (gate == "spad")
+    first, end = (
+        config.gate_start[0] * cycle_m,
+        (config.gate_start[0] + config.gate_len[0]) * cycle_m,
+    )
+    assert 4.0 < first <= 4.3 < 5.5 <= end + cycle_m
+    assert setup.light.distance_m[0].tolist() == [4.0, 4.9]
+    assert setup.light.signal_per_pulse[0, 0] == 0.3
+    (near, _) = four_modes._flat(mode, 10.0, 0.5, 3.0)
+    assert near.config.gate_start[0] == 0 and near.light.distance_m.shape[1] == 1
+
+
+@pytest.mark.parametrize(
+    ("chosen", "which", "told"),
+    [
+        ([(1, 9), (5, 2), (3, 3)], 0, "1 to 3, 5 between them"),
+        ([(1, 9), (5, 2), (3, 3)], 1, "9 to 3"),
+        ([(4, 1), (4, 1), (2, 1)], 0, "4 to 2"),
+    ],
+)
+def test_thresholds_are_told_from_the_lowest_to_the_highest_activity(chosen, which, told):
+    assert thresholds._ends(chosen, which) == told
+
+
+def test_simulated_success_is_that_of_each_light_at_each_threshold(monkeypatch):
+    """The reflectivity of the wall gives the light."""
+    asked = {}
+
+    def noted(seeds, pulses, **given):
+        asked[given["scene"], given["subgroup"]["threshold"]] = given
+        return [given]
+
+    def grouped(setups, outcome, run):
+        return {
+            (signal, threshold): [
+                SimpleNamespace(measures={"wrong_share": signal + threshold / 1e3})
+            ]
+            for signal, threshold in setups
+        }
+
+    monkeypatch.setattr(thresholds, "cases", noted)
+    monkeypatch.setattr(thresholds, "grouped", grouped)
+    found = thresholds._simulated(None, 5.0, 100)
+    expected = 1 - thresholds.SIGNAL[:, None] - np.array(thresholds.THRESHOLDS) / 1e3
+    assert found == pytest.approx(expected)
+    assert len(asked) == found.size and {one["klux"] for one in asked.values()} == {5.0}
+    brightest = max(float(scene.partition(",")[2]) for scene, _ in asked)
+    light = thresholds.signal_per_pulse(thresholds.DISTANCE_M, brightest)
+    assert light == pytest.approx(thresholds.SIGNAL[-1], rel=1e-4)

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from coincid.flow.power import Power
+from coincid.lab.measures import stream_beats
+from coincid.lab.pace import frames_per_s
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.packet import BEAT_BITS, EVENT_FORMATS, layout
 from coincid.model.contract.parameters import CLOCK_MHZ
@@ -21,6 +23,7 @@ from docs.studies import (
     cost,
     count_confidence,
     count_cost,
+    counts,
     limit,
     power_against_light,
     pulses_apart,
@@ -269,6 +272,124 @@ def test_the_area_of_counts_with_and_without_macros(monkeypatch):
     # 16 minigroups, each smaller by 400 um2
     counting = ["96,000", "1,500", "1,400", f"{1400**0.5:.1f}", "-0.12"]
     assert [row[1:] for row in rows] == [plain, counting] * 2
+
+
+ONE_SUBGROUP = {"sensor": {"rows": 4, "cols": 4, "subgroup": [4, 4]}}
+
+
+def minigroups_m(config, *ticks):
+    """Return distances of 4 x 4 pixels, from the ticks of each minigroup, left to right and down."""
+    found = np.empty((4, 4))
+    for number, own in enumerate(ticks):
+        row, col = 2 * (number // 2), 2 * (number % 2)
+        found[row : row + 2, col : col + 2] = np.reshape(own, (2, 2))
+    return found * config.tick_m
+
+
+def test_ideal_gates_begin_before_the_nearest_surface_that_no_gate_has():
+    """At a step of gates, not before the period. A surface at the end of a gate gets another one."""
+    config = parse_config(ONE_SUBGROUP)
+    none = [np.nan] * 4
+    truth_m = minigroups_m(config, [1010] * 4, [100, 2000, 100, 2000], [10, 120, 10, np.nan], none)
+    start = counts.ideal_gates(truth_m, counts.RULE, config, 40)
+    no = counts.NO_GATE
+    # a quarter is 8 ticks, a step is 4 quarters, a gate has 16
+    assert start[0].tolist() == [[120, no], [4, 244], [0, 16], [no, no]]
+    assert counts._outside(truth_m, start, counts.RULE, config) == pytest.approx(5 / 16)
+    for first, outside in ((126, 0.75), (127, 1.0), (111, 0.75), (110, 1.0)):
+        start[:] = no
+        start[0, 0, 1] = first  # the surface is at a quarter more than 126
+        assert counts._outside(truth_m, start, counts.RULE, config) == pytest.approx(outside)
+
+
+def test_scenes_in_counts_events_and_rivals(monkeypatch):
+    """Each case has a row of its own numbers; a room may be larger than its own size."""
+    monkeypatch.setattr(counts, "setup", lambda case: case)
+
+    def campaign(setups, look, run):
+        return {
+            case: counts.Seen((drawn(k, 1), drawn(k, 2)), drawn(k, 3), (drawn(k, 4), drawn(k, 5)),
+                              5e6 * (k + 1), (drawn(k, 6), drawn(k, 7)),
+                              [(drawn(k, 8), drawn(k, 9)), (drawn(k, 10), drawn(k, 11))])
+            for k, case in enumerate(setups)
+        }  # fmt: skip
+
+    monkeypatch.setattr(counts, "campaign", campaign)
+    rows = list(counts.scene_rows(None))
+    assert rows[0][0] == "room 41, 50 klux, 1000 pulses"
+    assert "room 46 x 2, 50 klux, 1000 pulses" in [row[0] for row in rows]
+    assert len({row[0] for row in rows}) == len(counts.CASES)
+
+    def pair(k, first):
+        return f"{drawn(k, first):.1%} / {drawn(k, first + 1):.1%}"
+
+    for k, (_, *cells) in enumerate(rows):
+        events = f"{pair(k, 4)} ({5 * (k + 1)} Mbit)"
+        assert cells == [
+            pair(k, 1),
+            f"{drawn(k, 3):.1%}",
+            events,
+            *(pair(k, n) for n in (6, 8, 10)),
+        ]
+
+
+def test_what_each_part_of_the_rule_of_counts_costs(monkeypatch):
+    """The rule itself first; memory is that of each rule."""
+    config = parse_config({"frame": {"pulses": 1000}})
+    monkeypatch.setattr(counts, "setup", lambda case: SimpleNamespace(config=config))
+
+    def campaign(setups, divide, run):
+        ways = 1 + len(counts.WAYS)
+        return {
+            case: [(drawn(k, way), drawn(k, way, 1)) for way in range(ways)]
+            for k, case in enumerate(setups)
+        }
+
+    monkeypatch.setattr(counts, "campaign", campaign)
+    rows = list(counts.loss_rows(None))
+    ways = {"the rule": counts.Way(counts.RULE)} | counts.WAYS
+    for number, (row, (name, way)) in enumerate(zip(rows, ways.items(), strict=True)):
+        bits = counts.memory_bits(way.rule, config.sensor, 1000, config.period)
+        shares = [
+            f"{drawn(k, number):.1%} / {drawn(k, number, 1):.1%}"
+            for k in range(len(counts.DIVIDED))
+        ]
+        assert list(row) == [name, f"{bits:.0f}", *shares]
+
+
+def test_what_leaves_a_large_array(monkeypatch):
+    """Events in proportion to the pulses; frames by the slower of sensor and link."""
+    events = {name: 40.0 * (k + 1) for k, name in enumerate(counts.ARRAY_EVENTS)}
+    monkeypatch.setattr(counts, "campaign", lambda setups, look, run: events)
+    monkeypatch.setattr(counts, "_scene", lambda case: "flat:5")
+    rows = iter(counts.array_rows(None))
+
+    def told(number):
+        return f"{number:,.0f}" if number >= 100 else f"{number:.3g}"
+
+    for pulses in (1_000, 10_000):
+        for name in (*events, "counts"):
+            form = "counts" if name == "counts" else name.rpartition(" ")[2]
+            config = counts._array_config(form, pulses)
+            assert (config.sensor.rows, config.sensor.cols) == (128, 256)
+            of_subgroup = np.full(config.sensor.subgroups, events.get(name, 0) * pulses / 1000)
+            none = np.zeros_like(of_subgroup)
+            bits = BEAT_BITS * float(stream_beats(config, of_subgroup, none).sum())
+            own, linked = frames_per_s(config), 8e9 / bits
+            head = name if name == "counts" else f"events, {name}"
+            numbers = bits / 1e6, 30 * bits / 1e9, own, min(own, linked)
+            assert list(next(rows)) == [f"{pulses:,}", head, *map(told, numbers)]
+    assert next(rows, None) is None
+    tall = [counts._told(number) for number in (0.01234, 99.96, 100.4, 12345.6)]
+    assert tall == ["0.0123", "100", "100", "12,346"]
+
+
+def test_events_without_a_limit_have_a_stream_for_each_subgroup():
+    found = counts.unlimited(counts.Setup.of("flat:5", sensor={"rows": 16, "cols": 24}))
+    config = found.config
+    assert config.sensor.streams == config.sensor.subgroups == 6
+    assert (config.format, config.frame.link_gbps) == ("id", 0)
+    assert set(config.threshold) == {1} and set(config.window) == {16}
 
 
 def test_the_answer_of_an_advice_is_quoted_whole(monkeypatch):
