@@ -4,6 +4,7 @@ a point at 150 m.
 """
 
 import re
+from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -15,6 +16,7 @@ from coincid.lab.outcomes import Run
 from coincid.model.depth.quality import TOLERANCE_M
 from coincid.study.plot_style import new_figure, style
 from docs.studies import returns
+from docs.studies.figures import __main__ as program
 from docs.studies.figures import four_modes, light_over_distance, reconstruction, thresholds
 from docs.studies.figures.sections import Comparison, Section, write_figures_page, write_section
 from docs.studies.figures.setups import cases, mean, mean_rows, outcome
@@ -259,3 +261,192 @@ def test_simulated_success_is_that_of_each_light_at_each_threshold(monkeypatch):
     brightest = max(float(scene.partition(",")[2]) for scene, _ in asked)
     light = thresholds.signal_per_pulse(thresholds.DISTANCE_M, brightest)
     assert light == pytest.approx(thresholds.SIGNAL[-1], rel=1e-4)
+
+
+LABELS = np.array([[1, 1, 2, 2], [3, 3, 3, 3]])
+
+
+class MadeUpRuns:
+    """Runs of the figures of reconstruction: no two numbers are equal. Cases and tasks are the
+    settings from which they are made.
+    """
+
+    def __init__(self, monkeypatch):
+        self.drawn = {}  # title: panels
+        self.asked = []
+        scene = SimpleNamespace(labels=LABELS, truth_m=np.ones(LABELS.shape))
+        for name, one in {
+            "cases": self.cases,
+            "grouped": self.grouped,
+            "Run": lambda setup: SimpleNamespace(scene=scene, setup=setup),
+            "outcome": lambda run: self.outcome("RTL", *run.setup),
+            "draw_row": self.draw_row,
+        }.items():
+            monkeypatch.setattr(reconstruction, name, one)
+
+    def cases(self, seeds, pulses, **given):
+        self.asked.append(given)
+        sensor, threshold = given.get("sensor", {}), given["subgroup"].get("threshold", 0)
+        key = str(sensor.get("subgroup")), given["klux"], threshold, pulses
+        return [MadeUpSetup((seed, *key)) for seed in range(seeds if pulses == 100 else 1)]
+
+    def wrong(self, *key):
+        """bool[rows, cols], as shares."""
+        return np.random.default_rng([ord(c) for c in repr(key)]).uniform(size=LABELS.shape)
+
+    def outcome(self, *key):
+        methods = {*reconstruction.METHODS, *reconstruction.METHODS_8}
+        wrong = {method: self.wrong(*key, method) for method in methods}
+        measures = {f"wrong_share_{method}": one.mean() for method, one in wrong.items()}
+        measures["events_per_s"] = self.wrong(*key, "events").sum()
+        return SimpleNamespace(wrong=wrong, measures=measures, depth_m=wrong)
+
+    def grouped(self, setups, outcome, run):
+        return {key: [self.outcome(*one) for one in own] for key, own in setups.items()}
+
+    def map(self, function, tasks):
+        return [
+            (self.wrong(form, *setup), self.wrong("depth", form, *setup)) for form, setup in tasks
+        ]
+
+    def draw_row(self, panels, truth_m, title):
+        self.drawn[title] = {panel.title: panel.depth_m for panel in panels}
+        return title, []
+
+
+class MadeUpSetup(tuple):
+    """What a setup is made from, with the engine that is asked for."""
+
+    def but(self, engine):
+        return MadeUpSetup((engine, *self))
+
+
+def test_figure_6_has_the_shares_of_each_object_by_source_and_estimator(monkeypatch):
+    """Means over the seeds; an object is right below half."""
+    runs = MadeUpRuns(monkeypatch)
+    found = reconstruction.figure_6(runs, engine="sliced")
+    head, *rows = found.rows
+    shares = {tuple(row[:-1]): row[-1] for row in rows}
+    assert len(shares) == len(rows)
+    for panel, (klux, settings, _) in reconstruction.PANELS_6.items():
+        first = (0, "None", klux, settings.get("threshold", 0), 100)
+        for form in ("literal", "corrected"):
+            wrong = runs.wrong(form, *first)
+            assert shares[panel, klux, form, 100, "maximum", 2] == wrong[0, 2:].mean()
+            assert shares[panel, klux, form, 100, "maximum", "all"] == wrong.mean()
+        (comparison,) = (one for one in found.comparisons if one.quantity.startswith(f"6{panel}: "))
+        for method in reconstruction.METHODS:
+            seeds = [runs.wrong(seed, *first[1:], method) for seed in range(4)]
+            wrong = np.mean(seeds, axis=0)
+            for label in (1, 2, 3):
+                expected = wrong[label == LABELS].mean()
+                assert shares[panel, klux, "Monte Carlo", 100, method, label] == pytest.approx(
+                    expected
+                )
+            many = runs.wrong(0, *first[1:4], 800, method)
+            assert shares[panel, klux, "Monte Carlo", 800, method, "all"] == many.mean()
+            rtl = runs.wrong("RTL", "sliced", *first, method)
+            assert shares[panel, klux, "RTL", 100, method, "all"] == rtl.mean()
+            right = [str(label) for label in (1, 2, 3) if wrong[label == LABELS].mean() < 0.5]
+            told = f"{wrong.mean():.1%} wrong; right: {', '.join(right) or 'none'}"
+            assert comparison.ours[f"Monte Carlo, {method}"] == told
+        assert comparison.ours["RTL"] == "differs from the golden model"
+    assert len(runs.drawn) == len(found.figures) == 3
+    of_b = runs.drawn["threshold 5, 50 klux, 100 pulses"]
+    assert np.array_equal(
+        of_b["Monte Carlo, planes"], runs.wrong(0, "None", 50.0, 5, 100, "planes")
+    )
+    assert np.array_equal(
+        of_b["800 pulses, matched"], runs.wrong(0, "None", 50.0, 5, 800, "matched")
+    )
+
+
+def test_figure_8_has_each_estimator_at_its_own_best_threshold(monkeypatch):
+    """In each size of groups, and more pulses at the best threshold of `matched`."""
+    runs = MadeUpRuns(monkeypatch)
+    found = reconstruction.figure_8(runs)
+    _, *rows = found.rows
+    numbers = {tuple(row[:-2]): row[-2:] for row in rows}
+    assert len(numbers) == len(rows)
+    for panel, (subgroup, minigroup) in reconstruction.PANELS_8.items():
+        sizes = panel, "{}x{}".format(*subgroup), "{}x{}".format(*minigroup)
+        (comparison,) = (one for one in found.comparisons if one.quantity.startswith(f"8{panel}: "))
+        best = {}
+        for method in reconstruction.METHODS_8:
+            for threshold in reconstruction.THRESHOLDS_8:
+                key = str(list(subgroup)), 50.0, threshold, 100
+                seeds = [runs.outcome(seed, *key) for seed in range(4)]
+                wrong, events = (
+                    np.mean([one.measures[name] for one in seeds])
+                    for name in (f"wrong_share_{method}", "events_per_s")
+                )
+                row = numbers[*sizes, "Monte Carlo", 100, threshold, method]
+                assert row == pytest.approx((wrong, events))
+                best[method] = min(best.get(method, (2, 0)), (wrong, threshold))
+            told = "{:.1%} (threshold {})".format(*best[method])
+            assert comparison.ours[f"Monte Carlo, {method}"] == told
+        of_form = [
+            (runs.wrong("literal", 0, str(list(subgroup)), 50.0, threshold, 100).mean(), threshold)
+            for threshold in reconstruction.THRESHOLDS_8
+        ]
+        assert comparison.ours["analytic, literal"] == "{:.1%} (threshold {})".format(*min(of_form))
+        threshold = best["matched"][1]
+        many = runs.outcome(0, str(list(subgroup)), 50.0, threshold, 800)
+        row = numbers[*sizes, "Monte Carlo", 800, threshold, "planes"]
+        assert row[0] == many.measures["wrong_share_planes"]
+        (title,) = (title for title in runs.drawn if f"subgroup {sizes[1]}," in title)
+        assert title == f"subgroup {sizes[1]}, minigroup {sizes[2]}, 50 klux"
+        shown = runs.drawn[title]
+        share, own = best["planes"]
+        first = runs.wrong(0, str(list(subgroup)), 50.0, own, 100, "planes")
+        assert np.array_equal(shown[f"planes, threshold {own}"], first)
+        assert f"800 pulses, matched, threshold {threshold}" in shown
+    assert {one["frame"]["format"] for one in runs.asked} == {"full"}
+
+
+@pytest.mark.parametrize(
+    ("words", "page", "engine", "folder"),
+    [
+        ("figures", "figures", None, "build/figures"),
+        ("modes --rtl", "modes", "sliced", "build/modes"),
+        ("compare --out own/place", "compare", None, "own/place"),
+    ],
+)
+def test_figures_are_written_into_their_folder(
+    monkeypatch, tmp_path, capsys, words, page, engine, folder
+):
+    asked = []
+
+    def write(*given):
+        asked.append(given[:3])
+        return [given[1] / "a.png", given[1] / "index.html"]
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(program, "write", write)
+    monkeypatch.setattr("sys.argv", ["figures", *words.split()])
+    assert program.main() == 0
+    assert asked == [(program.PAGES[page], Path(folder), engine)]
+    assert capsys.readouterr().out == f"{folder}/index.html\n"
+    assert (tmp_path / folder).is_dir()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("compare --rtl", "--rtl: no frame of compare is played on the RTL"),
+        ("moon", "invalid choice: 'moon'"),
+        ("figures --out file", "file"),
+    ],
+)
+def test_figures_that_cannot_be_made_are_refused_in_a_sentence(
+    monkeypatch, tmp_path, capsys, words, told
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(program, "write", lambda *given: 1 / 0)
+    monkeypatch.setattr("sys.argv", ["figures", *words.split()])
+    try:
+        code = program.main()
+    except SystemExit as ended:
+        code = ended.code
+    assert code == 2 and told in capsys.readouterr().err
