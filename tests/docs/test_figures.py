@@ -17,7 +17,13 @@ from coincid.model.depth.quality import TOLERANCE_M
 from coincid.study.plot_style import new_figure, style
 from docs.studies import returns
 from docs.studies.figures import __main__ as program
-from docs.studies.figures import four_modes, light_over_distance, reconstruction, thresholds
+from docs.studies.figures import (
+    four_modes,
+    interference,
+    light_over_distance,
+    reconstruction,
+    thresholds,
+)
 from docs.studies.figures.sections import Comparison, Section, write_figures_page, write_section
 from docs.studies.figures.setups import cases, mean, mean_rows, outcome
 
@@ -261,6 +267,79 @@ def test_simulated_success_is_that_of_each_light_at_each_threshold(monkeypatch):
     brightest = max(float(scene.partition(",")[2]) for scene, _ in asked)
     light = thresholds.signal_per_pulse(thresholds.DISTANCE_M, brightest)
     assert light == pytest.approx(thresholds.SIGNAL[-1], rel=1e-4)
+
+
+@pytest.mark.parametrize("form", ["literal", "corrected"])
+@pytest.mark.parametrize("reading", "AEF")
+def test_signal_and_background_are_equal_at_the_distance_of_0_db(form, reading):
+    at_m = light_over_distance.zero_m(form, reading)
+    nearer, there, farther = light_over_distance.link_budget(
+        at_m * np.array([0.99, 1.0, 1.01]),
+        light_over_distance.REFLECTIVITY,
+        light_over_distance.KLUX,
+        form=form,
+        sbr_reading=reading,
+    ).sbr_db
+    assert nearer > 0 > farther and there == pytest.approx(0, abs=1e-3)
+
+
+def test_rates_of_a_pixel_are_those_of_signal_background_and_both(monkeypatch):
+    """Of all pixels and pulses, in a second."""
+    lights = []
+
+    def edges(light, spad, timing, *, pulses, seed):
+        lights.append((light.signal_per_pulse.max(), light.background_cps.max()))
+        return range(1000 * len(lights))
+
+    monkeypatch.setattr(light_over_distance, "generate_edges", edges)
+    distance_m, *rates_cps = light_over_distance._detected_cps(8.0)
+    pixels, period_s = light_over_distance.SIDE**2, 500e-9
+    per_edge_cps = 1 / (pixels * light_over_distance.PULSES * period_s)
+    assert distance_m == 8.0
+    assert rates_cps == pytest.approx([1000 * n * per_edge_cps for n in (1, 2, 3)])
+    both = lights[2]
+    assert min(both) > 0 and lights == [(both[0], 0.0), (0.0, both[1]), both]
+
+
+def test_the_width_of_a_pulse_is_that_of_the_first_photons_of_its_object(monkeypatch):
+    """Without the share of the tick, and without what comes at another time."""
+    tick_s = light_over_distance.Timing().tick_s
+    distance_m = 1000.5 * tick_s * light_over_distance.SPEED_OF_LIGHT_M_S / 2
+    around = np.repeat([998, 999, 1000, 1001, 1002], [10, 20, 40, 20, 10])
+    tick = np.concatenate([around, [1000] * 50, [3000] * 9])
+    pixel = np.concatenate([np.tile([2, 5], 50), [1] * 50, [2] * 9])
+    scene = SimpleNamespace(
+        labels=np.array([[7, 8, 9], [8, 7, 9]]), truth_m=np.full((2, 3), distance_m)
+    )
+    run = SimpleNamespace(scene=scene, edges=SimpleNamespace(tick=tick, pixel=pixel))
+    monkeypatch.setattr(light_over_distance, "Run", lambda setup: run)
+    monkeypatch.setattr(light_over_distance, "cases", lambda **given: [None])
+    label, fwhm_ps, error_ps, at_m, offsets_ps, shares = light_over_distance._pulse_width(9)
+    tick_ps = tick_s * 1e12
+    sigma_ps = tick_ps * np.sqrt(1.2 - 1 / 12)
+    expected_ps = 2 * np.sqrt(2 * np.log(2)) * sigma_ps
+    assert (label, at_m) == (9, distance_m)
+    assert fwhm_ps == pytest.approx(expected_ps) and error_ps == pytest.approx(fwhm_ps / 200**0.5)
+    assert offsets_ps == pytest.approx(tick_ps * np.arange(-2, 3), abs=1e-2)
+    assert shares == [0.25, 0.5, 1.0, 0.5, 0.25]
+
+
+def test_the_first_of_many_photons_comes_in_a_narrower_time():
+    """As in a drawn number of photons; of a single one it is the pulse."""
+    one_fwhm_s = 2 * np.sqrt(2 * np.log(2)) * 1e-10
+    widths_s = [light_over_distance._first_photon_fwhm_s(one, 1e-10) for one in (1e-6, 2.0, 50.0)]
+    assert widths_s[0] == pytest.approx(one_fwhm_s, rel=1e-4)
+    assert widths_s[0] > widths_s[1] > widths_s[2]
+    rng = np.random.default_rng(1)
+    first = [rng.normal(size=n).min() for n in rng.poisson(2.0, 40_000) if n]
+    assert widths_s[1] == pytest.approx(one_fwhm_s * np.std(first), rel=0.02)
+
+
+def test_the_largest_ghost_is_of_wrong_pixels_that_agree():
+    truth_m = np.full((2, 5), 5.0)
+    depth_m = np.array([[3.05, 3.2, 3.4, 9.0, 5.4], [5.0, np.nan, 3.25, 4.6, 5.3]])
+    assert interference._same_and_wrong(depth_m, truth_m) == pytest.approx(0.3)
+    assert interference._same_and_wrong(truth_m, truth_m) == 0.0
 
 
 LABELS = np.array([[1, 1, 2, 2], [3, 3, 3, 3]])
