@@ -3,6 +3,7 @@
 checked before it is decoded.
 """
 
+import shutil
 import tempfile
 import warnings
 from pathlib import Path
@@ -77,7 +78,11 @@ class Uploads:
         # a path of its own, because results are cached by path
         path = Path(tempfile.mkdtemp(dir=folder)) / name
         path.write_bytes(content)
-        return self.with_path(kind, path)
+        try:
+            return self.with_path(kind, path)
+        except InputError:  # nobody asks for it again
+            shutil.rmtree(path.parent)
+            raise
 
     def with_path(self, kind: str, path: Path) -> "Uploads":
         """Return a copy with the file at `path`. Raises `InputError` if it is missing, too large,

@@ -701,6 +701,20 @@ def test_bad_uploads_get_a_sentence(tmp_path, name, content, sentence):
         check_settings({"scene": "upload"}, uploaded(tmp_path, "depth", name, content())).scene()
 
 
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [("depth", "depth.npy"), ("depth", "depth.npz"), ("sun", "sun.png"), ("pulse", "pulse.csv")],
+)
+def test_a_refused_upload_leaves_no_file(tmp_path, kind, name):
+    """One that is kept has a folder of its own."""
+    good = b"time_ps,density\n0,0\n250,1\n500,0\n"
+    kept = uploaded(tmp_path, "pulse", "pulse.csv", good)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(InputError, match=name):
+        kept.with_file(kind, name, b"no such file", tmp_path)
+    assert sorted(tmp_path.rglob("*")) == before and kept.pulse in before
+
+
 def test_an_upload_that_is_missing_is_asked_for():
     with pytest.raises(InputError, match="choose a depth picture"):
         check_settings({"scene": "upload"}).scene()
