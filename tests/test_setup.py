@@ -381,6 +381,7 @@ def test_another_python_than_that_of_the_environment_is_refused(tmp_path, python
 
 NOTED = """import os, sys
 from pathlib import Path
+assert not {"PYTHONPATH", "VIRTUAL_ENV"} & set(os.environ), "of the caller"
 with open("noted", "a", encoding="utf-8") as file:
     file.write(" ".join([Path(__file__).name, *sys.argv[1:]]) + "\\n")
 sys.exit(os.environ.get("FAILING") == Path(__file__).name)
@@ -411,13 +412,16 @@ def place(tmp_path):
 
 
 def set_up(place, *needs, **environment):
-    """Run the set-up; return its exit code, what it says, and what it has installed."""
+    """Run the set-up; return its exit code, what it says, and what it has installed. The caller has
+    an environment and a search path of its own.
+    """
     noted = place / "noted"
     noted.unlink(missing_ok=True)
     done = subprocess.run(
         [place / "scripts" / "setup", *needs],
         cwd=place.parent,
-        env={"PATH": str(place.parent / "programs")} | environment,
+        env={"PATH": str(place.parent / "programs"), "VIRTUAL_ENV": "/a", "PYTHONPATH": "/b"}
+        | environment,
         capture_output=True,
         text=True,
         encoding="utf-8",
