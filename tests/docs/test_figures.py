@@ -236,6 +236,7 @@ def test_the_gate_of_a_mode_is_around_its_target_and_behind_the_pane(mode):
         ([(1, 9), (5, 2), (3, 3)], 0, "1 to 3, 5 between them"),
         ([(1, 9), (5, 2), (3, 3)], 1, "9 to 3"),
         ([(4, 1), (4, 1), (2, 1)], 0, "4 to 2"),
+        ([(2, 1), (4, 1), (3, 1)], 0, "2 to 3, 4 between them"),
     ],
 )
 def test_thresholds_are_told_from_the_lowest_to_the_highest_activity(chosen, which, told):
