@@ -5,6 +5,7 @@ says by what.
 
 import ast
 import re
+import subprocess
 import tomllib
 
 import pytest
@@ -162,6 +163,16 @@ def test_commands_are_found():
         "make raytrace",
         "pip install 'coincid[x]'",
     ]
+
+
+def test_ci_begins_with_the_commands_that_readme_tells_first():
+    """Those of the first block of its section, as a stranger types them."""
+    program = re.search(r"^awk '.*?' README\.md", CI, re.MULTILINE)[0]
+    done = subprocess.run(["bash", "-c", program], cwd=ROOT, capture_output=True, encoding="utf-8")
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (_, block), *_ = BLOCK.findall(text.partition("\n## Try it\n")[2])
+    assert done.stdout == block
+    assert [line.split()[:2] for line in block.splitlines()] == [["make", "sim"], ["make", "test"]]
 
 
 @pytest.mark.parametrize(
