@@ -211,8 +211,8 @@ def _csv(path: FilePath) -> tuple[list[str], Read]:
     """Return the column names of a CSV file, and a function that reads columns. Lines with # are
     comments.
 
-    The names are the first line that is no comment; if that has numbers, they are the last
-    comment before it.
+    The names are the first line that is no comment; if that has numbers, or there is none, they
+    are the last comment.
     """
     comment = ""
     with reading(path, "CSV file"), open(path, encoding="utf-8-sig") as file:
@@ -220,8 +220,9 @@ def _csv(path: FilePath) -> tuple[list[str], Read]:
         while (head := file.readline()).lstrip().startswith("#") or head.isspace():
             comment = head.lstrip("# \t") if head.strip() else comment
             lines += 1
-    separator = next((mark for mark in (",", ";", "\t") if mark in head), None)
-    if comment and _are_numbers(head.split(separator)):
+    line = head or comment
+    separator = next((mark for mark in (",", ";", "\t") if mark in line), None)
+    if comment and (not head or _are_numbers(head.split(separator))):
         head = comment
         lines -= 1
     names = [name.strip().strip('"').lower() for name in head.split(separator)]

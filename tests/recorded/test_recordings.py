@@ -369,6 +369,7 @@ BAD_TABLES = {
     "huge": ("sync,channel,time_ps\n1e300,2,1\n", r"sync\[0\] = 1e\+300"),
     "no sync": ("channel,time_ps\n1,5\n", "--sync-channel must name"),
     "nothing": ("sync,channel,time_ps\n", "holds no photons"),
+    "nothing behind a comment": ("# sync,channel,time_ps\n", "holds no photons"),
     "fraction of a tick": ("pulse,pixel,tick\n1,2,3.5\n", r"tick\[0\] = 3.5"),
     "all late": ("sync,channel,time_ps\n700,1,5\n900,1,5\n", "its syncs are 700 to 900"),
 }
@@ -450,6 +451,9 @@ def test_bad_ptu(tmp_path):
             edges_of(ptu(tmp_path / "b.ptu", [t2(1, 0, 5), t2(0, 3, 9)], clock_s=clock_s))
     with pytest.raises(InputError, match="MeasDesc_Resolution"):
         edges_of(ptu(path, [t3(0, 1, 1, 1)], mode=3, kind=0x00010307, clock_s=5e-7, bin_s=0.0))
+    write_edges(path, edges((0, 63, (1 << 15) - 1)), TIMING)
+    last = read_recording(path)
+    assert last.channel.tolist() == [63] and last.time_ps // 62.5 == [(1 << 15) - 1]
     for row, words in (
         ((0, 64, 0), "pixel = 64: must be from 0 to 63"),
         ((0, 0, 1 << 15), "tick = 32768"),
@@ -495,15 +499,15 @@ def test_photons_that_are_lost_are_told_by_reason():
     assert told({"before": 1_234_567, "never": 0, "after": 2}) == "1,234,567 before; 2 after"
 
 
-@pytest.mark.parametrize("ratio", [0.4, 0.998, 1.002, 2.5])
+@pytest.mark.parametrize("ratio", [1e-4, 0.4, 0.998, 1.002, 2.5])
 def test_another_laser_period_is_told_whichever_is_longer(ratio):
-    """With both periods, and the setting that fits the recording."""
+    """With both periods, and the setting that fits the recording, which is at least a cycle."""
     none = np.zeros(0, np.int64)
     frame = Timing(clock_hz=400e6, period_cycles=1000)
     found = Recording(sync=none, channel=none, time_ps=none, kind="", period_ps=ratio * 2.5e6)
     assert period_note(found, frame) == (
         f"laser period: {2500 * ratio:g} ns in the recording, 2500 ns in the frame"
-        f" (frame.period = {round(1000 * ratio)} would fit)"
+        f" (frame.period = {max(1, round(1000 * ratio))} would fit)"
     )
     for near in (0.9995, 1.0, 1.0005):
         assert not period_note(evolve(found, period_ps=near * 2.5e6), frame)
@@ -627,12 +631,14 @@ def test_numbers_of_triggers_and_channels_are_exact_or_refused(tmp_path, column)
         np.savez(tmp_path / "a.npz", **table | {column: numbers})
         return getattr(read_recording(tmp_path / "a.npz"), column).tolist()
 
-    whole = [0, 2**62 + 1, 1]
-    assert read(np.array(whole)) == read(np.array(whole, np.uint64)) == whole
+    for whole in ([0, 2**62 + 1, 1], [0, 2**63 - 1, 1]):
+        assert read(np.array(whole)) == read(np.array(whole, np.uint64)) == whole
+    with pytest.raises(InputError, match=f"{column}: holds {2**63}, must be below 2\\^63"):
+        read(np.array([0, 2**63, 1], np.uint64))
     for kind in (np.uint8, np.float32):
         assert read(np.array([0, 200, 1], kind)) == [0, 200, 1]
     assert read(np.array([0.0, 2.0**53 - 1, 1.0])) == [0, 2**53 - 1, 1]
-    for wrong in (2.0**53, 0.5, np.nan, np.inf):
+    for wrong in (2.0**53, -(2.0**53), -0.5, 0.5, np.nan, np.inf, -np.inf):
         says = re.escape(
             f"a.npz: {column}[1] = {wrong}: must be an integer, below 2^53 in a column"
         )
