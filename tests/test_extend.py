@@ -299,6 +299,19 @@ def test_a_spad_that_is_always_ready_gets_the_photons_of_the_built_in_one():
     assert np.abs(own.tick - ready.tick)[own.pixel == ready.pixel].max() <= 1
 
 
+@pytest.mark.parametrize("phases", [1, 100, 1024])
+def test_photons_of_an_own_spad_are_no_coarser_than_a_tick(phases):
+    """However short that is."""
+    timing = Timing(period_cycles=40, phases=phases)
+    light = Light(rows=4, cols=4, distance_m=2.0, signal_per_pulse=0.5, background_cps=2e6)
+    own = generate_edges(light, Ready(jitter_fwhm_s=0.0), timing, pulses=20, seed=5)
+    ready = Spad(dead_time_s=0.0, jitter_fwhm_s=0.0)
+    built_in = generate_edges(light, ready, timing, pulses=20, seed=5)
+    assert len(own) == len(built_in) > 100
+    for name in ("pulse", "pixel", "tick"):
+        assert np.array_equal(getattr(own, name), getattr(built_in, name))
+
+
 class Late(Ready):
     """A SPAD whose avalanches come a microsecond after the photon."""
 

@@ -220,7 +220,9 @@ def test_lines_and_json():
     assert tuple(budget.json()) == JSON_KEYS
     assert {name: value for name, value, _, _ in budget.rows()}.items() >= budget.json().items()
     assert all(source for *_, source in budget.rows())
-    assert link_budget(4.0, 0.4, 0).json()["sbr_db"] is None
+    for reflectivity, klux in ((0.4, 0), (0, 50), (0, 0)):  # infinite, minus infinite, no number
+        dark = Spad(dark_cps=100.0 * (klux > 0))
+        assert link_budget(4.0, reflectivity, klux, spad=dark).json()["sbr_db"] is None
     assert set(SBR_READINGS) == {"A", "E", "F"}
 
 

@@ -372,6 +372,19 @@ def test_a_gate_that_moves_beyond_the_period_is_closed_there():
     assert set(edges.tick // 32) == set(range(10, 30))
 
 
+def test_a_gate_that_is_longer_than_the_period_is_open_until_its_end():
+    config = configured(
+        {"rows": 8, "cols": 8}, {"pulses": 6}, {"gating": True, "gate_start": 10, "gate_len": 300}
+    )
+    edges = edges_of(
+        light(noise_cps=1e8),
+        timing=Timing.from_config(config),
+        pulses=6,
+        gate=SpadGate.from_config(config),
+    )
+    assert set(edges.tick // 32) == set(range(10, 250))
+
+
 def test_light_from_beyond_the_period_falls_into_a_later_one():
     period_m = SPEED_OF_LIGHT_M_S * Timing().period_s / 2
     near, far = (
