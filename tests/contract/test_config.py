@@ -21,6 +21,7 @@ from coincid.model.contract.config import (
 )
 from coincid.model.contract.latency import armed_cycle, close_cycle
 from coincid.model.contract.packet import FORMATS
+from coincid.model.contract.preset_files import PRESETS
 from coincid.model.contract.registers import address
 from coincid.model.light.timing import Timing
 from coincid.model.shared.errors import InputError
@@ -71,6 +72,9 @@ def same(one, other):
 def test_settings_in_python_are_those_of_the_file():
     written = parse_config({"sensor": COUNTING, "frame": FRAME, "subgroup": SUBGROUP})
     assert frame_table(written.frame) == FRAME
+    derived = {"capacity", "auto_bounds", "search_pulses"}
+    usual = frame_table(parse_config({}).frame)
+    assert {name for name, value in usual.items() if value is None} == derived
     same(parse_config({"sensor": COUNTING}).with_frame(**FRAME).with_settings(**SUBGROUP), written)
     plain = {
         name: np.array([value])[0] if isinstance(value, int) else value
@@ -101,6 +105,8 @@ def test_settings_of_every_subgroup():
         ("frame", {"minigroup_records": 1}, ("frame.minigroup_records = 1", "true or false")),
         ("frame", {"frames": 0}, ("frame.frames = 0", "from 1 to 65536")),
         ("frame", {"pulses": 2.0}, ("frame.pulses = 2.0", "from 1 to 65536")),
+        ("frame", {"pulses": None}, ("frame.pulses = None", "from 1 to 65536")),
+        ("frame", {"format": None}, ("frame.format = None", "short, id, full")),
         ("frame", {"period": 3}, ("frame.period = 3", "from 6 to 1024")),
         ("frame", {"clock_mhz": 0}, ("frame.clock_mhz = 0", "from 0.001 to 100000")),
         ("frame", {"clock_mhz": 10**400}, ("frame.clock_mhz", "from 0.001 to 100000")),
@@ -114,6 +120,8 @@ def test_settings_of_every_subgroup():
         ("subgroup", {"treshold": 2}, ("subgroup.treshold", "threshold")),
         ("subgroup", {"threshold": 65}, ("subgroup.threshold = 65", "from 1 to 64")),
         ("subgroup", {"threshold": 2.5}, ("subgroup.threshold = 2.5", "from 1 to 64")),
+        ("subgroup", {"threshold": None}, ("subgroup.threshold = None", "from 1 to 64")),
+        ("subgroup", {"auto": None}, ("subgroup.auto = None", "true or false")),
         ("subgroup", {"threshold": [1] * 15 + [0]}, ("subgroup.threshold[15] = 0", "from 1 to 64")),
         ("subgroup", {"threshold": [1, 2]}, ("subgroup.threshold", "2 values", "16")),
         ("subgroup", {"coincidence": 1}, ("subgroup.coincidence = 1", "true or false")),
@@ -176,6 +184,36 @@ def test_presets_have_their_clock(preset, clock_mhz, tick_s):
     assert (config.clock_mhz, config.tick_s) == (clock_mhz, tick_s)
     assert (timing.clock_hz, timing.tick_s) == (clock_mhz * 1e6, tick_s)
     assert timing.range_m == pytest.approx(299_792_458 / 2 * config.period_ticks * tick_s)
+
+
+EIGHT_PHASES = {"phases": 8, "window_max": 16}
+OF_PRESETS = {  # what is not the default: sensor, frame, subgroup
+    "silicon": ({}, {}, {}),
+    "lean": (
+        {"offsets": 0, "records": 0, "controller": 0, "counter_bits": 16, "held": 0}
+        | {"coarse_bits": 8, "fifo_depth": 8},
+        {},
+        {},
+    ),
+    "fpga": (EIGHT_PHASES, {"clock_mhz": 125, "period": 63}, {"window": 2}),
+    "emulator": (
+        EIGHT_PHASES | {"rows": 8, "cols": 8, "subgroup": [4, 4]},
+        {"clock_mhz": 87.5, "period": 63},
+        {"window": 4},
+    ),
+    "emulator-axi": (
+        EIGHT_PHASES | {"minigroup": [4, 4]},
+        {"clock_mhz": 125, "period": 63},
+        {"window": 4},
+    ),
+}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_numbers_of_a_preset_are_those_that_pages_tell(preset):
+    """And have been so in every release: results of a preset can be made again."""
+    tables = dict(zip(("sensor", "frame", "subgroup"), OF_PRESETS[preset], strict=True))
+    same(load_config(preset), parse_config(tables))
 
 
 @pytest.mark.parametrize(

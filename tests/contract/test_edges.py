@@ -132,3 +132,16 @@ def test_edges_come_back_from_their_file(tmp_path, offset_ps):
         assert getattr(again, name).tolist() == getattr(edges, name).tolist()
     assert again.offset_ps is None if offset_ps is None else again.offset_ps.tolist() == [0.5, 2.0]
     assert repr(again) == "<Edges: 2, pulses 1 to 3>"
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.CSV", "a.h5", "a.hdf5", "a.ptu"])
+def test_a_file_of_another_program_is_told_what_makes_edges_of_it(name, tmp_path):
+    """If there is one."""
+    limits = {"pixels": 5, "pulses": 6, "period_ticks": 4}
+    path = tmp_path / name
+    with pytest.raises(InputError, match=f"{name}: no such file$"):
+        load_edges(path, **limits)
+    path.touch()
+    told = f"{name}: is read as NPZ; coincid edges makes one of a {path.suffix.lower()} file$"
+    with pytest.raises(InputError, match=told):
+        load_edges(path, **limits)

@@ -14,6 +14,7 @@ from coincid.model.contract.result import (
     RECORD_COLUMNS,
     ResultBuilder,
     ResultFile,
+    checked_events,
     differences,
     events_table,
     known_counters,
@@ -289,3 +290,23 @@ def test_a_map_is_one_number_whose_bits_are_the_pixels(words):
     assert [int(number) for number in map_numbers(hits)] == [
         sum(1 << pixel for pixel in of_event) for of_event in pixels
     ]
+
+
+OF_EVENTS = configured({"rows": 8, "cols": 16}, {"pulses": 20, "period": 60, "frames": 2})
+ENDS = {"pulse": 40, "subgroup": 2, "stamp": 60 * 32, "count": 65, "winner": 64}
+
+
+@pytest.mark.parametrize("name", ENDS)
+def test_a_column_of_events_ends_with_the_last_legal_number(name):
+    """Of all frames, subgroups, ticks and pixels. The next one is of another configuration."""
+    arrays = {one: np.zeros(3, np.uint16) for one in ENDS} | {"opened": np.zeros((2, 2), int)}
+    last = ENDS[name] - 1
+    arrays[name] = np.array([0, last, 1])
+    assert checked_events(arrays, OF_EVENTS)[name].tolist() == arrays[name].tolist()
+    arrays[name] += 1
+    told = f"^arrays: {name} is 1 to {last + 1}, must be 0 to {last}; the configuration must be"
+    with pytest.raises(InputError, match=told):
+        checked_events(arrays, OF_EVENTS)
+    arrays[name] -= 2
+    with pytest.raises(InputError, match=f"^arrays: {name} is -1 to {last - 1}, must be 0 to"):
+        checked_events(arrays, OF_EVENTS)

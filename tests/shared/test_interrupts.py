@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from multiprocessing import active_children
+from multiprocessing import active_children, get_context
 
 import pytest
 
@@ -132,6 +132,8 @@ def _begun():
 def test_workers_begin_as_they_are_told_and_are_killed_by_an_error():
     """Ctrl-C is for the process that started them; other children of it live on."""
     other = subprocess.Popen(["sleep", "1000"])
+    worker_of_another = get_context("fork").Process(target=time.sleep, args=(1000,))
+    worker_of_another.start()
     before = set(active_children())
     try:
         with (
@@ -146,9 +148,12 @@ def test_workers_begin_as_they_are_told_and_are_killed_by_an_error():
             time.sleep(0.01)
         assert worker.exitcode == -signal.SIGKILL
         assert other.poll() is None
+        assert worker_of_another.is_alive()
     finally:
         other.kill()
         other.wait()
+        worker_of_another.kill()
+        worker_of_another.join()
 
 
 @pytest.mark.parametrize("fails", [False, True])

@@ -41,7 +41,7 @@ def test_a_digest_depends_on_names_and_contents_of_all_files(digest_of):
 
 def test_code_that_python_keeps_changes_no_digest(digest_of):
     files = {"kernel.py": "A = 1\n"}
-    compiled = {"__pycache__/kernel.pyc": "x"}
+    compiled = {"__pycache__/kernel.pyc": "x", "__pycache__/kernel.pyc.1234": "half"}
     assert digest_of("kept_alone", **files) == digest_of("kept_compiled", **files, **compiled)
 
 
