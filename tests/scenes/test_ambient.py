@@ -26,6 +26,15 @@ def test_the_text_of_a_number_is_the_number(text):
 def test_halves():
     half = ambient_klux("2|100", 3, 6)
     assert np.all(half[:, :3] == 2) and np.all(half[:, 3:] == 100)
+    # the middle one of an odd number is in the sun
+    assert ambient_klux("2|100", 1, 5).tolist() == [[2, 2, 100, 100, 100]]
+    assert ambient_klux("2|100", 1, 1).tolist() == [[100]]
+
+
+def test_a_file_may_have_the_sign_of_the_halves_in_its_name(tmp_path):
+    path = tmp_path / "left|right.npy"
+    np.save(path, np.full((2, 2), 7.0))
+    assert np.array_equal(ambient_klux(str(path), 2, 2), np.full((2, 2), 7.0))
 
 
 @pytest.mark.parametrize("name", ["sun-and-shade", "tunnel"])

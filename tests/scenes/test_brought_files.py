@@ -147,6 +147,9 @@ CHANNELS = {  # channels of an EXR file, options, distance or part of the error
         {},
         4,
     ),
+    "one axis beside the Z of a normal": ({"nn.X": 0.1, "nn.Z": 0.7, "Depth.V": 4}, {}, 4),
+    "the other axis beside it": ({"nn.Y": 0.1, "nn.Z": 0.7, "Depth.V": 4}, {}, 4),
+    "axes of another layer": ({"nn.X": 0.1, "nn.Y": 0.2, "View.Z": 4}, {}, 4),
     "a layer's Z": ({"View.Depth.Z": 4, "View.Combined.R": 0.5}, {}, 4),
     "one channel of any name": ({"V": 4}, {}, 4),
     "one channel beside alpha": ({"V": 4, "A": 1}, {}, 4),
@@ -432,7 +435,7 @@ def test_a_doubt_warns_who_calls_the_library(tmp_path):
 def test_a_wall_of_z_is_flat_in_space(tmp_path):
     """Depth cameras and renderers store z (librealsense's projection, Blender's Z pass)."""
     path = npy(tmp_path / "d.npy", np.full((8, 12), 4.0))
-    for options in ({"z": True}, {"z": True, "fov_deg": 90}):
+    for options in ({"z": True}, {"z": np.True_}, {"z": True, "fov_deg": 90}):
         read = load_scene(path, 8, 12, **options)
         right, down = read.view.tangents(8, 12)
         along = read.truth_m / np.sqrt(1 + right**2 + down**2)
@@ -515,6 +518,8 @@ def test_arrays_in_archives(tmp_path):
     with h5py.File(tmp_path / "c.mat", "w") as archive:
         archive["frame/depth"] = depth_m.T
     savemat(tmp_path / "d.mat", {"depth": depth_m})
+    for name in ("b.h5", "c.mat", "d.mat"):  # as Windows has them
+        (tmp_path / f"2{name.upper()}").write_bytes((tmp_path / name).read_bytes())
     for source in (
         "a.npz:depth",
         "b.h5",
@@ -522,6 +527,9 @@ def test_arrays_in_archives(tmp_path):
         "c.mat:frame/depth",
         "d.mat",
         "d.mat:depth",
+        "2B.H5",
+        "2C.MAT",
+        "2D.MAT:depth",
     ):
         assert np.array_equal(load_scene(str(tmp_path / source), *SHAPE).truth_m, depth_m)
     for source in ("a.npz", "a.npz:none"):

@@ -196,18 +196,20 @@ def stub(monkeypatch, tmp_path):
     """
     monkeypatch.setenv("COINCID_BUILD", str(tmp_path / "build"))
     path, transient = tmp_path / "scene.xml", synthetic(np.ones((2, 2, 10)))
-    made = SimpleNamespace(renders=0, contents=b"1", path=path, transient=transient, beside={})
+    made = SimpleNamespace(
+        renders=0, contents=b"1", path=path, transient=transient, beside={}, emitters=3
+    )
     made.path.touch()
 
     def render(*_, **__):
         made.renders += 1
         return made.transient
 
-    read = SimpleNamespace(cameras=2, kind="orthographic", emitters=3)
+    read = SimpleNamespace(cameras=2, kind="orthographic")
     tracer = SimpleNamespace(
         render=render,
         read_scene=lambda path: SimpleNamespace(
-            files={"scene": made.contents, **made.beside}, **vars(read)
+            files={"scene": made.contents, **made.beside}, emitters=made.emitters, **vars(read)
         ),
     )
     monkeypatch.setattr(ray_scene, "_tracer", lambda: tracer)
@@ -273,6 +275,25 @@ def test_what_is_overridden_is_said(stub):
         and "taken for metres" in metres
         and "warning" not in metres
     )
+
+
+@pytest.mark.parametrize("emitters", [0, 1])
+def test_emitters_are_told_if_there_are_any(stub, emitters):
+    stub.emitters = emitters
+    notes = " ".join(load_scene(str(stub.path), 2, 2).notes)
+    assert (f"{emitters} emitters left out" in notes) == (emitters > 0)
+
+
+@pytest.mark.parametrize(
+    ("surface_m", "range_m", "is_doubtful"),
+    [(30.0, 50.0, True), (24.0, 50.0, False), (60.0, 150.0, False), (0.31, 50.0, False)],
+)
+def test_surfaces_are_doubtful_if_half_of_them_lie_in_the_far_half_of_the_range(
+    stub, surface_m, range_m, is_doubtful
+):
+    """Or very near; the file may have another unit."""
+    stub.transient = synthetic(np.ones((2, 2, 10)), surface_m)
+    assert bool(load_scene(str(stub.path), 2, 2, range_m=range_m).doubts) == is_doubtful
 
 
 @pytest.mark.parametrize(
@@ -656,17 +677,62 @@ def test_depth_of_single_returns_is_the_geometrys(tracer):
     assert np.abs(depth_m - surface_m)[single].max() < TICK_M
 
 
+@pytest.mark.parametrize("incidence_deg", [0, 60])
+@pytest.mark.needs("raytrace")
+def test_a_retroreflector_sends_its_share_back_to_the_source(tracer, incidence_deg):
+    """From any direction in front of it, in a lobe of 1 degree: 104 cd/lx/m2, as docs/raytrace.md
+    tells. Nothing comes from behind.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    bsdf = mi.load_dict({"type": "retroreflective"})
+
+    def hit_from(angle_deg, n=1):
+        angle = math.radians(angle_deg)
+        hit = dr.zeros(mi.SurfaceInteraction3f, n)
+        hit.wi = mi.Vector3f(math.sin(angle), 0, math.cos(angle))
+        return hit
+
+    def sent_back(angle_deg, off_deg=0.0):
+        other = hit_from(angle_deg + off_deg)
+        args = mi.BSDFContext(), hit_from(angle_deg), other.wi
+        value, density = (float(np.array(part).item()) for part in bsdf.eval_pdf(*args, True))
+        assert value == pytest.approx(0.2 * density)
+        assert float(np.array(bsdf.eval(*args, True)).item()) == value
+        assert float(np.array(bsdf.pdf(*args, True)).item()) == density
+        return value
+
+    assert sent_back(incidence_deg) == pytest.approx(104.5, abs=0.1)
+    for off_deg in (-1.0, 1.0):
+        shares = sent_back(incidence_deg, off_deg) / sent_back(incidence_deg)
+        assert shares == pytest.approx(math.exp(-0.5), rel=1e-3)
+    assert sent_back(180 - incidence_deg) == sent_back(89.5, 1.0) == 0
+    n = 4096
+    random = mi.load_dict({"type": "independent"})
+    random.seed(1, n)
+    for angle_deg, share in ((incidence_deg, 0.2), (180 - incidence_deg, 0.0)):
+        hit = hit_from(angle_deg, n)
+        drawn, weight = bsdf.sample(mi.BSDFContext(), hit, random.next_1d(), random.next_2d(), True)
+        assert np.unique(np.array(weight)) == pytest.approx([share])
+        cosine = np.array(dr.dot(drawn.wo, hit.wi))
+        off_deg = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
+        assert np.sqrt(np.mean(off_deg**2) / 2) == pytest.approx(1.0, rel=0.05)
+
+
 @pytest.mark.needs("raytrace")
 def test_pane_and_fog_take_their_share(tracer, tmp_path):
     """A pane transmits by Fresnel's law, there and back; fog takes exp(-2 sigma d) of the wall's
-    light, and glows in the sun.
+    light, and glows in the sun. What is behind the laser shades nothing.
     """
     clear = rendered(tracer, scene_file(tmp_path / "clear.xml", wall(10)))
     pane = (
         '<shape type="rectangle"><bsdf type="thindielectric"/><transform name="to_world"><scale value="9"/><translate z="3"/>'
         "</transform></shape>"
     )
-    behind = rendered(tracer, scene_file(tmp_path / "pane.xml", wall(10) + pane))
+    back = '<shape type="disk"><bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
+    back += '<transform name="to_world"><scale value="9"/><translate z="-2"/></transform></shape>'
+    behind = rendered(tracer, scene_file(tmp_path / "pane.xml", wall(10) + pane + back))
     # Mitsuba's air and BK7, at normal incidence
     once = (1.000277 - 1.5046) ** 2 / (1.000277 + 1.5046) ** 2
     passes = (1 - once) / (1 + once)

@@ -184,6 +184,17 @@ def test_unknown_pulses_are_scaled_to_the_light_of_the_sensor():
     assert np.median(light.total_signal) == pytest.approx(0.613, rel=0.1)
 
 
+def test_histograms_without_a_peak_do_not_count_for_the_scale():
+    """Such as those of pixels that are off, of which there may be many."""
+    some = counts()
+    some[:5] = 0
+    scene = load_scene(some, *SHAPE, bin_ps=BIN_PS)
+    assert np.flatnonzero(scene.valid).tolist() == list(range(40, 64))
+    signal = scene_light(scene, 0).total_signal
+    assert np.median(signal[40:]) == pytest.approx(0.613, rel=0.05)
+    assert not signal[:40].any()
+
+
 def test_background_can_be_added():
     scene = load_scene(counts(), *SHAPE, bin_ps=BIN_PS)
     assert np.all(Setup(config=CONFIG, scene=scene, klux=50.0).photons.light.background_cps > 0)

@@ -200,6 +200,11 @@ def test_the_shadow_slants_from_the_right_at_the_top_to_the_left_at_the_bottom()
         ("returns", "returns: METRES = '': must be a number from"),
         ("returns:4,80", "returns: METRES = 80.0: must be"),
         ("returns:4@2", "returns: REFLECTIVITY = 2.0: must be a number from 0 to 1"),
+        ("returns:4@", "returns: REFLECTIVITY = '': must be a number from 0 to 1"),
+        ("returns:@0.3", "returns: METRES = '': must be a number from"),
+        ("returns:4,,6", "returns: METRES = '': must be a number from"),
+        ("two-targets:,9", "two-targets: NEAR = '': must be a number from"),
+        ("flat:5,", "flat: REFLECTIVITY = '': must be a number from 0 to 1"),
         ("letter-g", "five-objects, letter-f"),
     ],
 )
@@ -428,6 +433,18 @@ def test_one_number_out_of_range_is_a_mark_unless_it_is_a_near_distance(bad_m, w
             load_scene(depth_m, 20, 20)
         return
     assert np.array_equal(scene.valid, depth_m == 5)
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "is_seen"),
+    [(0.0499, False), (0.05, True), (np.nextafter(RANGE_M, 0), True), (RANGE_M, False)],
+)
+def test_the_nearest_distance_of_a_picture_is_seen_and_that_of_the_range_is_not(
+    distance_m, is_seen
+):
+    depth_m = np.full((8, 8), 5.0)
+    depth_m[2, 3] = distance_m
+    assert load_scene(depth_m, 8, 8).valid[2, 3] == is_seen
 
 
 @pytest.mark.parametrize(("seen", "is_enough"), [(9, False), (10, True)])

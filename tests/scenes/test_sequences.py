@@ -71,6 +71,16 @@ def mat_73_of(at):
     return str(at / "b.mat")
 
 
+def in_capitals(of):
+    """Return a function that gives the file of another one a name in capitals."""
+
+    def renamed(at):
+        path = Path(of(at).partition(":")[0])
+        return str(path.rename(path.with_name(path.name.upper())))
+
+    return renamed
+
+
 def npz_beside_matlab_of(at):
     """Its folder only looks like one of MATLAB's files."""
     folder = at / "of.material"
@@ -94,6 +104,8 @@ SOURCES = {
     "HDF5": hdf5_of,
     "MATLAB": mat_of,
     "MATLAB 7.3": mat_73_of,
+    "MATLAB in capitals": in_capitals(mat_of),
+    "MATLAB 7.3 in capitals": in_capitals(mat_73_of),
     "NPZ in a folder": npz_beside_matlab_of,
 }
 
@@ -126,6 +138,34 @@ def test_a_pattern_stands_for_the_files_that_it_fits(tmp_path, pattern, walls_m)
     assert seen_m == walls_m
     assert f"{pattern}: {len(walls_m)} pictures, one for each frame" in scene.notes[0]
     assert any("along the rays" in note for note in scene.notes[1:])
+
+
+def test_a_pattern_may_have_several_numbers(tmp_path):
+    """The first one counts most; each is a number, not a text."""
+    names = ("a2_b10.png", "a2_b9.png", "a10_b1.png")
+    for name, wall_m in zip(names, (4.0, 3.0, 5.0), strict=True):
+        png(tmp_path / name, np.full(SHAPE, wall_m))
+    png(tmp_path / "a2_left.png", np.full(SHAPE, 6.0))
+    scene = load_scene(f"{tmp_path}/a%d_b%d.png", *SHAPE)
+    assert [scene.at(k).truth_m[0, 0] for k in range(scene.pictures)] == [3.0, 4.0, 5.0]
+
+
+@pytest.mark.parametrize("frame", [-1, 3])
+def test_a_frame_before_the_first_picture_or_behind_the_last_has_none(frame):
+    scene = load_scene(pictures(), *SHAPE)
+    with pytest.raises(InputError, match=f"^frames: frame {frame} has no picture: array has 3"):
+        scene.at(frame)
+
+
+@pytest.mark.parametrize("frames", [2, 4, 5])
+def test_a_few_columns_are_colours_only_beside_many_rows(frames):
+    """A sequence may be narrower than it is long."""
+    moving_m = np.full((frames, 9, 3), 4.0)
+    if frames > 4:
+        with pytest.raises(InputError, match="the last axis looks like colours"):
+            load_scene(moving_m, 9, 3)
+    else:
+        assert load_scene(moving_m, 9, 3).pictures == frames
 
 
 def test_one_line_tells_how_many_pictures_a_scene_has():
@@ -198,6 +238,11 @@ def test_colours_of_each_picture(tmp_path):
     assert [scene.at(frame).reflectivity.max() for frame in range(3)] == pytest.approx(
         [0.05, 0.8, 0.05]
     )
+    (tmp_path / "colours").mkdir()
+    for number in range(3):  # a camera's
+        Image.new("RGB", SHAPE, "white").save(tmp_path / "colours" / f"{number}.jpg")
+    white = load_scene(folder, *SHAPE, colour=tmp_path / "colours")
+    assert [white.at(frame).reflectivity.min() for frame in range(3)] == pytest.approx([0.8] * 3)
     one = load_scene(f"{folder},{tmp_path / 'c1.png'}", *SHAPE)
     assert all(np.all(one.at(frame).reflectivity == 0.8) for frame in range(3))
     (tmp_path / "c2.png").unlink()
