@@ -252,6 +252,21 @@ def test_events_of_a_frame_follow_the_pulses():
     same(default, parse_config({"frame": {"pulses": 50}}))
 
 
+@pytest.mark.parametrize("gap", [0, 100, 8351, 8353, 13_343, 13_345, 1 << 20])
+def test_a_pause_of_counts_is_no_shorter_than_the_gap(gap):
+    """The gap is part of it. With ten pulses, a search has two."""
+    config = parse_config(
+        {
+            "sensor": {"rows": 8, "cols": 8, "counts": 1},
+            "frame": {"format": "counts", "pulses": 10, "gap": gap},
+        }
+    )
+    waits = np.diff(config.start_cycles()[:-1]) - config.period
+    pauses = {1: 832 * 16 + 32, 3: 520 * 16 + 32}  # of 16 minigroups
+    assert waits.tolist() == [max(gap, pauses.get(pulse, 0)) for pulse in range(9)]
+    assert config.frame_cycles == waits.sum() + 10 * config.period
+
+
 def test_with_few_pulses_a_search_has_one():
     config = parse_config(
         {"sensor": {"counts": 1}, "frame": {"format": "counts", "search_pulses": 20}}
@@ -473,6 +488,7 @@ def test_settings_as_text():
         and np.all(config.mask[:, 4])
         and config.mask.sum() == 64
     )
+    assert changes_of_text(["rows=8", "cols=9", "rows=16"]) == {"rows": 16, "cols": 9}
     for text, words in (
         ("threshold", "NAME=VALUE"),
         ("moon=1", "unknown"),
@@ -726,6 +742,9 @@ def test_a_file_that_is_no_toml_is_told_with_the_place(tmp_path, text, told):
     path = tmp_path / "a.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=told):
+        load_config(path)
+    path.write_bytes(b"[frame]\n# 5 \xb5s\n")  # in an encoding of its own
+    with pytest.raises(InputError, match=r"a\.toml: cannot be read \(.*utf-8"):
         load_config(path)
     with pytest.raises(InputError, match=r"none\.toml: no such file \(presets: .*silicon.*\)$"):
         load_config(tmp_path / "none.toml")

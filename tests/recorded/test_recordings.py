@@ -620,6 +620,13 @@ def test_times_keep_their_picoseconds(tmp_path):
     np.savez(tmp_path / "c.npz", channel=channel, time_ps=ps.astype(float))
     with pytest.raises(InputError, match="below 2.53 in a column of floats"):
         edges_of(tmp_path / "c.npz", sync_channel=0)
+    for last, is_exact in ((2.0**53 - 1, True), (2.0**53, False)):
+        np.savez(tmp_path / "d.npz", channel=[0, 1], time_ps=[0.0, last])
+        if is_exact:
+            assert read_recording(tmp_path / "d.npz", 0).time_ps.tolist() == [last]
+            continue
+        with pytest.raises(InputError, match=r"time_ps\[1\] = 9007199254740992.0: must be below"):
+            read_recording(tmp_path / "d.npz", 0)
 
 
 @pytest.mark.parametrize("column", ["sync", "channel"])

@@ -289,6 +289,9 @@ def test_disparities_of_kitti(tmp_path):
         assert load_scene(path, *SHAPE, unit=unit).truth_m == pytest.approx(20, abs=0.01)
     plain = load_scene(path, *SHAPE, unit="disparity:721.5,0.54")
     assert any("disparity/256:721.5,0.54 it is 20 m" in doubt for doubt in plain.doubts)
+    (tmp_path / "calib.txt").write_text("cam0=[721.5 0 0]\nbaseline=540\n", encoding="utf-8")
+    beside = load_scene(path, *SHAPE, unit="middlebury")
+    assert any("with the unit kitti-disparity it is 20 m" in doubt for doubt in beside.doubts)
     with pytest.raises(InputError, match="three numbers at most"):
         load_scene(path, *SHAPE, unit="disparity:184704,0.54,0,5000")
 
@@ -338,6 +341,11 @@ HINTS = {  # samples, options, unit of the hint; "": none
     "millimetres": (of_a_room(7900), {}, ""),
     "millimetres, with the unit of TUM": (of_a_room(4000), {"unit": "tum"}, "mm"),
     "millimetres of 1 m, with that of SUN RGB-D": (of_a_room(1100), {"unit": "sun-rgbd"}, "mm"),
+    "steps of 5 mm, which TUM's unit would bring too near": (
+        np.linspace(60, 190, 64 * 64).reshape(64, 64).astype(np.uint16) * 5,
+        {},
+        "",
+    ),
     "a wall, which is a multiple of 5 by accident": (np.full((64, 64), 4000, np.uint16), {}, ""),
     "centimetres of a street, as they are given": (of_a_room(3000), {"unit": "cm"}, ""),
 }

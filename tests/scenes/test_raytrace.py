@@ -597,6 +597,14 @@ def test_a_camera_in_a_medium_and_a_file_without_a_scene_are_refused(tracer, tmp
             tracer.read_scene(path)
         place = "the camera is inside a medium, must be outside of its border"
         assert str(told.value) == f"{path}: {place}"
+    flat = (
+        '<sensor type="perspective"><transform name="to_world"><scale x="0"/></transform></sensor>'
+    )
+    path = scene_file(tmp_path / "flat.xml", wall(4), flat)
+    with pytest.raises(InputError) as told:
+        tracer.read_scene(path)
+    needed = "the camera's to_world must be a rotation and a translation"
+    assert str(told.value) == f"{path}: {needed}"
     path = tmp_path / "ball.xml"
     path.write_text('<shape version="3.0.0" type="sphere"/>', encoding="utf-8")
     with pytest.raises(InputError) as told:

@@ -111,6 +111,18 @@ def test_signal_and_background_of_the_histograms_are_told_apart():
     assert run.but(pulse=wide)["bound_mm"] == pytest.approx(of_wide.pixel_mm)
 
 
+def test_further_surfaces_are_signal_and_no_background():
+    """As behind a window. The truth is the highest peak."""
+    twice = counts()
+    twice[:, :, 500:505] += PULSES // 50  # 0.1 photons per pulse
+    scene = load_scene(twice, *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES)
+    assert scene.truth_m == pytest.approx(WALL_M, abs=0.01)
+    light = scene_light(scene, 0)
+    assert light.total_signal == pytest.approx(np.full(64, 0.6), rel=0.1)
+    noise_cps = 0.1 / (BINS * BIN_PS * 1e-12)
+    assert light.total_background_cps.mean() == pytest.approx(noise_cps, rel=0.1)
+
+
 def test_a_peak_that_is_too_near_is_no_surface():
     near = counts()
     near[0, 0] = 0

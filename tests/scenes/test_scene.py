@@ -390,6 +390,26 @@ def test_white_of_every_kind_of_grey_picture_is_the_brightest(tmp_path, kind):
     assert seen[1] == pytest.approx(DARKEST + (BRIGHTEST - DARKEST) * linear)
 
 
+def test_every_grey_has_the_light_of_the_standard(tmp_path):
+    """IEC 61966-2-1, whose dark greys are in proportion to their light."""
+    grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    Image.fromarray(grey).save(tmp_path / "grey.png")
+    depth = png(tmp_path / "depth.png", np.full((16, 16), 2000))
+    seen = load_scene(depth, 16, 16, colour=tmp_path / "grey.png").reflectivity.ravel()
+    for level, found in enumerate(seen.tolist()):
+        share = level / 255
+        light = share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4
+        assert found == pytest.approx(DARKEST + (BRIGHTEST - DARKEST) * light)
+
+
+@pytest.mark.parametrize("colour", ["none.png", "no,ne.png", "a,b/none.png"])
+def test_a_colour_picture_that_is_not_there_is_told_by_its_own_name(tmp_path, colour):
+    """Behind that of a depth file that is there."""
+    depth = png(tmp_path / "depth.png", np.full((4, 4), 2000))
+    with pytest.raises(InputError, match=f"^{re.escape(str(tmp_path / colour))}: no such file"):
+        load_scene(f"{depth},{tmp_path / colour}", 4, 4)
+
+
 def test_invalid_samples_become_a_mask_and_a_note(tmp_path):
     depth_m = np.full((8, 8), 5.0)
     depth_m[0, 0], depth_m[0, 1], depth_m[1, 0], depth_m[1, 1] = 0, np.nan, -1, RANGE_M
