@@ -14,9 +14,14 @@ import pytest
 import coincid
 from coincid.model.contract.config import changes_of_text
 from coincid.model.contract.edges import checked_edges
+from coincid.model.light.light import Arrivals, Interferer
+from coincid.model.light.link_budget import link_budget
+from coincid.model.light.photons import edges_at_most
 from coincid.model.recorded.exchange import read_recording, write_edges
+from coincid.model.scenes.ambient import ambient_klux
 from coincid.model.shared.errors import InputError
 from coincid.model.shared.files import whole_file
+from coincid.model.shared.pulse import Pulse
 
 from .command import assert_refused, command
 
@@ -88,6 +93,75 @@ def test_columns_of_edges_with_hidden_elements_are_refused(name):
 @pytest.fixture(scope="module")
 def run():
     return coincid.simulate(None, "flat:5", **SMALL)
+
+
+def scene(**changes):
+    return coincid.Scene(**{"name": "own", "distance_m": DISTANCE_M, "reflectivity": 0.4} | changes)
+
+
+def arrivals(**changes):
+    return Arrivals(**{"first": [0, 1], "start_s": [0.0], "photons": [1.0]} | changes)
+
+
+def lit(spad=None, **changes):
+    return edges_at_most(light(**changes), spad or coincid.Spad(), coincid.Timing())
+
+
+OF_ARRAYS = {  # what takes an array, or a list in its place, by the name of which it is told
+    "distance_m": [
+        lambda array: scene(distance_m=array),
+        lambda array: light(distance_m=array),
+        lambda array: coincid.Light.from_scene(array, 0.4, 5.0),
+        lambda array: link_budget(array, 0.4, 5.0),
+    ],
+    "reflectivity": [
+        lambda array: scene(reflectivity=array),
+        lambda array: coincid.load_scene(DISTANCE_M, *SHAPE, reflectivity=array),
+        lambda array: coincid.Light.from_scene(DISTANCE_M, array, 5.0),
+    ],
+    "klux": [
+        lambda array: coincid.Light.from_scene(DISTANCE_M, 0.4, array),
+        lambda array: ambient_klux(array, *SHAPE),
+        lambda array: coincid.scene_light(scene(), array),
+    ],
+    "sunlit": [lambda array: scene(sunlit=array)],
+    "labels": [lambda array: scene(labels=array)],
+    "missing": [lambda array: coincid.load_scene(DISTANCE_M, *SHAPE, missing=array)],
+    "signal_per_pulse": [lambda array: light(signal_per_pulse=array)],
+    "system_fwhm_s": [lambda array: light(system_fwhm_s=array)],
+    "background_cps": [
+        lambda array: light(background_cps=array),
+        lambda array: arrivals(background_cps=array),
+    ],
+    "first": [lambda array: arrivals(first=array)],
+    "start_s": [lambda array: arrivals(start_s=array)],
+    "photons": [lambda array: arrivals(photons=array)],
+    "photons_per_pulse": [lambda array: lit(interferer=Interferer(photons_per_pulse=array))],
+    "dark_cps": [
+        lambda array: lit(coincid.Spad(dark_cps=array)),
+        lambda array: link_budget(4.0, 0.4, 5.0, spad=coincid.Spad(dark_cps=array)),
+    ],
+    "tap_width_lsb": [lambda array: coincid.Timing(tap_width_lsb=array)],
+    "pulse.time_s": [lambda array: Pulse(time_s=array, density=[0.0, 1.0])],
+    "pulse.density": [lambda array: Pulse(time_s=[-1e-9, 1e-9], density=array)],
+    "subgroup.threshold": [lambda array: coincid.parse_config({}).with_settings(threshold=array)],
+    "subgroup.mask": [lambda array: coincid.parse_config({}).with_settings(mask=array)],
+    "frame.auto_bounds": [lambda array: coincid.parse_config({}).with_frame(auto_bounds=array)],
+}
+
+
+@pytest.mark.parametrize("name", OF_ARRAYS)
+def test_lists_of_different_lengths_are_no_array(name):
+    """Nor are numbers beside lists."""
+    for make in OF_ARRAYS[name]:
+        for wrong in ([[0.1, 0.2], [0.3]], [[0.1], 0.2]):
+            with pytest.raises(InputError, match=rf"^{name}(:| = |\[)"):
+                make(wrong)
+
+
+def test_a_sequence_without_pictures_is_refused():
+    with pytest.raises(InputError, match="^array: has no pictures, must have at least one$"):
+        coincid.load_scene(np.ones((0, *SHAPE)), *SHAPE)
 
 
 NO_PATHS = (None, b"a.npz", 5, 1.5, ["a.npz"], np.array("a.npz"), object())

@@ -19,7 +19,6 @@ from attrs import asdict, evolve, field, frozen
 from ..shared.constants import SPEED_OF_LIGHT_M_S
 from ..shared.errors import InputError, check_integer, out_of_range, wrong_value
 from ..shared.files import FilePath
-from ..shared.quantities import shape_of
 from . import registers
 from .coincidence import AT_LEAST, Rule
 from .counters import EVENTS_MAX
@@ -367,12 +366,8 @@ class Config(SubgroupSettings):
         """
         columns: dict[str, Any] = {}
         for name, value in _known("subgroup", settings, SUBGROUP).items():
-            setting, many = (
-                SUBGROUP[name],
-                isinstance(value, list | tuple | np.ndarray)
-                and shape_of(SUBGROUP[name].key, value) != (),
-            )
-            if not many:
+            setting = SUBGROUP[name]
+            if not isinstance(value, list | tuple) and not np.ndim(value):
                 columns[name] = _column(setting, value, self.sensor)
             elif len(value) != self.sensor.subgroups:
                 raise InputError(

@@ -43,6 +43,8 @@ THRESHOLDS = range(1, 8)  # as in the paper's Fig. 7
 # Of (18) as printed: with ps, the bins sum to 14.6 times the signal (sigma 212 ps), with s to
 # 1.5e-5.
 PRINTED_TIME_UNIT_S = 1e-12
+FWHM_MIN_S = 1e-15  # of a pulse, whose bins would otherwise be no numbers
+PULSES_MAX = 1 << 40
 
 _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
@@ -317,8 +319,6 @@ def histogram(
     sensor = given_or_new("sensor", sensor, Sensor)
     timing = given_or_new("timing", timing, Timing)
     spad = given_or_new("spad", spad, Spad)
-    pulses = check_integer("pulses", pulses, 1, PULSES_MAX)
-    system_fwhm_s = check_real("system_fwhm_s", system_fwhm_s, 0, 1)
     check_choice("scheme", scheme, SCHEMES)
     threshold = check_integer("threshold", threshold, 1, sensor.pixels)
     if _literal(form) and sensor.rule != AT_LEAST:
@@ -326,6 +326,8 @@ def histogram(
             f"form = {form!r}: knows only the paper's rule, not sensor.rule = {sensor.rule.name!r}"
         )
     window_ticks = check_integer("window_ticks", window_ticks, 1, sensor.window_max)
+    pulses = check_integer("pulses", pulses, 1, PULSES_MAX)
+    system_fwhm_s = check_real("system_fwhm_s", system_fwhm_s, FWHM_MIN_S, 1)
     pixels = (sensor.pixels,)
     distance_m = real_array("distance_m", distance_m, pixels, 0, nan=True)
     noise_cps = real_array("noise_cps", noise_cps, pixels, 0)

@@ -112,8 +112,7 @@ class Arrivals:
     def __attrs_post_init__(self) -> None:
         own = shape_of("photons", self.photons)
         photons = real_array("photons", self.photons, own, 0, SIGNAL_MAX)
-        own = shape_of("first", self.first)
-        first = real_array("first", self.first, own, 0, 2.0**53)
+        first = real_array("first", self.first, shape_of("first", self.first), 0, 2.0**53)
         if photons.ndim != 1:
             raise InputError(f"photons: has shape {photons.shape}, must have a number per bin")
         n = len(photons)
@@ -180,10 +179,9 @@ class Light:
         check_kind("arrivals", self.arrivals, Arrivals, NoneType)
         check_kind("interferer", self.interferer, Interferer, NoneType)
         for name in ("distance_m", "signal_per_pulse", "system_fwhm_s"):
-            value = getattr(self, name)
-            own = shape_of(name, value)
-            array = np.asanyarray(value)  # with its mask
-            object.__setattr__(self, name, array[:, None] if len(own) == 1 else array)
+            shape_of(name, getattr(self, name))
+            array = np.asanyarray(getattr(self, name))  # with its mask
+            object.__setattr__(self, name, array[:, None] if array.ndim == 1 else array)
         targets = max(self.distance_m.shape[-1:] + self.signal_per_pulse.shape[-1:], default=1)
         per_target = (self.pixels, targets)
         for name, shape, highest in (

@@ -179,6 +179,8 @@ def link_budget(
     # the same at every distance, up to rounding
     on_target = irradiance * target_area_m2 * cps_per_watt
     dark_cps = real_array("dark_cps", spad.dark_cps, shape_of("dark_cps", spad.dark_cps), 0)
+    if not dark_cps.size:
+        raise InputError("dark_cps: is empty, must hold at least one rate", field="dark_cps")
     background_rate_cps = float(np.mean(on_target) + np.mean(dark_cps))
     background_live_cps = background_rate_cps / (1 + background_rate_cps * spad.dead_time_s)
     signal_per_pulse = signal_rate_cps / laser.repetition_hz

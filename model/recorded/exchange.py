@@ -25,7 +25,7 @@ from attrs import evolve
 from ..contract.edges import NAMES, Edges
 from ..light.timing import Timing
 from ..shared.arguments import check_kind
-from ..shared.errors import InputError, check_integer
+from ..shared.errors import InputError, check_integer, wrong_value
 from ..shared.files import FilePath, check_path, read_npz, reading, whole_file
 from .columns import Columns, checked_columns, integers, not_negative
 from .photon_hdf5 import is_photon_hdf5, read_photon_hdf5
@@ -37,6 +37,7 @@ OFFSET = "offset_ps"  # column of edges that know their place in their tick
 HDF5 = (".h5", ".hdf5")
 SUFFIXES = (".npz", ".csv", *HDF5, ".ptu")
 Read: TypeAlias = Callable[[tuple[str, ...]], Columns]
+_PAIR = r"\s*-?\d{1,18}\s*:\s*\d{1,18}\s*"  # channel and pixel, which fit int64
 EXPECTED = "pulse, pixel, tick; or sync, channel, time_ps; or channel, time_ps (or time_ns, time_us, time_s)"
 
 
@@ -161,10 +162,9 @@ def parse_channels(text: str) -> dict[int, int]:
         if not pairs:
             raise InputError(f"{text}: names no channel")
     else:
-        if not re.fullmatch(r"\s*-?\d+\s*:\s*\d+\s*(,\s*-?\d+\s*:\s*\d+\s*)*", text):
-            raise InputError(
-                f"channels = {text!r}: must be CHANNEL:PIXEL,CHANNEL:PIXEL,... or a CSV file with the columns channel, pixel"
-            )
+        if not re.fullmatch(f"{_PAIR}(,{_PAIR})*", text):
+            legal = "CHANNEL:PIXEL,CHANNEL:PIXEL,... or a CSV file with the columns channel, pixel"
+            raise wrong_value("channels", text, legal)
         pairs = [
             (int(channel), int(pixel))
             for channel, pixel in (pair.split(":") for pair in text.split(","))

@@ -14,7 +14,7 @@ import numpy as np
 from ..shared.errors import InputError
 from ..shared.files import FilePath, reading
 from .columns import checked_columns, integers, not_negative
-from .recordings import DIVIDER_MAX, PS_PER_S, Recording, since_sync
+from .recordings import DIVIDER_MAX, PS_PER_S, SYNC_MAX, Recording, since_sync
 
 GROUP = "photon_data"
 TIMES = "timestamps"
@@ -73,6 +73,12 @@ def read_photon_hdf5(path: FilePath, sync_channel: int | None = None) -> Recordi
     divider = max(1, round(pulses))
     kind = f"Photon-HDF5, bins of {bin_ps:.6g} ps"
     if abs(pulses - divider) > WHOLE * divider:
+        last = int(time.max(initial=0))
+        if last * pulses >= SYNC_MAX:
+            raise InputError(
+                f"{path}: {GROUP}/{TIMES}: holds {last}, which is pulse {last * pulses:.6g} of the"
+                " laser, must be below 2^53"
+            )
         time = np.floor(time * pulses).astype(np.int64)
         unit_ps /= pulses
         divider = 1

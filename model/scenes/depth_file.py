@@ -58,9 +58,12 @@ def depth_scene(
     the shape of a picture or of all.
     """
     meaning = given_or_new("meaning", meaning, Meaning)
-    if not shape_of("reflectivity", reflectivity):
+    of_shares = shape_of("reflectivity", reflectivity)
+    if not of_shares:
         reflectivity = check_real("reflectivity", reflectivity, 0, 1)
     pictures = pictures_of(depth, meaning)
+    if not pictures.moves and of_shares[2:] == (1,):
+        reflectivity = np.asanyarray(reflectivity)[:, :, 0]  # as distances may have it
     shares: list[float | np.ndarray] = [reflectivity] * pictures.count
     if isinstance(reflectivity, np.ndarray) and reflectivity.ndim == 3:
         shares = list(reflectivity)

@@ -141,6 +141,8 @@ def _in_array(path: str, samples: np.ndarray, *, is_file: bool) -> Pictures:
             " (rows, cols), or in three (frames, rows, cols); the last axis looks like colours"
         )
     count = len(numbers) if moves else 1
+    if not count:
+        raise InputError(f"{path}: has no pictures, must have at least one")
 
     def read(number: int) -> Stored:
         name = f"{path}[{number}]" if moves else path

@@ -69,14 +69,14 @@ def _checked_field(default: Any, checked: Callable[[str, Any], Any]) -> Any:
 
 
 def shape_of(name: str, value: ArrayLike) -> tuple[int, ...]:
-    """Return the shape of a number, an array, or lists in lists. Raises `InputError` for lists of
-    different lengths.
+    """Return the shape of an array, or of lists that stand for one. Raises `InputError` for lists
+    of different lengths.
     """
     try:
         return np.shape(value)
     except ValueError:
         raise InputError(
-            f"{name}: holds lists of different lengths, must be a number or an array", field=name
+            f"{name}: has lists of different lengths, must be an array", field=name
         ) from None
 
 

@@ -468,7 +468,7 @@ def test_a_depth_stays_as_it_is_when_the_callers_arrays_change():
         (lambda: Depth.of(np.zeros(4)), r"depth_m: has shape \(4,\), must be"),
         (lambda: Depth.of(np.zeros((2, 2, 0))), "depth_m: has shape"),
         (lambda: Depth.of([["far"]]), "depth_m: must hold numbers"),
-        (lambda: Depth.of([[1.0], [2.0, 3.0]]), "depth_m: holds lists of different lengths"),
+        (lambda: Depth.of([[1.0], [2.0, 3.0]]), "depth_m: has lists of different lengths"),
         (lambda: Depth.of([[1.0, np.inf]]), r"depth_m\[0, 1\] = inf: must be"),
         (lambda: Depth.of(np.ones((2, 2)), confidence=5.0), r"confidence.* = 5.0: must be"),
         (lambda: Depth.of(np.ones((2, 2)), confidence=-0.1), r"confidence.* = -0.1: must be"),

@@ -380,6 +380,10 @@ def test_threshold_rises_with_the_activity():
         (dict(threshold=0), r"threshold = 0: must be an integer from 1 to 64"),
         (dict(window_ticks=200), r"window_ticks = 200: must be an integer from 1 to 128"),
         (dict(noise_cps=-1.0), r"noise_cps\[0\] = -1.0: must be at least 0"),
+        (dict(pulses=0), r"pulses = 0: must be an integer from 1 to"),
+        (dict(pulses="many"), r"pulses = 'many': must be an integer from 1 to"),
+        (dict(system_fwhm_s=0.0), r"system_fwhm_s = 0.0: must be a number from 1e-15 to 1$"),
+        (dict(system_fwhm_s=-1e-9), r"system_fwhm_s = -1e-09: must be a number from 1e-15 to 1$"),
     ],
 )
 def test_bad_input_names_field_and_range(change, message):

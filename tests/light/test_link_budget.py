@@ -278,6 +278,10 @@ def test_dark_counts_are_background():
         ),
         (lambda: link_budget(4, 0.4, 5, spad=Spad(dark_cps="few")), r"dark_cps: must hold numbers"),
         (lambda: link_budget([], 0.4, 5), r"distance_m: is empty, must hold at least one distance"),
+        (
+            lambda: link_budget(4, 0.4, 5, spad=Spad(dark_cps=[])),
+            r"dark_cps: is empty, must hold at least one rate",
+        ),
     ],
 )
 def test_bad_input_names_field_and_range(make, message):

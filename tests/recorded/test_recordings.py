@@ -465,12 +465,15 @@ def test_bad_ptu(tmp_path):
 def test_channel_maps(tmp_path):
     (tmp_path / "map.csv").write_text("channel,pixel\n4,1\n5,0\n", encoding="utf-8")
     assert parse_channels(str(tmp_path / "map.csv")) == parse_channels("4:1, 5:0") == {4: 1, 5: 0}
+    assert parse_channels("-" + "9" * 18 + ":" + "9" * 18) == {-(10**18) + 1: 10**18 - 1}
     (tmp_path / "map.csv").rename(tmp_path / "MAP.CSV")
     assert parse_channels(str(tmp_path / "MAP.CSV")) == {4: 1, 5: 0}
     (tmp_path / "none.csv").write_text("channel,pixel\n", encoding="utf-8")
     for text, words in (
         (str(tmp_path / "none.csv"), "none.csv: names no channel"),
         ("4-1", "must be CHANNEL:PIXEL"),
+        ("9" * 5000 + ":1", f"^channels = '{'9' * 99} ...: must be CHANNEL:PIXEL"),
+        ("1:" + "9" * 19, "must be CHANNEL:PIXEL"),
         ("4:1,4:2", "channel 4 comes twice"),
         ("4:1,5:1", "pixel 1 comes twice"),
         ("4:1,5:2,5:3,4:4", "channel 4 comes twice"),  # the first of them
@@ -908,6 +911,14 @@ def test_pulses_that_cannot_be_counted_are_refused(tmp_path):
     with pytest.raises(InputError, match="laser_repetition_rate: is 70000 .* at most 65536"):
         read_recording(fast)
     late = SYNCED | {"timestamps": np.array([4, 5, 1 << 48])}
+    for pulses, is_exact in ((31.5, True), (32.5, False)):
+        path = photon_hdf5(tmp_path / "c.h5", **late, **{rate: 40e6 * pulses})
+        if is_exact:
+            assert read_recording(path).sync.tolist() == [126, 157, round(pulses * 2**48)]
+            continue
+        told = "timestamps: holds 281474976710656, which is pulse 9.14794e.15 .* below 2.53$"
+        with pytest.raises(InputError, match=told):
+            read_recording(path)
     path = photon_hdf5(tmp_path / "b.h5", **late)
     assert read_recording(path, sync_divider=1 << 14).sync.max() >> 14 == 1 << 48
     with pytest.raises(InputError, match=r"sync-divider = 32768: sync 281474976710656 .*710654$"):

@@ -635,11 +635,15 @@ def test_distances_as_an_array():
 
 @pytest.mark.parametrize("is_file", [False, True])
 def test_an_array_may_have_a_last_axis_of_one(tmp_path, is_file):
-    """As some programs stack pictures; it is no sequence."""
+    """As some programs stack pictures; it is no sequence. So may reflectivities."""
     depth_m = np.arange(2.0, 18.0).reshape(4, 4)
     source = str(npy(tmp_path / "d.npy", depth_m[:, :, None])) if is_file else depth_m[:, :, None]
     scene = load_scene(source, 4, 4)
     assert scene.pictures == 1 and np.array_equal(scene.truth_m, depth_m)
+    shares = depth_m / 20
+    for reflectivity in (shares, shares[:, :, None], shares[None]):
+        scene = load_scene(source, 4, 4, reflectivity=reflectivity)
+        assert np.array_equal(scene.reflectivity[:, :, 0], shares)
     masked = np.ma.masked_array(depth_m[:, :, None], depth_m[:, :, None] == 7)
     assert np.array_equal(load_scene(masked, 4, 4).valid, depth_m != 7)
 
