@@ -715,11 +715,12 @@ def test_a_retroreflector_sends_its_share_back_to_the_source(tracer, incidence_d
     for off_deg in (-1.0, 1.0):
         shares = sent_back(incidence_deg, off_deg) / sent_back(incidence_deg)
         assert shares == pytest.approx(math.exp(-0.5), rel=1e-3)
-    assert sent_back(180 - incidence_deg) == sent_back(89.5, 1.0) == 0
+    assert sent_back(180 - incidence_deg) == 0
+    assert sent_back(89.5, 1.0) == sent_back(90.5, -1.0) == 0
     n = 4096
     random = mi.load_dict({"type": "independent"})
     random.seed(1, n)
-    for angle_deg, share in ((incidence_deg, 0.2), (180 - incidence_deg, 0.0)):
+    for angle_deg, share in ((incidence_deg, 0.2), (90.5, 0.0), (180 - incidence_deg, 0.0)):
         hit = hit_from(angle_deg, n)
         drawn, weight = bsdf.sample(mi.BSDFContext(), hit, random.next_1d(), random.next_2d(), True)
         assert np.unique(np.array(weight)) == pytest.approx([share])

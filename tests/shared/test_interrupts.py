@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children
 
 import pytest
 
@@ -129,11 +129,23 @@ def _begun():
     return os.environ.get("BEGUN_WITH"), signal.getsignal(signal.SIGINT) == signal.SIG_IGN
 
 
-def test_workers_begin_as_they_are_told_and_are_killed_by_an_error():
+class _OfAnotherPool:
+    """A worker that was there before."""
+
+    was_killed = False
+
+    def kill(self):
+        self.was_killed = True
+
+
+def test_workers_begin_as_they_are_told_and_are_killed_by_an_error(monkeypatch):
     """Ctrl-C is for the process that started them; other children of it live on."""
     other = subprocess.Popen(["sleep", "1000"])
-    worker_of_another = get_context("fork").Process(target=time.sleep, args=(1000,))
-    worker_of_another.start()
+    of_another = _OfAnotherPool()
+    monkeypatch.setattr(
+        "coincid.model.shared.interrupts.active_children",
+        lambda: [*active_children(), of_another],
+    )
     before = set(active_children())
     try:
         with (
@@ -148,12 +160,10 @@ def test_workers_begin_as_they_are_told_and_are_killed_by_an_error():
             time.sleep(0.01)
         assert worker.exitcode == -signal.SIGKILL
         assert other.poll() is None
-        assert worker_of_another.is_alive()
+        assert not of_another.was_killed
     finally:
         other.kill()
         other.wait()
-        worker_of_another.kill()
-        worker_of_another.join()
 
 
 @pytest.mark.parametrize("fails", [False, True])
