@@ -44,7 +44,6 @@ THRESHOLDS = range(1, 8)  # as in the paper's Fig. 7
 # 1.5e-5.
 PRINTED_TIME_UNIT_S = 1e-12
 FWHM_MIN_S = 1e-15  # of a pulse, whose bins would otherwise be no numbers
-PULSES_MAX = 1 << 40
 
 _close_cycle, _armed_cycle = njit(close_cycle), njit(armed_cycle)
 
