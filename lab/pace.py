@@ -6,11 +6,10 @@ Ref: paper, for the laser's mean power of 10 mW.
 """
 
 from bisect import bisect_right
-from fractions import Fraction
 
 from ..model.contract.config import Config
 from ..model.contract.dither import GAP_MAX
-from ..model.shared.errors import InputError
+from ..model.shared.errors import InputError, told_number
 from ..model.shared.quantities import check_real
 
 LASER_MEAN_W = 10e-3
@@ -26,7 +25,7 @@ def frame_s(config: Config) -> float:
 
 def frames_per_s(config: Config) -> float:
     """Return the frames per second if one begins as soon as the periods of the last one end."""
-    return 1 / frame_s(config)
+    return config.clock_mhz * 1e6 / config.frame_cycles
 
 
 def pulse_energy_j(config: Config, mean_power_w: float = LASER_MEAN_W) -> float:
@@ -41,19 +40,21 @@ def gap_for(config: Config, rate_per_s: float) -> int:
     longest one. A frame of one pulse has no gap, so it has a single rate.
     """
     rate_per_s = check_real("rate_per_s", rate_per_s, RATE_MIN_PER_S)
-    cycles = int(Fraction(str(config.clock_mhz)) * 1_000_000 / Fraction(str(rate_per_s)))
 
-    def cycles_with(gap: int) -> int:
-        return config.with_frame(gap=gap).frame_cycles
+    def with_gap(gap: int) -> Config:
+        return config.with_frame(gap=gap)
 
     # The waits of a frame are not proportional to the gap: those between searches are long already.
-    gap = bisect_right(range(GAP_MAX + 1), cycles, key=cycles_with) - 1
+    # Rates are compared as they are told, so that of a frame leads back to its gap.
+    gaps = range(GAP_MAX + 1)
+    gap = bisect_right(gaps, -rate_per_s, key=lambda gap: -frames_per_s(with_gap(gap))) - 1
     longer = max(1, config.pulses - 1)  # cycles that a gap of one more would take
-    if gap < 0 or cycles >= cycles_with(GAP_MAX) + longer:
-        low = frames_per_s(config.with_frame(gap=GAP_MAX))
-        high = frames_per_s(config.with_frame(gap=0))
+    too_long = with_gap(GAP_MAX).frame_cycles + longer
+    if gap < 0 or rate_per_s <= config.clock_mhz * 1e6 / too_long:
+        low = told_number(frames_per_s(with_gap(GAP_MAX)))
+        high = told_number(frames_per_s(with_gap(0)))
         raise InputError(
-            f"rate_per_s = {rate_per_s:g}: must be from {low:.6g} to {high:.6g} with these periods",
+            f"rate_per_s = {told_number(rate_per_s)}: must be from {low} to {high} with these periods",
             field="rate_per_s",
         )
     return gap if config.pulses > 1 else 0

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames per second, rates of links and energies of pulses, against numbers by hand."""
 
+import re
+
 import pytest
 
 from coincid.lab.outcomes import Run
 from coincid.lab.pace import frames_per_s, gap_for, pulse_energy_j, told_pace
 from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
+from coincid.model.contract.dither import GAP_MAX
 from coincid.model.shared.errors import InputError
 from coincid.study.explain import meaning, warnings
 
@@ -35,6 +38,27 @@ def test_gap_for_a_rate_by_hand():
         gap_for(config, 20_001)
     with pytest.raises(InputError, match="rate_per_s = 0.01: must be from 0.0188"):
         gap_for(config, 0.01)
+
+
+@pytest.mark.parametrize("gap", (0, 1, 1000, GAP_MAX))
+@pytest.mark.parametrize("clock_mhz", (250, 333.3))
+def test_the_rate_of_a_frame_leads_back_to_its_gap(clock_mhz, gap):
+    """Also where a quotient of floats falls a little short of whole cycles."""
+    for period in range(60, 70):
+        frame = {"clock_mhz": clock_mhz, "period": period, "pulses": 37, "gap": gap}
+        config = parse_config({"frame": frame})
+        assert gap_for(config, frames_per_s(config)) == gap
+
+
+@pytest.mark.parametrize("period", (62, 67))
+def test_the_rates_that_a_refusal_names_are_legal(period):
+    """In six digits, one of them would be above the highest rate, and the other below it."""
+    config = parse_config({"frame": {"period": period, "pulses": 37}})
+    with pytest.raises(InputError) as refused:
+        gap_for(config, 1e9)
+    low, high = re.findall(r"[\d.e-]*\d", str(refused.value).partition("must be")[2])
+    assert gap_for(config, float(low)) == GAP_MAX
+    assert gap_for(config, float(high)) == 0
 
 
 @pytest.mark.parametrize("rate_per_s", [0, -1.0, float("nan"), float("inf"), "30"])
