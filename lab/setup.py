@@ -105,11 +105,12 @@ class PhotonInputs:
 
     def edges(self, workers: int = 1, watch: Watch = unwatched) -> Edges:
         """Generate all edges. workers: as in `chunks`."""
-        chunks, made = [], 0
+        chunks, made, done = [], 0, 0.0
         for chunk in self.chunks(workers):
             chunks.append(chunk)
             made += len(chunk)
-            done = float(chunk.pulse[-1] + 1) / self.pulses if len(chunk) else 0.0
+            if len(chunk):  # a dark one does not tell how far it goes
+                done = float(chunk.pulse[-1] + 1) / self.pulses
             watch("photons", done, made)
         return Edges.joined(chunks)
 

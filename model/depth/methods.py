@@ -136,6 +136,8 @@ def taken_along(estimators: tuple[Method, ...]) -> tuple[Method, ...]:
 
     Other names stay as they are: `estimate_depth` checks them.
     """
+    if isinstance(estimators, str):  # its letters would be names
+        raise wrong_value("estimators", estimators, f"several, such as ({estimators!r},)")
     return tuple(_taken_along(one) for one in check_kind("estimators", estimators, tuple, list))
 
 

@@ -7,8 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from coincid.lab.campaign import TOGETHER_MAX, batches
+from coincid.lab import campaign
+from coincid.lab.campaign import TOGETHER_MAX, batches, read_batch
 from coincid.lab.long_frames import play_last_frame, play_long_frames
+from coincid.lab.setup import Setup, seeded
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.edges import Edges
 from coincid.model.golden.frame import Golden
@@ -45,6 +47,24 @@ def test_setups_are_spread_over_the_workers(numbers, workers):
 @pytest.mark.parametrize("engine", ["golden", "verilator"])
 def test_other_engines_play_one_setup_at_a_time(engine):
     assert batches(setups(engine, 3, 2), 2) == [[0], [1], [2], [3], [4]]
+
+
+def test_setups_that_cannot_be_played_together_are_played_alone(monkeypatch):
+    """So an error of one of them is not that of the others."""
+
+    def together(jobs):
+        raise ValueError("one of them")
+
+    def read(run):
+        if run.setup.seed == 2:
+            raise ValueError("the second")
+        return run.setup.seed
+
+    monkeypatch.setattr(campaign, "replay_together", together)
+    wall = Setup.of("flat:5", sensor={"rows": 8, "cols": 8}, frame={"pulses": 4}, engine="sliced")
+    outcomes = read_batch(read, seeded(wall, 3))
+    assert [found for found, _ in outcomes] == [1, None, 3]
+    assert [str(error or "") for _, error in outcomes] == ["", "the second", ""]
 
 
 def chunks():

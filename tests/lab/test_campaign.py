@@ -7,6 +7,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
+import dask
 import pytest
 
 from coincid.lab import campaign as lab_campaign
@@ -272,6 +273,32 @@ class LocalCluster:
 
     def __exit__(self, *raised):
         self.ended = True
+
+
+def test_a_cluster_of_its_own_is_of_this_machine_and_outlives_lost_workers(monkeypatch):
+    """Nobody else reaches it, a worker plays one setup at a time, and the campaign takes Ctrl-C."""
+    setting = "distributed.scheduler.allowed-failures"
+    before = dask.config.get(setting)
+    asked = {}
+
+    def local(**given):
+        asked.update(given, lost=dask.config.get(setting))
+        return LocalCluster()
+
+    monkeypatch.setattr(dask_workers, "LocalCluster", local)
+    monkeypatch.setattr(
+        dask_workers, "Client", lambda scheduler, **options: contextlib.nullcontext(scheduler)
+    )
+    with dask_workers.cluster(3) as client:
+        assert isinstance(client, LocalCluster)
+    assert client.ended
+    assert (asked["n_workers"], asked["threads_per_worker"]) == (3, 1)
+    places = asked["host"], asked["scheduler_kwargs"]["dashboard_address"]
+    assert places == ("127.0.0.1", "127.0.0.1:0")
+    assert asked["dashboard_address"] is None and not asked["scheduler_kwargs"]["dashboard"]
+    assert asked["memory_limit"] is None
+    assert "signal.SIG_IGN" in asked["preload"]
+    assert (asked["lost"], dask.config.get(setting)) == (20, before)
 
 
 @pytest.mark.parametrize("error", [OSError("no more processes"), RuntimeError("no start")])

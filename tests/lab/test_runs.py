@@ -107,6 +107,19 @@ def test_an_estimator_is_told_the_pulse_of_the_setup_unless_another_is_given():
     assert not np.array_equal(found[0], found[1], equal_nan=True)
 
 
+def test_an_engine_plays_the_edges_of_a_setup_in_its_view(monkeypatch):
+    asked = []
+
+    def replay(*given, **named):
+        asked.append((*given, named))
+        return {"pulse": np.arange(3)}
+
+    monkeypatch.setattr(outcomes, "replay", replay)
+    one = Run(run().setup.but(engine="icarus", view="async"))
+    assert one.result["pulse"].tolist() == [0, 1, 2]
+    assert asked == [("icarus", one.config, one.edges, {"view": "async"})]
+
+
 def test_wrong_pixels_of_a_frame_are_those_of_the_papers_criterion():
     scene = Scene(name="wall", distance_m=np.full((8, 8), 5.0), reflectivity=np.full((8, 8), 0.4))
     setup = Setup.of(scene, sensor=SENSOR, frame={"pulses": 5})

@@ -12,7 +12,7 @@ from attrs import frozen
 
 from coincid.lab import setup as lab_setup
 from coincid.lab.options import OPTIONS, documented
-from coincid.lab.setup import Setup, fingerprint, fixed_thresholds, scene_of
+from coincid.lab.setup import PhotonInputs, Setup, fingerprint, fixed_thresholds, scene_of
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.parameters import Sensor
 from coincid.model.contract.settings import THRESHOLD_MAX
@@ -43,17 +43,18 @@ def test_a_setup_of_distances_sees_them():
 @pytest.mark.parametrize(
     ("field", "value", "told"),
     [
-        ("light", "sun", "light = 'sun': must be Light or None"),
         ("spad", 3, "spad = 3: must be Spad"),
         ("spad", {"dead_time_s": 1e-9}, "spad = {'dead_time_s': 1e-09}: must be Spad"),
-        ("edges", [], "edges = []: must be Edges or None"),
-        ("estimators", "planes", "estimators = 'planes': must be tuple or list"),
+        ("estimators", 5, "estimators = 5: must be tuple or list"),
         ("spad_gate", 1, "spad_gate = 1: must be true or false"),
         ("engine", "gold", "engine = 'gold': must be one of golden, sliced, verilator, icarus"),
         ("background", "dark", "background = 'dark': must be one of reflected, even"),
         ("seed", -1, f"seed = -1: must be an integer from 0 to {SEED_MAX}"),
         ("seed", SEED_MAX + 1, f"seed = {SEED_MAX + 1}: must be an integer from 0 to {SEED_MAX}"),
         ("pulse", 3, "pulse = 3: must be a Pulse"),
+        ("estimators", "planes", "estimators = 'planes': must be several, such as ('planes',)"),
+        ("light", 3.0, "light = 3.0: must be Light or None"),
+        ("edges", {}, "edges = {}: must be Edges or None"),
     ],
 )
 def test_a_setup_refuses_at_once_what_it_cannot_play(field, value, told):
@@ -63,6 +64,15 @@ def test_a_setup_refuses_at_once_what_it_cannot_play(field, value, told):
             make(**{field: value})
         assert str(raised.value).startswith(told)
         assert raised.value.field == field
+
+
+@pytest.mark.parametrize("field", ["config", "scene"])
+@pytest.mark.parametrize("value", [3, "flat:5"])
+def test_a_changed_setup_has_a_configuration_and_a_scene(field, value):
+    """The name of a scene is read by `Setup.of` alone."""
+    told = {"config": "Config", "scene": "Scene or None"}[field]
+    with pytest.raises(InputError, match=f"^{field} = {value!r}: must be {told}$"):
+        small().but(**{field: value})
 
 
 @pytest.mark.parametrize("seed", [OPTIONS["seed"].low, OPTIONS["seed"].default, SEED_MAX])
@@ -192,6 +202,18 @@ def test_photons_tell_how_many_there_are_until_all_are_made():
     edges = photons.edges(watch=lambda *of: told.append(of))
     assert edges.pulse[-1] == 3
     assert told[-1] == ("photons", 1.0, len(edges))
+
+
+def test_the_told_share_of_photons_never_falls(monkeypatch):
+    """Also if a part of the pulses is dark."""
+    photons = small(klux=50.0).photons
+    edges, told = photons.edges(), []
+    assert photons.pulses == 4
+    parts = [edges.take(edges.pulse == pulse) for pulse in (0, 1)]
+    monkeypatch.setattr(PhotonInputs, "chunks", lambda *of: iter([*parts, edges.take(slice(0))]))
+    photons.edges(watch=lambda *of: told.append(of))
+    first, both = len(parts[0]), len(parts[0]) + len(parts[1])
+    assert told == [("photons", 0.25, first), ("photons", 0.5, both), ("photons", 0.5, both)]
 
 
 def test_a_scene_is_taken_as_it_is_or_made_for_the_pixels_of_a_configuration():
