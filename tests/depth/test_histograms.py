@@ -85,6 +85,19 @@ def test_a_frame_has_the_records_of_its_own_pulses():
         pixel_histogram(arrays, config, 0, source="minigroup", frame=3)
 
 
+def test_every_pixel_of_the_array_has_a_histogram_and_no_other():
+    config = with_records([2, 2])
+    arrays = written(config, **records(config, (0, 1, 15, 20, [3])))
+    assert config.sensor.array_pixels == 128
+    assert pixel_histogram(arrays, config, 127, source="minigroup").sum() == 1
+    assert pixel_histogram(arrays, config, 0, source="minigroup").sum() == 0
+    for pixel in (-1, 128):
+        with pytest.raises(
+            InputError, match=f"^pixel = {pixel}: must be an integer from 0 to 127$"
+        ):
+            pixel_histogram(arrays, config, pixel, source="minigroup")
+
+
 @pytest.mark.parametrize("rearm", [0, 3])
 @pytest.mark.parametrize("frames, frame", [(1, None), (2, None), (2, 1)])
 def test_the_rate_of_photons_is_that_of_the_ticks_in_which_the_tree_is_armed(rearm, frames, frame):

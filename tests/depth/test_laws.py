@@ -14,7 +14,12 @@ from coincid.model.depth.belief import BELIEVED_MIN, Reason
 from coincid.model.depth.clusters import cluster_events
 from coincid.model.depth.depth import Depth, write_depths
 from coincid.model.depth.estimate import PEAKS, PLANES, RETURNS_MAX, estimate_depth
-from coincid.model.depth.histograms import SOURCES, frame_events, subgroup_histograms
+from coincid.model.depth.histograms import (
+    SOURCES,
+    frame_events,
+    pixel_histogram,
+    subgroup_histograms,
+)
 from coincid.model.depth.peaks import APART_SIGMAS, hit_shares, live_share, pixel_peaks, record_live
 from coincid.model.depth.pulse_ticks import PulseTicks, pulse_ticks
 from coincid.model.golden.frame import golden_result
@@ -337,6 +342,42 @@ def assert_equal_where(here, one, other):
         assert np.array_equal(found, getattr(other, name)[here], equal_nan=True), name
 
 
+@pytest.mark.parametrize("method", ("maximum", Told(5.0)), ids=("built in", "own"))
+@pytest.mark.parametrize(
+    ("name", "low", "high"), [("frame", 0, FRAMES - 1), ("returns", 1, RETURNS_MAX)]
+)
+def test_the_ends_of_a_range_are_legal_and_nothing_beyond(three_frames, method, name, low, high):
+    result, config = three_frames.result, three_frames.config
+    for value in (low, high):
+        assert estimate_depth(result, config, method=method, **{name: value})
+    for value in (low - 1, high + 1):
+        told = f"^{name} = {value}: must be an integer from {low} to {high}$"
+        with pytest.raises(InputError, match=told):
+            estimate_depth(result, config, method=method, **{name: value})
+
+
+def test_what_is_not_given_is_the_usual(three_frames):
+    """One return of all frames by planes; a pixel's histogram from the maps."""
+    result, config = three_frames.result, three_frames.config
+    usual = {"source": "map", "frame": None, "system_fwhm_s": 500e-12}
+    assert estimate_depth(result, config, method="maximum").depth_m.shape == (16, 16, 1)
+    found = estimate_depth(result, config)
+    assert_equal_depths(found, estimate_depth(result, config, method="planes", **usual))
+    assert np.array_equal(
+        pixel_histogram(result, config, 3), pixel_histogram(result, config, 3, **usual)
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_pulse_may_be_much_narrower_than_a_tick(three_frames, method):
+    result, config = three_frames.result, three_frames.config
+    found = estimate_depth(result, config, method=method, system_fwhm_s=1e-15)
+    off_m = np.abs(found.depth_m[:, :, 0] - three_frames.scene.truth_m)
+    assert np.nanmedian(off_m) < 0.1
+    lit = found.signal_per_pulse[:, :, 0] > 0
+    assert lit.mean() > 0.9
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_darkness_has_no_surface(method):
     run = run_of("flat:5,0", klux=0.0)
@@ -447,9 +488,14 @@ def test_a_depth_is_believed_from_the_lowest_confidence_on(confidence):
     assert depth.reason.tolist() == [[expected, Reason.NO_LIGHT]]
 
 
-def test_a_depth_needs_no_confidence_where_there_is_none():
-    depth = Depth.of([[5.0, np.nan]], [[0.75, np.nan]])
-    assert depth.confidence[:, :, 0].tolist() == [[0.75, 0.0]]
+def test_a_depth_is_sure_unless_it_is_told_how_sure():
+    told = Depth.of([[5.0]])
+    assert (told.confidence.item(), told.reason.item()) == (1.0, Reason.BELIEVED)
+
+
+def test_the_confidence_of_a_pixel_without_a_depth_does_not_matter():
+    depth = Depth.of([[5.0, np.nan, np.nan]], [[0.5, np.nan, 0.9]])
+    assert depth.confidence.ravel().tolist() == [0.5, 0.0, 0.0]
 
 
 def test_a_depth_stays_as_it_is_when_the_callers_arrays_change():
