@@ -82,8 +82,9 @@ class Slices:
 
     def record(self, lane: int, edges: int = 1) -> np.ndarray:
         """Run some clock edges, and return the lane's sample before each of them, uint64[edges,
-        m], for `waves`.
+        m], for `waves`. Raises `InputError` for a lane that is not there.
         """
+        lane = check_integer("lane", lane, 0, self.lanes - 1)
         samples = np.zeros((edges, -(-self._layout.words // 64)), np.uint64)
         self._library.slice_record(self._slice, lane, edges, samples.ctypes.data)
         return samples

@@ -23,7 +23,7 @@ def by_word(rows: np.ndarray, words: int) -> np.ndarray:
     """
     cycles = len(rows)
     turned = np.zeros((words, -(-cycles // 64) * 8), np.uint8)
-    bytes_ = np.ascontiguousarray(rows).view(np.uint8).reshape(cycles, -1)
+    bytes_ = np.ascontiguousarray(rows).view(np.uint8).reshape(cycles, 8 * rows.shape[1])
     for first in range(0, words, BLOCK):
         bits = np.unpackbits(
             bytes_[:, first // 8 : (first + BLOCK) // 8], axis=1, bitorder="little"
@@ -69,11 +69,14 @@ def write_vcd(
         changes.sort()
         for cycle, number, value in changes:
             writer.change(variables[number], (first_cycle + cycle) * cycle_ps, value)
-        writer.close(timestamp=(first_cycle + max(map(len, lanes.values()))) * cycle_ps)
+        longest = max(map(len, lanes.values()), default=0)
+        writer.close(timestamp=(first_cycle + longest) * cycle_ps)
 
 
 def _changes(bits: np.ndarray, cycles: int) -> list[tuple[int, int]]:
     """Return (cycle, value) of a signal at the beginning and wherever it changes."""
+    if not cycles:
+        return []
     each = np.unpackbits(
         np.ascontiguousarray(bits).view(np.uint8), axis=1, bitorder="little", count=cycles
     )

@@ -151,7 +151,10 @@ public:
     Sensor(const Sensor&) = delete;
 
     void post(Op op) { todo_.push_back(std::move(op)); idle_ = false; }
-    void post_during_frame(uint32_t address, uint32_t value) { during_.push_back({Op::WRITE, address, value, {}}); }
+    // A write to the frame that is posted or running. Without one, it would reach the next frame.
+    void post_during_frame(uint32_t address, uint32_t value) {
+        if (!idle_) during_.push_back({Op::WRITE, address, value, {}});
+    }
     bool idle() const { return idle_; }
     int64_t cycle() const { return cycle_; }
     int64_t hung() const { return hung_; }
@@ -435,6 +438,7 @@ private:
             cycles_ += cycle_ + 1;
             cycle_ = -1;
             frame_.reset();
+            during_.clear();
             while (write_busy_) co_await CYCLE;
             for_each_stream(*core_, [&](int, auto&, auto&, auto& tready, auto&...) { tready = 0; });
         }

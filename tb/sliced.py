@@ -31,6 +31,7 @@ from ..model.contract.config import Config
 from ..model.contract.edges import Edges
 from ..model.contract.parameters import Sensor
 from ..model.contract.pixels import port_bits
+from ..model.shared.errors import check_integer
 from ..model.shared.folders import build_root
 from ..slices.emit import DarkInput
 from ..slices.library import LANES, compiled, library, widest
@@ -202,7 +203,9 @@ class Engine:
         self._engine = None
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Call a function of `sliced.cpp`."""
+        """Call a function of `sliced.cpp`. Raises `SimulationError` after `close`."""
+        if self._engine is None:
+            raise SimulationError("the sliced engine is closed")
         return getattr(self._library, f"sliced_{name}")(self._engine, *arguments)
 
     def run(self, progress: Callable[[], None] = lambda: None) -> None:
@@ -390,29 +393,38 @@ class SlicedSensor:
         `hdl/subgroup_pair.py`'s `Slice`.
         """
         probe = _probe(self.sensor)
-        words, lane = self._engine.words(self._number, subgroup, probe.layout.words)
+        words, lane = self._words(subgroup)
         part = np.ascontiguousarray(words[:, lane // 64, None])
         return numbers(probe.values(part, [name])[name])[lane % 64]
 
     def poke(self, subgroup: int, name: str, value: int) -> None:
         """Set a register of a subgroup. Raises `KeyError` if it is not a register."""
         probe = _probe(self.sensor)
-        words, lane = self._engine.words(self._number, subgroup, probe.layout.words)
+        words, lane = self._words(subgroup)
         for k, word in enumerate(probe.words(name)):
             bit = np.uint64(1 << (lane % 64))
             words[word, lane // 64] = words[word, lane // 64] & ~bit | bit * np.uint64(
                 value >> k & 1
             )
 
+    def _words(self, subgroup: int) -> tuple[np.ndarray, int]:
+        """Return the words that hold a subgroup, and its lane in them. Raises `InputError`."""
+        words = _probe(self.sensor).layout.words
+        return self._engine.words(self._number, self._checked(subgroup), words)
+
+    def _checked(self, subgroup: int) -> int:
+        return check_integer("subgroup", subgroup, 0, self.sensor.subgroups - 1)
+
     def signals(self) -> list[str]:
         """Return the paths of all signals of a subgroup, for `peek` and `waves`."""
         return sorted(_probe(self.sensor).signals)
 
     def watch(self, *subgroups: int) -> None:
-        """Record these subgroups in every cycle from now on, for `waves`."""
+        """Record these subgroups in every cycle from now on, for `waves`. Raises `InputError`."""
+        recorded = [self._checked(subgroup) for subgroup in subgroups]
         self._call("untap")
-        self._recorded = list(subgroups)
-        for subgroup in subgroups:
+        self._recorded = recorded
+        for subgroup in recorded:
             self._call("tap", subgroup)
 
     def waves(self, path: Path, names: Sequence[str] | None = None, cycle_ps: int = 2000) -> None:

@@ -21,7 +21,7 @@ from pywellen import Waveform
 from coincid.hdl.to_verilog import to_verilog
 from coincid.model.shared.errors import InputError
 from coincid.slices.emit import DarkInput
-from coincid.slices.library import LANES, PLAIN, PROCESSOR, library, widest
+from coincid.slices.library import HERE, LANES, PLAIN, PROCESSOR, library, widest
 from coincid.slices.netlist import NetlistError
 from coincid.slices.slices import Slices
 from coincid.slices.synthesis import Design
@@ -275,6 +275,9 @@ def test_numbers_and_names_that_do_not_fit_are_refused():
         for act in (slices.get, lambda port: slices.set(port, 0)):
             with pytest.raises(InputError, match="port = 'nothing'"):
                 act("nothing")
+        for lane in (-1, 64):
+            with pytest.raises(InputError, match=f"lane = {lane}: must be an integer from 0 to 63"):
+                slices.record(lane)
     with pytest.raises(InputError, match="lanes = 100: must be one of 64, 128"):
         Slices(sliced("counters"), 100)
 
@@ -419,6 +422,16 @@ def test_no_library_is_taken_for_another(monkeypatch, tmp_path):
     if platform.machine() == "x86_64":
         others["flag"] = "-march=x86-64"
     found = [library(**usual), *(library(**usual | {name: others[name]}) for name in others)]
+    for changed in ("lanes.h", "word.h"):
+        own = tmp_path / f"with another {changed}"
+        own.mkdir()
+        for header in ("lanes.h", "word.h"):
+            text = (HERE / header).read_text(encoding="utf-8")
+            (own / header).write_text(text + "//" * (header == changed), encoding="utf-8")
+        monkeypatch.setattr("coincid.slices.library.HERE", own)
+        found.append(library(**usual))
+    monkeypatch.setattr("coincid.slices.library.COMPILER", ("-O3",))
+    found.append(library(**usual))
     assert len(set(found)) == len(found)
 
 

@@ -95,8 +95,20 @@ def test_a_waveform_has_the_signals_that_are_named(names, tmp_path):
 
 
 def test_a_waveform_of_no_signal_is_empty(tmp_path):
+    """It lasts as long as any: a nanosecond per cycle, if nothing else is asked for."""
     write_vcd(tmp_path / "w.vcd", PROBE, {"lane": samples_of(PROBE, SHOWN)}, names=[])
-    assert "$var" not in (tmp_path / "w.vcd").read_text(encoding="utf-8")
+    text = (tmp_path / "w.vcd").read_text(encoding="utf-8")
+    assert "$var" not in text
+    assert text.split()[-1] == f"#{1000 * len(SHOWN)}"
+
+
+@pytest.mark.parametrize("lanes", [{}, {"lane": samples_of(PROBE, SHOWN)[:0]}], ids=len)
+def test_a_waveform_of_no_cycle_ends_where_it_begins(lanes, tmp_path):
+    """Of nothing that was recorded, or not for a single cycle yet."""
+    write_vcd(tmp_path / "w.vcd", PROBE, lanes, first_cycle=3, cycle_ps=10)
+    text = (tmp_path / "w.vcd").read_text(encoding="utf-8")
+    assert text.count("$var") == len(lanes) * len(PROBE.signals)
+    assert text.split()[-1] == "#30"
 
 
 def test_a_waveform_that_fails_leaves_no_file(tmp_path):

@@ -17,6 +17,7 @@ from coincid.model.contract.pixels import pixel_table
 from coincid.model.contract.registers import address
 from coincid.model.contract.result import differences
 from coincid.model.golden.frame import Golden
+from coincid.model.shared.errors import InputError
 from coincid.slices.library import LANES
 from coincid.tb import slice_proof, sliced
 from coincid.tb.frame_record import FrameJob
@@ -281,6 +282,22 @@ def test_abort_makes_a_shorter_frame(cycle):
         assert cycle // config.period <= pulses <= cycle // config.period + 2
 
 
+def test_an_abort_that_its_frame_does_not_take_is_over():
+    """With a reset, or because the frame has ended: the next frame has all its periods."""
+    config = running()
+    golden = Golden(config.sensor)
+    first, second = (job(golden, config, seed) for seed in (3, 4))
+    with SlicedSensor(config.sensor) as rtl:
+        rtl.begin(config, second.edges)
+        rtl.step(100)
+        rtl.abort()
+        rtl.reset()
+        check(config.sensor, first.expected, rtl.frame(config, first.edges, first.ready))
+        rtl.abort()
+        record = rtl.frame(config, second.edges, second.ready)
+        check(config.sensor, second.expected, record, 1)
+
+
 def test_registers_can_be_changed_in_a_frame():
     """A threshold that nothing reaches lets no event through, and only in its subgroup."""
     config = running()
@@ -361,6 +378,27 @@ def test_every_sensor_of_an_engine_shows_the_registers_of_its_own_subgroups():
         sensors[number].poke(s, threshold, value)
     assert shown() == due | pokes
     engine.close()
+
+
+@pytest.mark.parametrize("subgroup", (-1, 5, "0"))
+def test_a_subgroup_that_is_not_there_is_refused(subgroup):
+    """The engine would read beyond its words."""
+    with SlicedSensor(random_cases.built_sensor(ODD)) as rtl:
+        for asked in (
+            lambda: rtl.watch(0, subgroup),
+            lambda: rtl.peek(subgroup, "number"),
+            lambda: rtl.poke(subgroup, "number", 0),
+        ):
+            with pytest.raises(InputError, match="^subgroup = .*: must be an integer from 0 to 4$"):
+                asked()
+
+
+def test_a_sensor_whose_engine_is_closed_is_told_as_that():
+    with SlicedSensor(random_cases.built_sensor(ODD)) as rtl:
+        rtl.read(address("period"))
+    for asked in (rtl.reset, lambda: rtl.read(address("period")), lambda: rtl.peek(0, "number")):
+        with pytest.raises(SimulationError, match="^the sliced engine is closed$"):
+            asked()
 
 
 @pytest.fixture(scope="module")
@@ -560,6 +598,21 @@ def test_a_waveform_has_what_was_watched_last_and_the_signals_that_are_named(tmp
         assert {value for _, value in shown[f"{scope}.{number}"].tv} == {subgroup}
     text = (tmp_path / "some.vcd").read_text(encoding="utf-8")
     assert 30 * 10 <= int(text.split()[-1].removeprefix("#")) < config.frame_cycles * 10
+
+
+def test_a_waveform_has_every_cycle_of_a_long_gap(tmp_path):
+    """Cycles in which nothing happens are skipped only where nobody watches."""
+    config = of_odd(gap=3000)
+    frame = job(Golden(config.sensor), config, 1)
+    with SlicedSensor(config.sensor) as rtl:
+        rtl.watch(0)
+        record = rtl.frame(config, frame.edges, frame.ready)
+        rtl.waves(tmp_path / "gap.vcd", ["number"])
+    check(config.sensor, frame.expected, record)
+    text = (tmp_path / "gap.vcd").read_text(encoding="utf-8")
+    cycles = int(text.split()[-1].removeprefix("#")) / CYCLE_PS
+    assert cycles >= record.cycles > 2 * config.gap
+    assert cycles < 1.5 * record.cycles
 
 
 def test_an_error_in_the_progress_ends_all_sensors_and_is_told(monkeypatch):
