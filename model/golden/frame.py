@@ -24,11 +24,11 @@ from ..contract.edges import Edges
 from ..contract.gate_counts import fields_of_counts
 from ..contract.latency import close_cycle
 from ..contract.packet import COUNTS, packet_beats
-from ..contract.parameters import Sensor
+from ..contract.parameters import SENSOR, Sensor
 from ..contract.pixels import pixel_table
 from ..contract.result import ResultBuilder
 from ..shared.arrays import joined
-from ..shared.errors import wrong_value
+from ..shared.errors import check_integer, wrong_value
 from ..shared.threads import Threads
 from .controller import Controller
 from .counts import GateCounts, Hits
@@ -112,8 +112,15 @@ class Golden:
     ) -> "OpenFrame":
         """Begin a frame, which takes its edges in pieces. It must end before the next one begins.
 
-        ready, pulses, into_gap: as in `frame`.
+        ready, pulses, into_gap: as in `frame`. Raises `InputError` for a configuration of another
+        sensor, or pulses that it does not have.
         """
+        for name in SENSOR if config.sensor is not self.sensor else ():
+            given, own = (getattr(sensor, name) for sensor in (config.sensor, self.sensor))
+            if given != own:
+                raise wrong_value(f"sensor.{name}", given, f"{own}, as in the model")
+        if pulses is not None:
+            pulses = check_integer("pulses", pulses, 1, config.pulses)
         plan = _plan(config, self.controller.begin(config), ready, pulses, into_gap)
         opened = OpenFrame(self, config, plan, self.frames)
         self.frames += 1

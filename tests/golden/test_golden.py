@@ -483,6 +483,28 @@ def test_abort_is_a_shorter_frame():
     assert all(np.array_equal(a, b) for a, b in zip(aborted.beats, whole.beats, strict=True))
 
 
+def test_a_frame_of_another_sensor_or_of_no_pulse_is_refused():
+    """The model would read beyond its arrays. What it refuses is no frame, and its sensor may be a
+    copy.
+    """
+    config = configured(SENSORS["default"], {"pulses": 6})
+    copy = attrs.evolve(config.sensor)
+    model = Golden(copy)
+    edges = trouble(config, 3, 10)
+    for name, other in (("cols", 2 * copy.cols), ("counter_bits", copy.counter_bits - 1)):
+        own = getattr(copy, name)
+        told = rf"^sensor.{name} = {other}: must be {own}, as in the model$"
+        with pytest.raises(InputError, match=told):
+            model.frame(config.with_sensor(**{name: other}), edges)
+    for pulses in (0, 7):
+        told = f"^pulses = {pulses}: must be an integer from 1 to 6$"
+        with pytest.raises(InputError, match=told):
+            model.frame(config, edges, pulses=pulses)
+    assert model.frames == 0
+    whole = model.frame(config, edges, pulses=6)
+    assert np.array_equal(whole.beats[0], Golden(copy).frame(config, edges).beats[0])
+
+
 @pytest.mark.parametrize("phases", [4, 8, 16, 32, 64])
 def test_a_stamp_fits_beside_any_phases(phases):
     sensor = parse_config({"sensor": {"phases": phases}}).sensor
