@@ -29,6 +29,7 @@ from ..model.shared.errors import check_integer
 from ..model.shared.folders import build_root
 from ..model.shared.sources import digest
 from ..tools.build import ToolchainError, build_once, compile_in
+from . import toolchain
 
 BENCH = Path(__file__).with_name("async_stress.v")
 INCLUDE = "front.vh"  # file that benches of a front end include
@@ -74,7 +75,7 @@ def run_bench(
         for name, value in (parameters or {}).items()
     ]
     options += [f"-DCOINCID_APERTURE_PS={APERTURE_PS}"] * aperture
-    key = digest(*options, *(part for item in files.items() for part in item))
+    key = digest(toolchain.icarus(), *options, *(part for item in files.items() for part in item))
 
     def make(scratch: Path) -> None:
         for name, text in files.items():

@@ -313,10 +313,17 @@ def _verilator_command(
     ]  # fmt: skip
 
 
-def _icarus_command(names: Sequence[str], top: str, dumps: bool) -> tuple[list[str], list[str]]:
+def icarus() -> str:
+    """Return the version of Icarus, whose simulator runs only what the same version has compiled.
+    Raises `ToolchainError` if it is missing and cannot be installed.
+    """
     require_programs({"iverilog": "iverilog"})
+    return _first_line("iverilog", "-V")
+
+
+def _icarus_command(names: Sequence[str], top: str, dumps: bool) -> tuple[list[str], list[str]]:
     dump = ["-s", "coincid_dump"] if dumps else []
-    return [_first_line("iverilog", "-V")], [
+    return [icarus()], [
         "iverilog", "-g2012", "-f", "timescale.f", "-o", SIM_FILE["icarus"], "-s", top, *dump, *names
     ]  # fmt: skip
 

@@ -27,11 +27,14 @@ def kept(monkeypatch):
     for module in (rtl, stress):
         monkeypatch.setattr(module, "build_once", once)
     monkeypatch.setattr(verilated, "compile_once", once)
+    monkeypatch.setattr(stress.toolchain, "icarus", lambda: "Icarus 1")
     return found
 
 
 def test_no_bench_of_a_front_end_is_taken_for_another(kept, monkeypatch, tmp_path):
-    """Files by name and text, parameters, and whether flops may fall to either side."""
+    """Files by name and text, parameters, whether flops may fall to either side, and the version
+    that compiles them: the simulator of another one refuses what it has made.
+    """
     done = SimpleNamespace(returncode=0, stdout="{}\n", stderr="")
     monkeypatch.setattr(stress.subprocess, "run", lambda *_, **__: done)
     benches = [tmp_path / "a" / "bench.v", tmp_path / "b" / "bench.v"]
@@ -53,6 +56,9 @@ def test_no_bench_of_a_front_end_is_taken_for_another(kept, monkeypatch, tmp_pat
     assert len(set(kept)) == len(kept) == 1 + len(others)
     stress.run_bench(**usual, arguments=["+seed=2"])  # of the simulator only
     assert kept[-1] == kept[0]
+    monkeypatch.setattr(stress.toolchain, "icarus", lambda: "Icarus 2")
+    stress.run_bench(**usual)
+    assert kept[-1] not in kept[:-1]
 
 
 def test_no_unit_of_verilator_is_taken_for_another(kept, monkeypatch, tmp_path):
@@ -72,9 +78,15 @@ def test_no_unit_of_verilator_is_taken_for_another(kept, monkeypatch, tmp_path):
     ]
     for changed in ({}, *others):
         verilated.verilated_unit(**usual | changed)
-    monkeypatch.setattr(verilated.toolchain, "verilator", lambda: f"{TOOL}-of-another-version")
-    verilated.verilated_unit(**usual)
-    assert len(set(kept)) == len(kept) == 2 + len(others)
+    tools = [
+        (verilated.toolchain, "verilator", lambda: f"{TOOL}-of-another-version"),
+        (verilated, "VERILATOR", ("--cc",)),
+        (verilated, "COMPILER", ("another",)),
+    ]
+    for tool in tools:
+        monkeypatch.setattr(*tool)
+        verilated.verilated_unit(**usual)
+    assert len(set(kept)) == len(kept) == 1 + len(others) + len(tools)
 
 
 def test_no_run_time_of_verilator_is_taken_for_another(kept, monkeypatch):
@@ -94,8 +106,8 @@ def test_no_run_time_of_verilator_is_taken_for_another(kept, monkeypatch):
     assert len(set(kept)) == len(kept) - 1 == 1 + len(changes)
 
 
-def test_emitted_verilog_is_that_of_its_parameters_and_rooms(kept, monkeypatch):
-    """Of a room that is named beside those of the sensor, too."""
+def test_emitted_verilog_is_that_of_its_parameters_and_rooms(kept, monkeypatch, tmp_path):
+    """Of a room that is named beside those of the sensor, too, and of what writes it."""
     state = dict.fromkeys(("hdl", "model.contract", "model.shared", "board"), 0)
     monkeypatch.setattr(
         rtl, "sources_digest", lambda *rooms: repr([(room, state[room]) for room in rooms])
@@ -106,7 +118,10 @@ def test_emitted_verilog_is_that_of_its_parameters_and_rooms(kept, monkeypatch):
     for room in state:
         state[room] += 1
         rtl.emitted("name", "parameters", dict, "board")
-    assert len(set(kept)) == len(kept) == 3 + len(state)
+    (tmp_path / "rtl.py").write_text("# changed", encoding="utf-8")
+    monkeypatch.setattr(rtl, "__file__", str(tmp_path / "rtl.py"))
+    rtl.emitted("name", "parameters", dict, "board")
+    assert len(set(kept)) == len(kept) == 4 + len(state)
 
 
 def test_no_verilog_is_taken_for_that_of_another_sensor_or_view(kept, monkeypatch):

@@ -290,6 +290,10 @@ def test_no_compiled_design_is_taken_for_another(simulator, monkeypatch, tmp_pat
     found = [toolchain.build(simulator, **usual | changed).directory for changed in ({}, *others)]
     monkeypatch.setattr(toolchain, "_first_line", lambda *command: "tool 2")
     found.append(toolchain.build(simulator, **usual).directory)
+    if simulator == "verilator":  # whose C++ is compiled, with a part of cocotb
+        for name, value in (("version", lambda name: "9.9"), ("MAKE_OPTIONS", ("OPT_FAST=-O0",))):
+            monkeypatch.setattr(toolchain, name, value)
+            found.append(toolchain.build(simulator, **usual).directory)
     assert len(set(found)) == len(found)
 
 
