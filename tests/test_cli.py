@@ -508,6 +508,27 @@ def test_a_signal_after_the_last_word_changes_nothing(number):
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_outside_of_a_command_has_its_own_exit_code(tmp_path, number, code):
+    """As while the commands are imported."""
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import os, time\n"
+        "from coincid import __main__\n"
+        "from coincid.model.shared.interrupts import interruptible\n"
+        "def command():\n"
+        "    interruptible()\n"
+        f"    os.kill(os.getpid(), {int(number)})\n"
+        "    time.sleep(60)\n"
+        "__main__._command = command\n"
+        "__main__.main()\n",
+        encoding="utf-8",
+    )
+    words = [sys.executable, "-m", program.stem]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (code, b"coincid: interrupted\n")
+
+
 def test_an_interrupt_in_code_that_comes_as_text_has_the_usual_exit_code(tmp_path):
     """Named tuples and classes of attrs are such code while a command is imported. Python would end
     by the signal, with -2.

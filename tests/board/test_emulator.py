@@ -302,6 +302,17 @@ def test_a_request_that_a_cable_cut_off_is_not_sent_later(port):
     assert port.read() != b""
 
 
+def test_nothing_that_is_written_while_the_cable_is_out_arrives(port):
+    transport = SerialTransport(port, tries=1, patience_s=PATIENCE_S)
+    seed = own_address("seed")
+    transport.write(seed, 5)
+    port.connect(False)
+    with pytest.raises(LinkError):
+        transport.write(seed, 6)
+    port.connect(True)
+    assert SerialTransport(port, patience_s=PATIENCE_S).read(seed) == 5
+
+
 def test_a_reset_is_noticed(port):
     """A device that was reset does nothing before a HELLO; a session programs it again and
     continues.

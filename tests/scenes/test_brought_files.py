@@ -510,6 +510,21 @@ def test_a_folder_with_a_comma(tmp_path):
     assert np.all(load_scene(f"{wall},{colour}", *SHAPE).reflectivity == 0.05)
 
 
+def test_of_several_commas_the_last_one_that_fits_divides_depth_and_colour(tmp_path):
+    """Files of all pairs may be there, or of none."""
+    npy(tmp_path / "w.npy", np.full(SHAPE, 4.0))
+    npy(tmp_path / "w.npy,a.npy", np.full(SHAPE, 5.0))
+    png(tmp_path / "a.npy,b.png", np.zeros(SHAPE, np.uint8))
+    png(tmp_path / "b.png", np.full(SHAPE, 255, np.uint8))
+    scene = load_scene(f"{tmp_path}/w.npy,a.npy,{tmp_path}/b.png", *SHAPE)
+    assert np.all(scene.truth_m == 5.0)
+    assert np.all(scene.reflectivity == 0.8)
+    with pytest.raises(InputError, match=r"^none\.png: "):
+        load_scene(f"{tmp_path}/w.npy,a.npy,none.png", *SHAPE)
+    with pytest.raises(InputError, match="a,b/depth.png: no such file"):
+        load_scene(f"{tmp_path}/a,b/depth.png,colour.png", *SHAPE)
+
+
 def test_one_table_of_conventions():
     assert conventions_table() in (ROOT / "docs" / "advise.md").read_text(encoding="utf-8")
     assert {one.name for one in CONVENTIONS} < set(UNITS)

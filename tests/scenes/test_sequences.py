@@ -150,6 +150,30 @@ def test_a_pattern_may_have_several_numbers(tmp_path):
     assert [scene.at(k).truth_m[0, 0] for k in range(scene.pictures)] == [3.0, 4.0, 5.0]
 
 
+@pytest.mark.parametrize("pattern", ["d_%d.png", "d_*.png", "d_?.png", ""])
+def test_copies_beside_a_sequence_are_no_pictures_of_it(tmp_path, pattern):
+    """As editors and programs that save pictures leave them."""
+    for name, wall_m in (("d_1.png", 3.0), ("d_2.png", 4.0)):
+        png(tmp_path / name, np.full(SHAPE, wall_m))
+        for copy in (f"{name}.bak", f"{name}~", f".#{name}.tmp"):
+            (tmp_path / copy).write_bytes(b"no picture")
+    scene = load_scene(f"{tmp_path}/{pattern}", *SHAPE)
+    assert [scene.at(k).truth_m[0, 0] for k in range(scene.pictures)] == [3.0, 4.0]
+
+
+def test_the_last_frame_counts_from_the_end_of_the_frames_not_of_the_pictures():
+    run = simulate(CONFIG, pictures(), frames=2)
+    second = run.scene.at(1).truth_m
+    assert not np.array_equal(second, run.scene.at(2).truth_m)
+    assert np.array_equal(run.frame(-1).scene.truth_m, second)
+    assert np.array_equal(run.alone(-1).scene.truth_m, second)
+    for part in ("distance_m", "signal_per_pulse"):
+        last, of_second = (getattr(run.light_of(frame), part) for frame in (-1, 1))
+        assert np.array_equal(last, of_second, equal_nan=True)
+    last, of_second = (run.result_of(frame) for frame in (-1, 1))
+    assert all(np.array_equal(last[name], of_second[name]) for name in of_second)
+
+
 @pytest.mark.parametrize("frame", [-1, 3])
 def test_a_frame_before_the_first_picture_or_behind_the_last_has_none(frame):
     scene = load_scene(pictures(), *SHAPE)
