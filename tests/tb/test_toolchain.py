@@ -117,7 +117,11 @@ def test_a_program_of_make_may_have_any_path(word, tmp_path):
         encoding="utf-8",
     )
     done = subprocess.run(
-        ["make", "-C", tmp_path, "--no-print-directory"], capture_output=True, text=True, check=True
+        ["make", "-C", tmp_path, "--no-print-directory"],
+        capture_output=True,
+        text=True,
+        check=True,
+        encoding="utf-8",
     )
     assert done.stdout == word
 
