@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -406,7 +407,7 @@ def test_interrupt_leaves_nothing(files, number, code, inherited):
     ],
 )
 def test_a_closed_standard_output_changes_nothing(files, closed, words, code):
-    line = f"exec {sys.executable} -m coincid {words} {closed}"
+    line = f"exec {shlex.quote(sys.executable)} -m coincid {words} {closed}"
     done = subprocess.run(["sh", "-c", line], capture_output=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (code, b"", b"")
 
@@ -464,7 +465,7 @@ def test_help_for_a_terminal_of_an_odd_size_is_short(size):
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_where_nothing_can_be_said_the_exit_code_tells(unbuffered):
-    line = f"exec {sys.executable} -m coincid show none.toml > /dev/full 2> /dev/full"
+    line = f"exec {shlex.quote(sys.executable)} -m coincid show none.toml > /dev/full 2> /dev/full"
     environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
     done = subprocess.run(["sh", "-c", line], env=environment, capture_output=True, check=False)
     assert done.returncode == 2

@@ -489,7 +489,9 @@ esac
 def test_an_environment_is_made_anew_in_a_folder_that_was_moved(place, moved):
     """What is behind a link stays: it belongs to somebody else."""
     other = place.parent / "other"
-    other.write_text(MADE.format(python=sys.executable, version=(3, 11, 0)), encoding="utf-8")
+    other.write_text(
+        MADE.format(python=shlex.quote(sys.executable), version=(3, 11, 0)), encoding="utf-8"
+    )
     other.chmod(0o755)
     if moved:
         place = place.rename(place.with_name("elsewhere"))
@@ -513,7 +515,9 @@ def test_an_environment_is_made_anew_in_a_folder_that_was_moved(place, moved):
 
 def test_an_old_python_is_refused_by_its_version(place):
     other = place.parent / "other"
-    other.write_text(MADE.format(python=sys.executable, version=(3, 10, 9)), encoding="utf-8")
+    other.write_text(
+        MADE.format(python=shlex.quote(sys.executable), version=(3, 10, 9)), encoding="utf-8"
+    )
     other.chmod(0o755)
     (place / ".venv").rename(place / "gone")
     (place.parent / "programs" / "python3").unlink()
