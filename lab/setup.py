@@ -192,8 +192,8 @@ class Setup:
         subgroup: dict[str, Any] | None = None,
         **fields: Any,
     ) -> "Setup":
-        """Return the setup for a scene, its name or its distances, with the tables of a configuration file. Raises
-        `InputError`.
+        """Return the setup for a scene, its name or its distances, with the tables of a
+        configuration file. Raises `InputError`.
         """
         config = parse_config(
             {

@@ -8,10 +8,11 @@ each command what runs it.
 import ast
 import os
 import re
+import shlex
 import subprocess
 import tomllib
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -187,20 +188,25 @@ def ofsources() -> dict[str, set[str]]:
     return dict(found)
 
 
-@cache
-def commands_of_make(line: str) -> list[str]:
-    """Return the command lines that a target consists of, without `scripts/setup`."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+def lines_of_make(words: Sequence[str]) -> list[str]:
+    """Return the command lines that `make` would run with these words. Neither options nor
+    variables of a make that runs these tests reach it.
+    """
     printed = subprocess.run(
-        f"{line} --no-print-directory -n",
-        shell=True,
+        ["make", "--no-print-directory", "-n", *words],
         cwd=ROOT,
-        env=environment,
+        env={name: os.environ[name] for name in ("PATH", "HOME") if name in os.environ},
         capture_output=True,
         encoding="utf-8",
         check=True,
     )
-    lines = printed.stdout.replace("\\\n", " ").splitlines()
+    return printed.stdout.replace("\\\n", " ").splitlines()
+
+
+@cache
+def commands_of_make(line: str) -> list[str]:
+    """Return the command lines that a target consists of, without `scripts/setup`."""
+    lines = lines_of_make(shlex.split(line)[1:])
     return [_words(one) for one in lines if not one.startswith("scripts/setup")]
 
 

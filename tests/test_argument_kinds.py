@@ -144,7 +144,6 @@ def calls(run, tmp_path_factory):
     found["Pulse"] = Pulse, {"time_s": [-1e-10, 0, 1e-10], "density": [0.0, 1.0, 0.0]}
     write_edges(folder / "edges.ptu", run.edges, coincid.Timing())
     recording = read_recording(folder / "edges.ptu")
-    analytic = {"window_ticks": 16, "pulses": 100, "form": "literal"}
     arguments = {
         address: {"name": "status"},
         code_density: {"tick": np.arange(64), "phases": 32},
@@ -162,7 +161,9 @@ def calls(run, tmp_path_factory):
             "signal_per_pulse": 0.05,
             "noise_cps": 1e6,
             "distance_m": 8.0,
-            **analytic,
+            "window_ticks": 16,
+            "pulses": 100,
+            "form": "literal",
         },
         write_edges: {
             "path": folder / "again.ptu",

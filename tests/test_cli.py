@@ -471,6 +471,18 @@ def test_where_nothing_can_be_said_the_exit_code_tells(unbuffered):
     assert done.returncode == 2
 
 
+def end_of_program(folder, *lines):
+    """Return exit code and standard error of the program, in which these lines put another command
+    in place of the one that is typed.
+    """
+    program = folder / "program.py"
+    text = ["from coincid import __main__", *lines, "__main__.main()", ""]
+    program.write_text("\n".join(text), encoding="utf-8")
+    words = [sys.executable, "-m", program.stem]
+    done = subprocess.run(words, cwd=folder, capture_output=True, check=False)
+    return done.returncode, done.stderr.decode()
+
+
 @pytest.mark.parametrize(
     ("error", "told"),
     [
@@ -483,21 +495,16 @@ def test_where_nothing_can_be_said_the_exit_code_tells(unbuffered):
     ],
 )
 def test_a_lack_of_memory_is_told_in_one_line(tmp_path, error, told):
-    program = tmp_path / "program.py"
-    program.write_text(
-        "from coincid import __main__\n"
-        "def command():\n"
-        "    try:\n"
-        f"        raise {error}\n"
-        "    except ImportError as cause:\n"
-        "        raise ImportError('many\\nlines') from cause\n"
-        "__main__._command = command\n"
-        "__main__.main()\n",
-        encoding="utf-8",
+    ended = end_of_program(
+        tmp_path,
+        "def command():",
+        "    try:",
+        f"        raise {error}",
+        "    except ImportError as cause:",
+        "        raise ImportError('many\\nlines') from cause",
+        "__main__._command = command",
     )
-    words = [sys.executable, "-m", program.stem]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False)
-    assert (done.returncode, done.stderr.decode()) == (2, f"coincid: {told}\n")
+    assert ended == (2, f"coincid: {told}\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -512,39 +519,29 @@ def test_a_signal_after_the_last_word_changes_nothing(number):
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_outside_of_a_command_has_its_own_exit_code(tmp_path, number, code):
     """As while the commands are imported."""
-    program = tmp_path / "program.py"
-    program.write_text(
-        "import os, time\n"
-        "from coincid import __main__\n"
-        "from coincid.model.shared.interrupts import interruptible\n"
-        "def command():\n"
-        "    interruptible()\n"
-        f"    os.kill(os.getpid(), {int(number)})\n"
-        "    time.sleep(60)\n"
-        "__main__._command = command\n"
-        "__main__.main()\n",
-        encoding="utf-8",
+    ended = end_of_program(
+        tmp_path,
+        "import os, time",
+        "from coincid.model.shared.interrupts import interruptible",
+        "def command():",
+        "    interruptible()",
+        f"    os.kill(os.getpid(), {int(number)})",
+        "    time.sleep(60)",
+        "__main__._command = command",
     )
-    words = [sys.executable, "-m", program.stem]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False)
-    assert (done.returncode, done.stderr) == (code, b"coincid: interrupted\n")
+    assert ended == (code, "coincid: interrupted\n")
 
 
 def test_an_interrupt_in_code_that_comes_as_text_has_the_usual_exit_code(tmp_path):
     """Named tuples and classes of attrs are such code while a command is imported. Python would end
     by the signal, with -2.
     """
-    program = tmp_path / "program.py"
-    program.write_text(
-        "from coincid import __main__\n"
-        "import coincid.model.shared.interrupts\n"
-        "__main__._command = lambda: exec('raise KeyboardInterrupt')\n"
-        "__main__.main()\n",
-        encoding="utf-8",
+    ended = end_of_program(
+        tmp_path,
+        "import coincid.model.shared.interrupts",
+        "__main__._command = lambda: exec('raise KeyboardInterrupt')",
     )
-    words = [sys.executable, "-m", program.stem]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False)
-    assert (done.returncode, done.stderr) == (130, b"coincid: interrupted\n")
+    assert ended == (130, "coincid: interrupted\n")
 
 
 LONG_NAME = "a" * 300

@@ -3,14 +3,13 @@
 option. Nothing of it is run.
 """
 
-import os
 import re
 import shlex
 import subprocess
 
 import pytest
 
-from .commands import MAKEFILE, ROOT
+from .commands import MAKEFILE, ROOT, lines_of_make
 
 OF_SIM = {  # option of `make sim`: value, words of the command
     "SIM": ("golden", "--engine golden"),
@@ -58,18 +57,7 @@ OTHERS = [  # target, its options, its command
 
 def made(target, given):
     """Return the words of each command that `make` would run, without the folder of programs."""
-    words = [f"{name}={value}" for name, value in given.items()]
-    # neither options nor variables of a make that runs these tests
-    own = {name: os.environ[name] for name in ("PATH", "HOME") if name in os.environ}
-    done = subprocess.run(
-        ["make", "--no-print-directory", "-n", target, *words],
-        cwd=ROOT,
-        env=own,
-        capture_output=True,
-        encoding="utf-8",
-        check=True,
-    )
-    lines = done.stdout.replace("\\\n", " ").splitlines()
+    lines = lines_of_make([target, *(f"{name}={value}" for name, value in given.items())])
     return [shlex.split(line.removeprefix(".venv/bin/")) for line in lines]
 
 

@@ -462,7 +462,7 @@ def test_a_lock_is_installed_when_it_is_new_or_has_changed_and_only_then(place):
     ],
 )
 def test_a_system_package_is_installed_where_its_program_is_missing(place, need, missing, packages):
-    """Only for its need, and without it the set-up fails, but for the optional browser."""
+    """Only for its need, and without it the set-up fails, except where it is the optional browser."""
     assert set_up(place, "explore") == (0, "", [])
     there = place.parent / "programs"
     for name in {"g++", missing}:

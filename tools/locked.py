@@ -5,8 +5,7 @@ otherwise with pip.
 uv looks where pip's settings (PIP_FIND_LINKS, PIP_NO_INDEX, PIP_INDEX_URL, pip.conf) tell pip to
 look. This file uses only the standard library, because the set-up runs it as a script before
 anything is installed: `python tools/locked.py LOCK...` with the Python of the environment, and
-the path of uv in COINCID_UV and the words of pip's command in
-COINCID_PIP, one per line.
+the path of uv in COINCID_UV and the words of pip's command, one per line, in COINCID_PIP.
 """
 
 import ast

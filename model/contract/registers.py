@@ -14,7 +14,7 @@ from operator import attrgetter
 
 from attrs import field, frozen
 
-from ..shared.quantities import check_choice
+from ..shared.errors import wrong_value
 from . import settings
 from .counters import COUNTERS, EVENTS_MAX
 from .parameters import SENSOR, Sensor
@@ -234,7 +234,9 @@ def address(name: str, subgroup: int = 0, index: int = 0) -> int:
     """Return the byte address of a register word; `subgroup` only counts for the registers of a
     subgroup. Raises `InputError` for a name that no register has.
     """
-    register = BY_NAME[check_choice("name", name, tuple(BY_NAME))]
+    register = BY_NAME.get(name) if isinstance(name, str) else None
+    if register is None:
+        raise wrong_value("name", name, f"one of {', '.join(BY_NAME)}")
     base = SUBGROUP_BASE + SUBGROUP_STRIDE * subgroup if register in SUBGROUP else 0
     return base + register.offset + 4 * index
 
