@@ -124,19 +124,23 @@ def mutations(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
             yield "continue: left out", ast.Pass()
 
 
+Mutations = Callable[[ast.AST], Iterator[tuple[str, ast.AST]]]
+
+
 class Mutator(ast.NodeTransformer):
     """Lists the mutations of a syntax tree, and applies the one with the number `apply`.
 
-    found: line and description of each.
+    of: returns what can become of a part. found: line and description of each.
     """
 
-    def __init__(self, apply: int | None = None):
+    def __init__(self, apply: int | None = None, of: Mutations = mutations):
         self.apply = apply
+        self.of = of
         self.found: list[tuple[int, str]] = []
 
     def visit(self, node):
         self.generic_visit(node)
-        for what, new in mutations(node):
+        for what, new in self.of(node):
             number = len(self.found)
             self.found.append((node.lineno, what))
             if number == self.apply:

@@ -1,26 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mutants of the rooms in Python: a sample of each room, judged by its tests and those of its users.
+"""Mutants of the rooms in Python: a sample of each room, judged by the tests that run its lines.
 
 `python -m tests.python_mutants [--seed N] [--number N] [ROOM ...]` writes
 build/mutation/python.md. The golden model has more of them (`golden_mutants.py`), so it is no room
-here. A run that was stopped continues: fates are kept in build/mutation/python.json, as long as
-neither the mutated file nor a test of the room has changed.
+here. `line_map.py` knows which tests run a mutated line: the first call makes this map, which takes
+twice as long as the regression. The tests of the file's own name are played first, the quick ones
+before the others, and at most for `TOGETHER_S`. For a line that no test runs, such as one that
+Numba compiles, the tests of the room and of its users are played, file by file.
+
+A run that was stopped continues: fates are kept in build/mutation/python.json, as long as neither
+the mutated file nor the names of the tests that judge it have changed.
 
 A mutant that no test can notice has an excuse in `python_excuses.toml`. It is not judged.
 """
 
 import argparse
 import ast
+import copy
 import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
 import tomllib
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from hashlib import sha256
+from itertools import chain, zip_longest
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Lock
 
 import numpy as np
 import pytest
@@ -29,12 +43,14 @@ from filelock import FileLock
 
 from coincid.tb.toolchain import build_root
 
+from . import line_map
 from .fates import EQUAL, Fate, count
-from .golden_mutants import Mutator
+from .golden_mutants import Mutator, mutations
+from .line_map import LineMap
 from .planted import ROOT
 
-# Room -> its tests and those of its users, the quickest first: the first that fails decides, and
-# those behind it are not played.
+# Room -> its tests and those of its users, for lines that no test runs: the quickest first. The
+# first that fails decides, and those behind it are not played.
 ROOMS = {
     "model/shared": ["tests/shared", "tests/scenes/test_ambient.py"],
     "model/contract": [
@@ -68,9 +84,14 @@ ROOMS = {
     ],
 }
 NUMBER = 8  # mutants of a room
-SLACK_S = 60.0  # a mutant may take so much longer than the room without mutation,
+JOBS = 2  # mutants at once
+FIRST_S = 4.0  # tests that are played first take so long, and those of a line
+TOGETHER_S = 60.0  # at most so long, both as the map says
+SLACK_S = 60.0  # a mutant may take so much longer than its tests without mutation,
 SLOWER = 3  # and so many times as long
 NO_TESTS = pytest.ExitCode.NO_TESTS_COLLECTED  # all tests of a file are `long`
+TIME = "time"  # the killer of a mutant that takes too long
+FAILED = re.compile(r"^(?:FAILED|ERROR) (?P<name>.+?)(?: - .*)?$", re.MULTILINE)
 LEFT_OUT = {"__init__.py", "proofs.py"}  # `make formal` plays the proofs of a room
 EXCUSES = Path(__file__).with_name("python_excuses.toml")
 LARGE = shutil.ignore_patterns(".git", ".venv", "build", "__pycache__")  # of a checkout
@@ -88,8 +109,11 @@ class PythonExcuse:
 
 @frozen
 class PythonMutant:
-    """A mutant of a file. number: of the mutation; line, code, what: where it is and what it does."""
+    """A mutant of a file of a room. number: of the mutation; line, code, what: where it is and what
+    it does.
+    """
 
+    room: str
     file: str
     number: int
     line: int
@@ -100,25 +124,76 @@ class PythonMutant:
         return f"{self.file}, line {self.line}: {self.what}"
 
 
+# Keywords whose absence changes nothing that a test could see on this machine.
+SAME_WITHOUT = {"strict", "encoding", "check", "stacklevel", "help", "metavar", "description"}
+
+
+def slips(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
+    """Yield what a person may write in place of a part of a syntax tree, beside `mutations`: a
+    description, and what takes its place.
+    """
+    text = ast.unparse(node) if isinstance(node, ast.expr | ast.Expr) else ""
+    match node:
+        case ast.BoolOp(op, values):
+            for k, value in enumerate(values):
+                rest = [*values[:k], *values[k + 1 :]]
+                without = ast.BoolOp(op, rest) if len(rest) > 1 else rest[0]
+                yield f"{text}: without {ast.unparse(value)}", without
+        case ast.IfExp(_, body, orelse):
+            yield f"{text}: always", body
+            yield f"{text}: never", orelse
+        case ast.If(test, body, []):
+            yield f"if {ast.unparse(test)}: never", ast.If(ast.Constant(False), body, [])
+        case ast.Expr(ast.Call()):
+            yield f"{text}: left out", ast.Pass()
+        case ast.Subscript(value, ast.Constant(0)):
+            yield f"{text}: the last", ast.Subscript(value, ast.Constant(-1), node.ctx)
+        case ast.Call(function, [first, second, *rest], keywords):
+            if not isinstance(first, ast.Starred) and not isinstance(second, ast.Starred):
+                yield f"{text}: swapped", ast.Call(function, [second, first, *rest], keywords)
+    if isinstance(node, ast.Call):
+        for k, keyword in enumerate(node.keywords):
+            if keyword.arg and keyword.arg not in SAME_WITHOUT:
+                new = copy.copy(node)
+                new.keywords = [*node.keywords[:k], *node.keywords[k + 1 :]]
+                yield f"{text}: without {keyword.arg}", new
+
+
+def all_mutations(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
+    """Yield the mutations of a part of a syntax tree."""
+    return chain(mutations(node), slips(node))
+
+
 def _mutated(file: str, number: int | None = None) -> tuple[ast.Module, Mutator]:
     """Return a file's syntax tree with one mutation (default: none), and its mutator."""
     tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
-    mutator = Mutator(number)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef):
-            mutator.visit(node)
+    mutator = Mutator(number, all_mutations)
+    for node in _functions(tree):
+        mutator.visit(node)
     return tree, mutator
+
+
+def _functions(tree: ast.Module) -> Iterator[ast.FunctionDef]:
+    """Yield the functions of a module and the methods of its classes; those within a function are
+    parts of it.
+    """
+    for node in tree.body:
+        for part in node.body if isinstance(node, ast.ClassDef) else [node]:
+            if isinstance(part, ast.FunctionDef):
+                yield part
 
 
 def mutants_of(room: str) -> list[PythonMutant]:
     """Return every mutant of a room."""
     mutants = []
-    for path in sorted((ROOT / room).glob("*.py")):
+    for path in sorted((ROOT / room).rglob("*.py")):
         if path.name not in LEFT_OUT:
             file = str(path.relative_to(ROOT))
             lines = path.read_text(encoding="utf-8").splitlines()
             for number, (line, what) in enumerate(_mutated(file)[1].found):
-                mutants.append(PythonMutant(file, number, line, lines[line - 1].strip(), what))
+                mutants.append(
+                    PythonMutant(room, file, number, line, lines[line - 1].strip(), what)
+                )
     return mutants
 
 
@@ -168,10 +243,43 @@ def files_of(room: str, file: str = "") -> list[str]:
     return [str(path.relative_to(ROOT)) for path in sorted(paths, key=far)]
 
 
-def passes(test: str, folder: Path, seconds: float | None = None) -> bool:
-    """Return whether a file of tests passes in a copy of the sources.
+def tests_of(mutant: PythonMutant, lines: LineMap) -> list[int]:
+    """Return the tests that run a mutant's line, those to play first at the beginning: those of
+    the file's own name, the quick ones, one of each file by turns.
+    """
+    of_file: dict[str, list[int]] = defaultdict(list)
+    for number in sorted(lines.of(mutant.file, mutant.line), key=lines.seconds.__getitem__):
+        of_file[lines.tests[number].partition("::")[0]].append(number)
+    own = f"test_{Path(mutant.file).stem}.py"
+    files = sorted(of_file, key=lambda file: (Path(file).name != own, file))
+    turns = zip_longest(*(of_file[file] for file in files))
+    return [number for turn in turns for number in turn if number is not None]
 
-    One that takes longer than `seconds` does not.
+
+def batches_of(mutant: PythonMutant, lines: LineMap) -> list[tuple[list[str], float]]:
+    """Return the calls of pytest that judge a mutant: names of tests or files, and the seconds
+    that they take together without mutation (0: not known).
+    """
+    numbers = tests_of(mutant, lines)
+    if not numbers:
+        return [([file], 0.0) for file in files_of(mutant.room, mutant.file)]
+    batches: list[tuple[list[str], float]] = []
+    left = numbers
+    for longest_s in (FIRST_S, TOGETHER_S):
+        chosen, behind, sum_s = [], [], 0.0
+        for number in left:
+            fits = sum_s + lines.seconds[number] <= longest_s
+            (chosen if fits else behind).append(number)
+            sum_s += lines.seconds[number] if fits else 0.0
+        if chosen:
+            batches.append(([lines.tests[number] for number in chosen], sum_s))
+        left = behind
+    return batches
+
+
+def first_failure(tests: Sequence[str], folder: Path, seconds: float | None = None) -> str:
+    """Return the first of the tests, or of files of them, that fails in a copy of the sources, ''
+    if all pass. If they take longer than `seconds`, that is `TIME`.
     """
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(folder / "src"), str(folder)]),
@@ -180,18 +288,28 @@ def passes(test: str, folder: Path, seconds: float | None = None) -> bool:
     }
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
     command += ["-p", "no:randomly"]
-    try:
-        done = subprocess.run(
-            [*command, test],
-            cwd=folder,
-            env=environment,
-            timeout=seconds,
-            capture_output=True,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return False
-    return done.returncode in (0, NO_TESTS)
+    # a session of its own, so that what the tests have started ends with them
+    with subprocess.Popen(
+        [*command, *tests],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        encoding="utf-8",
+        errors="replace",
+        start_new_session=True,
+    ) as running:
+        try:
+            told, _ = running.communicate(timeout=seconds)
+        except subprocess.TimeoutExpired:
+            return TIME
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(running.pid, signal.SIGKILL)
+    if running.returncode in (0, NO_TESTS):
+        return ""
+    failed = FAILED.search(told)
+    return failed["name"] if failed else tests[0]
 
 
 class Copy:
@@ -201,31 +319,31 @@ class Copy:
         self.folder = folder
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(ROOT, folder, symlinks=True, ignore=LARGE)
-        self._seconds: dict[str, float] = {}
+        self._seconds: dict[tuple[str, ...], float] = {}
 
-    def limit_s(self, test: str) -> float:
-        """Return the time that a file of tests may take. Raises `SystemExit` if it fails without
-        mutation.
-        """
-        if test not in self._seconds:
+    def _alone_s(self, tests: Sequence[str]) -> float:
+        """Return the time that tests take without mutation. Raises `SystemExit` if one fails."""
+        key = tuple(tests)
+        if key not in self._seconds:
             began = time.monotonic()
-            if not passes(test, self.folder):
-                raise SystemExit(f"{test} fails without mutation")
-            self._seconds[test] = time.monotonic() - began
-        return SLACK_S + SLOWER * self._seconds[test]
+            if first_failure(tests, self.folder):
+                raise SystemExit(f"{' '.join(tests)}: fails without mutation")
+            self._seconds[key] = time.monotonic() - began
+        return self._seconds[key]
 
-    def killer(self, mutant: PythonMutant, tests: list[str]) -> str:
-        """Return the first file of tests that notices a mutant, '' if there is none."""
+    def killer(self, mutant: PythonMutant, lines: LineMap) -> str:
+        """Return the first of the tests that notice a mutant, '' if none does."""
         mutated = self.folder / mutant.file
         original, stat = mutated.read_bytes(), mutated.stat()
-        for test in tests:
-            limit_s = self.limit_s(test)
+        for tests, known_s in batches_of(mutant, lines):
+            limit_s = SLACK_S + SLOWER * (known_s or self._alone_s(tests))
             mutated.write_text(source_of(mutant), encoding="utf-8")
-            passed = passes(test, self.folder, limit_s)
+            failed = first_failure(tests, self.folder, limit_s)
             mutated.write_bytes(original)
             os.utime(mutated, ns=(stat.st_atime_ns, stat.st_mtime_ns))
-            if not passed:
-                return test
+            if failed:
+                self._alone_s(tests if failed == TIME else [failed])
+                return failed
         return ""
 
 
@@ -251,40 +369,60 @@ class Fates:
         beside.replace(self.path)
 
 
-def key_of(room: str, mutant: PythonMutant) -> str:
-    """Return the key of a mutant, which changes with its file and with the tests of its room."""
+def key_of(mutant: PythonMutant, lines: LineMap) -> str:
+    """Return the key of a mutant, which changes with its file and with the names of its tests."""
     digest = sha256((ROOT / mutant.file).read_bytes())
-    for name in ROOMS[room]:
-        path = ROOT / name
-        for test in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            digest.update(test.read_bytes())
+    for tests, _ in batches_of(mutant, lines):
+        digest.update("\n".join(tests).encode())
     return f"{mutant.file}:{mutant.number}:{digest.hexdigest()[:16]}"
 
 
-def judge_room(room: str, mutants: list[PythonMutant], fates: Fates) -> list[Fate]:
-    """Return the fates of a room's mutants. Raises `SystemExit` if its tests fail without them."""
+def judge(mutants: list[PythonMutant], fates: Fates, lines: LineMap) -> list[Fate]:
+    """Return the fates of mutants. Raises `SystemExit` if a test fails without them."""
     found = []
     excused = excuses()
     known = {}
     for mutant in mutants:
         excuse = excuse_of(mutant, excused)
         if excuse is None:
-            known[key_of(room, mutant)] = mutant
+            known[key_of(mutant, lines)] = mutant
         else:
-            found.append(Fate(room, str(mutant), f"{EQUAL}: {excuse.reason}"))
-    if any(fates.get(key) is None for key in known):
-        # Always in the same folder, of which Numba knows the code that it has compiled.
-        folder = build_root() / "mutants" / "sources"
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with FileLock(f"{folder}.lock"):
-            copy = Copy(folder)
-            for key, mutant in known.items():
-                if fates.get(key) is None:
-                    fates.keep(key, copy.killer(mutant, files_of(room, mutant.file)))
-                    print(f"{room}: {fates.get(key) or 'SURVIVED'}: {mutant}", flush=True)
+            found.append(Fate(mutant.room, str(mutant), f"{EQUAL}: {excuse.reason}"))
+    _play({key: mutant for key, mutant in known.items() if fates.get(key) is None}, fates, lines)
     for key, mutant in known.items():
-        found.append(Fate(room, str(mutant), fates.get(key) or ""))
+        found.append(Fate(mutant.room, str(mutant), fates.get(key) or ""))
     return found
+
+
+def _play(mutants: dict[str, PythonMutant], fates: Fates, lines: LineMap) -> None:
+    """Judge mutants in copies of the sources, and keep the fate of each under its key."""
+    if not mutants:
+        return
+    # Always in the same folders, of which Numba knows the code that it has compiled.
+    folder = build_root() / "mutants"
+    folder.mkdir(parents=True, exist_ok=True)
+    copies: SimpleQueue[Copy] = SimpleQueue()
+    left = len(mutants)
+
+    def play(key: str, mutant: PythonMutant) -> None:
+        nonlocal left
+        copy = copies.get()
+        try:
+            by = copy.killer(mutant, lines)
+        finally:
+            copies.put(copy)
+        with lock:
+            left -= 1
+            fates.keep(key, by)
+            print(f"{left} left. {by or 'SURVIVED'}: {mutant}", flush=True)
+
+    lock = Lock()
+    with FileLock(folder / "sources.lock"):
+        for number in range(JOBS):
+            copies.put(Copy(folder / f"sources{number}"))
+        with ThreadPoolExecutor(JOBS) as pool:
+            for done in [pool.submit(play, *item) for item in mutants.items()]:
+                done.result()
 
 
 def report(fates: list[Fate], seed: int) -> str:
@@ -315,12 +453,15 @@ def main() -> None:
     if unknown:
         parser.error(f"no room {unknown[0]}: must be one of {', '.join(ROOMS)}")
     folder = build_root() / "mutation"
-    kept = Fates(folder / "python.json")
-    fates = []
-    for number, room in enumerate(options.rooms or ROOMS, 1):
-        mutants = sample_of(room, options.number, options.seed)
-        print(f"{room} ({number} of {len(options.rooms or ROOMS)}): {len(mutants)} mutants")
-        fates += judge_room(room, mutants, kept)
+    path = build_root() / line_map.MAP
+    if not path.exists():
+        line_map.main([])
+    chosen = [
+        mutant
+        for room in options.rooms or ROOMS
+        for mutant in sample_of(room, options.number, options.seed)
+    ]
+    fates = judge(chosen, Fates(folder / "python.json"), line_map.load(path))
     text = report(fates, options.seed)
     (folder / "python.md").write_text(text, encoding="utf-8")
     print(text)

@@ -1,21 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mutants of Python: their excuses are of lines that exist, and the report counts them apart."""
+"""Mutants of Python: what they are, which tests judge them, and how the report counts them."""
+
+import ast
 
 import pytest
 
 from .fates import EQUAL, Fate
+from .line_map import LineMap, collect, load, record, save
 from .python_mutants import (
+    FIRST_S,
     ROOMS,
     ROOT,
+    TOGETHER_S,
     Fates,
+    PythonMutant,
+    batches_of,
     excuse_of,
     excuses,
     files_of,
-    judge_room,
+    judge,
+    key_of,
     mutants_of,
     report,
     sample_of,
+    slips,
 )
+
+NO_LINES = LineMap([], [], {})
 
 
 def room_of(file):
@@ -33,7 +44,7 @@ def test_an_excused_mutant_is_not_judged(tmp_path):
     excuse = excuses()[0]
     room = room_of(excuse.file)
     mutants = [mutant for mutant in mutants_of(room) if excuse_of(mutant, [excuse])]
-    fates = judge_room(room, mutants, Fates(tmp_path / "fates.json"))
+    fates = judge(mutants, Fates(tmp_path / "fates.json"), NO_LINES)
     assert len(fates) == len(mutants) and all(fate.is_equal for fate in fates)
     assert not (tmp_path / "fates.json").exists()
 
@@ -59,3 +70,87 @@ def test_every_room_has_mutants_and_tests(room):
         files = files_of(room, mutant.file)
         assert sorted(files) == sorted(files_of(room))
         assert all((ROOT / file).is_file() for file in files)
+
+
+@pytest.mark.parametrize(
+    "text, others",
+    [
+        ("a and b and c", ["b and c", "a and c", "a and b"]),
+        ("a or b", ["b", "a"]),
+        ("a if b else c", ["a", "c"]),
+        ("f(a, b, c)", ["f(b, a, c)"]),
+        ("f(*a, b)", []),
+        ("f(a, b=1, strict=True)", ["f(a, strict=True)"]),
+        ("f(b=1, c=2)", ["f(c=2)", "f(b=1)"]),
+        ("a[0]", ["a[-1]"]),
+        ("a[1]", []),
+    ],
+)
+def test_slips_of_an_expression(text, others):
+    node = ast.parse(text, mode="eval").body
+    assert [ast.unparse(new) for _, new in slips(node)] == others
+
+
+@pytest.mark.parametrize(
+    "text, others",
+    [
+        ("if a:\n    b = 1", ["if False:\n    b = 1"]),
+        ("if a:\n    b = 1\nelse:\n    b = 2", []),
+        ("f()", ["pass"]),
+        ("a = f()", []),
+    ],
+)
+def test_slips_of_a_statement(text, others):
+    [node] = ast.parse(text).body
+    assert [ast.unparse(new) for _, new in slips(node)] == others
+
+
+def mutant_of(file, line):
+    return PythonMutant(file.rpartition("/")[0], file, 0, line, "x", "y")
+
+
+def lines_of(tests):
+    """Return a map in which one line is run by tests: name -> seconds."""
+    return LineMap([*tests], [*tests.values()], {"lab/pace.py": {3: [*range(len(tests))]}})
+
+
+def test_a_mutant_is_judged_by_the_tests_of_its_line_those_of_its_file_and_the_quick_ones_first():
+    tests = {
+        "tests/lab/test_batches.py::test_slow": 1.5,
+        "tests/lab/test_batches.py::test_quick": 0.5,
+        "tests/lab/test_pace.py::test_a": 1.0,
+        "tests/lab/test_pace.py::test_b": 2.0,
+        "tests/lab/test_pace.py::test_long": FIRST_S + 1,
+        "tests/lab/test_pace.py::test_too_long": TOGETHER_S + 1,
+    }
+    batches = batches_of(mutant_of("lab/pace.py", 3), lines_of(tests))
+    assert [[test.partition("::test_")[2] for test in names] for names, _ in batches] == [
+        ["a", "quick", "b"],
+        ["slow", "long"],
+    ]
+    assert [seconds for _, seconds in batches] == [3.5, FIRST_S + 2.5]
+
+
+def test_a_line_that_no_test_runs_is_judged_by_the_files_of_its_room():
+    mutant = mutant_of("lab/pace.py", 4)
+    batches = batches_of(mutant, lines_of({"tests/lab/test_pace.py::test_a": 1.0}))
+    assert batches == [([file], 0.0) for file in files_of("lab", mutant.file)]
+
+
+def test_the_key_of_a_mutant_changes_with_its_tests():
+    mutant = mutant_of("lab/pace.py", 3)
+    one, other = (lines_of({f"tests/lab/test_pace.py::{name}": 1.0}) for name in ("a", "b"))
+    assert key_of(mutant, one) == key_of(mutant, one) != key_of(mutant, other)
+
+
+def test_the_map_knows_which_test_runs_a_line(tmp_path):
+    test = "tests/shared/test_markdown.py"
+    record(tmp_path, [test, "-p", "no:randomly", "-p", "no:cacheprovider"])
+    save(collect(tmp_path), tmp_path / "lines.json")
+    lines = load(tmp_path / "lines.json")
+    assert lines.tests and all(name.startswith(test) for name in lines.tests)
+    assert len(lines.seconds) == len(lines.tests)
+    ran = {line for line, tests in lines.lines["model/shared/markdown.py"].items() if tests}
+    code = (ROOT / "model/shared/markdown.py").read_text(encoding="utf-8").splitlines()
+    assert any(code[line - 1].strip().startswith("return ") for line in ran)
+    assert not lines.of("lab/pace.py", 3)
