@@ -77,6 +77,11 @@ class Scene:
         )
         object.__setattr__(self, "sunlit", real_array("sunlit", self.sunlit, shape[:2], 0, 1))
         labels = real_array("labels", self.labels, shape[:2], -LABEL_MAX, LABEL_MAX)
+        if (labels % 1).any():
+            row, col = np.argwhere(labels % 1)[0]
+            raise InputError(
+                f"labels[{row}, {col}] = {labels[row, col]}: must be an integer", field="labels"
+            )
         object.__setattr__(self, "labels", labels.astype(np.int64))
 
     def __repr__(self) -> str:

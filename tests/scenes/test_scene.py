@@ -751,6 +751,8 @@ def test_the_ends_of_the_range_of_each_array_of_a_scene_are_legal(field, low, hi
             -(2.0**31),
             "labels[1, 2] = -2147483648.0: must be from -2147483647 to 2147483647",
         ),
+        ("labels", 2.5, "labels[1, 2] = 2.5: must be an integer"),
+        ("labels", -0.5, "labels[1, 2] = -0.5: must be an integer"),
     ],
 )
 def test_each_array_of_a_scene_has_its_range(field, value, words):
