@@ -228,7 +228,7 @@ def _is_pgm(path: FilePath) -> bool:
 def _is_picture(path: FilePath) -> bool:
     """Return whether some format of pictures fits the content."""
     try:
-        open_picture(path)
-        return True
+        with open_picture(path):
+            return True
     except InputError:
         return False

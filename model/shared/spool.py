@@ -2,6 +2,7 @@
 """Arrays in a temporary file, for what does not fit into memory."""
 
 import tempfile
+import weakref
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ class Spool:
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile()  # noqa: SIM115  # open as long as this object lives
+        weakref.finalize(self, self._file.close)  # Python warns of files that nobody closes
 
     def put(self, array: np.ndarray) -> Block:
         """Append an array."""
