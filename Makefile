@@ -75,7 +75,7 @@ soak: ## [more checks, ARGS=--help] 1,000 frames under sunlight and at saturatio
 	@$(BIN)/python -m tests.soak $(ARGS)
 
 mutation: ## [more checks, ARGS=--help] mutate RTL, golden model and a sample of each room, and check that the regression notices
-	@scripts/setup test icarus
+	@scripts/setup mutants icarus
 	@$(BIN)/python -m tests.mutation $(ARGS)
 	@$(BIN)/python -m tests.planted
 	@$(BIN)/python -m tests.python_mutants

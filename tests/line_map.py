@@ -7,6 +7,8 @@ count as part of it. What a fixture or a cache keeps is counted for the first te
 
 As a plugin of pytest (`-p tests.line_map`) it tells Coverage.py which test runs, and measures how
 long each test takes.
+
+Coverage.py is imported where it is needed, because only `scripts/setup mutants` installs it.
 """
 
 import json
@@ -18,7 +20,6 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
-import coverage
 import pytest
 from attrs import frozen
 
@@ -59,6 +60,8 @@ class LineMap:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None):
+    import coverage
+
     running = coverage.Coverage.current()
     os.environ[CONTEXT] = item.nodeid
     if running:
@@ -98,6 +101,8 @@ def record(folder: Path, arguments: list[str]) -> None:
 
 def collect(folder: Path) -> LineMap:
     """Return the map from the data that `record` has left in a folder."""
+    import coverage
+
     seconds: dict[str, float] = {}
     for path in sorted(folder.glob("*.json")):
         seconds |= json.loads(path.read_text(encoding="utf-8"))

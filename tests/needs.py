@@ -55,6 +55,10 @@ def _has_verilator_of_the_system() -> bool:
     return shutil.which("verilator") is not None
 
 
+def _has_coverage() -> bool:
+    return find_spec("coverage") is not None
+
+
 def _has_renderer() -> bool:
     return find_spec("mitransient") is not None
 
@@ -75,6 +79,7 @@ NEEDS = {
         "another Python", "scripts/setup python3.13", other_python("python3.13").exists
     ),
     "layout": Need("the layout tools", "scripts/setup layout", _has_layout_tools),
+    "mutants": Need("Coverage.py", "scripts/setup mutants", _has_coverage),
     "verilator": Need(
         "a Verilator of the system", "scripts/setup verilator", _has_verilator_of_the_system
     ),

@@ -143,6 +143,7 @@ def test_the_key_of_a_mutant_changes_with_its_tests():
     assert key_of(mutant, one) == key_of(mutant, one) != key_of(mutant, other)
 
 
+@pytest.mark.needs("mutants")
 def test_the_map_knows_which_test_runs_a_line(tmp_path):
     test = "tests/shared/test_markdown.py"
     record(tmp_path, [test, "-p", "no:randomly", "-p", "no:cacheprovider"])
