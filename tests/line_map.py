@@ -26,6 +26,7 @@ from attrs import frozen
 from coincid.model.shared.files import whole_file
 from coincid.tb.toolchain import build_root
 
+from .needs import missing
 from .planted import ROOT
 
 MAP = Path("mutation") / "lines.json"  # in the build folder
@@ -141,6 +142,10 @@ def load(path: Path) -> LineMap:
 
 
 def main(arguments: list[str]) -> None:
+    """Make the map. Raises `SystemExit` without Coverage.py."""
+    lacking = missing("mutants")
+    if lacking:
+        sys.exit(lacking)
     with tempfile.TemporaryDirectory(prefix="coincid-lines-") as folder:
         record(Path(folder), arguments or ["-n", "auto"])
         lines = collect(Path(folder))
