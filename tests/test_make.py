@@ -38,7 +38,6 @@ OF_EMULATE = {name: OF_SIM[name] for name in "SCENE KLUX PULSES FRAMES CONFIG SE
 FIXED = {"sim": "--out build/sim", "verilog": "--out build/rtl", "emulate": "--simulate"}
 OTHERS = [  # target, its options, its command
     ("explore", {"PORT": "7"}, "coincid explore --port 7"),
-    ("explore", {}, "coincid explore"),
     ("emulate", {"PORT": "/dev/a b"}, "coincid emulate --port '/dev/a b'"),
     ("verilog", {"CONFIG": "a b", "VIEW": "async"}, "coincid verilog --config 'a b' --view async --out build/rtl"),
     ("emulator", {"CONFIG": "own.toml"}, "coincid emulator --config own.toml"),
@@ -46,13 +45,53 @@ OTHERS = [  # target, its options, its command
     ("pages", {"NAMES": "depth controller"}, "python docs/pages.py depth controller"),
     ("pages", {"STALE": "1"}, "python docs/pages.py --stale"),
     ("pages", {"STALE": "0", "ONLY": "stale"}, "python docs/pages.py --only-stale"),
-    ("release", {}, "python docs/pages.py --release"),
     ("soak", {"ARGS": "--frames 3"}, "python -m tests.soak --frames 3"),
     ("upsets", {"ARGS": "--help"}, "python -m tests.upsets --help"),
     ("coverage", {"ARGS": "--help"}, "python -m tests.coverage --help"),
     ("mutation", {"ARGS": "--help"}, "python -m tests.mutation --help"),
     ("test", {"PYTEST_ARGS": "-k fifo -x"}, "python -m pytest -n 2 --dist loadgroup -k fifo -x"),
 ]  # fmt: skip
+
+PLAIN = {  # target: what it sets up, and each of its commands, without options
+    "setup": ("test lint",),
+    "sim": ("rtl explore", "coincid sim --out build/sim"),
+    "explore": ("rtl explore", "coincid explore"),
+    "check": (
+        "test lint icarus",
+        "ruff check .",
+        "ruff format --check .",
+        "python -m pytest -n 2 --dist loadgroup @tests/quick.txt",
+    ),
+    "emulate": ("rtl explore", "coincid emulate --simulate"),
+    "test": ("test icarus", "python -m pytest -n 2 --dist loadgroup"),
+    "formal": ("formal", "coincid formal"),
+    "upsets": ("test", "python -m tests.upsets"),
+    "soak": ("test", "python -m tests.soak"),
+    "mutation": (
+        "test icarus",
+        "python -m tests.mutation",
+        "python -m tests.planted",
+        "python -m tests.python_mutants",
+    ),
+    "coverage": ("test", "python -m tests.coverage"),
+    "verilog": ("rtl", "coincid verilog --out build/rtl"),
+    "synth": ("cells", "coincid synth"),
+    "gls": ("icarus cells", "coincid gls"),
+    "power": ("icarus cells", "python -m docs.studies.power_against_light"),
+    "layout": ("icarus cells layout", "coincid layout"),
+    "pnr": ("flow", "coincid pnr"),
+    "emulator": ("flow", "coincid emulator"),
+    "cost": ("cells", "python -m docs.studies.cost", "python -m docs.studies.choices"),
+    "lint": ("lint", "ruff check .", "ruff format --check .", "scripts/types", "coincid lint"),
+    "docs": ("docs icarus", "python docs/build.py"),
+    "figures": ("rtl explore", "python -m docs.studies.figures figures"),
+    "compare": ("rtl", "python -m docs.studies.figures compare"),
+    "modes": ("rtl", "python -m docs.studies.figures modes --rtl"),
+    "pages": ("flow icarus cells", "python docs/pages.py"),
+    "release": ("rtl explore", "python docs/pages.py --release"),
+    "raytrace": ("rtl explore raytrace",),
+    "bench": ("rtl explore icarus", "coincid bench"),
+}
 
 
 def made(target, given):
@@ -89,13 +128,10 @@ def test_a_target_runs_its_command_with_what_is_given(target, given, command):
 @pytest.mark.parametrize(
     ("target", "given", "needs"),
     [
-        ("sim", {}, "rtl explore"),
         ("sim", {"SIM": "icarus"}, "rtl explore icarus"),
         ("sim", {"VIEW": "async"}, "rtl explore icarus"),
         ("sim", {"VIEW": "async", "SIM": "verilator"}, "rtl explore"),
-        ("emulate", {}, "rtl explore"),
         ("emulate", {"PORT": "/dev/ttyUSB0"}, "rtl explore board"),
-        ("pages", {}, "flow icarus cells"),
     ],
 )
 def test_a_target_sets_up_what_its_options_need(target, given, needs):
@@ -103,11 +139,16 @@ def test_a_target_sets_up_what_its_options_need(target, given, needs):
     assert made(target, given)[0] == ["scripts/setup", *needs.split()]
 
 
-def test_every_target_sets_up_before_it_runs_a_program():
+def test_a_target_sets_up_its_needs_and_runs_all_its_commands_in_their_order():
+    """Also where a file has its name, such as the folder `docs`."""
     targets = re.findall(r"^([a-z]+):", MAKEFILE, re.MULTILINE)
-    assert {"sim", "test", "docs"} < set(targets)
-    for target in set(targets) - {"help", "clean"}:
-        assert made(target, {})[0][0] == "scripts/setup", target
+    assert {*PLAIN, "help", "clean"} == set(targets)
+    for target, (needs, *commands) in PLAIN.items():
+        expected = [f"scripts/setup {needs}", *commands]
+        assert made(target, {}) == [line.split() for line in expected], target
+    assert made("clean", {}) == [["rm", "-rf", "build"]]
+    phony = re.search(r"^\.PHONY: (.*)", MAKEFILE, re.MULTILINE)[1].split()
+    assert sorted(phony) == sorted(targets)
 
 
 def test_help_names_every_target_and_every_option_of_sim():

@@ -440,7 +440,8 @@ def test_a_lock_is_installed_when_it_is_new_or_has_changed_and_only_then(place):
     locks = "requirements-explore.lock requirements-sweep.lock"
     assert failed == 1 and installed == [f"locked.py {locks}"]
     assert set_up(place, "sweep", "explore")[2] == [f"locked.py {locks}"]
-    assert set_up(place, "explore")[2] == []
+    for need in ("explore", "sweep"):
+        assert set_up(place, need)[2] == []
     for name in ("requirements-sweep.lock", "requirements.lock", "pyproject.toml"):
         with (place / name).open("a", encoding="utf-8") as file:
             file.write("# changed\n")
@@ -449,6 +450,8 @@ def test_a_lock_is_installed_when_it_is_new_or_has_changed_and_only_then(place):
     assert editable.startswith("uv ") and editable.endswith(" --no-build-isolation --editable .")
     assert set_up(place, "sweep")[2] == ["locked.py requirements-sweep.lock"]
     assert set_up(place) == (0, "", [])
+    (place / "requirements-sweep.lock").write_text("a==1\n", encoding="utf-8")  # as it was before
+    assert set_up(place, "sweep")[2] == ["locked.py requirements-sweep.lock"]
 
 
 @pytest.mark.parametrize(
@@ -473,6 +476,84 @@ def test_a_system_package_is_installed_where_its_program_is_missing(place, need,
     code, _, installed = set_up(place, need, FAILING="system.py")
     assert installed == [f"system.py {packages}"]
     assert code == (need != "chromium")
+
+
+@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize(
+    ("need", "module", "says", "package"),
+    [
+        ("rtl", "find_libpython", "print('libpython.so')", f"libpython3.{sys.version_info.minor}"),
+        ("raytrace", "coincid.model.scenes.ray_scene", "def llvm_library(): pass", "libllvm19"),
+    ],
+)
+def test_a_system_library_is_installed_where_python_does_not_find_it(
+    place, need, module, says, package, there
+):
+    """When the Python packages of its need are new."""
+    (place.parent / "programs" / "g++").symlink_to(shutil.which("true"))
+    (place / f"requirements-{need}.lock").write_text("a==1\n", encoding="utf-8")
+    file = place.joinpath(*module.split(".")).with_suffix(".py")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(f"{says if there else ''}\n", encoding="utf-8")
+    code, _, installed = set_up(place, need)
+    packages = [] if there else [f"system.py {package}"]
+    assert (code, installed) == (0, [f"locked.py requirements-{need}.lock", *packages])
+
+
+def test_another_python_has_the_packages_of_the_lock_and_the_project(place):
+    """Once; and again when the lock has changed."""
+    for name in ("cmp", "cp", "mkdir", "tail"):
+        (place.parent / "programs" / name).symlink_to(shutil.which(name))
+    uv = place / ".venv" / "bin" / "uv"
+    uv.write_text(f"{uv.read_text(encoding='utf-8')}mkdir -p build/python3.12\n", encoding="utf-8")
+    code, said, (made, locks, project) = set_up(place, "python3.12")
+    assert code == 0, said
+    assert made.startswith("uv venv ") and made.endswith(" build/python3.12")
+    assert "--python build/python3.12/bin/python " in locks
+    assert "--python build/python3.12/bin/python " in project
+    assert locks.endswith(" --no-deps -r requirements.lock")
+    assert project.endswith(" --no-build-isolation --editable .")
+    assert set_up(place, "python3.12") == (0, "", [])
+    with (place / "requirements.lock").open("a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    assert made in set_up(place, "python3.12")[2]
+
+
+def test_an_interrupted_installation_ends_and_counts_as_none(place):
+    """The installer ends, too; the next call installs."""
+    (place / "requirements-sweep.lock").write_text("a==1\n", encoding="utf-8")
+    waits = "import time\nprint('begins', flush=True)\ntime.sleep(20)\nprint('goes on')\n"
+    (place / "tools" / "locked.py").write_text(waits, encoding="utf-8")
+    process = subprocess.Popen(
+        [place / "scripts" / "setup", "sweep"],
+        env={"PATH": str(place.parent / "programs")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        encoding="utf-8",
+    )
+    with process:
+        assert process.stdout.readline() == "begins\n"
+        process.terminate()
+        assert process.wait() == 130
+        assert process.stdout.read() == ""
+    (place / "tools" / "locked.py").write_text(NOTED, encoding="utf-8")
+    assert set_up(place, "sweep")[2] == ["locked.py requirements-sweep.lock"]
+
+
+def test_a_project_that_cannot_be_installed_is_told_with_its_reason(place):
+    """Without uv, by the words of pip; it does not count as installed."""
+    (place / ".venv" / "bin" / "uv").unlink()
+    fails = "import sys\nprint('pip', *sys.argv[1:], file=sys.stderr)\nsys.exit(3)\n"
+    (place / "pip.py").write_text(fails, encoding="utf-8")
+    with (place / "pyproject.toml").open("a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    for _ in range(2):
+        code, said, _ = set_up(place)
+        assert code == 1
+        (line,) = said.splitlines()
+        assert line.startswith("pip ") and line.endswith(" --no-build-isolation --editable .")
+        assert {"install", "--no-deps"} <= {*line.split()}
 
 
 MADE = """#!/bin/sh
