@@ -747,6 +747,33 @@ def test_the_page_that_is_written_is_told(monkeypatch, tmp_path, name, page, wri
     assert_refused(command(f"{name} --out", tmp_path), "is a folder, must be a file")
 
 
+def test_each_netlist_that_is_simulated_is_told_at_once(monkeypatch):
+    def gate_levels():
+        yield "gates: all words agree"
+        yield "cells: all words agree"
+
+    monkeypatch.setattr("coincid.flow.gls.gate_levels", gate_levels)
+    assert command("gls").stdout.splitlines() == list(gate_levels())
+
+
+@pytest.mark.parametrize("missed", [(), ("clk: 90 MHz, 100 needed", "tck: none")])
+def test_a_clock_that_misses_its_goal_is_told_and_in_the_exit_code(monkeypatch, missed):
+    """A clock that is late by its pins is only a warning."""
+    board = SimpleNamespace(page="docs/own.md")
+    monkeypatch.setattr("coincid.flow.fpga_module.fpga_module", lambda: board)
+    monkeypatch.setattr("coincid.flow.pnr.place", lambda board: ["placed"])
+    monkeypatch.setattr("coincid.flow.pnr.write_placement_page", lambda *given: None)
+    monkeypatch.setattr("coincid.flow.pnr.skewed", lambda *given: ["pin a", "pin b"])
+    monkeypatch.setattr("coincid.flow.pnr.missed", lambda *given: missed)
+    done = command("pnr")
+    assert (done.exit_code, done.stdout) == (bool(missed), "docs/own.md\n")
+    assert done.stderr.splitlines() == [
+        "coincid: warning: pin a",
+        "coincid: warning: pin b",
+        *(f"coincid: {line}" for line in missed),
+    ]
+
+
 @pytest.mark.parametrize("failing", [(), ("tree",), ("tree", "fifo", "tdc")])
 def test_proofs_that_hold_are_counted_and_the_others_are_named(monkeypatch, tmp_path, failing):
     """Each with the place of its log; one of them is enough for the exit code."""

@@ -533,6 +533,16 @@ def test_a_region_that_the_table_or_the_page_lacks_is_refused(checkout, region, 
     assert page.read_text(encoding="utf-8") == before
 
 
+def test_a_region_that_the_table_lists_and_the_page_lacks_is_told_with_both(checkout):
+    """A region of another name on the page does not take its place."""
+    page = checkout / "docs" / "page.md"
+    text = page.read_text(encoding="utf-8").replace("begin two", "begin x")
+    page.write_text(text.replace("end two", "end x"), encoding="utf-8")
+    told = "^docs/page.md: has no region 'two', which docs/pages.toml lists$"
+    with pytest.raises(InputError, match=told):
+        Pages(checkout).stale()
+
+
 def test_a_key_that_no_program_has_is_told_with_its_program(checkout):
     table = checkout / "docs" / "pages.toml"
     table.write_text(TABLE + "minuts = 3\n", encoding="utf-8")

@@ -125,7 +125,9 @@ PIP = ["my clone/python", "-m", "pip"]
 def test_uv_installs_all_locks_and_pip_where_uv_cannot(
     monkeypatch, tmp_path, uv, failing, programs
 ):
-    """Neither takes what the packages ask for. If both fail, a sentence says what to do."""
+    """Neither takes what the packages ask for, and pip asks nobody and does not wait for long. If both
+    fail, a sentence says what to do.
+    """
     locks = [str(tmp_path / name) for name in ("a.lock", "b.lock")]
     for lock in locks:
         Path(lock).write_text("not-there==1.0\n", encoding="utf-8")
@@ -148,9 +150,10 @@ def test_uv_installs_all_locks_and_pip_where_uv_cannot(
     else:
         locked.install(locks)
     files = ["-r", locks[0], "-r", locks[1]]
+    quick = ["--no-input", "--disable-pip-version-check", "--retries", "1", "--timeout", "15"]
     commands = {
         "/bin/uv": [*UV, "--no-index", "--no-deps", *files],
-        PIP[0]: [*PIP, "install", *locked.PIP_OPTIONS, "--no-deps", "--no-compile", *files],
+        PIP[0]: [*PIP, "install", *quick, "--no-deps", "--no-compile", *files],
     }
     assert run == [commands[program] for program in programs]
 
@@ -241,6 +244,15 @@ def machine(monkeypatch):
         return run
 
     return machine
+
+
+@pytest.mark.parametrize("code", [0, 3])
+def test_of_a_command_for_system_packages_output_errors_and_code_are_known(code, capfd):
+    """None of it is shown, and nobody is asked: sudo and apt-get find the end of their input."""
+    words = f"cat; echo räder; echo err >&2; exit {code}"
+    done = system._run("sh", "-c", words)
+    assert (done.returncode, done.stdout) == (code, "räder\nerr\n")
+    assert capfd.readouterr() == ("", "")
 
 
 APT = "env DEBIAN_FRONTEND=noninteractive apt-get -qq"

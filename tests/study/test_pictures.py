@@ -266,6 +266,25 @@ def test_grey_levels_of_light_span_the_truth_but_no_more_than_can_be_told_apart(
         assert first.get_xlabel() == second.get_xlabel() == "column"
 
 
+def test_the_scale_beside_pictures_has_its_unit_and_above_them_stands_what_they_are(
+    monkeypatch, tmp_path
+):
+    """The scale is that of the depths, not of the thresholds beside them."""
+    drawn = []
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, path: drawn.append(figure))
+    truth = np.linspace(2.0, 12.0, ROWS * COLS).reshape(ROWS, COLS)
+    figure, _ = draw_row([Panel("a", truth)], truth, "depth", blocks=("b", np.ones((1, 3), int)))
+    light_row(tmp_path / "light.png", [("a", truth)], truth, "light")
+    for one, unit, heading in (
+        (figure, "depth in m", "depth"),
+        (drawn[0], "photons per pulse", "light"),
+    ):
+        (bar,) = [axis for axis in one.axes if axis.get_label() == "<colorbar>"]
+        assert bar.get_ylabel() == unit
+        assert bar.get_ylim() == pytest.approx(one.axes[0].images[0].get_clim())
+        assert one.get_suptitle() == heading
+
+
 def test_shares_are_drawn_linear_below_a_thousandth_and_in_decades_above():
     """So that no wrong pixel has a place, too."""
     axis = new_figure(3, 3).subplots()

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from attrs import evolve
 from pywellen import Waveform
 from rich.console import Console
 
@@ -321,6 +322,28 @@ def test_only_waveforms_of_an_earlier_run_are_deleted(tmp_path):
     run(tmp_path)
     assert all(path.exists() for path in exported)
     assert not any(path.exists() for path in waves)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_waveform_is_told_with_its_views_and_stays(tmp_path, monkeypatch):
+    """They are the last of the results; those of an earlier run are replaced, not deleted."""
+    usual, viewed = simulate.play_runs, []
+    for name in WAVES:
+        (tmp_path / name).write_text("a wave", encoding="utf-8")
+
+    def play(*given, **how):
+        return evolve(usual(*given, **how), wave=tmp_path / WAVES[0])
+
+    def views(path):
+        viewed.append(path)
+        return [path.with_name(name) for name in WAVES[1:]]
+
+    monkeypatch.setattr(simulate, "play_runs", play)
+    monkeypatch.setattr(wave_views, "views", views)
+    *_, told = run(tmp_path)
+    paths = [tmp_path / name for name in WAVES]
+    assert told.splitlines()[-1].split()[-3:] == [str(path) for path in paths]
+    assert viewed == paths[:1] and all(path.exists() for path in paths)
 
 
 @pytest.mark.long

@@ -552,6 +552,14 @@ def test_two_sweeps_at_once_on_one_output(tmp_path, quick):
         assert sweep(tmp_path, name="other").exit_code == 0
 
 
+def test_a_folder_of_points_that_cannot_be_is_told_with_the_output_and_the_reason(tmp_path):
+    """A file has its name."""
+    (tmp_path / "s.parquet.points").write_text("mine", encoding="utf-8")
+    out = str(tmp_path / "s.parquet")
+    assert_refused(sweep(tmp_path), f"out = {out!r}: cannot be written: File exists")
+    assert (tmp_path / "s.parquet.points").read_text(encoding="utf-8") == "mine"
+
+
 def test_an_output_is_free_again_when_its_sweep_ends(tmp_path):
     """Also if the sweep fails."""
     first = job.Finished(tmp_path / "s.parquet")
@@ -634,6 +642,11 @@ BAD = [  # rules of the SPEC; the others' errors name the point
     ("[frame]\nformat = 'short'", "frame.format = 'short'", "id or full"),
     ("config = 'none.toml'", "config = 'none.toml'", "no such file", "silicon"),
     ("[axis]\nklux = [1]", "[[axis]]"),
+    ("config = 5", "config = 5: must be the name of a file or one of", "silicon"),
+    ("[[axis]]\nconfig = ['fpga', 5]", "point config=5", "config = 5: must be the name"),
+    ("scene = 5", "scene = 5: must be a string"),
+    ("spad_gate = 'yes'", "spad_gate = 'yes'"),
+    ("background = 'odd'", "background = 'odd'", "reflected, even"),
     ("sensor = 'silicon'\n[[axis]]\nsensor.rows = [8]", "sensor"),
 ]
 
@@ -652,12 +665,15 @@ def test_presets_are_not_offered_as_a_spec(tmp_path):
 
 
 def test_outputs_that_cannot_be(tmp_path):
-    for options in (
-        ("--out", tmp_path / "x.png"),
-        ("--out", tmp_path / "s.toml" / "x.parquet"),
-        ("--workers", "0"),
+    (tmp_path / "deep.parquet").mkdir()
+    for options, told in (
+        (("--out", tmp_path / "x.png"), f"{tmp_path}/x.png': must end with .parquet"),
+        (("--out", tmp_path / "s.toml" / "x.parquet"), "s.toml is no folder"),
+        (("--out", tmp_path / "deep.parquet"), "is a folder, must be a file"),
+        (("--workers", "0"), "workers = 0: must be an integer from 1 to 1024"),
+        (("--workers", "1025"), "workers = 1025: must be an integer from 1 to 1024"),
     ):
-        assert sweep(tmp_path, GRID, *options).exit_code == 2
+        assert_refused(sweep(tmp_path, GRID, *options), told)
 
 
 def test_the_documentation_has_the_columns_and_settings():

@@ -174,6 +174,51 @@ def test_numbers_in_sentences_are_those_of_the_usual_sensor():
     assert f"16 ticks are {16 * config.tick_s * 1e9:g} ns." in CONTROL["window"].sentence
 
 
+# by control: its default, legal range, unit, and the change by a click
+NUMBERS = {
+    "near_m": (5.0, 0.05, 74.9, "m", 0.5),
+    "far_m": (9.0, 0.05, 74.9, "m", 0.5),
+    "reflectivity": (0.4, 0, 1, "", 0.05),
+    "shade": (0.01, 0, 1, "", 0.01),
+    "scale": (1.0, 0.1, 10, "", 0.1),
+    "missing": (None, -1e10, 1e10, "", 1),
+    "fov_deg": (None, 1e-3, 179, "degrees", 1),
+    "sky_m": (10_000.0, 0.05, 10_000, "m", 5),
+    "klux": (50.0, 0, 200, "klux", 5),
+    "shade_klux": (5.0, 0, 200, "klux", 1),
+    "pulses": (100, 1, 10_000, "", 10),
+    "frames": (1, 1, 64, "", 1),
+    "seed": (1, 0, 2**63 - 1, "", 1),
+    "dead_ns": (8.0, 0, 1000, "ns", 1),
+    "jitter_ps": (100.0, 0, 500, "ps", 50),
+    "dark_kcps": (0.0, 0, 10_000, "kcps", 10),
+    "crosstalk_percent": (0.0, 0, 25, "%", 1),
+    "afterpulse_percent": (0.0, 0, 50, "%", 1),
+}
+
+
+@pytest.mark.parametrize("name", ["rows", "pulses", "seed", "threshold"])
+def test_an_integer_may_be_written_as_a_real_number(name):
+    """Also one of the configuration; but no part of one."""
+    value = 16 if name == "rows" else 3
+    settings = check_settings({"scene": "flat", name: float(value)})
+    assert settings.values[name] == value and isinstance(settings.values[name], int)
+    with pytest.raises(InputError, match=rf"{name} = {value}.5: must be an integer"):
+        check_settings({"scene": "flat", name: value + 0.5})
+
+
+def test_numbers_beside_the_configuration_have_their_own_ranges_and_units():
+    """Those of the configuration have them from its tables."""
+    found = {
+        one.name: (one.default, one.low, one.high, one.unit, one.step)
+        for one in CONTROLS
+        if one.kind in ("integer", "real") and one.where is None
+    }
+    assert found == NUMBERS
+    sliders = {one.name: one.slide for one in CONTROLS if one.slide}
+    assert sliders == {"threshold": 16, "window": 64, "klux": 100}
+
+
 def test_properties_of_the_detector_are_in_the_units_of_their_fields():
     spad = check_settings(
         {

@@ -16,8 +16,8 @@ from bokeh.document import Document
 
 from coincid.model.shared.errors import InputError
 from coincid.study.explain import meaning
-from coincid.study.explore import messages, out
-from coincid.study.explore.control_values import check_settings, query
+from coincid.study.explore import messages, out, tab
+from coincid.study.explore.control_values import check_settings, command, query
 from coincid.study.explore.controls import CONTROL, DEFAULTS
 from coincid.study.explore.stages import Explorer
 from coincid.study.explore.tab import TRIES, Page, _summary
@@ -85,6 +85,19 @@ def test_the_words_are_those_of_b_and_the_objects_stand_side_by_side(page):
         assert (words["story"], words["where"]) == (story(of_b), where_to_look(of_b))
         assert story(of_b) != story(of_a)
         assert words["meaning"] == [list(row) for row in meaning(b.settings.config)]
+
+
+def test_the_tab_has_its_title_and_tells_a_lost_server_in_its_own_words(page):
+    """Not in those of the library, which would go on as if nothing had happened."""
+    assert page.doc.title == "Coincid explorer"
+    assert not page.doc.config.notify_connection_status
+    assert not page.doc.config.reconnect_session
+    codes = {
+        name: [callback.code for callback in callbacks]
+        for name, callbacks in page.doc.callbacks._js_event_callbacks.items()
+    }
+    assert codes["document_ready"] == ["explorer(link)"]
+    assert codes["connection_lost"] == ["gone()"]
 
 
 def test_what_is_kept_as_a_stands_beside_itself_at_once(page):
@@ -203,6 +216,46 @@ def test_a_refused_file_stays_refused_until_another_one_takes_its_place(page):
     assert list(page.bad_uploads) == ["sun", "depth"]
     page._ordered(messages.Forget())
     assert not page.bad_uploads and page.uploads == Uploads()
+
+
+def test_an_order_to_check_begins_with_what_is_shown_and_says_so(page, monkeypatch):
+    """Each check is one of the result that is shown then, not of A, and of the newest question."""
+    checked, begun = [], []
+    answered(page, threshold=1)
+    page._ordered(messages.KeepA())
+    monkeypatch.setattr(tab, "check_on_rtl", lambda *given: checked.append(given))
+    monkeypatch.setattr(page._checker, "start", begun.append)
+    for number, threshold in ((4, 2), (5, 3)):
+        shown = answered(page, threshold=threshold)
+        page.number = number
+        page._ordered(messages.CheckOnRtl())
+        begun[-1]("progress")
+        assert checked[-1] == (shown, "progress")
+        told = page.link.rtl_check
+        assert (told["number"], told["bad"]) == (number, False)
+        assert told["text"].startswith("The RTL is being compiled and run;")
+    assert len(begun) == 2
+
+
+def test_an_order_to_save_the_command_tells_it_and_saves_no_file(page):
+    answered(page, threshold=1)
+    page._ordered(messages.KeepA())
+    page.number = 9
+    shown = answered(page, threshold=3)
+    page._ordered(messages.Save(kind="command"))
+    assert page.link.command_line == {"number": 9, "text": command(shown.settings)}
+    assert not page.link.download
+
+
+def test_what_a_thread_tells_is_heard_in_the_thread_of_the_document(page, monkeypatch):
+    """Bokeh takes changes of a document there alone."""
+    ticks, heard = [], []
+    monkeypatch.setattr(page.doc, "add_next_tick_callback", ticks.append)
+    page._soon(lambda *what: heard.append(what), 1, "done", "answer")
+    assert not heard
+    (tick,) = ticks
+    tick()
+    assert heard == [(1, "done", "answer")]
 
 
 def test_the_check_on_the_rtl_tells_its_share_and_its_verdict(page):

@@ -83,11 +83,39 @@ def test_events_beside_counts_keep_their_windows(order):
 
 
 @pytest.mark.parametrize("gap", [0, 7])
-def test_the_pace_is_told_where_there_are_gaps(gap):
-    numbers = NUMBERS | {"committed": 1_700, "frames_per_s": 30.0, "mean_gbps": 0.0125}
+@pytest.mark.parametrize("mean_gbps", [0.0125, None])
+def test_the_pace_is_told_where_there_are_gaps(gap, mean_gbps):
+    """And where it is known."""
+    numbers = NUMBERS | {"committed": 1_700, "frames_per_s": 30.0, "mean_gbps": mean_gbps}
     view = SimpleNamespace(numbers=numbers, objects=[], config=SimpleNamespace(gap=gap))
     pace = "At 30 frames per second, the busiest link carries 12.5 Mbit/s in the mean."
-    assert (pace in story(view)) == bool(gap)
+    assert (pace in story(view)) == ("frames per second" in story(view))
+    assert (pace in story(view)) == bool(gap and mean_gbps)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"dropped": 0}, "Of 2,000 windows 1,700 met their threshold."),
+        *(
+            ({name: None}, "The numbers of windows and drops are not known, because counters are")
+            for name in ("opened", "committed", "dropped")
+        ),
+    ],
+)
+@pytest.mark.parametrize("sun_share", [0.0, None])
+def test_what_happens_in_a_frame_is_told_as_far_as_it_is_known(changed, told, sun_share):
+    """A share of the sun that is none is told, too; a single object is no darkest part."""
+    numbers = NUMBERS | {"committed": 1_700, "mean_gbps": None, "sun_share": sun_share} | changed
+    config = SimpleNamespace(gap=0)
+    view = SimpleNamespace(numbers=numbers, objects=OBJECTS[:1], config=config)
+    assert story(view).startswith(told)
+    assert ("0% of the events contain only sunlight." in story(view)) == (sun_share == 0)
+    assert "found the FIFO full" not in story(view)
+    assert "darkest" not in story(view)
+    view.objects = OBJECTS[:2]
+    assert where_to_look(view) == "The darkest part, wall, is around row 3, column 17."
+    assert "In the darkest part, wall" in story(view)
 
 
 def seen(name, signal, wrong_share, middle):
