@@ -331,6 +331,20 @@ def test_equal_figures_have_equal_bytes(kind):
     assert files[0] == files[1]
 
 
+def test_a_picture_has_120_pixels_per_inch_and_its_values_have_sharp_edges(tmp_path):
+    """No colour lies between those of two values, so none stands for a value that is not there."""
+    with style(axes_grid=False):
+        figure = new_figure(2, 1)
+        figure.set_layout_engine("none")
+        axis = figure.add_axes((0, 0, 1, 1))
+        axis.imshow([[0.0, 1.0]], cmap="gray", aspect="auto")
+        axis.set_axis_off()
+    save_figure(figure, tmp_path / "two.png")
+    with Image.open(tmp_path / "two.png") as picture:
+        assert picture.size == (240, 120)
+        assert {colour for _, colour in picture.convert("L").getcolors()} == {0, 255}
+
+
 def test_figures_have_no_dates(tmp_path):
     """Equal data give equal bytes on another day, and in another release of the library."""
     with style():

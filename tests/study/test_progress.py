@@ -85,6 +85,8 @@ class Told(io.StringIO):
 
 
 def test_a_long_stage_says_that_it_lasts(monkeypatch):
+    """Every few seconds; here, sooner."""
+    assert 2 <= progress.LINE_EVERY_S <= 10
     monkeypatch.setattr(progress, "LINE_EVERY_S", 0.05)
     text = Told("photons: ")
     with Bar(Console(file=text), lines=True) as bar:

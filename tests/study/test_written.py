@@ -263,16 +263,16 @@ def test_the_controller_has_the_frames_that_are_given_or_those_of_the_pictures(
     assert simulate._frames_of(scene, engine, settling) == frames
 
 
-def test_events_of_all_schemes_together_must_fit_on_a_page(monkeypatch):
-    monkeypatch.setattr(simulate, "PAGE_EVENTS_MAX", 1000)
+def test_events_of_all_schemes_together_must_fit_on_a_page():
+    """Three millions of them."""
 
     def frame(stored):
         return SimpleNamespace(counter=lambda name: {"stored": np.array(stored)}[name])
 
-    fits = {"off": frame([300, 200]), "auto": frame([500, 0])}
+    fits = {"off": frame([900_000, 600_000]), "auto": frame([1_500_000, 0])}
     assert simulate._too_many_for_page(fits) == ""
     told = simulate._too_many_for_page(fits | {"fixed": frame([0, 234])})
-    assert told == "report.html is left out: its frames have 1,234 events, 1,000 fit on it"
+    assert told == "report.html is left out: its frames have 3,000,234 events, 3,000,000 fit on it"
 
 
 def test_counters_that_are_full_are_told_by_their_names():

@@ -92,6 +92,32 @@ def test_so_much_light_that_no_memory_holds_its_edges_is_refused(monkeypatch):
         Explorer().run(check_settings(SMALL))
 
 
+@pytest.mark.parametrize("more", [0, 1])
+def test_thirty_million_edges_are_not_too_many(monkeypatch, more):
+    class PlayedError(Exception):
+        """The photons are drawn."""
+
+    def run(setup, *, cache, workers, watch):
+        watch("photons", 1.0, 30_000_000 + more)
+        raise PlayedError
+
+    monkeypatch.setattr(stages, "Run", run)
+    with pytest.raises(InputError if more else PlayedError):
+        Explorer().run(check_settings(SMALL))
+
+
+def test_the_results_before_and_that_of_a_are_kept():
+    """So going back and forth between three settings draws no photons again."""
+    explorer, stages_of = Explorer(), []
+    for klux in (1.0, 2.0, 3.0, 1.0, 2.0, 3.0):
+        told = set()
+        settings = check_settings(SMALL | {"rows": 8, "cols": 8, "klux": klux})
+        explorer.run(settings, lambda stage, share, told=told: told.add(stage))
+        stages_of.append(told)
+    assert all("photons" in told for told in stages_of[:3])
+    assert not any("photons" in told for told in stages_of[3:])
+
+
 def test_the_time_of_a_result_is_that_of_its_run_in_seconds():
     began = time.perf_counter()
     explored = Explorer().run(check_settings(SMALL))

@@ -87,6 +87,17 @@ def test_the_words_are_those_of_b_and_the_objects_stand_side_by_side(page):
         assert words["meaning"] == [list(row) for row in meaning(b.settings.config)]
 
 
+def test_at_first_a_pixel_of_the_dark_object_is_looked_at():
+    """It is the one that the page shows before there is a result."""
+    page = Path(tab.__file__).with_name("page.html").read_text(encoding="utf-8")
+    shown = dict(re.findall(r'data-look="(\w+)" min="0" value="(\d+)"', page))
+    first = {name: int(value) for name, value in shown.items()}
+    assert messages.LookedAt(**first, which="B") == tab.FIRST_LOOK
+    dark, *_ = EXPLORER.run(check_settings({})).view().objects
+    assert abs(dark.middle[0] - tab.FIRST_LOOK.row) <= 4
+    assert abs(dark.middle[1] - tab.FIRST_LOOK.col) <= 4
+
+
 def test_the_tab_has_its_title_and_tells_a_lost_server_in_its_own_words(page):
     """Not in those of the library, which would go on as if nothing had happened."""
     assert page.doc.title == "Coincid explorer"

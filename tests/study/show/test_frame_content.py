@@ -210,6 +210,23 @@ def test_a_report_keeps_no_more_edges_than_fit_for_all_its_frames(recorded, fram
     assert pulses == 10
 
 
+@pytest.mark.parametrize(
+    ("edges", "kept"),
+    [
+        ([0], 100),
+        ([2_000_000], 100),
+        ([1_000_000, 1_000_000], 100),
+        ([1_000_000, 1_500_000], 80),
+        ([300_000_000], 1),
+    ],
+)
+def test_two_million_edges_fit_into_a_report_and_those_of_one_pulse_in_any_case(edges, kept):
+    views = [
+        SimpleNamespace(pulses_seen=100, timeline=SimpleNamespace(tick=range(one))) for one in edges
+    ]
+    assert report._pulses_kept(views) == kept
+
+
 def test_a_report_that_is_written_is_that_of_all_its_frames(recorded, tmp_path):
     """In place of an older one. Bokeh numbers the figures of a process."""
 
