@@ -459,6 +459,8 @@ def test_what_the_server_tells_stands_in_its_place(tabs, address):
     assert tab.locator("#wastes li").all_text_contents() == told["wastes"]
     rows = "[...document.querySelectorAll('#meaning tbody tr')].map((r) => [...r.children].map((c) => c.textContent))"
     assert tab.evaluate(rows) == told["meaning"]
+    heads = "(part) => [...new Set([...document.querySelectorAll(`#numbers ${part} th`)].map((one) => one.scope))]"
+    assert [tab.evaluate(heads, part) for part in ("thead", "tbody")] == [["col"], ["row"]]
     look = [tab.input_value(f"[data-look={name}]") for name in ("row", "col", "pulse")]
     assert look == ["5", "6", before]
     tell = "([share, age]) => { link.progress = {number: asked - age, stage: 'depth', share}; }"

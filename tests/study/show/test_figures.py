@@ -19,10 +19,10 @@ from coincid.model.contract.edges import Fate
 from coincid.model.contract.pixels import pixel_table
 from coincid.model.depth.belief import Reason
 from coincid.model.shared.errors import InputError
-from coincid.study.palette import NO_VALUE_ON_PAGE
+from coincid.study.palette import NO_VALUE_ON_PAGE, PAGE_INK
 from coincid.study.pictures import REASONS
 from coincid.study.show import notebook
-from coincid.study.show.assets import SHOW
+from coincid.study.show.assets import FILES, SHOW
 from coincid.study.show.figures import (
     CLICKS,
     COMPARED,
@@ -148,6 +148,42 @@ def test_the_key_below_the_views_has_the_marks_of_edges_windows_and_reasons():
     parts = re.split("|".join(words), text)[1:]
     shown = [re.findall(own, part) for part in parts]
     assert shown == [FATE_MARKS, VERDICT_MARKS, [], REASON_MARKS]
+
+
+def luminance(colour):
+    """Return the relative luminance of a colour, as WCAG has it."""
+    shares = np.frombuffer(bytes.fromhex(colour[1:]), np.uint8) / 255
+    linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+    return linear @ [0.2126, 0.7152, 0.0722]
+
+
+def contrast(one, other):
+    low, high = sorted(map(luminance, (one, other)))
+    return (high + 0.05) / (low + 0.05)
+
+
+THEMES = {
+    theme: dict(re.findall(r"--([\w-]+): (#\w+)", block)) | {"scheme": scheme}
+    for theme, block, scheme in re.findall(
+        r':root(?:\[data-theme="(\w+)"\])? \{(.*?)color-scheme: (\w+)', FILES["page.css"], re.DOTALL
+    )
+}
+
+
+@pytest.mark.parametrize("theme", ["", "dark"])
+def test_words_can_be_read_in_either_theme(theme):
+    """Each on its background, and those of a figure on both."""
+    colours = THEMES[theme]
+    assert colours.keys() == THEMES[""].keys()
+    assert colours["scheme"] == (theme or "light")
+    for words in ("ink", "quiet", "bad", "good"):
+        for ground in ("surface", "raised", "plot"):
+            assert contrast(colours[words], colours[ground]) >= 4.5, (words, ground)
+    assert contrast(colours["on-accent"], colours["accent"]) >= 4.5
+    assert contrast(colours["accent"], colours["surface"]) >= 3
+    for words in (PAGE_INK, NO_VALUE_ON_PAGE):
+        assert contrast(words, colours["plot"]) >= 3
+    assert (luminance(colours["surface"]) < 0.2) == (theme == "dark")
 
 
 def test_what_has_no_value_is_grey_on_every_map():
