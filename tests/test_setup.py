@@ -606,6 +606,30 @@ def test_an_environment_is_made_anew_in_a_folder_that_was_moved(place, moved):
     assert set_up(place) == (0, "", [])
 
 
+@pytest.mark.parametrize("ensured", [False, True])
+def test_an_environment_of_a_python_without_pip_gets_its_own(place, ensured):
+    """Debian has what makes one in a package of its own, by the version of Python."""
+    own = f"""    *"pip --version"*) exit 1 ;;
+    *ensurepip*) exit {0 if ensured else 1} ;;
+    *version_info.minor*) echo 13 ;;
+    *system.py*) echo "$*" >>noted ;;
+"""
+    other = place.parent / "other"
+    text = MADE.format(python=shlex.quote(sys.executable), version=(3, 13, 0))
+    first, rest = text.split("in\n", 1)
+    other.write_text(f"{first}in\n{own}{rest}", encoding="utf-8")
+    other.chmod(0o755)
+    (place / ".venv" / ".stamp").unlink()
+    (place.parent / "programs" / "python3").unlink()
+    (place.parent / "programs" / "python3").symlink_to(other)
+    for name in ("ln", "mkdir"):
+        (place.parent / "programs" / name).symlink_to(shutil.which(name))
+    code, said, installed = set_up(place)
+    assert code == 0, said
+    packages = [] if ensured else ["tools/system.py python3.13-venv"]
+    assert installed[: len(packages) + 1] == [*packages, "-m venv --clear .venv"]
+
+
 def test_an_old_python_is_refused_by_its_version(place):
     other = place.parent / "other"
     other.write_text(
@@ -618,6 +642,26 @@ def test_an_old_python_is_refused_by_its_version(place):
     code, said, installed = set_up(place)
     assert (code, installed) == (1, [])
     assert said == "Python 3.10.9: 3.11 or newer is needed; name one with PYTHON=...\n"
+
+
+def test_types_are_checked_in_all_packages_from_any_folder(tmp_path):
+    """With the options that are given; the exit code is that of the check."""
+    place = tmp_path / "a clone"
+    for folder in ("scripts", ".venv/bin"):
+        (place / folder).mkdir(parents=True)
+    shutil.copy(ROOT / "scripts" / "types", place / "scripts")
+    program = place / ".venv" / "bin" / "mypy"
+    program.write_text('#!/bin/sh\necho "$MYPYPATH: $*"\npwd\nexit 3\n', encoding="utf-8")
+    program.chmod(0o755)
+    done = subprocess.run(
+        [place / "scripts" / "types", "--strict"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+    )
+    asked = "src: --package coincid --package docs.studies --strict"
+    assert (done.returncode, done.stdout.splitlines()) == (3, [asked, str(place)])
 
 
 def test_an_unknown_need_is_refused():

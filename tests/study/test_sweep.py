@@ -365,6 +365,7 @@ def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, drawn):
                 ends = corners[corners[:, 0] == klux, 1]
                 assert (ends.min(), ends.max()) == pytest.approx((of_klux.min(), of_klux.max()))
         assert len(axis.lines) == len(axis.collections) == 3
+        assert axis.get_ylim()[0] == 0 < axis.get_ylim()[1]
 
 
 def test_the_plot_names_what_is_across_what_the_lines_are_and_what_the_bands_span(tmp_path, drawn):
@@ -457,6 +458,24 @@ def test_an_axis_of_several_keys_is_named_by_all_of_them(tmp_path, drawn):
     (legend,) = figure.legends
     assert legend.get_title().get_text() == "sensor.rows in pixels, system clock in MHz"
     assert [label.get_text() for label in legend.get_texts()] == ["8, 125", "16, 500"]
+
+
+@pytest.mark.parametrize(
+    ("listed", "shown"),
+    [
+        ("subgroup.coincidence = [true, false]", ["True", "False"]),
+        ("method = ['planes', 'maximum']", ["planes", "maximum"]),
+        ("sensor.subgroup = [[8, 8], [4, 8], [4, 4]]", ["[8, 8]", "[4, 8]", "[4, 4]"]),
+    ],
+)
+def test_what_is_no_number_stands_side_by_side_in_its_order(tmp_path, drawn, listed, shown):
+    spec = grid(tmp_path, f"{BASE}[[axis]]\n{listed}\n")
+    found = {point.key: dict.fromkeys(PANELS, 1.0 + point.at[0]) for point in spec.points}
+    write_plot(tmp_path / "s.png", "a sweep", spec, found)
+    lowest = drawn[0].axes[-1]
+    assert [label.get_text() for label in lowest.get_xticklabels()] == shown
+    assert lowest.get_xticks().tolist() == list(range(len(shown)))
+    assert lowest.lines[0].get_xdata().tolist() == list(range(len(shown)))
 
 
 def test_a_point_that_fails_is_named_and_the_others_are_kept(tmp_path, quick, monkeypatch):
