@@ -68,6 +68,16 @@ def test_array_in_klux_takes_the_mean_of_what_a_pixel_covers(tmp_path):
     assert np.array_equal(ambient_klux(str(path), 2, 6), klux[1:3])
 
 
+def test_files_of_light_may_have_capitals_and_commas_in_their_names(tmp_path):
+    """The white level stands behind the last comma."""
+    np.save(tmp_path / "sun.npy", np.full((2, 2), 7.0))
+    (tmp_path / "sun.npy").rename(tmp_path / "SUN.NPY")
+    assert np.array_equal(ambient_klux(str(tmp_path / "SUN.NPY"), 2, 2), np.full((2, 2), 7.0))
+    Image.fromarray(np.array([[0, 255], [255, 0]], np.uint8)).save(tmp_path / "a,b.png")
+    found = ambient_klux(f"{tmp_path / 'a,b.png'},120", 2, 2)
+    assert np.array_equal(found, [[0, 120], [120, 0]])
+
+
 @pytest.mark.parametrize(
     "depth, white", [("u1", 255), ("<u2", 65535), (">u2", 65535), ("i4", 65535)]
 )

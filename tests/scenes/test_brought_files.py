@@ -4,6 +4,7 @@ others met it.
 """
 
 import re
+import zipfile
 
 import h5py
 import numpy as np
@@ -258,6 +259,12 @@ FILES = {  # file with a wall at 4 m
         at / "d.pgm", b"P5\n# by a camera\n4 4\n10000\n" + np.full(SHAPE, 4000, ">u2").tobytes()
     ),
     "PGM as text": lambda at: content(at / "d.pgm", b"P2 4 4 10000\n" + b"4000 " * 16),
+    "PGM as text, with another picture behind it": lambda at: content(
+        at / "d.pgm", (b"P2 4 4 10000\n" + b"4000 " * 16) + (b"P2 4 4 10000\n" + b"5000 " * 16)
+    ),
+    "PGM with another picture behind it": lambda at: content(
+        at / "d.pgm", 2 * (b"P5 4 4 10000\n" + np.full(SHAPE, 4000, ">u2").tobytes())
+    ),
     "PFM with the scale +1.0": lambda at: content(
         at / "d.pfm", b"Pf\n4 4\n+1.0\n" + np.full(16, 4, ">f4").tobytes()
     ),
@@ -502,6 +509,18 @@ def test_grey_pictures_give_the_reflectivity_by_their_type(tmp_path):
         load_scene(wall, *SHAPE, colour=png(tmp_path / "wide.png", np.zeros((4, 16), np.uint8)))
 
 
+@pytest.mark.parametrize("shape", [(4, 8), (8, 4)])
+@pytest.mark.parametrize("kind", ["u1", "u2", "f4"])
+def test_a_grey_picture_that_is_not_square_gives_each_pixel_its_own_light(tmp_path, kind, shape):
+    grey = np.linspace(0, 1, 32).reshape(shape)
+    white = 1 if kind == "f4" else np.iinfo(kind).max
+    Image.fromarray((grey * white).astype(kind)).save(tmp_path / "light.tif")
+    wall = npy(tmp_path / "wall.npy", np.full(shape, 4.0))
+    seen = load_scene(wall, *shape, colour=tmp_path / "light.tif").reflectivity.ravel()
+    assert np.all(np.diff(seen) > 0)
+    assert seen[[0, -1]] == pytest.approx([0.05, 0.8])
+
+
 def test_a_folder_with_a_comma(tmp_path):
     folder = tmp_path / "a,b"
     folder.mkdir()
@@ -574,6 +593,15 @@ def test_arrays_in_archives(tmp_path):
     (tmp_path / "e.mat").write_bytes(b"no archive")
     with pytest.raises(InputError, match="e.mat: is not a readable archive"):
         load_scene(str(tmp_path / "e.mat"), *SHAPE)
+
+
+@pytest.mark.parametrize("version", [(1, 0), (2, 0)])
+def test_arrays_of_an_archive_may_have_either_header_of_numpy(tmp_path, version):
+    """The later one, which NumPy writes for long headers, has a longer length."""
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        with archive.open("depth.npy", "w") as member:
+            np.lib.format.write_array(member, np.full(SHAPE, 4.0), version=version)
+    assert np.all(load_scene(str(tmp_path / "a.npz"), *SHAPE).truth_m == 4)
 
 
 def write_npz(path, arrays):

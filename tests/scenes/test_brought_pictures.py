@@ -48,6 +48,16 @@ def image(path, mode, colour, **options):
     return str(path)
 
 
+def deep(path):
+    """Write an EXR file with two samples in each pixel, as of smoke before a wall."""
+    samples = np.empty(SHAPE, object)
+    for place in np.ndindex(*SHAPE):
+        samples[place] = np.array([4, 5], np.float32)
+    form = {"compression": OpenEXR.ZIPS_COMPRESSION, "type": OpenEXR.deepscanline}
+    OpenEXR.File(form, {"Z": samples}).write(str(path))
+    return str(path)
+
+
 def pages(path, samples):
     first, *others = [Image.fromarray(one) for one in samples]
     first.save(path, save_all=True, append_images=others)
@@ -188,6 +198,11 @@ REFUSED = {  # file, options, part of the error
         "none of which|must be a depth file",
     ),
     "one bit": (lambda at: image(at / "d.png", "1", 1), {}, "8 bit picture"),
+    "several samples in a pixel": (
+        lambda at: deep(at / "d.exr"),
+        {},
+        r"d\.exr: is a deep picture, must have one sample per pixel$",
+    ),
     "8 bits in an array": (lambda at: npy(at / "d.npy", np.full(SHAPE, 90, np.uint8)), {}, "8 bit"),
     "a table of fields": (
         lambda at: npy(at / "d.npy", np.zeros(SHAPE, [("z", "f4")])),

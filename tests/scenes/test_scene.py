@@ -526,6 +526,22 @@ def test_files_that_are_no_depth(tmp_path):
         load_scene(f"{tmp_path / 'depth.png'},{colour}", 8, 8, colour=colour)
 
 
+def test_an_empty_name_is_not_the_folder_where_one_is(tmp_path, monkeypatch):
+    png(tmp_path / "d.png", np.full((4, 4), 3000))
+    monkeypatch.chdir(tmp_path)
+    assert load_scene(".", 4, 4).pictures == 1
+    with pytest.raises(InputError, match=r"^: no such file \(built-in scenes: "):
+        load_scene("", 4, 4)
+
+
+@pytest.mark.parametrize("suffix", ["png", "pgm", "pfm", "exr", "npy", "npz"])
+def test_a_depth_file_that_is_gone_is_told(tmp_path, suffix):
+    """As between the moment in which it was found and that in which it is read."""
+    path = tmp_path / f"gone.{suffix}"
+    with pytest.raises(InputError, match=rf"^{re.escape(str(path))}: no such file$"):
+        depth_scene(path, 4, 4)
+
+
 def pfm(path, samples):
     path.write_bytes(
         b"Pf\n%d %d\n-1.0\n" % samples.shape[::-1] + samples[::-1].astype("<f4").tobytes()
@@ -591,6 +607,24 @@ def test_middleburys_calibration_lies_beside_the_file(tmp_path):
     assert np.allclose(read[RAMP_M <= 3.5], RAMP_M[RAMP_M <= 3.5], atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "cam0=[900 0 10]\n",
+        "baseline=100\n",
+        "cam0=[]\nbaseline=100\n",
+        "cam0=[a 0 10]\nbaseline=100\n",
+        "cam0=[900 0 10]\nbaseline=wide\n",
+        "cam0=[900 0 10]\nbaseline=100\ndoffs=few\n",
+    ],
+)
+def test_a_calibration_without_its_numbers_is_told_as_one_that_is_missing(tmp_path, text):
+    (tmp_path / "calib.txt").write_text(text, encoding="utf-8")
+    path = pfm(tmp_path / "disp0.pfm", 900 * 0.1 / RAMP_M)
+    with pytest.raises(InputError, match=r"disp0\.pfm: is read as disparities, which needs disp"):
+        load_scene(str(path), 8, 8, unit="middlebury")
+
+
 def test_a_calibration_without_an_offset_has_none(tmp_path):
     (tmp_path / "calib.txt").write_text("cam0=[900 0 10]\nbaseline=100\n", encoding="utf-8")
     path = pfm(tmp_path / "disp0.pfm", 900 * 0.1 / RAMP_M)
@@ -604,6 +638,28 @@ def test_what_is_no_unit_is_refused(unit):
     """Also one with numbers that go with disparities only."""
     with pytest.raises(InputError, match=f"^unit = '{re.escape(unit)}': must be one of m, cm"):
         load_scene(np.full((4, 4), 4.0), 4, 4, unit=unit)
+
+
+@pytest.mark.parametrize("unit", ["disparity", "disparity/16", "kitti-disparity"])
+@pytest.mark.parametrize(
+    "numbers", ["a,b", ",", "800", "0,1", "800,0", "800,-1", "-8,1", "nan,1", "8,inf", "8,1,nan"]
+)
+def test_disparities_need_a_focal_length_and_a_baseline_above_0(unit, numbers):
+    told = f"unit = '{unit}:{numbers}': must be {unit}:FOCAL_PX,BASELINE_M[,OFFSET_PX]: "
+    with pytest.raises(InputError, match=f"^{re.escape(told)}"):
+        load_scene(np.full((4, 4), 4.0), 4, 4, unit=f"{unit}:{numbers}")
+
+
+@pytest.mark.parametrize("unit", ["sun-rgbd", "nyu-raw"])
+@pytest.mark.parametrize("number", [4.0, -1, 1 << 16])
+def test_units_of_16_bits_are_those_of_integers_of_16_bits(unit, number):
+    """Whatever type holds them: the bits of others would be those of other numbers."""
+    samples = np.full((4, 4), 3000 if isinstance(number, int) else 3000.0)
+    samples = samples.astype(type(number))
+    samples[1, 2] = number
+    told = f"^array: holds {samples.dtype}, must hold 16-bit integers for the unit {unit}$"
+    with pytest.raises(InputError, match=told):
+        load_scene(samples, 4, 4, unit=unit)
 
 
 @pytest.mark.parametrize(
@@ -655,6 +711,11 @@ def test_a_pixel_has_its_nearest_target_whichever_comes_first():
     assert scene.valid.tolist() == [[True, True, True, False]]
     assert np.array_equal(scene.truth_m, [[5.0, 3.0, 4.0, np.nan]], equal_nan=True)
     assert repr(scene) == "<Scene own: 1 x 4 pixels, 3 to 7 m>"
+
+
+def test_a_scene_without_any_target_says_so():
+    nothing = Scene(name="dark", distance_m=np.full((2, 3), np.nan), reflectivity=0.4)
+    assert repr(nothing) == "<Scene dark: 2 x 3 pixels, no target>"
 
 
 @pytest.mark.parametrize("wrong", ["five", "", 1j, 2**2000, object()])

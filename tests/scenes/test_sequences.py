@@ -140,6 +140,15 @@ def test_a_pattern_stands_for_the_files_that_it_fits(tmp_path, pattern, walls_m)
     assert any("along the rays" in note for note in scene.notes[1:])
 
 
+@pytest.mark.parametrize("name", ["d_%d.png", "d_1[0].png", "d_?.png", "d_*.png"])
+def test_a_file_whose_name_looks_like_a_pattern_is_that_file(tmp_path, name):
+    png(tmp_path / "d_10.png", np.full(SHAPE, 5.0))
+    png(tmp_path / name, np.full(SHAPE, 3.0))
+    scene = load_scene(tmp_path / name, *SHAPE)
+    assert scene.pictures == 1
+    assert np.all(scene.truth_m == 3)
+
+
 def test_a_pattern_may_have_several_numbers(tmp_path):
     """The first one counts most; each is a number, not a text."""
     names = ("a2_b10.png", "a2_b9.png", "a10_b1.png")
