@@ -33,6 +33,7 @@ from coincid.model.light.light import Light
 from coincid.model.light.photons import generate_edges
 from coincid.model.light.spad import OwnSpad, Spad, SpadGate, SpadTimes
 from coincid.model.light.timing import Timing
+from coincid.model.shared.pulse import Pulse
 from coincid.study.sweep_spec import read_spec
 from coincid.tb.replay import replay
 
@@ -319,6 +320,16 @@ class Late(Ready):
 
     def edges_of(self, photons, *, pixels, seed):
         return SpadTimes(photons.pixel, photons.time_s + 1e-6)
+
+
+def test_a_spad_of_a_users_own_and_a_measured_pulse_are_refused_together():
+    """The pulse has a jitter in it already, which the SPAD would add again."""
+    wall = Setup.of("flat:5", sensor={"rows": 8, "cols": 8}, frame={"pulses": 2}, spad=Ready())
+    assert len(Run(wall).edges)
+    told = "^pulse: the SPAD ready adds its own jitter, which a measured pulse has in it$"
+    with pytest.raises(coincid.InputError, match=told) as raised:
+        _ = Run(wall.but(pulse=Pulse.gaussian(500e-12))).edges
+    assert raised.value.field == "pulse"
 
 
 def test_avalanches_between_two_periods_are_no_edges():

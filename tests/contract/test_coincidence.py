@@ -82,6 +82,15 @@ def test_at_the_lowest_threshold_every_window_is_an_event_by_any_rule(threshold)
     assert Never().judged(maps, 2).tolist() == [False] * 3
 
 
+@pytest.mark.parametrize("threshold", [2, 3, 16])
+def test_by_the_papers_rule_as_many_pixels_as_the_threshold_are_an_event(threshold):
+    """Wherever they are in the subgroup."""
+    rng = np.random.default_rng(threshold)
+    place = rng.permuted(np.tile(np.arange(16), (17, 1)), axis=1)
+    maps = (place < np.arange(17)[:, None]).reshape(17, *SHAPE)
+    assert AT_LEAST.judged(maps, threshold).tolist() == [n >= threshold for n in range(17)]
+
+
 def test_the_share_of_events_is_the_sum_over_all_rises():
     """Of a rule that no window meets it is 0."""
     share = {1: 0.9, 2: 0.5, 5: 0.25}.__getitem__

@@ -21,6 +21,7 @@ from coincid.model.contract.config import (
 )
 from coincid.model.contract.latency import armed_cycle, close_cycle
 from coincid.model.contract.packet import FORMATS
+from coincid.model.contract.parameters import SENSOR, Sensor
 from coincid.model.contract.preset_files import PRESETS
 from coincid.model.contract.registers import address
 from coincid.model.light.timing import Timing
@@ -802,6 +803,16 @@ def test_sizes_of_parts_of_the_sensor_have_their_range(name, value, legal):
     told = re.escape(f"sensor.{name} = {value}: must be [rows, cols] of {ends} pixels")
     with pytest.raises(InputError, match=f"^{told}$"):
         parse_config({"sensor": given})
+
+
+@pytest.mark.parametrize("wrong", ["many", 2.5, [3], {}], ids=repr)
+@pytest.mark.parametrize("name", SENSOR)
+def test_a_parameter_of_another_kind_is_told_by_its_own_name(name, wrong):
+    """Not by that of another one whose range it sets."""
+    with pytest.raises(InputError) as raised:
+        Sensor(**{name: wrong})
+    assert raised.value.field == f"sensor.{name}"
+    assert str(raised.value).startswith(f"sensor.{name} = {wrong!r}: must be ")
 
 
 GATED = {"gating": True}

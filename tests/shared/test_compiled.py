@@ -172,6 +172,18 @@ def test_kernels_never_run_in_the_interpreter_and_never_hold_its_lock(kind):
     assert options["nogil"] is True
 
 
+@pytest.mark.parametrize("kind", [njit, part])
+def test_kernels_are_functions_of_python_where_numba_is_told_not_to_compile(kind, monkeypatch):
+    """As for a debugger, with and without options."""
+    monkeypatch.setattr(compiled._NUMBA, "DISABLE_JIT", 1)
+
+    def half(number):
+        return number // 2
+
+    assert kind(half) is half
+    assert kind(error_model="numpy")(half) is half
+
+
 @njit(error_model="numpy")
 def _inverse(number):
     return 1 / number

@@ -94,6 +94,11 @@ def test_a_field_can_be_told_by_another_name(check, message):
     assert within.field == "frames"
 
 
+def test_a_message_without_a_field_stays_as_it_is_under_any_name():
+    for error in (InputError("frames: are few"), InputError("frames: are few", field="pulses")):
+        assert error.renamed("Frames") == "frames: are few"
+
+
 def test_an_error_comes_back_from_another_process():
     with pytest.raises(InputError) as raised:
         Setup.of("flat:5,0.4", frame={"pulses": 0})
