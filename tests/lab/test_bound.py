@@ -386,6 +386,15 @@ def test_bounds_of_a_map_are_those_of_its_light():
         assert np.isnan(found[1])
 
 
+@pytest.mark.parametrize("pixels", [1, 3])
+def test_a_map_without_any_light_has_no_bounds(pixels):
+    config = parse_config({"sensor": {"rows": 8, "cols": 8}})
+    dark = Light(rows=1, cols=pixels, distance_m=5.0, signal_per_pulse=0.0, background_cps=1e6)
+    found = bounds.pixel_bounds_mm(config, dark)
+    assert found.shape == (pixels,)
+    assert np.isnan(found).all()
+
+
 def test_bounds_between_the_lights_of_a_map_are_near_those_of_their_own_light():
     """Though it ranges over two orders of magnitude."""
     config = parse_config({"sensor": {"rows": 8, "cols": 8}, "subgroup": {"threshold": 2}})

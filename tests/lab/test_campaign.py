@@ -355,3 +355,37 @@ def test_a_scheduler_that_is_lost_ends_the_campaign(monkeypatch):
     with pytest.raises(dask_workers.SchedulerLost, match="finished points are kept: start the sw"):
         campaign({1: one}, read, Dask(1), failed=failed)
     assert not failed
+
+
+def test_what_a_batch_could_not_play_is_the_error_of_each_of_its_setups(monkeypatch):
+    """And of no other one: a worker that refuses it says why."""
+
+    class Task:
+        def __init__(self, played):
+            self.played = played
+
+        def result(self):
+            if len(self.played) > 1:
+                raise RuntimeError("the worker's versions are not the sweep's")
+            return [(read(one), None) for one in self.played]
+
+    class Client:
+        loop = None
+
+        def submit(self, function, *given, **options):
+            return Task(given[1]) if function is dask_workers._read_batch else None
+
+    monkeypatch.setattr(dask_workers, "cluster", lambda *given: contextlib.nullcontext(Client()))
+    monkeypatch.setattr(dask_workers, "as_completed", lambda tasks, loop: iter(tasks))
+    monkeypatch.setattr(dask_workers, "evolve", lambda setup, scene: setup)
+    monkeypatch.setattr(dask_workers, "batches", lambda setups, workers: [[0, 2], [1], [3, 4]])
+    setups = {name: SimpleNamespace(key=name, scene=None, engine="golden") for name in "abcde"}
+    failed = {}
+    told = []
+    found = campaign(setups, read, Dask(2), failed=failed, progress=told.append)
+    assert list(found) == ["b"]
+    assert list(failed) == ["a", "c", "d", "e"]
+    assert {dask_workers.reason(error) for error in failed.values()} == {
+        "RuntimeError: the worker's versions are not the sweep's"
+    }
+    assert told == [0, 1, 2, 3, 4, 5]

@@ -130,6 +130,18 @@ def test_a_frame_whose_edges_just_fit_keeps_all_of_them(lack, monkeypatch):
     assert np.array_equal(seen.edges.tick, edges.tick[edges.pulse < pulses])
 
 
+def test_a_frame_whose_first_part_just_fits_keeps_that_part(monkeypatch):
+    """Its pulses are those of which all edges are kept, and no others."""
+    setup = setup_of(pulses=20, frames=1)
+    edges = setup.photons.edges()
+    chunks = [edges.take(edges.pulse // 5 == part) for part in range(4)]
+    monkeypatch.setattr(long_frames, "EDGES_SHOWN_MAX", len(chunks[0]) + len(chunks[1]))
+    golden = Golden(setup.config.sensor)
+    (seen,) = long_frames.play_long_frames(golden, setup.config, iter(chunks)).seen
+    assert (seen.pulses, seen.total) == (10, len(edges))
+    assert np.array_equal(seen.edges.tick, edges.tick[edges.pulse < 10])
+
+
 @pytest.mark.parametrize("format_name", ["id", "compact"])
 def test_memory_does_not_grow_with_the_events_of_a_long_frame(format_name, monkeypatch):
     monkeypatch.setattr(long_frames, "EDGES_SHOWN_MAX", 1000)

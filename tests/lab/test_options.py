@@ -3,18 +3,23 @@
 what there is.
 """
 
+import re
 from inspect import signature
 
 import pytest
 import typer
+from attrs import fields_dict
 
 import coincid
 from coincid.cli import app
 from coincid.lab.options import OPTIONS
+from coincid.model.depth.arrivals import SYSTEM_FWHM_S
 from coincid.model.depth.methods import DEFAULT_METHOD
 from coincid.model.light.light import BACKGROUNDS
-from coincid.model.scenes.catalogue import NAMES
-from coincid.model.scenes.meaning import SCALES
+from coincid.model.light.spad import Spad
+from coincid.model.scenes.catalogue import DAYLIGHT_KLUX, NAMES, USUAL_KLUX, usual_klux
+from coincid.model.scenes.conventions import CONVENTIONS
+from coincid.model.scenes.meaning import MARKS, SCALES
 from coincid.model.scenes.ray_scene import SCENES
 from coincid.model.scenes.scene import REFLECTIVITY
 from coincid.study.explore.controls import CONTROL
@@ -54,6 +59,29 @@ def test_the_table_knows_what_there_is():
         law in OPTIONS["background"].doc for law in BACKGROUNDS
     )
     assert (OPTIONS["scale"].low, OPTIONS["scale"].high) == SCALES
+
+
+def test_the_table_tells_the_numbers_that_there_are():
+    """Defaults that depend on other options, marks of no depth, ranges, and names of properties."""
+    klux = f"Default: {DAYLIGHT_KLUX['tunnel']:g} for {' and '.join(DAYLIGHT_KLUX)},"
+    klux += f" {usual_klux('', 100.0):g} for histograms, otherwise {USUAL_KLUX:g}."
+    assert len(set(DAYLIGHT_KLUX.values())) == 1
+    marks = f"besides 0, NaN, infinity, {', '.join(map(str, sorted(MARKS)))} and the limits of"
+    share = OPTIONS["reflectivity"]
+    for name, told in {
+        "klux": klux,
+        "pulse": f"Default: a Gaussian of {SYSTEM_FWHM_S * 1e12:g} ps.",
+        "missing": marks,
+        "reflectivity": f"without a colour picture, {share.low:g} to {share.high:g}.",
+        "background": f"{BACKGROUNDS[0]} (in proportion to each surface's reflectivity) or",
+    }.items():
+        assert told in OPTIONS[name].doc
+    (name,) = re.findall(r"such as (\w+)=", OPTIONS["spad"].doc)
+    assert name in fields_dict(Spad)
+    assert [f"{one.name} (" for one in CONVENTIONS] == re.findall(
+        "|".join(re.escape(f"{one.name} (") for one in CONVENTIONS),
+        OPTIONS["unit"].doc.partition("Data sets: ")[2],
+    )
 
 
 @pytest.mark.parametrize(
