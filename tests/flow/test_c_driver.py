@@ -23,6 +23,7 @@ from coincid.model.contract.gate_counts import Counts
 from coincid.model.contract.packet import (
     COUNTS,
     EVENT_FORMATS,
+    FORMATS,
     FRAME_END,
     FRAME_START,
     GROUP_KIND,
@@ -518,6 +519,49 @@ def test_every_pair_of_features_is_decoded(library):
     assert events.sum() > 3000
     assert records[wide == 16].sum() > 20
     assert records[wide == 32].sum() > 20
+
+
+@pytest.mark.parametrize("form", ("full", "compact-full"))
+def test_events_of_the_largest_subgroup_are_decoded(library, form):
+    """Its map fills four words, and each of its pixels has an offset of its own."""
+    table = {"rows": 16, "cols": 16, "subgroup": [16, 16], "minigroup": [1, 1]}
+    sensor = random_cases.built_sensor(table)
+    of = configured(table, {"period": 60, "pulses": 6, "format": form}, {"threshold": 1})
+    (beats,) = Golden(sensor).frame(of, random_edges(of, 600, seed=1)).beats
+    hits = decode_frame(beats, sensor, 1).hits
+    assert len(hits) > 20
+    assert (hits != 0).any(axis=0).all() and (hits == 0).any(axis=0).all()
+    assert_decoded(library, probed(library, sensor), beats, sensor)
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_part_of_a_packet_is_not_decoded_yet(library, form):
+    """Whatever packet it is, and however many of its beats have come."""
+    sensor = Sensor(rows=8, cols=16, counts=1)
+    info, packet = probed(library, sensor), Packet()
+    of = configured(
+        {"rows": 8, "cols": 16, "counts": 1},
+        {"period": 80, "pulses": 6, "format": form, "minigroup_records": True, "mg_threshold": 1},
+        {"threshold": 1},
+    )
+    (beats,) = Golden(sensor).frame(of, random_edges(of, 300, seed=1)).beats
+    at, lengths = 0, set()
+    while at < len(beats):
+        start = ctypes.c_void_p(beats.ctypes.data + 8 * at)
+
+        def decoded(n, start=start):
+            given = ctypes.byref(info), info.subgroups, start, ctypes.c_size_t(n)
+            return library.coincid_decode(*given, ctypes.byref(packet))
+
+        length = decoded(len(beats) - at)
+        assert length > 0
+        assert [decoded(n) for n in range(length)] == [0] * length
+        assert decoded(length) == length
+        if packet.kind == FRAME_START.code:
+            info.grouped = packet.count
+        lengths.add((packet.kind, length))
+        at += length
+    assert any(length > 1 for kind, length in lengths if kind != FRAME_END.code)
 
 
 @pytest.mark.parametrize("name", random_cases.SENSORS)
