@@ -441,6 +441,15 @@ def test_what_is_no_depth_picture_is_doubted(tmp_path):
     assert load_scene(path, 8, 8, unit="nyu-raw").doubts == ()
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_noise_on_a_slope_is_no_doubt(tmp_path, axis):
+    """Distant samples differ far more than neighbours, whether it rises downwards or sideways."""
+    slope = np.linspace(1500, 6000, 64).astype(np.uint16)
+    samples = np.repeat(np.expand_dims(slope, 1 - axis), 64, axis=1 - axis)
+    samples += np.random.default_rng(3).integers(0, 60, samples.shape).astype(np.uint16)
+    assert load_scene(npy(tmp_path / "d.npy", samples), 8, 8).doubts == ()
+
+
 def test_a_doubt_warns_who_calls_the_library(tmp_path):
     path = png(tmp_path / "d.png", of_a_room(1500) * 5)
     with pytest.warns(UserWarning, match="with the unit tum"):

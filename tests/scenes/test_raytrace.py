@@ -442,9 +442,9 @@ def wall(distance_m):
     )
 
 
-def rendered(tracer, path, rows=8, cols=8, stop_s=1e-6):
+def rendered(tracer, path, rows=8, cols=8, stop_s=1e-6, fov_h_deg=45, fov_v_deg=45):
     return tracer.render(
-        tracer.read_scene(path), rows, cols, fov_h_deg=45, fov_v_deg=45, stop_s=stop_s
+        tracer.read_scene(path), rows, cols, fov_h_deg=fov_h_deg, fov_v_deg=fov_v_deg, stop_s=stop_s
     )
 
 
@@ -469,6 +469,24 @@ def test_flat_wall_is_the_link_budget(tracer, tmp_path, distance_m):
     assert np.abs(mean_m - from_geometry_m.ravel()).max() < TICK_M
     assert np.abs(transient.surface_m - from_geometry_m).max() < TICK_M
     assert transient.ambient == pytest.approx(np.full((8, 8), 0.4), rel=1e-4)
+
+
+@pytest.mark.parametrize(("fov_h_deg", "fov_v_deg"), [(80, 20), (20, 80)])
+@pytest.mark.needs("raytrace")
+def test_a_field_of_view_need_not_be_square(tracer, tmp_path, fov_h_deg, fov_v_deg):
+    """Columns and rows see a flat wall where they lie, each with its own angle, and all is lit."""
+    rows, cols = 3, 5
+    path = scene_file(tmp_path / "wall.xml", wall(4))
+    transient = rendered(tracer, path, rows, cols, fov_h_deg=fov_h_deg, fov_v_deg=fov_v_deg)
+    left, up = (
+        ((np.arange(64 * n) + 0.5) / (32 * n) - 1) * math.tan(math.radians(angle) / 2)
+        for n, angle in ((cols, fov_h_deg), (rows, fov_v_deg))
+    )
+    points_m = 4 * np.sqrt(1 + up[:, None] ** 2 + left**2)
+    from_geometry_m = points_m.reshape(rows, 64, cols, 64).mean(axis=(1, 3))
+    assert np.abs(transient.surface_m - from_geometry_m).max() < TICK_M
+    lit = link_budget(4.0, 0.4, 0, form="corrected").signal_per_pulse
+    assert photons_in(transient.light(0)) == pytest.approx(np.full(rows * cols, lit), rel=0.02)
 
 
 @pytest.mark.needs("raytrace")
