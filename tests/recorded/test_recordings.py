@@ -1101,6 +1101,24 @@ def test_a_delay_moves_offsets(tmp_path):
     assert found.offset_ps == pytest.approx([52.6, 52.5])
 
 
+def test_a_delay_up_to_the_beginning_of_a_tick_leaves_no_negative_offset(tmp_path):
+    """Rounding errors of the delay are none of the photon's, which stays in its tick."""
+    write_edges(tmp_path / "a.npz", PLACED, TIMING)
+    delay_ps = PLACED.offset_ps[1] + 1e-5
+    found, _ = recorded_edges(read_recording(tmp_path / "a.npz"), CONFIG, TIMING, delay_ps=delay_ps)
+    assert found.tick[0] == 100 and found.offset_ps[0] == 0
+
+
+def test_edges_are_in_order_of_pulse_tick_and_pixel(tmp_path):
+    """Whatever the order of the photons in the file."""
+    path = tmp_path / "a.csv"
+    edges = [(0, 2, 5), (0, 3, 5), (0, 1, 6), (1, 4, 2), (1, 7, 2), (1, 0, 9)]
+    for order in (edges, edges[::-1], edges[1::2] + edges[::2]):
+        lines = ("pulse,pixel,tick", *(",".join(map(str, edge)) for edge in order))
+        path.write_text("\n".join(lines), encoding="utf-8")
+        assert edges_of(path) == (edges, {})
+
+
 def test_offsets_that_a_file_cannot_hold_are_told(tmp_path):
     write_edges(tmp_path / "a.npz", PLACED, TIMING)
     for name, is_told in (("b.ptu", True), ("b.npz", False)):
