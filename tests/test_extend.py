@@ -22,6 +22,7 @@ from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
 from coincid.model.depth import methods
+from coincid.model.depth.arrivals import SYSTEM_FWHM_S
 from coincid.model.depth.belief import LAW
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import PEAKS, PLANES, estimate_depth
@@ -33,7 +34,7 @@ from coincid.model.light.light import Light
 from coincid.model.light.photons import generate_edges
 from coincid.model.light.spad import OwnSpad, Spad, SpadGate, SpadTimes
 from coincid.model.light.timing import Timing
-from coincid.model.shared.pulse import Pulse
+from coincid.model.shared.pulse import Pulse, with_pulse
 from coincid.study.sweep_spec import read_spec
 from coincid.tb.replay import replay
 
@@ -186,6 +187,17 @@ def test_an_estimate_of_another_shape_is_refused(part, shape):
         run.depth(other)
 
 
+class Listening(Far):
+    """Keeps what it is told."""
+
+    name = "listening"
+    reads = ("opened", "stamp")
+
+    def estimate(self, reading):
+        self.reading = reading
+        return super().estimate(reading)
+
+
 @pytest.fixture(scope="module")
 def two_frames():
     frame = {"frames": 2, "pulses": 40}
@@ -213,6 +225,23 @@ def test_options_have_their_ranges_whatever_the_estimator_is(
     for value in refused:
         with pytest.raises(coincid.InputError, match=f"^{option} = .*: must be {told}$"):
             estimate_depth(result, two_frames.config, **options | {option: value})
+
+
+def test_an_estimator_is_told_all_that_was_asked_for(two_frames):
+    """With its own arrays only, and the pulse of the result where none is given."""
+    own, pulse, other = Listening(), Pulse.gaussian(300e-12), Pulse.gaussian(400e-12)
+    asked = {"frame": 1, "returns": 3, "workers": 2, "system_fwhm_s": 7e-10, "pulse": pulse}
+    result = with_pulse(two_frames.result, other)
+    estimate_depth(result, two_frames.config, method=own, **asked)
+    assert {name: getattr(own.reading, name) for name in asked} == asked
+    assert own.reading.arrays.keys() == set(own.reads)
+    assert own.reading.config == two_frames.config
+    estimate_depth(result, two_frames.config, method=own)
+    assert own.reading.frame is own.reading.workers is None and own.reading.returns == 1
+    assert np.array_equal(own.reading.pulse.density, other.density)
+    assert np.array_equal(own.reading.pulse.time_s, other.time_s)
+    estimate_depth(two_frames.result, two_frames.config, method=own)
+    assert own.reading.pulse is None and own.reading.system_fwhm_s == SYSTEM_FWHM_S
 
 
 def test_an_estimator_that_is_none_is_refused():

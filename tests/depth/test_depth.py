@@ -81,6 +81,17 @@ def test_range_error():
     assert np.isnan(range_error(np.array([np.nan]), np.array([5.0]))).all()
 
 
+def test_a_depth_of_an_array_is_believed_from_a_half_on_and_has_numbers_of_its_own():
+    """What is done to the array later changes no depth."""
+    depth_m, confidence = np.array([[5.0, 6.0, np.nan, 8.0]]), np.array([[0.5, 0.499, 0.9, 1.0]])
+    depth = Depth.of(depth_m, confidence)
+    depth_m[:], confidence[:] = 3.0, 0.0
+    assert np.array_equal(depth.depth_m[:, :, 0], [[5.0, 6.0, np.nan, 8.0]], equal_nan=True)
+    assert depth.confidence[:, :, 0].tolist() == [[0.5, 0.499, 0.0, 1.0]]
+    few, none, right = Reason.FEW_PHOTONS, Reason.NO_LIGHT, Reason.BELIEVED
+    assert depth.reason.tolist() == [[right, few, none, right]]
+
+
 def test_photons_behind_distinct_pixels():
     assert photons_of(np.arange(4), 64) == pytest.approx([0, 1, 2, 3], rel=0.03)
     assert np.all(np.diff(photons_of(np.arange(65), 64)) > 0) and np.isfinite(photons_of(64, 64))
