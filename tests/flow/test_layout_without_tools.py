@@ -5,6 +5,7 @@ block, its record, wires as SPEF, the clock tree's power, the netlist, and the s
 
 import json
 import sys
+import tomllib
 from contextlib import nullcontext
 from importlib import import_module
 from pathlib import Path
@@ -1087,6 +1088,141 @@ def test_every_setting_of_the_file_is_set_at_its_place(module):
     values = {"katana": {"a": 2, "inner": {"b": "c"}}, "etesian": {"d": [3]}}
     technology._set(config, values)
     assert (config.katana.a, vars(inner), config.etesian.d) == (2, {"other": 1, "b": "c"}, [3])
+
+
+def test_the_settings_of_the_file_come_with_the_sites_of_the_cells(module, monkeypatch):
+    """They are set where settings of a file are, and every value of the file among them."""
+    technology = module("technology")
+    config, priorities = SimpleNamespace(anabatic=SimpleNamespace()), []
+    files = SimpleNamespace(ConfigurationFile="of a file")
+    monkeypatch.setattr(
+        technology, "Cfg", SimpleNamespace(Parameter=SimpleNamespace(Priority=files))
+    )
+    monkeypatch.setattr(
+        technology, "CfgCache", lambda priority: priorities.append(priority) or nullcontext(config)
+    )
+    given = []
+    monkeypatch.setattr(technology, "_set", lambda *what: given.append(what))
+    technology._settings()
+    assert given == [(config, tomllib.loads(technology.SETTINGS.read_text(encoding="utf-8")))]
+    assert config.anabatic.cellGauge == technology.SITE_NAME
+    assert priorities == ["of a file"]
+
+
+def test_a_technology_is_there_before_its_cells(module, monkeypatch, tmp_path):
+    """The cells are those of all LEF files, with the strips of a file and room for their pins."""
+    technology = module("technology")
+    happened = []
+    for step in ("technology", "gauges", "settings"):
+        monkeypatch.setattr(technology, f"_{step}", lambda step=step: happened.append(step))
+    monkeypatch.setattr(technology, "_cells", lambda *given: happened.append(given) or "library")
+    (tmp_path / "strips").write_text('{"INV": {"A": [1, 2, 3, 4, true]}}', encoding="utf-8")
+    assert technology.set_up(["a.lef"], tmp_path / "strips", 0.75) == "library"
+    strips = {"INV": {"A": [1, 2, 3, 4, True]}}
+    assert happened == ["technology", "gauges", "settings", (["a.lef"], strips, 0.75)]
+
+
+def test_every_cell_gets_its_strips_and_the_room_of_its_pins(module, monkeypatch):
+    """The file of the technology is read first. A pin without a strip, as of a supply, stays; so
+    does the metal of a cell that is not used, which gets its room all the same.
+    """
+    technology = module("technology")
+    done = []
+
+    def cell(name, *pins):
+        nets = [SimpleNamespace(getName=lambda pin=pin: pin) for pin in pins]
+        return SimpleNamespace(getName=lambda: name, getNets=lambda: nets)
+
+    cells = [cell("INV", "A", "VDD", "ZN"), cell("OTHER", "A")]
+    library = SimpleNamespace(getCells=lambda: cells)
+    monkeypatch.setattr(technology, "LefImport", SimpleNamespace())
+    technology.LefImport.load = lambda path: done.append(("load", path))
+    technology.LefImport.setMergeLibrary = lambda of: done.append(("into", of is library))
+    framework = SimpleNamespace(wrapLibrary=lambda of, _: done.append(("wrap", of is library)))
+    database = SimpleNamespace(
+        getRootLibrary=lambda: "root",
+        getTechnology=lambda: SimpleNamespace(getLayer=lambda name: f"layer {name}"),
+    )
+    for name, stand_in in (
+        ("AllianceFramework", SimpleNamespace(get=lambda: framework)),
+        ("DataBase", SimpleNamespace(getDB=lambda: database)),
+        ("Library", SimpleNamespace(create=lambda *_: library)),
+        ("_replace_pin", lambda net, *given: done.append((net.getName(), *given))),
+        ("_widen", lambda of, um2_per_pin: done.append((of.getName(), um2_per_pin))),
+    ):
+        monkeypatch.setattr(technology, name, stand_in)
+    strips = {"INV": {"A": [1.0, 2.0, 3.0, 2.5, True], "ZN": [4.0, 5.0, 6.0, 5.5, False]}}
+    assert technology._cells([Path("tech"), Path("b"), Path("c")], strips, 0.75) is library
+    assert done[:2] == [("load", "tech"), ("into", True)]
+    assert done[2:5] == [("load", "b"), ("load", "c"), ("wrap", True)]
+    assert done[5:] == [
+        ("A", "layer metal2", 1.0, 2.0, 3.0),
+        ("ZN", "layer metal2", 4.0, 5.0, 6.0),
+        ("INV", 0.75),
+        ("OTHER", 0.75),
+    ]
+
+
+@pytest.mark.parametrize("routed", [True, False])
+def test_a_block_is_built_on_sites(module, monkeypatch, routed):
+    """Coriolis would put spare cells and the buffers of the clock tree on its own pitch."""
+    block = module("block")
+    monkeypatch.setattr(block, "configuration", lambda *given: given)
+    built = []
+    monkeypatch.setattr(
+        block,
+        "SnappedBlock",
+        lambda conf: SimpleNamespace(doPnR=lambda: built.append(conf) or int(routed)),
+    )
+    assert block.build("a cell", "a job") is routed
+    assert built == [("a cell", "a job")]
+    assert block.BlockConf.toXPitch is block.Spares.toXPitch is block.to_site
+
+
+@pytest.mark.parametrize(("routed", "code"), [(True, 0), (False, 3)])
+def test_the_program_of_a_job_saves_the_block_and_tells_whether_it_is_routed(
+    module, monkeypatch, tmp_path, routed, code
+):
+    """Only the port of the clock is one, not a net inside with its name. A block that is not routed
+    is saved too, so that one can look at it.
+    """
+    technology, block = module("technology"), module("block")
+    program = module("place_route")
+    done = []
+
+    def net(name, is_port):
+        return SimpleNamespace(
+            getName=lambda: name,
+            isExternal=lambda: is_port,
+            setType=lambda kind: done.append((name, is_port, kind)),
+        )
+
+    nets = [net("rst", True), net("own_clk", False), net("own_clk", True)]
+    cell = SimpleNamespace(getNets=lambda: nets)
+    coriolis = SimpleNamespace(
+        Blif=SimpleNamespace(load=lambda name: done.append(name) or cell),
+        Gds=SimpleNamespace(save=lambda of: done.append(("gds", of is cell))),
+        DefExport=SimpleNamespace(drive=lambda of, _: done.append(("def", of is cell))),
+    )
+    monkeypatch.setattr(sys.modules["coriolis"], "CRL", coriolis)
+    kinds = SimpleNamespace(Type=SimpleNamespace(CLOCK="clock"))
+    monkeypatch.setattr(sys.modules["coriolis.Hurricane"], "Net", kinds, raising=False)
+    monkeypatch.setattr(technology, "set_up", lambda *given: done.append(given))
+    monkeypatch.setattr(
+        block, "build", lambda of, job: done.append((of is cell, job.margin)) or routed
+    )
+    job = {"lef": ["a.lef", "b.lef"], "strips": "strips.json", "um2_per_pin": 0.75}
+    job |= {"blif": "mapped", "clock": "own_clk", "margin": 0.5}
+    (tmp_path / "job").write_text(json.dumps(job), encoding="utf-8")
+    assert program.main(str(tmp_path / "job")) == code
+    assert done == [
+        ([Path("a.lef"), Path("b.lef")], Path("strips.json"), 0.75),
+        "mapped",
+        ("own_clk", True, "clock"),
+        (True, 0.5),
+        ("gds", True),
+        ("def", True),
+    ]
 
 
 @pytest.mark.parametrize("missing", ["cells", "coriolis", "klayout", None])

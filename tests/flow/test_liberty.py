@@ -97,7 +97,7 @@ def test_a_name_is_the_same_with_quotes(tmp_path):
 def test_areas_of_all_cells():
     text = """\
   cell (ONE) {
-    drive : 2;
+    drive : 2; scaled_area : 7.5;
     area : 1.25;
     pin (A) { capacitance : 9.5; }
   }

@@ -23,6 +23,8 @@ from coincid.flow.ports import port_rows
 from coincid.hdl.sensor import FPGA_TOP
 from coincid.model.contract.config import load_config
 
+from ..hdl.test_memory import simulated
+
 BOARD = Board(
     title="Placement",
     page="page.md",
@@ -359,6 +361,56 @@ def test_the_wrappers_clocks_come_a_tick_after_one_another():
     clocks = {"CLKI": "clk_in", "CLKFB": "clk", "CLKOP": "clk", "LOCK": "locked"}
     clocks |= {name: f"phase_clocks[{k}]" for k, name in enumerate(outputs[1:])}
     assert clocks.items() <= pll.items()
+
+
+# In place of the sensor and the PLL: the bench shows the reset of the one, and what the other is
+# told; it locks after some cycles.
+OF_THE_WRAPPER = """
+module EHXPLLL #(
+  parameter CLKI_DIV = 0, CLKFB_DIV = 0, FEEDBK_PATH = "", CLKOP_ENABLE = "", CLKOP_DIV = 0,
+  parameter CLKOP_CPHASE = 0, CLKOP_FPHASE = 0, CLKOS_ENABLE = "", CLKOS_DIV = 0, CLKOS_CPHASE = 0,
+  parameter CLKOS_FPHASE = 0, CLKOS2_ENABLE = "", CLKOS2_DIV = 0, CLKOS2_CPHASE = 0, CLKOS2_FPHASE = 0,
+  parameter CLKOS3_ENABLE = "", CLKOS3_DIV = 0, CLKOS3_CPHASE = 0, CLKOS3_FPHASE = 0
+) (
+  input CLKI, CLKFB, RST, STDBY, PHASESEL0, PHASESEL1, PHASEDIR, PHASESTEP, PHASELOADREG, PLLWAKESYNC,
+  input ENCLKOP, output CLKOP, CLKOS, CLKOS2, CLKOS3, output reg LOCK
+);
+  assign CLKOP = CLKI;
+  initial begin
+    LOCK = 0;
+    $display("%s %s %s %s %s", FEEDBK_PATH, CLKOP_ENABLE, CLKOS_ENABLE, CLKOS2_ENABLE, CLKOS3_ENABLE);
+    #1 $display("%b", {RST, STDBY, PHASESEL0, PHASESEL1, PHASEDIR, PHASESTEP, PHASELOADREG, PLLWAKESYNC, ENCLKOP});
+    #30 LOCK = 1;
+  end
+endmodule
+module bench;
+  reg clk = 0, rst = 0;
+  coincid_ecp5 dut (.clk_in(clk), .rst_in(rst));
+  task edges(input integer n); repeat (n) begin
+    #5 clk = 1;
+    #1 $write("%0d", dut.sensor.rst);
+    #4 clk = 0;
+  end endtask
+  initial begin
+    #2 edges(6);
+    rst = 1; edges(1); rst = 0; edges(4);
+  end
+endmodule
+"""
+
+
+def test_the_wrapper_is_reset_until_its_pll_locks_and_by_its_pin(tmp_path):
+    """A pulse of a cycle is a reset of a cycle, behind two registers. Nothing else is asked of the
+    PLL than its clocks.
+    """
+    text = fpga_module.WRAPPER.read_text(encoding="utf-8")
+    ports = ", ".join(connected(text, "sensor"))
+    sensor = f"module coincid_fpga({ports}); input {ports}; endmodule"
+    said = simulated(tmp_path, text, sensor, OF_THE_WRAPPER)
+    paths, controls, resets = said.splitlines()
+    assert paths == "CLKOP ENABLED ENABLED ENABLED ENABLED"
+    assert controls == "0" * 9
+    assert resets == "111100" + "01000"
 
 
 def test_no_placement_is_taken_for_another(monkeypatch, tmp_path):

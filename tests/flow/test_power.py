@@ -128,6 +128,14 @@ def test_frames_of_unequal_lengths_count_their_own_cycles(lengths):
     assert toggles["inner.net"][:, 0].tolist() == lengths
 
 
+def test_changes_at_the_end_of_a_simulation_count():
+    """The simulation ends in the last cycle of its last frame, with no later time in its file."""
+    header, _, _ = VCD.partition(b"#0 ")
+    changes = b"#0 0! 1$ 0#\n#500 0$\n#1000 1!\n#2000 0! 1#\n"
+    toggles = transitions(BytesIO(header + changes), 1, [2], 1000)
+    assert toggles["inner.net"].tolist() == [[1]]
+
+
 def test_sum_by_hand():
     """clk clocks a flip-flop, whose output drives a buffer that drives nothing."""
     output = Pin(True, 0.0, always(1.0), False)
@@ -200,6 +208,16 @@ def test_a_gated_flip_flop_by_hand():
     assert of["flop"].total == of["flop"].clock == pytest.approx(PER_FJ * (4 * 3.0 + 4 * 2.0 * 1.0))
     assert of["flop"].idle == pytest.approx(of["flop"].clock / 2)
     assert of["gate"].idle == 0
+
+
+def test_a_latch_that_changes_more_often_than_its_clock_has_no_idle_power():
+    """An open latch passes all changes of its data; the idle part is not below 0."""
+    latch = Cell(0.0, {"G": CLOCK, "Q": Pin(True, 0.0, None, False)})
+    names = {2: [("clk", 0)], 3: [("q", 0)]}
+    design = Design([""], [Instance("", "DLH", {"G": 2, "Q": 3})], names, {"DLH": latch}, 2.0)
+    toggles = {"clk": np.array([[20]]), "q": np.array([[13]])}
+    of = power(design, toggles, 0, 10, 100.0)[""]
+    assert of.clock > 0 == of.idle
 
 
 def test_at_rest_only_the_clock_moves():

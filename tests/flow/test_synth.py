@@ -384,7 +384,9 @@ def test_the_top_of_an_fpga_takes_the_place_of_the_sensor(asked):
 
 
 def test_whole_blocks_are_shown_by_pixel_at_the_clock_of_the_preset(monkeypatch):
-    """The pitch is the side of a square of a pixel's area; the slack is the least of all kinds."""
+    """The pitch is the side of a square of a pixel's area; the slack is the least of all kinds. The
+    module of a sensor with one subgroup has one line, and is no block outside the modules.
+    """
     config = evolve(load_config("silicon"), sensor=SMALL).with_frame(clock_mhz=400.0)
     clocks_ns = []
     cells = {"DFF_X1": 2, "DLH_X1": 3, "CLKGATE_X1": 5, "NAND2_X1": 7}
@@ -399,7 +401,7 @@ def test_whole_blocks_are_shown_by_pixel_at_the_clock_of_the_preset(monkeypatch)
     monkeypatch.setattr(synth, "map_block", block_of)
     monkeypatch.setattr(synth, "slacks_ns", slacks)
     monkeypatch.setattr(synth, "scan_chain", lambda netlist: "A scan chain.")
-    netlist = Netlist(CELLS, Path(), ["coincid_readout_1"], {})
+    netlist = Netlist(CELLS, Path(), ["coincid_module_1", "coincid_readout_1"], {})
     lines = synth.whole_blocks(config, netlist)
     assert set(clocks_ns) == {2.5}
     rows = [
@@ -409,8 +411,10 @@ def test_whole_blocks_are_shown_by_pixel_at_the_clock_of_the_preset(monkeypatch)
     ]
     of_block = {row[0]: row[1:] for row in rows if len(row) == 11 and row[1].isdigit()}
     pixels = {"minigroup": SMALL.minigroup_pixels, "subgroup": SMALL.pixels}
+    pixels |= {"module_1": SMALL.pixels}
     for name, number in pixels.items():
         share = 1600 / number
         shown = [f"{share:.0f}", f"{math.sqrt(share):.1f}", "-0.25", "+0.75"]
         assert of_block[name] == ["17", "2", "3", "5", "11", "1600", *shown]
-    assert ["readout_1", "-0.25"] in rows
+    outside = [row for row in rows if len(row) == 2 and not row[0].startswith("---")]
+    assert outside == [["block", "slack ns"], ["readout_1", "-0.25"]]

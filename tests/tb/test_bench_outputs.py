@@ -141,6 +141,36 @@ def test_a_frame_that_hangs_ends_at_its_limit(stalled, bench, monkeypatch):
     assert told == list(range(cosim.PROGRESS_CYCLES, limit + 1, cosim.PROGRESS_CYCLES))
 
 
+def test_what_is_missing_at_the_end_of_a_frame_is_asked_of_the_board(bench, monkeypatch):
+    """After the last cycle of the frame, although every stream ends in the first one."""
+    monkeypatch.setattr(cosim, "FallingEdge", Now)
+    config = configured(SENSORS["odd"], {"period": 60, "pulses": 3})
+    for line in (*bench.tvalid, *bench.tlast):
+        line.value = 1
+    sensor = SensorBench.__new__(SensorBench)
+    tready = [SimpleNamespace(value=0) for _ in range(2)]
+    vars(sensor).update(vars(bench), dut=SimpleNamespace(clk=None), spad=[], tready=tready)
+    happened = []
+
+    async def nothing(*_):
+        pass
+
+    async def start(_):
+        return nothing()
+
+    async def acknowledge():
+        happened.append("acknowledged")
+
+    sensor.program, sensor._start, sensor._acknowledge = nothing, start, acknowledge
+    board = Board()
+    board.finish = lambda: happened.append("finished")
+    nobody = np.zeros(0, np.int64)
+    edges, ready = Edges(nobody, nobody, nobody), np.zeros(0, np.uint8)
+    record = asyncio.run(sensor.play(config, edges, ready, board))
+    assert happened == ["finished", "acknowledged"]
+    assert record.cycles == config.frame_cycles and record.checked == board.checked
+
+
 class Laser:
     """A laser that fires at some reading, or never; a bench that waits for ever is told."""
 
@@ -200,3 +230,33 @@ def test_a_start_that_is_refused_is_told_instead_of_waited_for(refused, monkeypa
         assert laser.readings == 20
     assert written == [("control", control("start")[1])]
     assert [line.value for line in lines] == [0, 0]
+
+
+def test_after_a_reset_every_setting_is_written_anew(monkeypatch):
+    """Before it, only those that differ. No light and no beat meets the reset."""
+    monkeypatch.setattr(cosim, "RisingEdge", Now)
+    started = []
+    clock = SimpleNamespace(start=lambda: None)
+    monkeypatch.setattr(cosim, "Clock", lambda *given: started.append(given) or clock)
+    spad, ready = ([SimpleNamespace(value=1)] for _ in range(2))
+    dut = SimpleNamespace(clk="clk", rst=SimpleNamespace(value=None), test_enable=spad[0])
+    written = []
+
+    async def write(address, value):
+        written.append((address, value))
+
+    sensor = SensorBench.__new__(SensorBench)
+    vars(sensor).update(dut=dut, spad=spad, tready=ready, cycle_fs=2_000_000, programmed={})
+    sensor.axi = SimpleNamespace(write=write)
+    config = configured(SENSORS["odd"], {"period": 60, "pulses": 3})
+    asyncio.run(sensor.program(config))
+    settings = list(config.register_writes())
+    assert written == settings
+    asyncio.run(sensor.program(config.with_frame(pulses=4)))
+    assert len(settings) < len(written) < 2 * len(settings)
+    written.clear()
+    asyncio.run(sensor.reset())
+    assert (dut.rst.value, spad[0].value, ready[0].value) == (0, 0, 0)
+    assert started == [("clk", 2_000_000, "fs")]
+    asyncio.run(sensor.program(config))
+    assert written == settings

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from attrs import evolve
+from attrs import evolve, frozen
 
-from coincid.hdl.front_end_views import POLYPHASE, VIEWS
+from coincid.hdl.front_end_views import POLYPHASE, VIEWS, Polyphase
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.packet import FRAME_END, FRAME_START, PACKETS, header_field, layout
 from coincid.model.contract.parameters import TOP, Sensor
@@ -297,7 +297,17 @@ def test_no_compiled_design_is_taken_for_another(simulator, monkeypatch, tmp_pat
     assert len(set(found)) == len(found)
 
 
-@pytest.mark.parametrize("name", VIEWS)
+@frozen
+class OwnWords(Polyphase):
+    """A user's view of words, which is not the one that is used where none is named."""
+
+    name = "own words"
+
+
+OF_VIEWS = VIEWS | {"own words": OwnWords()}
+
+
+@pytest.mark.parametrize("name", OF_VIEWS)
 def test_only_a_view_of_words_is_built_without_delays(name, monkeypatch):
     """Its modules are compiled once for all instances; the time in the others is seen by tests."""
     asked = []
@@ -305,11 +315,11 @@ def test_only_a_view_of_words_is_built_without_delays(name, monkeypatch):
     monkeypatch.setattr(
         play.toolchain, "build", lambda *given, **named: asked.append((given, named))
     )
-    view = VIEWS[name].at(500.0)
+    view = OF_VIEWS[name].at(500.0)
     play.build_sensor(Sensor(), "icarus", True, view)
     ((given, named),) = asked
     assert given == ("icarus", ["a.v"], TOP) and named["waves"]
-    words = view == POLYPHASE
+    words = name != "async"
     assert named["delays"] == (not words) == (len(named["blocks"]) == 0)
     assert named["public"] == [f"{TOP}.stored_of_*", *([] if words else [f"{TOP}.timing"])]
 
@@ -324,7 +334,7 @@ def test_an_engine_is_prepared_by_its_own_build(engine, monkeypatch):
     assert built == [own]
 
 
-@pytest.mark.parametrize("name", VIEWS)
+@pytest.mark.parametrize("name", OF_VIEWS)
 def test_a_simulator_gets_all_that_is_asked_of_it(name, jobs, monkeypatch, tmp_path):
     """Its records and its waveform come back."""
     asked, told = [], []
@@ -340,7 +350,7 @@ def test_a_simulator_gets_all_that_is_asked_of_it(name, jobs, monkeypatch, tmp_p
 
     monkeypatch.setattr(play, "build_sensor", build_sensor)
     monkeypatch.setattr(play, "play_in", play_in)
-    view = VIEWS[name]
+    view = OF_VIEWS[name]
     found = play.play(jobs, "icarus", tmp_path, waves=True, progress=told.append, view=view)
     assert found == (["records"], run.wave)
     build = CONFIG.sensor, "icarus", True, view

@@ -8,7 +8,7 @@ import pytest
 from attrs import evolve
 
 from coincid.model.contract.counters import COUNTER_NAMES
-from coincid.model.contract.packet import PACKETS, layout, packet_fields
+from coincid.model.contract.packet import COUNTS, PACKETS, layout, packet_fields
 from coincid.model.golden.frame import Golden
 from coincid.tb.frame_record import Recorded, cycle_limit
 from coincid.tb.rtl_errors import Mismatch
@@ -269,3 +269,20 @@ def test_what_is_missing_is_counted_with_what_is_due(trace, record):
             Mismatch, match=f"^frame 5, stream {stream}: 3 beats, golden .* {number}$"
         ):
             board.finish()
+
+
+def test_a_wrong_word_of_counts_is_told_with_its_minigroup():
+    """Whose packets have no pulse; the second one of the second subgroup."""
+    config = configured(
+        {"rows": 8, "cols": 16, "counts": 1},
+        {"period": 60, "pulses": 5, "format": "counts", "search_pulses": 2},
+    )
+    counted = Golden(config.sensor).frame(config, trouble(config, 1, 4.0))
+    length = layout(config.sensor).length(COUNTS)
+    first = 1 + (config.sensor.minigroups + 1) * length
+    beats = [counted.beats[0].copy()]
+    beats[0][first + 1] ^= np.uint64(1)
+    record = Recorded(beats, counted.beat_cycle, counted.commit_subgroup, counted.commit_cycle, 0)
+    told = ", subgroup 1, minigroup 1, cycle .*, counts packet, beat 1 of it: pulses is "
+    with pytest.raises(Mismatch, match=told):
+        check(config.sensor, counted, record)
