@@ -586,6 +586,15 @@ def test_a_port_that_is_gone_is_an_error_of_the_link(opened, error):
     assert line.closed
 
 
+def test_a_port_tells_the_time_of_this_computer_and_no_beats_of_its_own(opened, monkeypatch):
+    """In seconds, whatever the clock on the wall does. Beats wait in the emulator's buffer."""
+    monkeypatch.setattr(serial_transport.time, "monotonic", lambda: 12.5)
+    with opened(Opened()) as port:
+        assert port.now() == 12.5
+        beats = SerialTransport(port).receive(0)
+    assert beats.dtype == np.uint64 and beats.shape == (0,)
+
+
 class Counting:
     """A port to a device that gives each word its address; it loses the answers to some requests,
     and refuses the words from the address `refused` on.

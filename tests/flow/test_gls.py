@@ -7,6 +7,7 @@ import pytest
 
 from coincid.flow import gls
 from coincid.flow.synth import CELLS, GATES
+from coincid.model.shared.errors import InputError
 
 from .sensors import SMALL
 
@@ -111,6 +112,33 @@ def test_each_netlist_is_told_with_its_words_and_its_cycles(monkeypatch):
     assert next(lines) == f"{GATES}: 10 words and commits in 1000 cycles, 0 mismatches"
     assert played == [GATES]
     assert list(lines) == [f"{CELLS}: 20 words and commits in 2000 cycles, 0 mismatches"]
+
+
+def test_a_netlist_is_compiled_with_the_models_of_its_own_cells(monkeypatch, tmp_path):
+    """Under a name that tells its cells and its sensor, with the nets that a caller wants dumped."""
+    built = []
+
+    def build(simulator, sources, top, *, key, scopes):
+        built.append((simulator, sources[0], sources[1].read_text(encoding="utf-8"), top, key))
+        return scopes
+
+    netlist = type("Synthesized", (), {"folder": tmp_path})
+    monkeypatch.setattr(gls, "synthesize", lambda sensor, target: netlist)
+    monkeypatch.setattr(gls, "cell_models", lambda target: f"models of {target}")
+    monkeypatch.setattr(gls, "sensor_key", lambda sensor: "small")
+    monkeypatch.setattr(gls.toolchain, "build", build)
+    assert gls.netlist_build(SMALL, GATES) == ()
+    assert gls.netlist_build(SMALL, CELLS, ["top.a"]) == ["top.a"]
+    assert built == [
+        ("icarus", tmp_path / "netlist.v", f"models of {target}", gls.TOP, f"{target}-small")
+        for target in (GATES, CELLS)
+    ]
+
+
+def test_cells_that_are_not_installed_are_told_with_what_installs_them(monkeypatch):
+    monkeypatch.setattr(gls, "cells_folder", lambda: None)
+    with pytest.raises(InputError, match="^the standard cells are not installed; run: scripts/set"):
+        gls.cell_models(CELLS)
 
 
 def test_a_netlist_plays_the_frames_that_are_asked_for(monkeypatch):

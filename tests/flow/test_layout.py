@@ -71,6 +71,19 @@ def test_lengths_of_wires(tmp_path):
     assert lengths == {"clk": {6: 2.0}, "a": {}, "b": {4: 0.7, 3: 1.0}}
 
 
+@pytest.mark.parametrize("lacking", ["UNITS", "NETS"])
+def test_a_file_of_wires_without_units_or_nets_is_told_by_its_name(tmp_path, lacking):
+    path = tmp_path / "routed.def"
+    path.write_text(DEF.replace(lacking, "OTHER"), encoding="utf-8")
+    with pytest.raises(ValueError, match="^routed.def: no units, or no nets$"):
+        wires.lengths_um(path)
+
+
+def test_a_pin_that_no_track_crosses_is_told_with_its_place(tmp_path):
+    with pytest.raises(ValueError, match=r"^no track crosses the pin at \(280,600;480,1800\)$"):
+        strips_of(tmp_path, A="0.14 0.3 0.24 0.9")
+
+
 def test_strips_stand_on_their_pins(tmp_path):
     path = tmp_path / "two.lef"
     path.write_text(LEF, encoding="utf-8")

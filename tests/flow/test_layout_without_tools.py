@@ -493,6 +493,13 @@ def test_a_cell_gets_whole_sites_on_its_right_until_its_pins_have_room(
     assert boxes[-1] == (100, 20, 100 + width, 20 + ROW)
 
 
+def test_a_cell_without_pins_stays_as_it_is(module):
+    """A filler has supplies only."""
+    net = SimpleNamespace(isExternal=lambda: True, isSupply=lambda: True)
+    cell = SimpleNamespace(getNets=lambda: [net], getAbutmentBox=lambda: Extent(0, 0, SITE))
+    module("technology")._widen(cell, 10.0)
+
+
 def test_each_fact_of_a_layout_stands_beside_its_name(module):
     found = {
         "width_um": 50.04,
@@ -870,7 +877,7 @@ def test_the_page_of_layouts_has_a_column_and_a_picture_for_each_view(
         assert mhz == clock_mhz
         own = numbers.setdefault(unit.unit_name, len(numbers) + 1)
         folder = tmp_path / unit.unit_name
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         Image.new("RGB", (own, 1)).save(folder / f"{unit.unit_name}.png")
         found = {
             "width_um": 10.0 * own,
@@ -926,6 +933,20 @@ def test_the_page_of_layouts_has_a_column_and_a_picture_for_each_view(
         with Image.open(page.parent / "images" / name) as shown:
             pictured.append(shown.size == (number, 1))
     assert pictured == [True, True]
+    # Without another place, the page and the pictures are those of the project, and the page that
+    # shows them is renewed.
+    renewed = []
+    monkeypatch.setattr(document, "picture", lambda folder: tmp_path / folder)
+    for name in ("put_page", "put"):
+        monkeypatch.setattr(
+            document, name, lambda *given, name=name: renewed.append((name, *given))
+        )
+    document.write_layout_page(tell=print)
+    whole = "put_page", "docs/layout.md", "layout"
+    (*told, own, out), other = renewed
+    assert (tuple(told), own.split(), out) == (whole, text.split(), None)
+    assert other == ("put", "docs/silicon.md", "layout")
+    assert len(list((tmp_path / "docs" / "images").iterdir())) == 2
 
 
 @pytest.mark.parametrize("margin", [0.45, 0.6])

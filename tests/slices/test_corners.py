@@ -3,8 +3,12 @@
 and what a design is kept by.
 """
 
+import json
+import re
+
 from coincid.slices import synthesis
-from coincid.slices.emit import DarkInput
+from coincid.slices.emit import DarkInput, Emission
+from coincid.slices.netlist import ONE, ZERO, Block, Flop, Table
 from coincid.slices.slices import Slices
 from coincid.slices.synthesis import Design
 
@@ -115,6 +119,53 @@ def test_a_row_stores_what_was_there_before_the_edge():
     for lane in range(LANES):
         expected = list(rows_by_hand([cycle[lane] for cycle in cycles]))
         assert [(shown[lane], value[lane]) for shown, value in seen] == expected, lane
+
+
+def test_a_dark_input_of_a_design_without_units_sets_its_flags():
+    """A bit sets that of its field and that of all fields together."""
+    inputs = tuple(range(2, 10))
+    tables = [Table(inputs[k : k + 3], (100 + k,), 0x80) for k in (0, 5)]
+    tables += [Table((100, 105), (110,), 14)]
+    flops = [Flop(table.outputs[0], 200 + k) for k, table in enumerate(tables)]
+    block = Block("own", {"in": inputs}, {"out": (200, 201, 202)}, tables, flops, [], [], {})
+    emission = Emission({"own": block}, "own", [DarkInput("own", "in", 4)])
+    assert emission.layout.flags == 3
+    assert emission.layout.flags_of == {"in": [[0, 2]] * 4 + [[1, 2]] * 4}
+    rows = ", ".join(["{0, 2}"] * 4 + ["{1, 2}"] * 4)
+    assert f"constexpr int FLAGS_OF_in[][2] = {{{rows}}};" in emission.header
+    for number in range(3):
+        assert f"if (F[{number}]) {{" in emission.source
+    light = Emission({"own": block}, "own")
+    assert light.layout.flags == 0 and not light.layout.flags_of and "F[" not in light.source
+
+
+def test_a_table_without_inputs_is_a_constant():
+    tables = [Table((), (100,), 0), Table((), (101,), 1), Table((2, 101), (102,), 8)]
+    flops = [Flop(100 + k, 200 + k, enable=ONE, reset=ZERO) for k in range(3)]
+    block = Block("own", {"in": (2,)}, {"out": (200, 201, 202)}, tables, flops, [], [], {})
+    source = Emission({"own": block}, "own").source
+    values = dict(re.findall(r"const W (t\d+) = (.*);", source))
+    (one,) = re.findall(r"table<8>\(V\[\d+\], (t\d+)\)", source)
+    assert values.pop(one) == "ONES" and "ZEROS" in values.values()
+
+
+def test_a_design_keeps_its_code_beside_its_netlist(monkeypatch, tmp_path):
+    ports = {way[0]: {"direction": way, "bits": [2]} for way in ("input", "output")}
+    module = {"ports": ports, "cells": {}, "netnames": {}}
+    netlist = json.dumps({"modules": {"a": module}})
+    (tmp_path / synthesis.NETLIST).write_text(netlist, encoding="utf-8")
+
+    def once(folder, files, script, state, emit):
+        assert (folder.name, folder.parent.name) == ("design", "slices")
+        emit(tmp_path)
+        return tmp_path
+
+    monkeypatch.setattr(synthesis, "yosys_once", once)
+    design = Design("design", {"a.v": ""}, "a")
+    emission = design.emission()
+    kept = {path.name: path.read_text(encoding="utf-8") for path in tmp_path.iterdir()}
+    code = {"slice.cpp": emission.source, "slice.h": emission.header}
+    assert kept == {synthesis.NETLIST: netlist} | code
 
 
 def test_no_design_is_taken_for_another(monkeypatch, tmp_path):

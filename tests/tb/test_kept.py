@@ -176,6 +176,41 @@ def asked(monkeypatch):
     return found
 
 
+def test_a_bench_is_compiled_from_its_files_with_its_parameters(monkeypatch, tmp_path):
+    """Files that others include are there, and are no sources. It runs where it was compiled, with
+    the arguments of the simulator, and says its lines.
+    """
+    bench = tmp_path / "bench.v"
+    bench.write_text("module bench;", encoding="utf-8")
+    monkeypatch.setattr(stress, "build_root", lambda: tmp_path)
+    monkeypatch.setattr(stress.toolchain, "icarus", lambda: "Icarus 1")
+    compiled, run = [], []
+
+    def compile_in(scratch, log, command):
+        texts = {path.name: path.read_text(encoding="utf-8") for path in scratch.iterdir()}
+        compiled.append((texts, log.parent == scratch, command))
+
+    def simulated(command, *, cwd, **_):
+        run.append((command, cwd.parent == tmp_path / "bench" and (cwd / "a.v").exists()))
+        return SimpleNamespace(returncode=0, stdout="one\ntwo\n\n", stderr="")
+
+    monkeypatch.setattr(stress, "compile_in", compile_in)
+    monkeypatch.setattr(stress.subprocess, "run", simulated)
+    files = {"a.v": "module a;", "front.vh": "wire w;"}
+    for _ in range(2):
+        said = stress.run_bench(
+            bench, files, parameters={"N": 5, "K": 0}, arguments=["+seed=2"], aperture=True
+        )
+        assert said == ["one", "two"]
+    ((texts, log_is_there, command),) = compiled
+    assert texts == {**files, "bench.v": "module bench;"} and log_is_there
+    assert command[:2] == ["iverilog", "-g2012"] and command[-2:] == ["a.v", "bench.v"]
+    assert command[command.index("-s") + 1] == "bench"
+    assert command[command.index("-o") + 1] == "bench.vvp"
+    assert {"-Pbench.N=4'd5", "-Pbench.K=1'd0", "-DCOINCID_APERTURE_PS=20"} < set(command)
+    assert run == [(["vvp", "-n", "bench.vvp", "+seed=2"], True)] * 2
+
+
 def test_a_stress_test_has_its_edges_its_seed_and_its_sensor(asked):
     told = stress.stress(3000, 7, sensor=Sensor(rows=4, cols=4, subgroup=(4, 4), phases=8))
     assert told == {"edges": 5}

@@ -124,6 +124,16 @@ def test_a_wrong_counter_is_named_with_its_subgroup(stream, trace, record):
             check(CONFIG.sensor, trace, evolve(record, beats=beats))
 
 
+def test_events_of_different_subgroups_are_recorded_in_any_order(trace, record):
+    """Each subgroup's own are in the order of time."""
+    order = np.argsort(record.commit_cycle, kind="stable")
+    record.commit_subgroup = record.commit_subgroup[order]
+    record.commit_cycle = record.commit_cycle[order]
+    assert np.any(np.diff(record.commit_subgroup) < 0)
+    number = sum(map(len, trace.beats)) + len(trace.commit_cycle)
+    assert check(CONFIG.sensor, trace, record) == number
+
+
 def test_bits_behind_the_last_counter_are_told(trace, record):
     """They fill the last beat, and are 0."""
     assert len(COUNTER_NAMES) % 2

@@ -935,6 +935,44 @@ def test_a_simulator_finds_the_modules_of_its_caller_first(monkeypatch):
     assert alone["PYTHONPATH"].split(os.pathsep)[:2] == own
 
 
+def test_a_python_without_a_library_gets_one(monkeypatch):
+    """That of its own version; the simulator is given what is found then."""
+    installed = []
+    monkeypatch.setattr(toolchain, "install", installed.append)
+    monkeypatch.setattr(
+        toolchain.find_libpython,
+        "find_libpython",
+        lambda: f"/usr/lib/{installed[0]}.so" if installed else None,
+    )
+    found = toolchain._cocotb_environment({})
+    package = f"libpython3.{sys.version_info.minor}"
+    assert installed == [package]
+    assert found["GPI_USERS"].startswith(f"/usr/lib/{package}.so;")
+
+
+def test_a_build_keeps_no_folder_of_the_compiler(monkeypatch, tmp_path):
+    source = tmp_path / "toy.v"
+    source.write_text(TOY, encoding="utf-8")
+
+    def compiled(directory, make):
+        scratch = tmp_path / "scratch"
+        scratch.mkdir()
+
+        def run(command):
+            (scratch / "sim.vvp").touch()
+            (scratch / "made" / "inside").mkdir(parents=True)
+            (scratch / "made" / "object.o").touch()
+
+        make(scratch, run)
+        return scratch
+
+    monkeypatch.setattr(toolchain, "compile_once", compiled)
+    monkeypatch.setattr(toolchain, "icarus", lambda: "Icarus 1")
+    built = toolchain.build("icarus", [source], "toy", key="toy")
+    kept = {path.name for path in built.directory.iterdir()}
+    assert kept == {"toy.v", "timescale.f", "sim.vvp"}
+
+
 PORTS = rb"""
 // module toy (input hidden);
 module toy_other(input of_another); endmodule

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Units as object files: what is compiled how, what stays, and a failure in either half."""
 
+from pathlib import Path
+
 import pytest
 
 from coincid.tb import verilated
@@ -51,6 +53,11 @@ def compiled(tmp_path, monkeypatch):
         return verilated.verilated_unit("top", "Top", [source], **options), given
 
     return make_unit
+
+
+def test_headers_are_those_of_the_verilator_that_made_a_unit(monkeypatch):
+    monkeypatch.setattr(verilated.toolchain, "verilator", lambda: Path("root/bin/verilator"))
+    assert verilated.include() == ["-Iroot/include", "-Iroot/include/vltstd"]
 
 
 def test_a_unit_is_its_headers_and_an_object_file_of_each_half(compiled):
