@@ -1068,7 +1068,7 @@ def test_each_metal_and_each_via_has_its_layer_its_width_and_its_distance(module
 def test_tracks_alternate_and_only_the_lower_metals_are_routed(module, monkeypatch):
     """Metal2 has the pins only; metal7 and above are for supplies."""
     technology = module("technology")
-    made = []
+    made, gauges = [], []
     gauge = SimpleNamespace(setSymbolic=lambda on: None, addLayerGauge=made.append)
     layers = SimpleNamespace(
         Horizontal="flat",
@@ -1084,7 +1084,7 @@ def test_tracks_alternate_and_only_the_lower_metals_are_routed(module, monkeypat
     for name, stand_in in (
         ("AllianceFramework", SimpleNamespace(get=lambda: framework)),
         ("DataBase", SimpleNamespace(getDB=lambda: database)),
-        ("RoutingGauge", SimpleNamespace(create=lambda name: gauge)),
+        ("RoutingGauge", SimpleNamespace(create=lambda name: gauges.append(name) or gauge)),
         ("CellGauge", SimpleNamespace(create=lambda *given: given)),
         ("RoutingLayerGauge", layers),
     ):
@@ -1099,6 +1099,21 @@ def test_tracks_alternate_and_only_the_lower_metals_are_routed(module, monkeypat
         assert first == (70 if way == "flat" else 95)
         assert width == round(1000 * technology.WIDTH_UM[i]) <= pad < pitch or i == 3
         assert pitch == round(1000 * technology.PITCH_UM[i])
+    settings = tomllib.loads(technology.SETTINGS.read_text(encoding="utf-8"))
+    assert gauges == [settings["anabatic"]["routingGauge"]]
+
+
+def test_cells_and_supplies_of_the_settings_are_those_of_the_flow(module):
+    """Of the power of the clock tree, of the constants that Yosys puts in, and of the fillers."""
+    flow, pins = module("flow"), module("pins")
+    settings = tomllib.loads(module("technology").SETTINGS.read_text(encoding="utf-8"))
+    assert settings["clockTree"]["buffer"] == settings["spares"]["buffer"] == flow.CLOCK_BUFFER
+    crlcore, etesian = settings["crlcore"], settings["etesian"]
+    assert (crlcore["powerName"], crlcore["groundName"]) == pins.SUPPLIES
+    assert etesian["cell"] == {"zero": "LOGIC0_X1", "one": "LOGIC1_X1"}
+    feeds = etesian["feedNames"].split(",")
+    assert etesian["defaultFeed"] == feeds[0] == "FILLCELL_X1"
+    assert feeds == [f"FILLCELL_X{sites}" for sites in (1, 2, 4, 8, 16)]
 
 
 def test_every_setting_of_the_file_is_set_at_its_place(module):

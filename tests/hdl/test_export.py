@@ -322,3 +322,23 @@ def test_for_cells_memories_and_clock_gates_are_others(exported):
     assert others.keys() == kinds
     for name, text in others.items():
         assert text != files[name]
+
+
+def test_files_that_a_caller_changes_stay_as_they_are_for_the_next_one(monkeypatch):
+    """Exports are kept in memory; each caller gets a copy."""
+    kept = export._Blocks({"a.v": "plain", "b.v": "alone"}, {"a.v": "of cells"})
+    monkeypatch.setattr(export, "_sensor_blocks", lambda sensor, view: kept)
+    monkeypatch.setattr(export, "_fpga_blocks", lambda sensor: kept.files)
+    sensor = Sensor(rows=8, cols=8)
+    asked = [
+        lambda: export.verilog_files(sensor),
+        lambda: export.verilog_files(sensor, cells=True),
+        lambda: export.cell_files(sensor),
+        lambda: export.fpga_files(sensor),
+    ]
+    first = [dict(ask()) for ask in asked]
+    for ask in asked:
+        ask().clear()
+    assert [ask() for ask in asked] == first
+    assert first[0] == first[3] == {"a.v": "plain", "b.v": "alone"}
+    assert first[1] == {"a.v": "of cells", "b.v": "alone"} and first[2] == {"a.v": "of cells"}

