@@ -1021,6 +1021,30 @@ def test_an_export_that_cannot_be_put_in_place_leaves_the_earlier_one(
     assert list(tmp_path.iterdir()) == [folder]
 
 
+@pytest.mark.parametrize("others", [[], ["old/mine.txt"], ["old/mine/deep.txt"]])
+def test_a_folder_of_an_earlier_export_goes_with_its_files(others, monkeypatch, tmp_path):
+    """Unless somebody has put something of his own into it."""
+
+    def of(*names):
+        listed = json.dumps({"name": TOP, "sha256": dict.fromkeys(names, "")})
+        return dict.fromkeys(names, b"") | {"manifest.json": listed.encode()}
+
+    folder, config = tmp_path / "rtl", load_config("silicon")
+    folder.mkdir()  # an empty one is as good as none
+    for names in ((FILE_LIST, "old/a.v", "both/a.v"), (FILE_LIST, "both/b.v", "new/b.v")):
+        monkeypatch.setattr(release, "_contents", lambda *_, names=names: of(*names))
+        written = write_release(folder, config)
+        for name in others:
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text("own", encoding="utf-8")
+    assert written == sorted(folder / name for name in of(FILE_LIST, "both/b.v", "new/b.v"))
+    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    assert found == {FILE_LIST, "manifest.json", "both/b.v", "new/b.v", *others}
+    assert (folder / "old").exists() == bool(others)
+    for name in others:
+        assert (folder / name).read_text(encoding="utf-8") == "own"
+
+
 def test_files_of_an_export_are_returned_in_order(monkeypatch, tmp_path):
     """Those of this export only, each in its place."""
     monkeypatch.setattr(release, "_contents", lambda *_: {"b/c.v": b"2", "b.v": b"1", "a.v": b"0"})

@@ -879,6 +879,18 @@ def test_a_run_has_its_files_in_its_folder_and_what_it_is_asked_for(
     }
 
 
+@pytest.mark.parametrize("missing", ["lz4.h", "zlib.h", None])
+@pytest.mark.parametrize("waves", [False, True])
+def test_a_waveform_needs_the_headers_of_both_compressions(missing, waves, monkeypatch):
+    installed = []
+    monkeypatch.setattr(toolchain, "verilator", lambda: "verilator")
+    monkeypatch.setattr(toolchain, "_first_line", lambda *command: "tool 1")
+    monkeypatch.setattr(toolchain, "_compiles", lambda *headers: missing not in headers)
+    monkeypatch.setattr(toolchain, "install", lambda *packages: installed.append(packages))
+    toolchain._verilator_command(["a.v"], "toy", waves)
+    assert installed == [("liblz4-dev", "zlib1g-dev")] * (waves and missing is not None)
+
+
 def test_a_simulator_that_ends_before_its_waveform_begins_has_none(monkeypatch, tmp_path):
     """Although one was asked for; that of an earlier run is gone."""
 
