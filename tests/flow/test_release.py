@@ -1023,7 +1023,7 @@ def test_an_export_that_cannot_be_put_in_place_leaves_the_earlier_one(
 
 @pytest.mark.parametrize("others", [[], ["old/mine.txt"], ["old/mine/deep.txt"]])
 def test_a_folder_of_an_earlier_export_goes_with_its_files(others, monkeypatch, tmp_path):
-    """Unless somebody has put something of his own into it."""
+    """Unless somebody has put something of his own into it, which keeps its date."""
 
     def of(*names):
         listed = json.dumps({"name": TOP, "sha256": dict.fromkeys(names, "")})
@@ -1037,12 +1037,29 @@ def test_a_folder_of_an_earlier_export_goes_with_its_files(others, monkeypatch, 
         for name in others:
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_text("own", encoding="utf-8")
+            os.utime(folder / name, (1e9, 1e9))
+    write_release(folder, config)
     assert written == sorted(folder / name for name in of(FILE_LIST, "both/b.v", "new/b.v"))
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     assert found == {FILE_LIST, "manifest.json", "both/b.v", "new/b.v", *others}
     assert (folder / "old").exists() == bool(others)
     for name in others:
         assert (folder / name).read_text(encoding="utf-8") == "own"
+        assert (folder / name).stat().st_mtime == 1e9
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"[" * 100_000, b"\xff\xfe", b'{"name": ["a"]}', b'{"sha256": 1}', b""],
+    ids=["deep", "no_text", "other_name", "no_name", "empty"],
+)
+def test_a_file_that_is_only_called_a_manifest_stays(content, monkeypatch, tmp_path):
+    monkeypatch.setattr(release, "_contents", lambda *_: {FILE_LIST: b""})
+    folder, config = tmp_path / "rtl", load_config("silicon")
+    write_release(folder, config)
+    (folder / f"my_{MANIFEST}").write_bytes(content)
+    write_release(folder, config)
+    assert (folder / f"my_{MANIFEST}").read_bytes() == content
 
 
 def test_files_of_an_export_are_returned_in_order(monkeypatch, tmp_path):

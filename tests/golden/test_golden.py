@@ -346,6 +346,24 @@ def test_frames_side_by_side_are_frames_in_turn(auto):
     assert together.frames == 5
 
 
+def test_counters_that_a_caller_changes_are_not_those_of_the_controller():
+    config = parse_config(
+        {
+            "sensor": SENSORS["tiny"],
+            "frame": {"period": 40, "pulses": 20, "auto_bounds": [0] * 6, "capacity": 4},
+            "subgroup": {"auto": True},
+        }
+    )
+    edges = [trouble(config, seed, 10.0) for seed in range(4)]
+    model, other = Golden(config.sensor), Golden(config.sensor)
+    for of_frame in edges:
+        trace = model.frame(config, of_frame)
+        changed = other.frame(config, of_frame)
+        assert np.array_equal(trace.counters, changed.counters)
+        changed.counters[:] = 0
+    assert trace.counters[:, COUNTER_NAMES.index("threshold_used")].max() > 1
+
+
 @pytest.mark.parametrize("sensor", ("one", "odd", "tiny", "wide"))
 @given(data=st.data())
 def test_controller(sensor, data):

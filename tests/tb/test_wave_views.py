@@ -82,6 +82,13 @@ def test_surfer_finds_every_signal(written):
     ]
 
 
+def test_each_title_is_one_word_of_a_command_of_surfer():
+    lines = wave_views._surfer([(title, []) for title, *_ in wave_views.BLOCKS]).splitlines()
+    titles = [line.split(" ") for line in lines[:-1]]
+    assert [words[0] for words in titles] == ["divider_add"] * len(wave_views.BLOCKS)
+    assert {len(words) for words in titles} == {2}
+
+
 @pytest.mark.parametrize("changes", [None, [], [(0, 0)]])
 def test_a_waveform_without_a_laser_pulse_is_shown_from_its_beginning(
     changes, monkeypatch, tmp_path
