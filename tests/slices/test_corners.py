@@ -8,7 +8,7 @@ import re
 
 from coincid.slices import synthesis
 from coincid.slices.emit import DarkInput, Emission
-from coincid.slices.netlist import ONE, ZERO, Block, Flop, Table
+from coincid.slices.netlist import ONE, ZERO, Block, Flop, Instance, Table
 from coincid.slices.slices import Slices
 from coincid.slices.synthesis import Design
 
@@ -147,6 +147,17 @@ def test_a_table_without_inputs_is_a_constant():
     values = dict(re.findall(r"const W (t\d+) = (.*);", source))
     (one,) = re.findall(r"table<8>\(V\[\d+\], (t\d+)\)", source)
     assert values.pop(one) == "ONES" and "ZEROS" in values.values()
+
+
+def test_a_unit_has_a_name_of_cpp_whatever_yosys_calls_it():
+    """As one whose parameters are in its name."""
+    name = r"$paramod\unit\N=32'00.1"
+    unit = Block(name, {"d": (2,)}, {"q": (3,)}, [], [Flop(2, 3)], [], [], {})
+    instances = [Instance("u", name, {"d": (2,), "q": (5,)})]
+    top = Block("top", {"in": (2,)}, {"out": (5,)}, [], [], [], instances, {})
+    source = Emission({name: unit, "top": top}, "top").source
+    functions = re.findall(r"void (?:__attribute__\(\(noinline\)\) )?(.*?)\(", source)
+    assert len(functions) > 2 and all(function.isidentifier() for function in functions)
 
 
 def test_a_design_keeps_its_code_beside_its_netlist(monkeypatch, tmp_path):
