@@ -86,7 +86,7 @@ def _stereo(path: FilePath, unit: str) -> tuple[float, float, float]:
     try:
         lines = dict(
             line.split("=", 1)
-            for line in beside.read_text(encoding="utf-8").splitlines()
+            for line in beside.read_text(encoding="utf-8-sig").splitlines()
             if "=" in line
         )
         return (

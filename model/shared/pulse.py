@@ -152,7 +152,7 @@ def _npy(path: FilePath) -> np.ndarray:
 def _csv(path: FilePath) -> np.ndarray:
     """Return the lines of a CSV file after the first one."""
     with reading(path, "CSV file of time_ps,density"):
-        with Path(path).open(encoding="utf-8") as file:
+        with Path(path).open(encoding="utf-8-sig") as file:
             if file.readline().strip() != "time_ps,density":
                 raise InputError(f"{path}: its first line must be time_ps,density", field="pulse")
             return np.loadtxt(file, delimiter=",", ndmin=2)

@@ -43,8 +43,10 @@ def test_photons_follow_the_measured_pulse():
 def test_pulse_of_csv_and_npy_files(tmp_path):
     text = "".join(f"{t * 1e12:.0f},{d:g}\n" for t, d in zip(TIME_S, DENSITY, strict=True))
     (tmp_path / "pulse.csv").write_text("time_ps,density\n" + text, encoding="utf-8")
+    # as spreadsheets write it, with a mark of the byte order
+    (tmp_path / "marked.csv").write_text("time_ps,density\n" + text, encoding="utf-8-sig")
     np.save(tmp_path / "pulse.npy", np.stack([TIME_S * 1e12, DENSITY], axis=1))
-    for name in ("pulse.csv", "pulse.npy"):
+    for name in ("pulse.csv", "marked.csv", "pulse.npy"):
         pulse = Pulse.load(tmp_path / name)
         np.testing.assert_allclose(pulse.time_s, TIME_S, atol=1e-18)
         np.testing.assert_array_equal(pulse.density, DENSITY)

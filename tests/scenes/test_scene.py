@@ -625,8 +625,10 @@ def test_a_calibration_without_its_numbers_is_told_as_one_that_is_missing(tmp_pa
         load_scene(str(path), 8, 8, unit="middlebury")
 
 
-def test_a_calibration_without_an_offset_has_none(tmp_path):
-    (tmp_path / "calib.txt").write_text("cam0=[900 0 10]\nbaseline=100\n", encoding="utf-8")
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_a_calibration_without_an_offset_has_none(tmp_path, encoding):
+    """Editors may begin a text with a mark of the byte order."""
+    (tmp_path / "calib.txt").write_text("cam0=[900 0 10]\nbaseline=100\n", encoding=encoding)
     path = pfm(tmp_path / "disp0.pfm", 900 * 0.1 / RAMP_M)
     assert np.allclose(load_scene(str(path), 8, 8, unit="middlebury").truth_m, RAMP_M, atol=1e-4)
 
