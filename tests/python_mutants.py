@@ -5,7 +5,7 @@
 build/mutation/python.md. The golden model has more of them (`golden_mutants.py`), so it is no room
 here. `line_map.py` knows which tests run a mutated line: the first call makes this map, which takes
 twice as long as the regression. The tests of the file's own name are played first, the quick ones
-before the others, and at most for `TOGETHER_S`. For a line that no test runs, such as one that
+before the others, and at most for `TOGETHER_S`; then the whole file of that name. For a line that no test runs, such as one that
 Numba compiles, the tests of the room and of its users are played, file by file.
 
 A run that was stopped continues: fates are kept in build/mutation/python.json, as long as neither
@@ -243,6 +243,11 @@ def files_of(room: str, file: str = "") -> list[str]:
     return [str(path.relative_to(ROOT)) for path in sorted(paths, key=far)]
 
 
+def _own_test(mutant: PythonMutant) -> str:
+    """Return the name of the file of tests that has the name of the mutated file."""
+    return f"test_{Path(mutant.file).stem}.py"
+
+
 def tests_of(mutant: PythonMutant, lines: LineMap) -> list[int]:
     """Return the tests that run a mutant's line, those to play first at the beginning: those of
     the file's own name, the quick ones, one of each file by turns.
@@ -250,8 +255,7 @@ def tests_of(mutant: PythonMutant, lines: LineMap) -> list[int]:
     of_file: dict[str, list[int]] = defaultdict(list)
     for number in sorted(lines.of(mutant.file, mutant.line), key=lines.seconds.__getitem__):
         of_file[lines.tests[number].partition("::")[0]].append(number)
-    own = f"test_{Path(mutant.file).stem}.py"
-    files = sorted(of_file, key=lambda file: (Path(file).name != own, file))
+    files = sorted(of_file, key=lambda file: (Path(file).name != _own_test(mutant), file))
     turns = zip_longest(*(of_file[file] for file in files))
     return [number for turn in turns for number in turn if number is not None]
 
@@ -274,7 +278,9 @@ def batches_of(mutant: PythonMutant, lines: LineMap) -> list[tuple[list[str], fl
         if chosen:
             batches.append(([lines.tests[number] for number in chosen], sum_s))
         left = behind
-    return batches
+    # The map knows only the first test that needs what is kept, and no test that is newer.
+    own = [file for file in files_of(mutant.room) if Path(file).name == _own_test(mutant)]
+    return [*batches, *(([file], 0.0) for file in own)]
 
 
 def first_failure(tests: Sequence[str], folder: Path, seconds: float | None = None) -> str:

@@ -127,8 +127,10 @@ def test_a_mutant_is_judged_by_the_tests_of_its_line_those_of_its_file_and_the_q
     assert [[test.partition("::test_")[2] for test in names] for names, _ in batches] == [
         ["a", "quick", "b"],
         ["slow", "long"],
+        [""],
     ]
-    assert [seconds for _, seconds in batches] == [3.5, FIRST_S + 2.5]
+    assert [seconds for _, seconds in batches] == [3.5, FIRST_S + 2.5, 0.0]
+    assert batches[-1][0] == ["tests/lab/test_pace.py"]
 
 
 def test_a_line_that_no_test_runs_is_judged_by_the_files_of_its_room():
