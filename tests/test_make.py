@@ -68,7 +68,7 @@ PLAIN = {  # target: what it sets up, and each of its commands, without options
     "upsets": ("test", "python -m tests.upsets"),
     "soak": ("test", "python -m tests.soak"),
     "mutation": (
-        "test icarus",
+        "mutants icarus",
         "python -m tests.mutation",
         "python -m tests.planted",
         "python -m tests.python_mutants",

@@ -119,9 +119,10 @@ def execute(
             encoding="utf-8",
         ) as process:
             if show and process.stdout:
-                for line in process.stdout:
-                    output.write(line)
-                    show(line)
+                with process.stdout as told:
+                    for line in told:
+                        output.write(line)
+                        show(line)
             return process.wait()
 
 

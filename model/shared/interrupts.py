@@ -105,7 +105,7 @@ def in_background(function: Callable[[], _Result]) -> Iterator[Future[_Result]]:
 @contextmanager
 def program(command: Sequence[str], **options: Any) -> Iterator[Popen[Any]]:
     """A program, with the options of `Popen`. If the block ends with an exception, it is killed
-    with all that it started. Its pipe is closed with the block.
+    with all that it started.
     """
     running = Popen(command, start_new_session=True, **options)
     PROGRAMS.add(running)
@@ -117,8 +117,6 @@ def program(command: Sequence[str], **options: Any) -> Iterator[Popen[Any]]:
         raise
     finally:
         PROGRAMS.discard(running)
-        if running.stdout:
-            running.stdout.close()
 
 
 def _kill(running: Popen[Any]) -> None:
