@@ -28,6 +28,12 @@ public:
 
     W& word(int number) { return words_[number]; }
     uint64_t& chunk(int number, int chunk) { return reinterpret_cast<uint64_t*>(words_)[size_t(number) * CHUNKS + chunk]; }
+    bool get(int number, int lane) { return chunk(number, lane / 64) >> (lane % 64) & 1; }
+    void put(int number, int lane, bool bit) {
+        uint64_t& part = chunk(number, lane / 64);
+        uint64_t mask = uint64_t(1) << (lane % 64);
+        part = bit ? part | mask : part & ~mask;
+    }
     uint8_t* flags() { return flags_; }
 
     // One bit of every word: all that a lane is made of.
@@ -39,6 +45,9 @@ public:
                 part = part << 1 | (from[size_t(word + k) * CHUNKS] >> (lane % 64) & 1);
             *bits++ = part;
         }
+    }
+    void restore(int lane, const uint64_t* bits) {
+        for (int word = 0; word < SLICE_WORDS; word++) put(word, lane, bits[word / 64] >> (word % 64) & 1);
     }
 
 private:

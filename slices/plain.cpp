@@ -3,8 +3,10 @@
 #include "lanes.h"
 
 extern "C" {
+int slice_lanes() { return LANES; }
 Slice* slice_new() { return new Slice(); }
 void slice_delete(Slice* slice) { delete slice; }
+void slice_reset(Slice* slice) { slice->reset(); }
 uint64_t* slice_words(Slice* slice) { return &slice->chunk(0, 0); }
 uint8_t* slice_flags(Slice* slice) { return slice->flags(); }
 void slice_step(Slice* slice, int64_t edges) {

@@ -36,7 +36,7 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": HASH_SALT,
     "svg.fonttype": "none",
 }
-DEPTH_MAP = "viridis_r"  # near is dark
+DEPTH_MAP = "viridis_r"  # near is bright
 SOURCES: dict[str, dict[str, Any]] = {  # line style by the source of a number
     "literal": {"color": ORANGE, "linestyle": "--"},
     "corrected": {"color": GREEN, "linestyle": "-"},

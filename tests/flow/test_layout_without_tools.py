@@ -714,6 +714,20 @@ def test_delays_that_have_no_effect_are_a_mismatch(module, monkeypatch):
         document.played_with_delays(*given)
 
 
+def test_a_simulation_that_cannot_run_shows_no_effect_of_delays(module, monkeypatch):
+    """Only words that differ do."""
+    document = module("document")
+
+    def play_with_delays(sensor, of, folder, factor, view):
+        if factor == document.TOO_SLOW:
+            raise OSError("no space")
+        return 123, 4567
+
+    monkeypatch.setattr(document, "play_with_delays", play_with_delays)
+    with pytest.raises(OSError, match="no space"):
+        document.played_with_delays(Minigroup(SMALL), "a view", Path("a"), str)
+
+
 def test_a_block_with_delays_takes_the_place_of_its_rtl(module, monkeypatch, tmp_path):
     """In a folder for each factor, with the delays times the factor; the rest of the sensor stays."""
     delays = module("delays")

@@ -19,6 +19,7 @@ from coincid.study.explore import out
 from coincid.study.explore.controls import CONTROLS, GROUPS
 from coincid.study.explore.tab import LOOK_LABELS, TRIES, Page
 from coincid.study.explore.uploads import USED_BY, Kept, Uploads
+from coincid.study.show.figures import FATE_MARKS, REASON_MARKS, VERDICT_MARKS
 
 EMPTY = ("input", "link", "meta", "br")  # elements without an end
 
@@ -74,6 +75,12 @@ def page():
     )
     made.close()
     return Tree(text).root
+
+
+def test_the_key_below_the_figures_has_the_marks_of_edges_windows_and_reasons(page):
+    marks = [one.text for one in page.find("span") if "data-mark" in one.attributes]
+    drawn = [*FATE_MARKS, *VERDICT_MARKS, ("", "", "light expected"), *REASON_MARKS]
+    assert marks == [meaning for *_, meaning in drawn]
 
 
 @pytest.mark.parametrize("control", CONTROLS, ids=lambda control: control.name)

@@ -15,6 +15,7 @@ from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.errors import InputError
 from coincid.study.show import report
+from coincid.study.show.figures import FATE_MARKS, REASON_MARKS, VERDICT_MARKS
 from coincid.study.show.frame_content import FrameView, seen_objects
 
 ROWS, COLS, TARGETS = 8, 24, 3
@@ -242,7 +243,7 @@ def test_a_report_that_is_written_is_that_of_all_its_frames(recorded, tmp_path):
     assert [one.name for one in tmp_path.iterdir()] == ["report.html"]
 
 
-def test_a_report_holds_the_numbers_of_a_sensor_that_is_no_square():
+def test_a_report_holds_its_key_and_the_numbers_of_a_sensor_that_is_no_square():
     """By hand, each under its own name; it needs no network."""
     sensor = {"rows": 8, "cols": 48, "subgroup": [4, 24], "minigroup": [2, 4], "phases": 16}
     frame = {"period": 200, "pulses": 7, "clock_mhz": 400.0}
@@ -271,6 +272,9 @@ def test_a_report_holds_the_numbers_of_a_sensor_that_is_no_square():
     looks = r'data-look="(\w+)" min="0" max="(\d+)" value="(\d+)"'
     assert re.findall(looks, page) == [("row", "7", "4"), ("col", "47", "24"), ("pulse", "6", "0")]
     assert re.findall(r'<option value="(\d+)">(.*?)</option>', page) == [("0", "a frame")]
+    marks = re.findall('data-mark=".+?" style=".*?">(.*?)</span>', page)
+    drawn = [*FATE_MARKS, *VERDICT_MARKS, ("", "", "light expected"), *REASON_MARKS]
+    assert marks == [meaning for *_, meaning in drawn]
 
 
 def test_a_report_holds_the_times_of_the_longest_period():
