@@ -6,6 +6,7 @@ and the settings of the sources.
 import numpy as np
 import pytest
 from amaranth.sim import Simulator
+from attrs import evolve
 
 from coincid.board.parameters import (
     LANE_PIXELS,
@@ -18,11 +19,13 @@ from coincid.board.parameters import (
     echo_address,
 )
 from coincid.board.rtl.control import EmulatorControl
-from coincid.board.rtl.source import Seeder
+from coincid.board.rtl.source import Seeder, write_bus
 from coincid.board.rtl.top import BusAccess
 from coincid.board.source_model import _tables, advance, seeds
 from coincid.hdl.axi import OKAY, SLVERR
 from coincid.model.contract.parameters import Sensor
+
+from .sensors import SENSOR
 
 
 @pytest.mark.parametrize(("size", "seeded"), [((4, 4), 0), ((4, 4), 1), ((14, 16), 0)])
@@ -203,3 +206,11 @@ def test_every_source_keeps_its_own_settings(sizes):
     simulator.add_clock(1e-8)
     simulator.add_testbench(host)
     simulator.run()
+
+
+@pytest.mark.parametrize("coarse_bits", [5, 6, 12])
+def test_a_write_to_a_source_has_room_for_each_of_its_settings(coarse_bits):
+    """For a rate of the background, and for the level and the time of an echo."""
+    few = evolve(SENSOR, coarse_bits=coarse_bits)
+    room = write_bus(few)["data"].width
+    assert room == max(RATE_BITS, LEVEL_BITS + few.stamp_bits)

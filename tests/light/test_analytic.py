@@ -52,6 +52,29 @@ def test_effective_rates():
     assert noise == pytest.approx(6.37e9 * live * (1 - signal * DEAD_S), rel=1e-9)
 
 
+@pytest.mark.parametrize("form", [LITERAL, CORRECTED])
+@pytest.mark.parametrize(
+    "formula, numbers, others",
+    [
+        (analytic.effective_cps, ([1e7, 1e8, 6e9], [1e5, 1e6, 2e6]), (DEAD_S, 2e6)),
+        (analytic.noise_photons, ([1e8] * 3, [0.2e-9, 1e-9, 2e-9], [2, 2, 3]), (DEAD_S, 64)),
+        (analytic.pixel_probability, ([0.01, 0.5, 2.0],), ()),
+        (analytic.windows_per_period, ([1e6, 1e8, 1e9],), (5e-7, 3e-9)),
+        (analytic.noise_per_bin, ([1.0, 10.0, 1e3],), (2e6, 2e-10, 6e-11)),
+        (
+            analytic.signal_per_bin,
+            ([1.0, 9.0, 1e3], [0.0, 1e-9, 1e-9], [0.0, 1e-9, 2e-9]),
+            (2e-10, 6e-11),
+        ),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_arrays_give_what_their_numbers_give(formula, numbers, others, form):
+    together = formula(*map(np.array, numbers), *others, form)
+    alone = [formula(*each, *others, form) for each in zip(*numbers, strict=True)]
+    np.testing.assert_allclose(np.transpose(together), alone, rtol=1e-12)
+
+
 def test_photons_in_window_and_period():
     assert analytic.noise_photons(1e8, 1e-9, 2, DEAD_S, 64, LITERAL) == pytest.approx(0.075)
     assert analytic.noise_photons(1e8, 0.2e-9, 2, DEAD_S, 64, LITERAL) == 0  # as printed: negative

@@ -345,6 +345,14 @@ def test_syncs_of_a_long_recording(tmp_path_factory, pulses):
     assert read_recording(path).sync.tolist() == sorted(pulses)
 
 
+@pytest.mark.parametrize("wraps", [1022, 1023, 1024, 2 * 1023, 2 * 1023 + 1])
+def test_gaps_that_just_fill_a_count_of_wraps(tmp_path, wraps):
+    """A record counts 1,023 wraps of 1,024 pulses at most."""
+    pulses = [7, 7 + 1024 * wraps]
+    write_edges(tmp_path / "gap.ptu", edges(*((pulse, 63, 1) for pulse in pulses)), TIMING)
+    assert read_recording(tmp_path / "gap.ptu").sync.tolist() == pulses
+
+
 BAD_TABLES = {
     "no columns": ("", "must have pulse, pixel, tick"),
     "no times": ("sync,channel\n1,1\n", "must have pulse, pixel, tick"),
