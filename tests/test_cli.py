@@ -747,6 +747,27 @@ def test_the_page_that_is_written_is_told(monkeypatch, tmp_path, name, page, wri
     assert_refused(command(f"{name} --out", tmp_path), "is a folder, must be a file")
 
 
+def test_the_bitstream_of_a_board_and_its_page_are_written_and_told(monkeypatch, tmp_path):
+    board, written = SimpleNamespace(top="lights", page="docs/own.md"), []
+    (tmp_path / "placed").write_bytes(b"bits")
+    placed = SimpleNamespace(bitstream=tmp_path / "placed")
+    monkeypatch.setattr("coincid.board.release.emulator_release", lambda *given: {})
+    monkeypatch.setattr("coincid.board.release.write_emulator", lambda *given: [])
+    monkeypatch.setattr("coincid.board.lint.lint_emulator", lambda *given: {})
+    monkeypatch.setattr("coincid.board.place.ulx3s", lambda *given: board)
+    monkeypatch.setattr("coincid.flow.pnr.place", lambda board: [placed])
+    monkeypatch.setattr("coincid.flow.pnr.fastest", lambda placements: placements[0])
+    monkeypatch.setattr(
+        "coincid.flow.pnr.write_placement_page", lambda *given: written.append(given)
+    )
+    monkeypatch.setattr("coincid.flow.pnr.missed", lambda *given: [])
+    out, page = tmp_path / "out", tmp_path / "page.md"
+    done = command("emulator --out", out, "--page", page)
+    assert done.stdout.splitlines()[1:] == [f"{out / 'lights.bit'}", f"{page}"]
+    assert (out / "lights.bit").read_bytes() == b"bits"
+    assert written == [(board, [placed], page)]
+
+
 def test_each_netlist_that_is_simulated_is_told_at_once(monkeypatch):
     def gate_levels():
         yield "gates: all words agree"

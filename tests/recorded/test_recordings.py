@@ -477,10 +477,12 @@ def test_channel_maps(tmp_path):
     (tmp_path / "map.csv").rename(tmp_path / "MAP.CSV")
     assert parse_channels(str(tmp_path / "MAP.CSV")) == {4: 1, 5: 0}
     (tmp_path / "none.csv").write_text("channel,pixel\n", encoding="utf-8")
+    (tmp_path / "half.csv").write_text("channel,pixel\n4,1\n5.5,0\n", encoding="utf-8")
     for columns in ("channel,place", "detector,pixel", "tick"):
         (tmp_path / f"{columns}.csv").write_text(f"{columns}\n4,1\n", encoding="utf-8")
     for text, words in (
         (str(tmp_path / "none.csv"), "none.csv: names no channel"),
+        (str(tmp_path / "half.csv"), r"half.csv: channel\[1\] = 5.5: must be an integer"),
         (str(tmp_path / "channel,place.csv"), "has the columns channel, place; must have channel"),
         (str(tmp_path / "detector,pixel.csv"), "columns detector, pixel; must have channel, pixel"),
         (str(tmp_path / "tick.csv"), "tick.csv: has the columns tick; must have channel, pixel"),
