@@ -5,8 +5,9 @@
 build/mutation/python.md. The golden model has more of them (`golden_mutants.py`), so it is no room
 here. `line_map.py` knows which tests run a mutated line: the first call makes this map, which takes
 twice as long as the regression. The tests of the file's own name are played first, the quick ones
-before the others, and at most for `TOGETHER_S`; then the whole file of that name. For a line that no test runs, such as one that
-Numba compiles, the tests of the room and of its users are played, file by file.
+before the others, and at most for `TOGETHER_S`; then the whole file of that name. For a line that
+no test runs, such as one that Numba compiles, the tests of the room and of its users are played,
+file by file.
 
 A run that was stopped continues: fates are kept in build/mutation/python.json, as long as neither
 the mutated file nor the names of the tests that judge it have changed.
@@ -21,7 +22,6 @@ import json
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -29,7 +29,6 @@ import tomllib
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from hashlib import sha256
 from itertools import chain, zip_longest
 from pathlib import Path
@@ -41,6 +40,7 @@ import pytest
 from attrs import frozen
 from filelock import FileLock
 
+from coincid.model.shared.interrupts import program
 from coincid.tb.toolchain import build_root
 
 from . import line_map
@@ -294,24 +294,19 @@ def first_failure(tests: Sequence[str], folder: Path, seconds: float | None = No
     }
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
     command += ["-p", "no:randomly"]
-    # a session of its own, so that what the tests have started ends with them
-    with subprocess.Popen(
-        [*command, *tests],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        encoding="utf-8",
-        errors="replace",
-        start_new_session=True,
-    ) as running:
-        try:
+    try:
+        with program(
+            [*command, *tests],
+            cwd=folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            encoding="utf-8",
+            errors="replace",
+        ) as running:
             told, _ = running.communicate(timeout=seconds)
-        except subprocess.TimeoutExpired:
-            return TIME
-        finally:
-            with suppress(ProcessLookupError):
-                os.killpg(running.pid, signal.SIGKILL)
+    except subprocess.TimeoutExpired:
+        return TIME
     if running.returncode in (0, NO_TESTS):
         return ""
     failed = FAILED.search(told)
@@ -420,11 +415,11 @@ def _play(mutants: dict[str, PythonMutant], fates: Fates, lines: LineMap) -> Non
 
     def play(key: str, mutant: PythonMutant) -> None:
         nonlocal left
-        copy = copies.get()
+        sources = copies.get()
         try:
-            by = copy.killer(mutant, lines)
+            by = sources.killer(mutant, lines)
         finally:
-            copies.put(copy)
+            copies.put(sources)
         with lock:
             left -= 1
             fates.keep(key, by)

@@ -570,7 +570,7 @@ def test_a_project_that_cannot_be_installed_is_told_with_its_reason(place):
 
 MADE = """#!/bin/sh
 case "$*" in
-    *sys.exit*) exec {python} -c "import sys; sys.version_info = {version}; $2" ;;
+{first}    *sys.exit*) exec {python} -c "import sys; sys.version_info = {version}; $2" ;;
     -V) echo Python 3.10.9 ;;
     *"-m venv"*) echo "$*" >>noted; rm -rf .venv/bin; mkdir -p .venv/bin; ln -s "$0" .venv/bin/python ;;
     *locked.py*) exit 0 ;;
@@ -578,24 +578,30 @@ esac
 """
 
 
+def another_python(folder, version, first=""):
+    """Make a Python of another version the machine's `python3`. first: cases of its shell script
+    before those of all.
+    """
+    other, programs = folder / "other", folder / "programs"
+    text = MADE.format(python=shlex.quote(sys.executable), version=version, first=first)
+    other.write_text(text, encoding="utf-8")
+    other.chmod(0o755)
+    (programs / "python3").unlink()
+    (programs / "python3").symlink_to(other)
+    for name in ("ln", "mkdir"):
+        (programs / name).symlink_to(shutil.which(name))
+
+
 @pytest.mark.parametrize("moved", [False, True])
 def test_an_environment_is_made_anew_in_a_folder_that_was_moved(place, moved):
     """What is behind a link stays: it belongs to somebody else."""
-    other = place.parent / "other"
-    other.write_text(
-        MADE.format(python=shlex.quote(sys.executable), version=(3, 11, 0)), encoding="utf-8"
-    )
-    other.chmod(0o755)
+    another_python(place.parent, (3, 11, 0))
     if moved:
         place = place.rename(place.with_name("elsewhere"))
     else:
         (place / ".venv").rename(place.parent / "theirs")
         (place / ".venv").symlink_to(place.parent / "theirs")
         (place.parent / "theirs" / ".stamp").unlink()
-    (place.parent / "programs" / "python3").unlink()
-    (place.parent / "programs" / "python3").symlink_to(other)
-    for name in ("ln", "mkdir"):
-        (place.parent / "programs" / name).symlink_to(shutil.which(name))
     code, said, installed = set_up(place)
     assert code == 0, said
     assert installed[0] == "-m venv --clear --without-pip .venv"
@@ -614,16 +620,8 @@ def test_an_environment_of_a_python_without_pip_gets_its_own(place, ensured):
     *version_info.minor*) echo 13 ;;
     *system.py*) echo "$*" >>noted ;;
 """
-    other = place.parent / "other"
-    text = MADE.format(python=shlex.quote(sys.executable), version=(3, 13, 0))
-    first, rest = text.split("in\n", 1)
-    other.write_text(f"{first}in\n{own}{rest}", encoding="utf-8")
-    other.chmod(0o755)
+    another_python(place.parent, (3, 13, 0), own)
     (place / ".venv" / ".stamp").unlink()
-    (place.parent / "programs" / "python3").unlink()
-    (place.parent / "programs" / "python3").symlink_to(other)
-    for name in ("ln", "mkdir"):
-        (place.parent / "programs" / name).symlink_to(shutil.which(name))
     code, said, installed = set_up(place)
     assert code == 0, said
     packages = [] if ensured else ["tools/system.py python3.13-venv"]
@@ -631,14 +629,8 @@ def test_an_environment_of_a_python_without_pip_gets_its_own(place, ensured):
 
 
 def test_an_old_python_is_refused_by_its_version(place):
-    other = place.parent / "other"
-    other.write_text(
-        MADE.format(python=shlex.quote(sys.executable), version=(3, 10, 9)), encoding="utf-8"
-    )
-    other.chmod(0o755)
+    another_python(place.parent, (3, 10, 9))
     (place / ".venv").rename(place / "gone")
-    (place.parent / "programs" / "python3").unlink()
-    (place.parent / "programs" / "python3").symlink_to(other)
     code, said, installed = set_up(place)
     assert (code, installed) == (1, [])
     assert said == "Python 3.10.9: 3.11 or newer is needed; name one with PYTHON=...\n"
