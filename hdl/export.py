@@ -2,10 +2,8 @@
 """Verilog export: one file per block, stable names, same bytes for same parameters."""
 
 import gc
-import os
 import re
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
 
@@ -119,18 +117,16 @@ def _emitted(units: list[Unit], wanted: Wanted = _always) -> _Blocks:
 
     Raises `ConnectionError`.
     """
-    converted: dict[str, Future[str]] = {}
+    texts = {}
     cells = {}
-    # One block is converted while the next is elaborated.
-    with _garbage_left(), ThreadPoolExecutor(os.cpu_count()) as pool:
+    with _garbage_left():
         for block in elaborated(units, wanted):
             name = block.unit.unit_name
-            converted[name] = pool.submit(to_verilog, _text(block))
+            texts[name] = _text(block)
             if form := block.unit.for_cells():
                 cells[f"{name}.v"] = _licensed(form)
-    files = {
-        f"{name}.v": _licensed(_stable(converted[name].result())) for name in sorted(converted)
-    }
+    converted = to_verilog(texts)
+    files = {f"{name}.v": _licensed(_stable(converted[name])) for name in sorted(converted)}
     return _Blocks(files, cells)
 
 

@@ -6,9 +6,10 @@ before.
 """
 
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
-from ..tools.wheels import run_yosys
+from ..tools.wheels import run_yosys_scripts
 
 # That the Verilog leaves out.
 ATTRIBUTES = (
@@ -19,21 +20,28 @@ ATTRIBUTES = (
     "amaranth.decoding",
 )
 LEFT_OUT = " ".join(f"-remove {attribute}" for attribute in ATTRIBUTES)
-DESIGN, VERILOG = "design.il", "design.v"
-SCRIPT = (
-    f"read_rtlil {DESIGN}",
-    "proc -nomux -norom",
-    "memory_collect",
-    f"attrmap {LEFT_OUT}",
-    f"attrmap -modattr {LEFT_OUT}",
-    f"write_verilog -norename {VERILOG}",
-)
 
 
-def to_verilog(design: str) -> str:
-    """Return the Verilog of a design. Raises `ToolchainError` with Yosys's message."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / DESIGN).write_text(design, encoding="utf-8")
-        run_yosys(folder, *SCRIPT)
-        return (folder / VERILOG).read_text(encoding="utf-8")
+def to_verilog(designs: Mapping[str, str]) -> dict[str, str]:
+    """Return the Verilog of some designs, by the same names. Raises `ToolchainError` with Yosys's
+    message.
+    """
+    if not designs:
+        return {}
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for name, design in designs.items():
+            (folder / f"{name}.il").write_text(design, encoding="utf-8")
+        run_yosys_scripts(folder, {f"{name}.ys": _script(name) for name in designs})
+        return {name: (folder / f"{name}.v").read_text(encoding="utf-8") for name in designs}
+
+
+def _script(name: str) -> list[str]:
+    return [
+        f"read_rtlil {name}.il",
+        "proc -nomux -norom",
+        "memory_collect",
+        f"attrmap {LEFT_OUT}",
+        f"attrmap -modattr {LEFT_OUT}",
+        f"write_verilog -norename {name}.v",
+    ]

@@ -22,6 +22,7 @@ from typing import Any
 import attrs
 
 from coincid.flow.yosys import cells_folder
+from docs.studies.drawings.browser import chromium
 
 ROOT = Path(__file__).parents[1]
 
@@ -40,7 +41,7 @@ def _has_cells() -> bool:
 
 
 def _has_chromium() -> bool:
-    return shutil.which("chromium") is not None
+    return chromium() is not None
 
 
 def _has_layout_tools() -> bool:

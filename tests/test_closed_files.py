@@ -76,6 +76,7 @@ def a_program_whose_output_is_shown(folder):
     ],
 )
 def test_no_file_is_left_to_python_to_close(opens, tmp_path):
+    gc.collect()  # what earlier tests have left is not told here
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", ResourceWarning)
         opens(tmp_path)

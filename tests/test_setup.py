@@ -473,7 +473,7 @@ def test_a_lock_is_installed_when_it_is_new_or_has_changed_and_only_then(place):
         ("icarus", "iverilog", "iverilog"),
         ("verilator", "verilator", "verilator"),
         ("cells", "sta", "opensta"),
-        ("chromium", "chromium", "chromium"),
+        ("chromium", "chromium-headless-shell", "chromium-headless-shell"),
     ],
 )
 def test_a_system_package_is_installed_where_its_program_is_missing(place, need, missing, packages):

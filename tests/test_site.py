@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from docs.studies.drawings.browser import FLAGS, chromium
+
 ROOT = Path(__file__).parents[1]
 pytestmark = [pytest.mark.needs("docs", "chromium")]
 
@@ -33,9 +35,7 @@ def search_from_a_file(site):
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
-        )
+        browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
         tab = browser.new_page()
         tab.goto(f"file://{site}/search.html?q=crosstalk")
         tab.wait_for_selector("#search-results p.context")
@@ -56,6 +56,7 @@ def test_sources_follow_the_pages_and_unchanged_ones_keep_their_time(tmp_path, m
     assert (tmp_path / "docs" / "b.md").stat().st_mtime == 1
 
 
+@pytest.mark.long  # makes the whole site
 def test_a_bad_link_is_the_only_warning(tmp_path):
     project = tmp_path / "project"
     copy_of_the_project(project)

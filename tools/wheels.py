@@ -23,9 +23,17 @@ def run_yosys(folder: Path, *lines: str) -> None:
     """Run the lines of a Yosys script in `folder`. Raises `ToolchainError` with the end of the
     log if Yosys fails or is missing.
     """
+    run_yosys_scripts(folder, {YOSYS_SCRIPT: lines})
+
+
+def run_yosys_scripts(folder: Path, scripts: Mapping[str, Sequence[str]]) -> None:
+    """Run several Yosys scripts (name -> lines) in `folder`, each in a fresh Yosys, and some at the
+    same time. Raises `ToolchainError` as `run_yosys` does.
+    """
     wheel_folder(YOSYS)
-    (folder / YOSYS_SCRIPT).write_text("\n".join([*lines, ""]), encoding="utf-8")
-    command = [*yosys_command(), "-q", "-l", YOSYS_LOG, YOSYS_SCRIPT]
+    for name, lines in scripts.items():
+        (folder / name).write_text("\n".join([*lines, ""]), encoding="utf-8")
+    command = [*yosys_command(), "-q", "-l", YOSYS_LOG, *scripts]
     try:
         run_program(command, folder, YOSYS)
     except ToolchainError as error:

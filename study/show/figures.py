@@ -20,6 +20,8 @@ from bokeh.models import (
     CustomJS,
     FixedTicker,
     HoverTool,
+    Legend,
+    LegendItem,
     LinearAxis,
     LinearColorMapper,
     PanTool,
@@ -27,6 +29,8 @@ from bokeh.models import (
     ResetTool,
     WheelZoomTool,
 )
+from bokeh.models.glyphs import Glyph, Image, Quad, Rect, Scatter, Step, Text, VAreaStep, VSpan
+from bokeh.models.renderers import GlyphRenderer
 from bokeh.palettes import Cividis256, Viridis256, cividis
 from bokeh.plotting import figure
 
@@ -224,6 +228,8 @@ class MapFigure:
             max_width=MAP_SIZE_PX + BAR_AND_LABELS_PX,
             x_range=Range1d(-0.5, 31.5),
             y_range=Range1d(31.5, -0.5),
+            x_axis_type=None,
+            y_axis_type=None,
             tools=[HoverTool(tooltips=None, callback=over)],
             toolbar_location=None,
             name=name,
@@ -231,33 +237,30 @@ class MapFigure:
         )
         for click in CLICKS:  # a finger never hovers
             plot.js_on_event(click, touched)
-        plot.grid.visible = plot.axis.visible = False
         plot.title.text_font_size = TITLE_PX
         plot.min_border = 4
         # room for the labels of any scale, so that all maps have one size
         plot.min_border_right = BAR_AND_LABELS_PX
-        image = plot.image(
-            shows, x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=self.mapper
-        )
+        image = _draw(plot, source, _picture(shows, self.mapper))
         plot.hover.renderers = [image]
         if shows == "confidence":
             why = LinearColorMapper(
                 palette=REASON_PALETTE, low=-0.5, high=len(REASON_PALETTE) - 0.5
             )
-            plot.image("reason", x="x", y="y", dw="dw", dh="dh", source=source, color_mapper=why)
+            _draw(plot, source, _picture("reason", why))
         for frame, dash in ((around, "dashed"), (cursor, "solid")):
             for colour, line in (("black", 3), ("white", 1.2)):
-                plot.rect(
-                    "x",
-                    "y",
-                    "w",
-                    "h",
-                    source=frame,
+                frame_glyph = Rect(
+                    x="x",
+                    y="y",
+                    width="w",
+                    height="h",
                     fill_color=None,
                     line_color=colour,
                     line_width=line,
                     line_dash=dash,
                 )
+                _draw(plot, frame, frame_glyph)
         bar = ColorBar(
             color_mapper=self.mapper,
             ticker=BasicTicker(desired_num_ticks=5, min_interval=1 if shows in COUNTS else 0),
@@ -285,6 +288,21 @@ class MapFigure:
         sensor = view.config.sensor
         self.figure.x_range.update(start=-0.5, end=sensor.cols - 0.5)
         self.figure.y_range.update(start=sensor.rows - 0.5, end=-0.5)
+
+
+def _picture(name: str, mapper: LinearColorMapper) -> Image:
+    """Return the glyph of one of the pictures of `map_columns`."""
+    return Image(image=name, x="x", y="y", dw="dw", dh="dh", color_mapper=mapper)
+
+
+def _draw(plot: figure, source: ColumnDataSource, glyph: Glyph) -> GlyphRenderer:
+    """Add a glyph to a figure.
+
+    Nothing on these pages can be selected or muted. Bokeh would prepare every glyph for it twice
+    more, here and in the browser.
+    """
+    never_drawn = {"selection_glyph": None, "nonselection_glyph": None, "muted_glyph": None}
+    return plot.add_glyph(source, glyph, **never_drawn)
 
 
 def histogram_columns(view: FrameView, row: int, col: int) -> tuple[Columns, Columns, Columns]:
@@ -360,31 +378,46 @@ class HistogramFigure:
             ),
             "right",
         )
-        plot.quad(
-            left="left", right="right", top="subgroup", bottom=0, source=self.bars, y_range_name="subgroup",
-            fill_color=GREY, fill_alpha=0.6, line_color=None, legend_label="subgroup",
-        )  # fmt: skip
-        bars = plot.quad(
-            left="left", right="right", top="pixel", bottom=0, source=self.bars,
-            fill_color=BLUE, line_color=BLUE, legend_label="pixel",
-        )  # fmt: skip
-        plot.vspan(
-            "x",
-            source=self.truth,
-            line_color=TRUTH,
-            line_width=2,
-            line_dash="dashed",
-            legend_label="truth",
+        behind = _draw(
+            plot,
+            self.bars,
+            Quad(
+                left="left",
+                right="right",
+                top="subgroup",
+                bottom=0,
+                fill_color=GREY,
+                fill_alpha=0.6,
+                line_color=None,
+            ),
         )
-        marks = plot.scatter(
-            "x", 0.0, source=self.returns, marker="marker", size=12, fill_color="colour", line_color="black",
-            legend_label="chosen return",
-        )  # fmt: skip
+        behind.y_range_name = "subgroup"
+        bars = _draw(
+            plot,
+            self.bars,
+            Quad(
+                left="left", right="right", top="pixel", bottom=0, fill_color=BLUE, line_color=BLUE
+            ),
+        )
+        truth = _draw(
+            plot,
+            self.truth,
+            VSpan(x="x", line_color=TRUTH, line_width=2, line_dash="dashed"),
+        )
+        marks = _draw(
+            plot,
+            self.returns,
+            Scatter(
+                x="x", y=0.0, marker="marker", size=12, fill_color="colour", line_color="black"
+            ),
+        )
         plot.add_tools(
             HoverTool(renderers=[bars], tooltips=[("distance", "@left{0.00} to @right{0.00} m"), ("pixel", "@pixel"), ("subgroup", "@subgroup")]),
             HoverTool(renderers=[marks], tooltips=[("@what", "@x{0.000} m, confidence @confidence{0.00}")]),
         )  # fmt: skip
-        _legend_above(plot)
+        _add_legend(
+            plot, {"subgroup": behind, "pixel": bars, "truth": truth, "chosen return": marks}
+        )
 
     def show(self, view: FrameView, row: int, col: int) -> None:
         bars, returns, truth = histogram_columns(view, row, col)
@@ -502,30 +535,70 @@ class TimelineFigure:
             name="timeline",
         )
         plot.xaxis.visible = False
-        gate = plot.quad(
-            left="left", right="right", top=1e6, bottom=-1e6, source=self.gate,
-            fill_color=AMBER, fill_alpha=0.18, line_color=None,
-        )  # fmt: skip
-        gate.level = "underlay"
-        bars = plot.quad(
-            left="left", right="right", top="top", bottom=-0.5, source=self.windows, fill_color="colour", fill_alpha=0.25,
-            line_color="colour", hatch_pattern="hatch", hatch_color="colour", hatch_alpha=0.5, hatch_scale=8,
-        )  # fmt: skip
-        plot.text(
-            "middle", "top", text="count", source=self.windows, text_align="center", text_baseline="bottom",
-            text_font_size=TEXT_PX, text_color="colour",
-        )  # fmt: skip
-        plot.scatter(
-            "x",
-            "y",
-            source=self.light,
-            marker="dash",
-            angle=np.pi / 2,
-            size=5,
-            line_color=GREY,
-            line_width=2,
+        gate = _draw(
+            plot,
+            self.gate,
+            Quad(
+                left="left",
+                right="right",
+                top=1e6,
+                bottom=-1e6,
+                fill_color=AMBER,
+                fill_alpha=0.18,
+                line_color=None,
+            ),
         )
-        marks = plot.scatter("x", "y", source=self.edges, marker="marker", size=7, fill_color="colour", line_color="colour")  # fmt: skip
+        gate.level = "underlay"
+        bars = _draw(
+            plot,
+            self.windows,
+            Quad(
+                left="left",
+                right="right",
+                top="top",
+                bottom=-0.5,
+                fill_color="colour",
+                fill_alpha=0.25,
+                line_color="colour",
+                hatch_pattern="hatch",
+                hatch_color="colour",
+                hatch_alpha=0.5,
+                hatch_scale=8,
+            ),
+        )
+        _draw(
+            plot,
+            self.windows,
+            Text(
+                x="middle",
+                y="top",
+                text="count",
+                text_align="center",
+                text_baseline="bottom",
+                text_font_size=TEXT_PX,
+                text_color="colour",
+            ),
+        )
+        _draw(
+            plot,
+            self.light,
+            Scatter(
+                x="x",
+                y="y",
+                marker="dash",
+                angle=np.pi / 2,
+                size=5,
+                line_color=GREY,
+                line_width=2,
+            ),
+        )
+        marks = _draw(
+            plot,
+            self.edges,
+            Scatter(
+                x="x", y="y", marker="marker", size=7, fill_color="colour", line_color="colour"
+            ),
+        )
         plot.add_tools(
             HoverTool(renderers=[marks], tooltips=[("edge", "pixel @y, @x{0.00} ns"), ("fate", "@fate")]),
             HoverTool(renderers=[bars], tooltips=[("window", "@left{0.0} to @right{0.0} ns"), ("count", "@count"), ("verdict", "@verdict")]),
@@ -545,24 +618,23 @@ class TimelineFigure:
         self.below.grid.visible = False
         self.fill_ticker = FixedTicker(ticks=[])
         self.below.yaxis.ticker = self.fill_ticker
-        self.below.varea_step(
-            "x",
-            y1=0,
-            y2="fill",
-            source=self.fill,
-            fill_color=BLUE,
-            fill_alpha=0.4,
-            step_mode="after",
+        _draw(
+            self.below,
+            self.fill,
+            VAreaStep(x="x", y1=0, y2="fill", fill_color=BLUE, fill_alpha=0.4, step_mode="after"),
         )
-        self.below.step("x", "fill", source=self.fill, mode="after", line_color=BLUE)
-        self.below.scatter(
-            "commit",
-            0,
-            source=self.windows,
-            marker="commit_mark",
-            size=8,
-            fill_color="colour",
-            line_color="colour",
+        _draw(self.below, self.fill, Step(x="x", y="fill", mode="after", line_color=BLUE))
+        _draw(
+            self.below,
+            self.windows,
+            Scatter(
+                x="commit",
+                y=0,
+                marker="commit_mark",
+                size=8,
+                fill_color="colour",
+                line_color="colour",
+            ),
         )
         for one in (plot, self.below):
             one.min_border_left = 50
@@ -592,10 +664,10 @@ class TimelineFigure:
         self.fill_ticker.ticks = [0, sensor.fifo_depth]
 
 
-def _legend_above(plot: figure) -> None:
-    legend = plot.legend[0]
-    plot.add_layout(legend, "above")
-    legend.update(
+def _add_legend(plot: figure, meanings: dict[str, GlyphRenderer]) -> None:
+    """Add a legend above a figure. meanings: what each label stands for."""
+    legend = Legend(
+        items=[LegendItem(label=label, renderers=[drawn]) for label, drawn in meanings.items()],
         orientation="horizontal",
         label_text_font_size=TEXT_PX,
         glyph_height=12,
@@ -608,6 +680,7 @@ def _legend_above(plot: figure) -> None:
         border_line_color=None,
         label_text_color=PAGE_INK,
     )
+    plot.add_layout(legend, "above")
 
 
 class Views:

@@ -19,7 +19,7 @@ def flops(phases):
     """Return register -> (what it takes, tick of the cycle in which it takes it)."""
     sensor = Sensor(rows=4, cols=4, subgroup=(4, 4), phases=phases)
     found = {}
-    text = to_verilog(rtlil.convert(Deserialiser(sensor)))
+    text = to_verilog({"design": rtlil.convert(Deserialiser(sensor))})["design"]
     for edge, clock, register, value in FLOP.findall(text):
         tick = 0
         if clock != "clk":  # clock j is bit j - 1

@@ -245,11 +245,12 @@ def test_an_export_leaves_the_collection_of_garbage_as_it_was(enabled, broken, m
     """Also one that fails."""
     seen = []
 
-    def to_verilog(text):
+    def text_of(block):
         seen.append(gc.isenabled())
-        return text
+        return text(block)
 
-    monkeypatch.setattr(export, "to_verilog", to_verilog)
+    text = export._text
+    monkeypatch.setattr(export, "_text", text_of)
     before = gc.isenabled()
     (gc.enable if enabled else gc.disable)()
     try:

@@ -146,8 +146,8 @@ def sliced(name: str) -> Design:
         return Design(name, {"rows.v": ROWS}, name, ["row"], [DarkInput("row", "edges", 4)])
     design = make()
     ports = {port: (value, None) for port, value in signals(design, inputs + outputs).items()}
-    text = to_verilog(rtlil.convert(design, name=name, ports=ports))
-    return Design(name, {f"{name}.v": text}, name)
+    text = rtlil.convert(design, name=name, ports=ports)
+    return Design(name, {f"{name}.v": to_verilog({name: text})[name]}, name)
 
 
 def stimulus(name: str, lanes: int, seed: int) -> list[dict[str, list[int]]]:

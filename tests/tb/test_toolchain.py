@@ -3,6 +3,7 @@
 
 import errno
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -590,6 +591,28 @@ def test_yosys_shows_its_output_or_writes_it_to_a_log_or_drops_it(tmp_path):
     assert "told by the script" in (tmp_path / "own.log").read_text(encoding="utf-8")
     code, _, errors = shown("-q", "bad.ys")
     assert code != 0 and "no-such-command" in errors
+
+
+@pytest.mark.parametrize("bad", [None, 0, 1, 2])
+def test_each_of_several_scripts_has_a_yosys_of_its_own(bad, tmp_path):
+    """One that fails does not keep the others from running."""
+    names = ["one", "two", "three"]
+    scripts = {}
+    for name in names:
+        (tmp_path / f"{name}.v").write_text(f"module {name}; endmodule\n", encoding="utf-8")
+        lines = [f"read_verilog {name}.v", f"write_rtlil {name}.il"]
+        scripts[f"{name}.ys"] = lines
+    if bad is not None:
+        scripts[f"{names[bad]}.ys"] = ["no-such-command"]
+        with pytest.raises(wheels.ToolchainError, match="no-such-command"):
+            wheels.run_yosys_scripts(tmp_path, scripts)
+    else:
+        wheels.run_yosys_scripts(tmp_path, scripts)
+    good = [name for k, name in enumerate(names) if k != bad]
+    assert sorted(path.stem for path in tmp_path.glob("*.il")) == sorted(good)
+    for name in good:
+        found = (tmp_path / f"{name}.il").read_text(encoding="utf-8")
+        assert re.findall(r"^module (.*)$", found, re.MULTILINE) == [rf"\{name}"]
 
 
 def test_missing_verilator_is_named(empty_build_root, monkeypatch):

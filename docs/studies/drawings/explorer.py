@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Takes the picture of the explorer after its third step, in Debian's Chromium."""
+"""Takes the picture of the explorer after its third step, in Chromium."""
 
-import shutil
 import subprocess
 import sys
 
 from coincid.model.shared.errors import InputError
 from coincid.tools.pages import picture, put
 
+from .browser import FLAGS, chromium
+
 PICTURE = "docs/images/explorer.png"
 SERVER = f"from {__name__} import serve_explorer; serve_explorer()"
-FLAGS = ("--no-sandbox", "--disable-gpu")
 SHOWN = "document.body.dataset.state === 'shown'"
 STEP, TITLE = "3 Threshold 5", "threshold 5"
 PATIENCE_MS = 240_000
@@ -26,8 +26,8 @@ def serve_explorer() -> None:
 
 def make() -> None:
     """Write the picture into its page. Raises `InputError` without Chromium."""
-    chromium = shutil.which("chromium")
-    if chromium is None:
+    program = chromium()
+    if program is None:
         raise InputError("chromium: is not installed; scripts/setup chromium installs it")
     from playwright.sync_api import sync_playwright
 
@@ -38,7 +38,7 @@ def make() -> None:
     try:
         address = server.stdout.readline().split()[2]
         with sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+            browser = playwright.chromium.launch(executable_path=program, args=FLAGS)
             tab = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
             tab.set_default_timeout(PATIENCE_MS)
             tab.goto(address)

@@ -4,7 +4,6 @@ there is no Chromium.
 """
 
 import re
-import shutil
 import signal
 from itertools import pairwise
 from urllib.parse import parse_qsl, urlsplit
@@ -29,13 +28,12 @@ from coincid.study.show.figures import (
 )
 from coincid.study.show.report import write_report
 from coincid.study.show.words import OBJECT_HEADS, number_rows, object_table, story
+from docs.studies.drawings.browser import FLAGS, chromium
 
 from .test_server import SMALL, explorer
 from .test_settings import other_value
 
-CHROMIUM = shutil.which("chromium")
 pytestmark = [pytest.mark.needs("chromium")]
-FLAGS = "--no-sandbox --disable-gpu --disable-background-networking --disable-component-update --disable-sync".split()
 PATIENCE_MS = 240_000
 STEADY_MS = 500  # without a change of the layout
 SHOWN = "document.body.dataset.state === 'shown'"
@@ -48,21 +46,21 @@ def address():
 
 
 @pytest.fixture(scope="module")
-def chromium():
+def browser():
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        browser = playwright.chromium.launch(executable_path=chromium(), args=FLAGS)
         yield browser
         browser.close()
 
 
 @pytest.fixture
-def tabs(chromium):
+def tabs(browser):
     """Open tabs; at the end, check that no console has an error, and that no other machine was
     contacted.
     """
-    context = chromium.new_context(viewport={"width": 1280, "height": 800}, accept_downloads=True)
+    context = browser.new_context(viewport={"width": 1280, "height": 800}, accept_downloads=True)
     context.set_default_timeout(PATIENCE_MS)
     errors, requests = [], []
 
@@ -593,11 +591,11 @@ def test_on_a_phone_the_settings_fold_away_and_in_the_dark_the_page_is_dark(tabs
     wait_for_title(tab, "histogram", "startsWith('row 3, column 12')")
 
 
-def test_a_phone_lays_the_pages_out_in_its_own_width(chromium, address, tmp_path):
+def test_a_phone_lays_the_pages_out_in_its_own_width(browser, address, tmp_path):
     """A phone takes a page for 980 pixels wide, and shows it small, unless the page says more."""
     view = Explorer().run(check_settings({"rows": 8, "cols": 8, "pulses": 2})).view(0)
     write_report(tmp_path / "report.html", "a run", [view])
-    context = chromium.new_context(viewport={"width": 390, "height": 844}, is_mobile=True)
+    context = browser.new_context(viewport={"width": 390, "height": 844}, is_mobile=True)
     tab = context.new_page()
     for page in (address, f"file://{tmp_path}/report.html"):
         tab.goto(page)
