@@ -13,7 +13,8 @@ SOURCES = {".py", ".v", ".vh", ".cpp", ".c", ".h", ".js", ".css", ".html", ".xml
 
 
 def test_every_source_file_names_the_licence():
-    paths = (path for path in ROOT.rglob("*") if not OUTSIDE & set(path.relative_to(ROOT).parts))
+    folders = (path for path in ROOT.iterdir() if path.is_dir() and path.name not in OUTSIDE)
+    paths = [*ROOT.iterdir(), *(path for folder in folders for path in folder.rglob("*"))]
     sources = [path for path in paths if path.suffix in SOURCES and path.is_file()]
     assert len(sources) > 100
     assert [

@@ -28,7 +28,10 @@ ASCII_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 def test_every_text_file_and_pipe_names_its_encoding():
     found = []
     sources = [
-        path for path in ROOT.rglob("*.py") if not OUTSIDE & set(path.relative_to(ROOT).parts)
+        path
+        for folder in ROOT.iterdir()
+        if folder.is_dir() and folder.name not in OUTSIDE
+        for path in folder.rglob("*.py")
     ]
     assert len(sources) > 300
     for path in sources:
@@ -41,14 +44,13 @@ def test_every_text_file_and_pipe_names_its_encoding():
 def _depends_on_the_locale(call: ast.Call) -> bool:
     """Return whether the call reads or writes text without saying how it is encoded."""
     named = {keyword.arg for keyword in call.keywords}
-    function = ast.unparse(call.func)
-    name = function.rpartition(".")[2]
-    if "encoding" in named or function in OTHER_OPENERS:
+    name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+    if "encoding" in named:
         return False
     if name in {"read_text", "write_text"}:
         return True
     if name in {"open", "fdopen"}:
-        return not _is_binary(call)
+        return ast.unparse(call.func) not in OTHER_OPENERS and not _is_binary(call)
     return name in PROCESSES and not named.isdisjoint({"text", "universal_newlines"})
 
 
