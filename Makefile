@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Every target sets up what it needs first (scripts/setup); `make help` lists targets and options.
 BIN := .venv/bin
+# A worker of pytest takes up to 1.5 GB.
+WORKERS := -n logical --maxprocesses 6
 # Ignore an environment or search path that the caller has activated, and keep compiled modules: there are a thousand of them.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 
@@ -51,7 +53,7 @@ check: ## style and the quick tests, before a commit
 	@scripts/setup test lint icarus
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
-	@$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS) @tests/quick.txt
+	@$(BIN)/python -m pytest $(WORKERS) --dist loadgroup $(PYTEST_ARGS) @tests/quick.txt
 
 emulate: ## the emulator, simulated or on a board (PORT=/dev/ttyUSB0)
 	@scripts/setup rtl explore $(if $(PORT),board)
@@ -60,7 +62,7 @@ emulate: ## the emulator, simulated or on a board (PORT=/dev/ttyUSB0)
 
 test: ## the whole regression, on all engines (PYTEST_ARGS="-k fifo -x")
 	@scripts/setup test icarus
-	@$(BIN)/python -m pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest $(WORKERS) --dist loadgroup $(PYTEST_ARGS)
 
 formal: ## unbounded proofs of every block (NAMES="tdc tree": only these)
 	@scripts/setup formal

@@ -49,7 +49,7 @@ OTHERS = [  # target, its options, its command
     ("upsets", {"ARGS": "--help"}, "python -m tests.upsets --help"),
     ("coverage", {"ARGS": "--help"}, "python -m tests.coverage --help"),
     ("mutation", {"ARGS": "--help"}, "python -m tests.mutation --help"),
-    ("test", {"PYTEST_ARGS": "-k fifo -x"}, "python -m pytest -n 2 --dist loadgroup -k fifo -x"),
+    ("test", {"PYTEST_ARGS": "-k fifo -x"}, "python -m pytest -n logical --maxprocesses 6 --dist loadgroup -k fifo -x"),
 ]  # fmt: skip
 
 PLAIN = {  # target: what it sets up, and each of its commands, without options
@@ -60,10 +60,10 @@ PLAIN = {  # target: what it sets up, and each of its commands, without options
         "test lint icarus",
         "ruff check .",
         "ruff format --check .",
-        "python -m pytest -n 2 --dist loadgroup @tests/quick.txt",
+        "python -m pytest -n logical --maxprocesses 6 --dist loadgroup @tests/quick.txt",
     ),
     "emulate": ("rtl explore", "coincid emulate --simulate"),
-    "test": ("test icarus", "python -m pytest -n 2 --dist loadgroup"),
+    "test": ("test icarus", "python -m pytest -n logical --maxprocesses 6 --dist loadgroup"),
     "formal": ("formal", "coincid formal"),
     "upsets": ("test", "python -m tests.upsets"),
     "soak": ("test", "python -m tests.soak"),
