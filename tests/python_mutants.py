@@ -6,8 +6,7 @@ build/mutation/python.md. The golden model has more of them (`golden_mutants.py`
 here. `line_map.py` knows which tests run a mutated line: the first call makes this map, which takes
 twice as long as the regression. The tests of the file's own name are played first, the quick ones
 before the others, and at most for `TOGETHER_S`; then the whole file of that name. For a line that
-no test runs, such as one that Numba compiles, the tests of the room and of its users are played,
-file by file.
+no test runs, such as one that Numba compiles, the tests of the room and of its users are played.
 
 A run that was stopped continues: fates are kept in build/mutation/python.json, as long as neither
 the mutated file nor the names of the tests that judge it have changed.
@@ -126,6 +125,8 @@ class PythonMutant:
 
 # Keywords whose absence changes nothing that a test could see on this machine.
 SAME_WITHOUT = {"strict", "encoding", "check", "stacklevel", "help", "metavar", "description"}
+# Functions whose arguments may come in any order.
+SYMMETRIC = {"min", "max", "np.minimum", "np.maximum"}
 
 
 def slips(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
@@ -149,7 +150,8 @@ def slips(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
         case ast.Subscript(value, ast.Constant(0)):
             yield f"{text}: the last", ast.Subscript(value, ast.Constant(-1), node.ctx)
         case ast.Call(function, [first, second, *rest], keywords):
-            if not isinstance(first, ast.Starred) and not isinstance(second, ast.Starred):
+            ordered = ast.unparse(function) not in SYMMETRIC
+            if ordered and not {type(first), type(second)} & {ast.Starred}:
                 yield f"{text}: swapped", ast.Call(function, [second, first, *rest], keywords)
     if isinstance(node, ast.Call):
         for k, keyword in enumerate(node.keywords):
@@ -164,10 +166,19 @@ def all_mutations(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
     return chain(mutations(node), slips(node))
 
 
+class _Mutator(Mutator):
+    """Leaves keywords alone of which no test could see anything."""
+
+    def visit(self, node: ast.AST) -> ast.AST:
+        if isinstance(node, ast.keyword) and node.arg in SAME_WITHOUT:
+            return node
+        return super().visit(node)
+
+
 def _mutated(file: str, number: int | None = None) -> tuple[ast.Module, Mutator]:
     """Return a file's syntax tree with one mutation (default: none), and its mutator."""
     tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
-    mutator = Mutator(number, all_mutations)
+    mutator = _Mutator(number, all_mutations)
     for node in _functions(tree):
         mutator.visit(node)
     return tree, mutator
@@ -266,7 +277,7 @@ def batches_of(mutant: PythonMutant, lines: LineMap) -> list[tuple[list[str], fl
     """
     numbers = tests_of(mutant, lines)
     if not numbers:
-        return [([file], 0.0) for file in files_of(mutant.room, mutant.file)]
+        return [(files_of(mutant.room, mutant.file), 0.0)]
     batches: list[tuple[list[str], float]] = []
     left = numbers
     for longest_s in (FIRST_S, TOGETHER_S):
@@ -324,7 +335,7 @@ class Copy:
 
     def _alone_s(self, tests: Sequence[str]) -> float:
         """Return the time that tests take without mutation. Raises `SystemExit` if one fails."""
-        key = tuple(tests)
+        key = tuple(sorted(tests))
         if key not in self._seconds:
             began = time.monotonic()
             if first_failure(tests, self.folder):

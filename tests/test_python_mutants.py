@@ -136,7 +136,7 @@ def test_a_mutant_is_judged_by_the_tests_of_its_line_those_of_its_file_and_the_q
 def test_a_line_that_no_test_runs_is_judged_by_the_files_of_its_room():
     mutant = mutant_of("lab/pace.py", 4)
     batches = batches_of(mutant, lines_of({"tests/lab/test_pace.py::test_a": 1.0}))
-    assert batches == [([file], 0.0) for file in files_of("lab", mutant.file)]
+    assert batches == [(files_of("lab", mutant.file), 0.0)]
 
 
 def test_the_key_of_a_mutant_changes_with_its_tests():
