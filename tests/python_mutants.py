@@ -166,7 +166,7 @@ def all_mutations(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
     return chain(mutations(node), slips(node))
 
 
-class _Mutator(Mutator):
+class KeywordsLeftAlone(Mutator):
     """Leaves keywords alone of which no test could see anything."""
 
     def visit(self, node: ast.AST) -> ast.AST:
@@ -178,7 +178,7 @@ class _Mutator(Mutator):
 def _mutated(file: str, number: int | None = None) -> tuple[ast.Module, Mutator]:
     """Return a file's syntax tree with one mutation (default: none), and its mutator."""
     tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
-    mutator = _Mutator(number, all_mutations)
+    mutator = KeywordsLeftAlone(number, all_mutations)
     for node in _functions(tree):
         mutator.visit(node)
     return tree, mutator

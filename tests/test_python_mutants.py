@@ -13,7 +13,9 @@ from .python_mutants import (
     ROOT,
     TOGETHER_S,
     Fates,
+    KeywordsLeftAlone,
     PythonMutant,
+    all_mutations,
     batches_of,
     excuse_of,
     excuses,
@@ -80,6 +82,8 @@ def test_every_room_has_mutants_and_tests(room):
         ("a if b else c", ["a", "c"]),
         ("f(a, b, c)", ["f(b, a, c)"]),
         ("f(*a, b)", []),
+        ("max(a, b)", []),
+        ("np.minimum(a, b)", []),
         ("f(a, b=1, strict=True)", ["f(a, strict=True)"]),
         ("f(b=1, c=2)", ["f(c=2)", "f(b=1)"]),
         ("a[0]", ["a[-1]"]),
@@ -89,6 +93,15 @@ def test_every_room_has_mutants_and_tests(room):
 def test_slips_of_an_expression(text, others):
     node = ast.parse(text, mode="eval").body
     assert [ast.unparse(new) for _, new in slips(node)] == others
+
+
+@pytest.mark.parametrize(
+    ("text", "there"), [("f(a, strict=True)", False), ("f(a, on=True)", True), ("f(True)", True)]
+)
+def test_a_value_of_a_keyword_without_an_effect_is_no_place_for_a_mutation(text, there):
+    mutator = KeywordsLeftAlone(None, all_mutations)
+    mutator.visit(ast.parse(text, mode="eval").body)
+    assert ("True: not" in [what for _, what in mutator.found]) == there
 
 
 @pytest.mark.parametrize(

@@ -239,6 +239,15 @@ def test_equal_content_has_equal_keys_and_every_field_counts():
     assert len({setup.key, *keys.values()}) == 1 + len(changes)
 
 
+def test_a_setup_of_light_without_a_scene_has_a_key():
+    """Whatever the light of the scene that it has not."""
+    whole = small()
+    bare = Setup(config=whole.config, light=Run(whole).light)
+    keys = {setup.key for setup in (whole, bare, bare.but(seed=2), bare.but(klux="2|100"))}
+    assert len(keys) == 4
+    assert bare.key == Setup(config=whole.config, light=Run(whole).light).key
+
+
 def test_measures_are_those_of_the_last_frame():
     """Compute them from the result's arrays, for two frames of the controller, in full format with
     records.
