@@ -37,6 +37,7 @@ SMALL = {
     "sensor": {"rows": 8, "cols": 24, "streams": 2},
     "frame": {"period": 60, "pulses": 20, "frames": 2},
 }
+BUILT = SMALL | {"sensor": {"rows": 8, "cols": 16}}  # which other tests compile, too
 NAMES = ("events", "wrong_share", "events_per_s")
 read = partial(read_measures, names=NAMES)
 
@@ -58,6 +59,14 @@ def test_a_run_is_the_golden_models_for_edges_in_any_order():
         assert [one.frame(k)["events"] for k in range(2)] == expected["stored"].sum(axis=1).tolist()
     early, late = other.frame_edges(0), other.frame_edges(-1)
     assert len(early) + len(late) == len(shuffled) and late.pulse.max() < 20
+
+
+@pytest.mark.parametrize("engine", ["golden", "sliced"])
+def test_counters_are_those_of_the_engine_that_plays_the_frame(engine):
+    """Only the golden model's come without a result."""
+    run = Run(Setup.of("flat:5,0.4", **BUILT, engine=engine))
+    assert run.frame().counter("stored").sum() > 0
+    assert run.has_result == (engine != "golden")
 
 
 def test_without_coincidence_the_threshold_is_1_whatever_is_set():
@@ -357,9 +366,8 @@ def test_a_campaign_continues_and_plays_equal_setups_once(tmp_path):
 
 def test_setups_that_share_the_words_of_the_rtl_come_out_as_alone():
     """Setups of two scenes are played at once; one that cannot be read fails alone."""
-    built = SMALL | {"sensor": {"rows": 8, "cols": 16}}  # which other tests compile, too
     far, near = (
-        Setup.of(wall, **built, engine="sliced").but(subgroup={"auto": True})
+        Setup.of(wall, **BUILT, engine="sliced").but(subgroup={"auto": True})
         for wall in ("flat:5,0.4", "flat:3,0.4")
     )
     setups = {1: far.but(seed=1), 2: near.but(seed=2), 3: far.but(seed=3)}

@@ -432,6 +432,7 @@ def test_what_is_no_depth_picture_is_doubted(tmp_path):
         (noisy.byteswap(), "bytes of the samples seem to be swapped"),
         (noise, "as in noise"),
         (noise / 1000, "as in noise"),
+        (noise / 10_000, "as in noise"),  # all nearer than 1 m
         (np.full((64, 64), 4000, np.uint16), ""),
     ):
         doubts = load_scene(npy(tmp_path / "d.npy", samples), 8, 8).doubts

@@ -14,6 +14,7 @@ from coincid.lab.outcomes import Run
 from coincid.lab.pace import frames_per_s
 from coincid.lab.setup import Setup, for_pictures
 from coincid.model.contract.config import load_config, parse_config
+from coincid.model.contract.counts import CYCLES_MAX
 from coincid.model.contract.edges import Edges
 from coincid.model.scenes.catalogue import load_scene
 from coincid.study.advise import HEADS, Advice, Tried, advise, cheapest, links_of, write_advice
@@ -183,8 +184,11 @@ def test_the_advice_for_a_scene_that_moves_plays_its_pictures(
     sensor = {"rows": 8, "cols": 8}
     setup = Setup.of(scene, sensor=sensor, frame=frame | {"pulses": 5}, klux=1.0)
     advice = advise(setup, klux=1.0)
-    read = load_config(write_advice(tmp_path, advice, "a wall")[-1])
-    assert for_pictures(read, scene).frames == written
+    file = write_advice(tmp_path, advice, "a wall")[-1]
+    assert for_pictures(load_config(file), scene).frames == written
+    # The pictures tell their own number.
+    lines = file.read_text(encoding="utf-8").splitlines()
+    assert any(re.match(r"frames\s*=", line) for line in lines) == (written != 3)
 
 
 @pytest.mark.parametrize(
@@ -431,6 +435,11 @@ def test_what_is_wasted(document, words):
     assert any(words in sentence for sentence in warnings(parse_config(document)))
     lean = {"sensor": {"window_max": 16, "coarse_bits": 8}, "frame": {"format": "compact"}}
     assert not any(words in sentence for sentence in warnings(parse_config(lean)))
+
+
+def test_hits_of_events_count_in_all_cycles():
+    document = {"frame": {"format": "id", "period": 2 * CYCLES_MAX}}
+    assert not any("Hits after" in one for one in warnings(parse_config(document)))
 
 
 def test_the_controller_lowers_a_threshold_above_all_pixels():

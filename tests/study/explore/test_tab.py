@@ -139,8 +139,13 @@ def test_a_that_is_smaller_shows_its_last_pixel_and_pulse(page):
     assert title.text.startswith("row 21, column 37:")
     page._picked(3, 9)
     assert title.text.startswith("row 3, column 9:")
-    page._picked(9, 40)  # beside the map
-    assert title.text.startswith("row 3, column 9:")
+    for corner in ((0, 0), (23, 39)):
+        page._picked(*corner)
+        assert title.text.startswith("row {}, column {}:".format(*corner))
+    page._picked(3, 9)
+    for beside in ((9, 40), (24, 9), (-1, 9), (9, -1)):
+        page._picked(*beside)
+        assert title.text.startswith("row 3, column 9:")
     assert look(page, "which", "A") == ""
     page._ordered(messages.DropA())
     assert title.text.startswith("row 3, column 9:")

@@ -261,6 +261,29 @@ def test_each_part_of_a_period_is_drawn_from_its_own_columns():
     assert [source for source, _ in below] == [drawn.fill, drawn.fill, drawn.windows]
 
 
+def test_what_happens_in_a_period_has_the_colours_of_its_columns():
+    """Outlines and fillings, numbers and hatching."""
+    drawn = TimelineFigure()
+    quads, counts, edges = (
+        [
+            one.glyph
+            for one in drawn.figure.renderers
+            if one.data_source is source and hasattr(one.glyph, of_kind)
+        ]
+        for source, of_kind in (
+            (drawn.windows, "right"),
+            (drawn.windows, "text"),
+            (drawn.edges, "marker"),
+        )
+    )
+    commits = [one.glyph for one in drawn.below.renderers if one.data_source is drawn.windows]
+    assert [len(glyphs) for glyphs in (quads, counts, edges, commits)] == [1, 1, 1, 1]
+    for glyph in (*quads, *edges, *commits):
+        assert (glyph.fill_color, glyph.line_color) == ("colour", "colour")
+    assert (quads[0].hatch_pattern, quads[0].hatch_color) == ("hatch", "colour")
+    assert counts[0].text_color == "colour"
+
+
 def test_a_picked_pixel_is_framed_and_told_with_its_subgroup():
     """On the maps, in the histogram and in the laser period."""
     parts = vars(pixel_view()) | vars(period_view())
