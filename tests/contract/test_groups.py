@@ -222,6 +222,20 @@ def test_only_the_damaged_group_is_told(form):
             found.check()
 
 
+@pytest.mark.parametrize("form", ("compact", "compact-full"))
+def test_a_group_without_its_first_beat_is_told_once(form):
+    """And not for each of its other beats."""
+    config, trace = _of_damage(form)
+    beats = trace.beats[0]
+    ends = [i for i in range(len(beats)) if int(beats[i]) >> 59 in (0b10101, 0b10111)]
+    long = [first for first, end in _bounds(ends) if end - first > 3]
+    assert long
+    for first in long:
+        found = decode_frame(np.delete(beats, first), config.sensor, 2)
+        assert found.damaged.tolist() == [first]
+        assert found.missing > 0
+
+
 def _bounds(ends):
     return pairwise([1, *(end + 1 for end in ends)])
 

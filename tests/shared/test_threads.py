@@ -29,6 +29,21 @@ def test_items_are_shared_by_as_many_threads_as_wanted():
     assert len(set(names)) == 3 and threading.current_thread().name in names
 
 
+@pytest.mark.parametrize(("number", "cores"), [(1, 8), (None, 1), (None, None)])
+def test_one_thread_is_the_callers(number, cores, monkeypatch):
+    """Also where the number of cores is not known."""
+    monkeypatch.setattr("os.cpu_count", lambda: cores)
+    both = threading.Barrier(2)
+
+    def alone(_):
+        with pytest.raises(threading.BrokenBarrierError):
+            both.wait(timeout=0.2)  # for another thread
+        return threading.current_thread()
+
+    with Threads(number) as threads:
+        assert set(threads.map(alone, range(2))) == {threading.current_thread()}
+
+
 @pytest.mark.parametrize("number", [1, 4])
 def test_error_reaches_the_caller_and_nothing_new_begins(number):
     begun = []
