@@ -581,8 +581,11 @@ def test_a_region_is_replaced_whole():
     assert with_region("p", new, "x", None, "make y", "345") == new.replace("012", "345")
     with pytest.raises(InputError, match="p: has no region 'z'"):
         with_region("p", text, "z", "", "make z", "0")
+    endless = text.replace("end x", "end y")
+    with pytest.raises(InputError, match="p: has no region 'x'"):
+        with_region("p", endless, "x", "new", "make y", "0")
     with pytest.raises(InputError, match="region 'x' does not end"):
-        list(regions("p", text.replace("end x", "end y")))
+        list(regions("p", endless))
 
 
 def test_a_program_that_reads_what_its_stamp_does_not_cover_is_found():

@@ -47,10 +47,11 @@ def driver():
 def test_a_scene(tmp_path, monkeypatch):
     monkeypatch.setattr(simulated, "simulated", lambda sensor, **_: EMULATOR)
     given = " --set ".join(["", *SETTINGS])
-    done = command(f"emulate --simulate --frames 2 --scene flat:5 --out {tmp_path} {given}")
+    out = tmp_path / "of" / "today"
+    done = command(f"emulate --simulate --frames 2 --scene flat:5 --out {out} {given}")
     assert done.exit_code == 0, done.output
     assert "2 frames" in done.output and "all as the golden model predicts" in done.output
-    assert (tmp_path / "depth.png").stat().st_size > 1000
+    assert (out / "depth.png").stat().st_size > 1000
 
 
 def test_the_picture_is_drawn_while_frames_come(driver, tmp_path, monkeypatch):

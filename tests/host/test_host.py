@@ -533,12 +533,14 @@ THREE = built_sensor(SENSORS["tiny"] | {"rows": 16})  # three streams
 @pytest.mark.parametrize(
     "lost", [(0, 0, 1), (0, 1, 0), (1, 0, 0), (1, 1, 0), (0, 1, 1), (0, 1, 2), (2, 0, 1), (1, 2, 0)]
 )
-def test_the_first_frame_that_no_stream_has_lost_is_received(lost):
-    """Whichever streams have lost how many of those before it."""
+@pytest.mark.parametrize("at_once", [False, True])
+def test_the_first_frame_that_no_stream_has_lost_is_received(lost, at_once):
+    """Whichever streams have lost how many of those before it, and also if all are there at once."""
     frames = three_frames(sensor=THREE)
     delivery = Delivery(THREE)
     for stream, portions in delivery.streams.items():
-        portions += [frame[stream] for frame in frames[lost[stream] :]]
+        beats = [frame[stream] for frame in frames[lost[stream] :]]
+        portions += [np.concatenate(beats)] if at_once else beats
     driver = Driver(delivery, THREE, fresh=True)
     for frame in frames[max(lost) :]:
         assert all(map(np.array_equal, driver.receive(), frame))

@@ -25,6 +25,7 @@ from coincid.model.recorded.exchange import (
     read_recording,
     write_edges,
 )
+from coincid.model.recorded.photon_hdf5 import is_photon_hdf5
 from coincid.model.recorded.recordings import (
     Recording,
     period_note,
@@ -492,6 +493,7 @@ def test_channel_maps(tmp_path):
         ("4:1,4:2", "channel 4 comes twice"),
         ("4:1,5:1", "pixel 1 comes twice"),
         ("4:1,5:2,5:3,4:4", "channel 4 comes twice"),  # the first of them
+        ("4:1,4:2,5:3,5:4", "channel 4 comes twice"),
     ):
         with pytest.raises(InputError, match=words):
             parse_channels(text)
@@ -892,6 +894,14 @@ def test_photon_hdf5(tmp_path):
     assert found.sync.tolist() == [4, 5, 7] and found.channel.tolist() == [3, 3, 2]
     assert found.time_ps == pytest.approx([1050, 2050, 3050])
     assert found.period_ps == pytest.approx(25_000)
+
+
+def test_hdf5_that_cannot_be_read_is_refused_by_its_name(tmp_path):
+    """By what asks for its kind, too."""
+    path = tmp_path / "a.h5"
+    path.write_bytes(b"no HDF5")
+    with pytest.raises(InputError, match=r"a\.h5: is not a readable HDF5 file"):
+        is_photon_hdf5(path)
 
 
 def test_photon_hdf5_of_a_laser_with_another_rate(tmp_path):
