@@ -81,6 +81,25 @@ def folder(tmp_path):
     return tmp_path
 
 
+def test_a_block_within_a_block_within_a_unit_has_levels_of_its_own(tmp_path):
+    def within(**kinds):
+        inner = {"port_directions": {}, "connections": {}}
+        return {"cells": {name: inner | {"type": kind} for name, kind in kinds.items()}}
+
+    hierarchy = {
+        "top": chain(1),
+        "coincid_a": within(one="coincid_b"),
+        "coincid_b": within(deep="coincid_c"),
+        "coincid_c": within(),
+    }
+    flat = chain(7, [("one", 2), ("one.\\deep", 6)])
+    for name, modules in (("netlist", hierarchy), ("coincid_a", {"coincid_a": flat})):
+        text = json.dumps({"modules": modules})
+        (tmp_path / f"{name}.json").write_text(text, encoding="utf-8")
+    found = synth._levels(tmp_path, "top", ["coincid_a"])
+    assert found == {"top": 1, "coincid_a": 7, "coincid_b": 2, "coincid_c": 6}
+
+
 def test_blocks_have_their_own_cells_area_and_the_product_of_instances(folder):
     """The area of sub-blocks goes off as often as a block contains them. A FIFO counts with its
     block.
