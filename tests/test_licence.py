@@ -1,21 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every source file names the licence, and so does every source file that leaves the project."""
 
-from pathlib import Path
-
 from coincid.model.shared.licence import SPDX
 
+from .checkout import project_files
 from .releases import small_releases
 
-ROOT = Path(__file__).parents[1]
-OUTSIDE = {".venv", "build", ".git"}
 SOURCES = {".py", ".v", ".vh", ".cpp", ".c", ".h", ".js", ".css", ".html", ".xml", ".toml"}
 
 
 def test_every_source_file_names_the_licence():
-    folders = (path for path in ROOT.iterdir() if path.is_dir() and path.name not in OUTSIDE)
-    paths = [*ROOT.iterdir(), *(path for folder in folders for path in folder.rglob("*"))]
-    sources = [path for path in paths if path.suffix in SOURCES and path.is_file()]
+    sources = [path for path in project_files() if path.suffix in SOURCES]
     assert len(sources) > 100
     assert [
         path.name

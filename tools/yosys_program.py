@@ -26,6 +26,7 @@ def main() -> None:
 
     def run(script: str) -> None:
         libyosys.run_pass(f"script {script}", libyosys.Design())
+        libyosys.log_flush()  # the end of a fork drops what is not written
 
     if len(options.scripts) == 1:
         run(options.scripts[0])

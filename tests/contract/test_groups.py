@@ -180,7 +180,7 @@ def test_damage_costs_one_group_and_is_told(data, damage, form):
     config, trace = _of_damage(form)
     beats = trace.beats[0]
     whole = rows(decode_frame(beats, config.sensor, 2), form == "compact-full")
-    ends = [i for i in range(len(beats)) if int(beats[i]) >> 59 in (0b10101, 0b10111)]
+    ends = _last_beats(beats)
     at = data.draw(st.integers(1, ends[-1]))
     if damage == "lost":
         shown = np.delete(beats, at)
@@ -208,7 +208,7 @@ def test_damage_costs_one_group_and_is_told(data, damage, form):
 def test_only_the_damaged_group_is_told(form):
     config, trace = _of_damage(form)
     beats = trace.beats[0]
-    ends = [i for i in range(len(beats)) if int(beats[i]) >> 59 in (0b10101, 0b10111)]
+    ends = _last_beats(beats)
     assert len(ends) > 5
     for first, _ in _bounds(ends):
         shown = beats.copy()
@@ -227,13 +227,18 @@ def test_a_group_without_its_first_beat_is_told_once(form):
     """And not for each of its other beats."""
     config, trace = _of_damage(form)
     beats = trace.beats[0]
-    ends = [i for i in range(len(beats)) if int(beats[i]) >> 59 in (0b10101, 0b10111)]
+    ends = _last_beats(beats)
     long = [first for first, end in _bounds(ends) if end - first > 3]
     assert long
     for first in long:
         found = decode_frame(np.delete(beats, first), config.sensor, 2)
         assert found.damaged.tolist() == [first]
         assert found.missing > 0
+
+
+def _last_beats(beats):
+    """Return the numbers of the beats that end a group."""
+    return [i for i in range(len(beats)) if int(beats[i]) >> 59 in (0b10101, 0b10111)]
 
 
 def _bounds(ends):

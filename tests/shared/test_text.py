@@ -6,13 +6,11 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 from coincid.study.simulate import PAGE, REPORT
 
-ROOT = Path(__file__).parents[2]
-OUTSIDE = {".venv", "build", ".git"}
-# no text files
+from ..checkout import ROOT, project_files
+
 # what does not open a file of text, such as a member of a ZIP archive
 OTHER_OPENERS = {
     "Image.open",
@@ -27,12 +25,7 @@ ASCII_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
 def test_every_text_file_and_pipe_names_its_encoding():
     found = []
-    sources = [
-        path
-        for folder in ROOT.iterdir()
-        if folder.is_dir() and folder.name not in OUTSIDE
-        for path in folder.rglob("*.py")
-    ]
+    sources = [path for path in project_files() if path.suffix == ".py"]
     assert len(sources) > 300
     for path in sources:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

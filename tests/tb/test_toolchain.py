@@ -600,7 +600,7 @@ def test_each_of_several_scripts_has_a_yosys_of_its_own(bad, tmp_path):
     scripts = {}
     for name in names:
         (tmp_path / f"{name}.v").write_text(f"module {name}; endmodule\n", encoding="utf-8")
-        lines = [f"read_verilog {name}.v", f"write_rtlil {name}.il"]
+        lines = [f"read_verilog {name}.v", f"write_rtlil {name}.il", f"log {name} is done"]
         scripts[f"{name}.ys"] = lines
     if bad is not None:
         scripts[f"{names[bad]}.ys"] = ["no-such-command"]
@@ -613,6 +613,8 @@ def test_each_of_several_scripts_has_a_yosys_of_its_own(bad, tmp_path):
     for name in good:
         found = (tmp_path / f"{name}.il").read_text(encoding="utf-8")
         assert re.findall(r"^module (.*)$", found, re.MULTILINE) == [rf"\{name}"]
+    log = (tmp_path / wheels.YOSYS_LOG).read_text(encoding="utf-8")
+    assert all(f"{name} is done" in log for name in good)
 
 
 def test_missing_verilator_is_named(empty_build_root, monkeypatch):
