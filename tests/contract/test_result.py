@@ -95,11 +95,11 @@ def test_a_file_of_frames_is_the_file_of_their_arrays(config, tmp_path):
         trace = golden.frame(config, edges)
         for result in (grown, whole):
             result.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
-    grown.write(tmp_path / "grown.npz", {})
+    grown.write(tmp_path / "grown.npz", {"more": np.arange(3)})
     write_result(tmp_path / "whole.npz", whole.arrays())
     assert not differences(read_result(tmp_path / "grown.npz"), whole.arrays())
     with np.load(tmp_path / "grown.npz") as one, np.load(tmp_path / "whole.npz") as other:
-        assert one.files == other.files
+        assert one.files == [*other.files, "more"]
     if config.counting:
         for name in Counts._fields:
             assert whole.arrays()[name].shape[:2] == (config.frames, config.sensor.subgroups)

@@ -4,15 +4,15 @@
 import pytest
 
 from ..digests import read_digests
-from .circuit_pairs import CASES, DIGESTS, digests_of
+from .circuit_pairs import DIGESTS, TOPS, digests_of
 
 EXPECTED = read_digests(DIGESTS)
 
 
 def test_every_case_has_its_digests():
-    assert len(EXPECTED) == len(CASES)
+    assert len(EXPECTED) == len(TOPS)
 
 
-@pytest.mark.parametrize("number", range(len(CASES)))
+@pytest.mark.parametrize("number", range(len(TOPS)))
 def test_the_same_blocks(number):
-    assert digests_of(CASES[number]) == EXPECTED[number], CASES[number]
+    assert digests_of(*TOPS[number]) == EXPECTED[number], TOPS[number]

@@ -389,3 +389,42 @@ def test_what_a_batch_could_not_play_is_the_error_of_each_of_its_setups(monkeypa
         "RuntimeError: the worker's versions are not the sweep's"
     }
     assert told == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_batch_is_played_with_its_own_scenes_and_versions(monkeypatch):
+    """Not with those of the first setup: the engine of another batch has other versions."""
+
+    class Task:
+        def __init__(self, result):
+            self.result = result
+
+    class Client:
+        loop = None
+
+        def submit(self, function, *given, **options):
+            if function is dask_workers._read_batch:
+                read, bare, scenes, versions = given
+                given = read, bare, [scene.result() for scene in scenes], versions
+            return Task(lambda: function(*given))
+
+    monkeypatch.setattr(dask_workers, "versions", lambda engine: {"code": f"of {engine}"})
+    monkeypatch.setattr(dask_workers, "cluster", lambda *given: contextlib.nullcontext(Client()))
+    monkeypatch.setattr(dask_workers, "as_completed", lambda tasks, loop: iter(tasks))
+    monkeypatch.setattr(
+        dask_workers,
+        "evolve",
+        lambda setup, scene: SimpleNamespace(**vars(setup) | {"scene": scene}),
+    )
+    monkeypatch.setattr(dask_workers, "batches", lambda setups, workers: [[0, 2], [1]])
+    monkeypatch.setattr(
+        dask_workers, "read_batch", lambda read, setups: [(read(one), None) for one in setups]
+    )
+    engines = "golden", "sliced", "golden"
+    scenes = [object() for _ in engines]
+    setups = [
+        SimpleNamespace(engine=engine, scene=scene)
+        for engine, scene in zip(engines, scenes, strict=True)
+    ]
+    played = {number: found for number, *found in Dask(2).play(lambda one: one, setups)}
+    assert [played[number][1] for number in range(3)] == [None] * 3
+    assert [played[number][0].scene for number in range(3)] == scenes

@@ -99,8 +99,8 @@ class Rows:
 
 
 DESIGNS = {
-    "fifo": (
-        lambda: SyncFIFO(width=5, depth=6),
+    "fifo": (  # of 64 words, so that a sample is whole words
+        lambda: SyncFIFO(width=6, depth=6),
         ["w_data", "w_en", "r_en"],
         ["w_rdy", "r_data", "r_rdy", "level"],
     ),
@@ -467,7 +467,7 @@ def test_edges_that_are_recorded_together_are_those_one_after_the_other():
             for port, values in cycle.items():
                 slices.set(port, values)
         together = one.record(lane, edges)
-        assert together.shape[0] == edges
+        assert one.words.shape[0] == 64 and together.shape == (edges, 1)
         assert np.array_equal(together, np.concatenate([other.record(lane) for _ in range(edges)]))
         assert np.array_equal(one.words, other.words)
 
