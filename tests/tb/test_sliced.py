@@ -296,6 +296,13 @@ def test_an_abort_that_its_frame_does_not_take_is_over():
         rtl.abort()
         record = rtl.frame(config, second.edges, second.ready)
         check(config.sensor, second.expected, record, 1)
+        third, fourth = (job(golden, config, seed) for seed in (5, 6))
+        rtl.begin(config, third.edges)
+        rtl.step(100)
+        for _ in range(1000):  # more than the frame has cycles for
+            rtl.abort()
+        rtl.end()
+        check(config.sensor, fourth.expected, rtl.frame(config, fourth.edges, fourth.ready), 3)
 
 
 def test_registers_can_be_changed_in_a_frame():
