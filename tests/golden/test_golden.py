@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
-from coincid.model.contract.edges import Fate
+from coincid.model.contract.edges import Edges, Fate
 from coincid.model.contract.groups import FIRST_LSB, HEAD
 from coincid.model.contract.latency import COMMIT
 from coincid.model.contract.parameters import OFFSET_NONE, STAMP_FIELD_BITS
@@ -81,6 +81,23 @@ def test_a_frame_in_pieces_is_the_frame(sensor, data):
     sent.append(opened.sent())
     of_streams = list(zip(*sent, strict=True))
     assert_same_trace(trace_of(of_streams, ending, fate), whole)
+
+
+@pytest.mark.parametrize(("phases", "coarse_bits"), [(4, 13), (64, 9)])
+def test_the_longest_period_of_the_largest_subgroup(phases, coarse_bits):
+    """Edges of its first and last pixels, and at the borders of all powers of two of its ticks."""
+    sensor = dict(rows=16, cols=16, subgroup=[16, 16], phases=phases, coarse_bits=coarse_bits)
+    frame = {"pulses": 3, "period": 1 << coarse_bits, "format": "full", "minigroup_records": True}
+    config = configured(sensor, frame, {"threshold": 2, "window": phases + 1})
+    assert config.sensor.coarse_bits == config.sensor.coarse_bits_max
+    begins = [0, *(1 << bit for bit in range(phases.bit_length(), config.sensor.stamp_bits))]
+    last_pixels = np.array([0, 1, 127, 128, 254, 255])
+    pulse, begin, pixel = np.meshgrid(range(3), begins, last_pixels, indexing="ij")
+    tick = begin + np.random.default_rng(1).integers(0, phases, begin.shape)
+    edges = Edges(pulse.ravel(), pixel.ravel(), tick.ravel())
+    result = golden_result(config, edges)
+    assert result["stamp"].max() >= config.period_ticks // 2
+    assert_plain(config, edges, result)
 
 
 @pytest.mark.parametrize("records", [False, True])
