@@ -31,9 +31,10 @@ from ..model.depth.quality import wrong_pixels
 from ..model.golden.frame import Golden, Trace
 from ..model.light.light import Light
 from ..model.scenes.scene import Scene
-from ..model.shared.errors import InputError, check_integer, wrong_value
+from ..model.shared.errors import InputError, check_integer, told_value, wrong_value
 from ..model.shared.latest import Latest
 from ..model.shared.pulse import Pulse, with_pulse
+from ..model.shared.quantities import check_choice
 from ..tb.replay import checked_for, replay
 from .compile_ahead import compile_ahead
 from .long_frames import PlayedFrames, SeenEdges, is_long, play_long_frames
@@ -375,9 +376,8 @@ class Run:
 def _check_estimator(estimator: Method | None) -> Method | None:
     """Return an estimator, or None. Raises `InputError`."""
     if estimator is not None and not isinstance(estimator, str | Estimator):
-        raise InputError(
-            f"estimator = {estimator!r}: must be METHOD or METHOD/SOURCE; a frame is given as frame={estimator!r}"
-        )
+        legal = f"METHOD or METHOD/SOURCE; a frame is given as frame={told_value(estimator)}"
+        raise wrong_value("estimator", estimator, legal)
     return estimator
 
 
@@ -404,9 +404,7 @@ class Frame:
 
     def __getitem__(self, measure: str) -> Number:
         """Return a measure by its name. Raises `InputError`."""
-        if measure not in MEASURES:
-            raise wrong_value("measure", measure, f"one of {', '.join(MEASURES)}")
-        return MEASURES[measure].of(self)
+        return MEASURES[check_choice("measure", measure, tuple(MEASURES))].of(self)
 
     def by(self, estimator: Method) -> "Frame":
         """Return the same frame with another estimator."""

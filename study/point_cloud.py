@@ -18,7 +18,7 @@ _NORMAL = "nx", "ny", "nz"
 _NUMBERS = "x", "y", "z", "confidence", "signal", "signal_error"
 POINT = np.dtype([*((name, "<f4") for name in _NUMBERS), ("reason", "u1")])
 POINT_WITH_NORMAL = np.dtype([*POINT.descr, *((name, "<f4") for name in _NORMAL)])
-_PLY_TYPES = {"f": "float", "u": "uchar"}
+_PLY_TYPES = {"<f4": "float", "|u1": "uchar"}
 
 
 def point_cloud(depth: Depth, optics: Optics | None = None, *, normals: bool = False) -> np.ndarray:
@@ -106,10 +106,7 @@ def write_ply(path: FilePath, points: np.ndarray) -> None:
     """
     check_suffix(path, ".ply")
     check_kind("points", points, np.ndarray)
-    if points.ndim != 1 or points.dtype.names is None:
-        raise InputError(
-            "points: must be the array of point_cloud, of one dimension and with fields"
-        )
+    points = _packed(points)
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -118,8 +115,29 @@ def write_ply(path: FilePath, points: np.ndarray) -> None:
     ]
     header += [f"comment reason {reason}: {told}" for reason, told in SENTENCES.items()]
     fields = [
-        f"property {_PLY_TYPES[points.dtype[name].kind]} {name}" for name in points.dtype.names
+        f"property {_PLY_TYPES[points.dtype[name].str]} {name}" for name in points.dtype.names or ()
     ]
     header += [f"element vertex {len(points)}", *fields, "end_header", ""]
     with whole_file(path) as file:
         file.write("\n".join(header).encode() + points.tobytes())
+
+
+def _packed(points: np.ndarray) -> np.ndarray:
+    """Return points with fields of the types of a PLY file, without gaps between them. Raises
+    `InputError`.
+
+    An array of some of the fields, as points[["x", "y", "z"]], has gaps in place of the others.
+    """
+    names = points.dtype.names or ()
+    kinds = [points.dtype[name] for name in names]
+    legal = all(kind.kind == "f" or kind == np.uint8 for kind in kinds)
+    if points.ndim != 1 or not names or not legal:
+        raise InputError(
+            "points: must be the array of point_cloud, of one dimension and with fields of floats or uint8",
+            field="points",
+        )
+    types = ("<f4" if kind.kind == "f" else "u1" for kind in kinds)
+    packed = np.empty(len(points), list(zip(names, types, strict=True)))
+    for name in names:
+        packed[name] = points[name]
+    return packed

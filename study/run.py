@@ -26,7 +26,7 @@ from ..model.light.link_budget import Optics
 from ..model.light.photons import edge_chunks
 from ..model.light.spad import Spad
 from ..model.scenes.ambient import Ambient
-from ..model.scenes.catalogue import NAMES, usual_klux
+from ..model.scenes.catalogue import NAMES, has_reflectivity, usual_klux
 from ..model.scenes.scene import REFLECTIVITY, Scene
 from ..model.shared.compiled import is_compiled
 from ..model.shared.errors import InputError
@@ -225,7 +225,7 @@ def simulate(
         "recorded_pulses": recorded_pulses,
     }
     if isinstance(scene, Scene):
-        given = {"reflectivity": np.any(reflectivity != REFLECTIVITY)}
+        given = {"reflectivity": has_reflectivity(reflectivity)}
         for name, value in meaning.items():
             given[name] = isinstance(value, np.ndarray) or value != OPTIONS[name].default
         for name in (name for name, is_given in given.items() if is_given):

@@ -16,7 +16,16 @@ from numpy.typing import ArrayLike
 from ..shared.arguments import check_kind
 from ..shared.errors import InputError
 from ..shared.pulse import Pulse, pulse_of
-from ..shared.quantities import Numbers, check_choice, given, integer, real, real_array, shape_of
+from ..shared.quantities import (
+    Numbers,
+    check_choice,
+    given,
+    integer,
+    real,
+    real_array,
+    shape_of,
+    switch,
+)
 
 # detected, per pixel; our preset: a level at which thresholds are selective
 BACKGROUND_CPS_PER_KLUX = 1.226e6 / 50
@@ -170,7 +179,7 @@ class Light:
     signal_per_pulse: np.ndarray = field(converter=given)
     background_cps: np.ndarray = field(default=0.0, converter=given)
     system_fwhm_s: np.ndarray = field(default=500e-12, converter=given)
-    range_ambiguity: bool = True
+    range_ambiguity: bool = switch(True)
     arrivals: Arrivals | None = None
     interferer: Interferer | None = None
     pulse: Pulse | None = field(default=None, converter=pulse_of)
@@ -258,14 +267,15 @@ class Light:
                 f"distance_m: has {len(shape)} dimensions, must have 2 or 3: rows, cols, targets"
             )
         rows, cols = shape[:2]
+        targets = math.prod(shape[2:])
         distance_m = real_array("distance_m", distance_m, shape, NEAREST_M, nan=True)
         reflectivity = real_array("reflectivity", reflectivity, distance_m.shape, 0, 1)
         signal = signal_per_pulse(distance_m, reflectivity)
-        flat = (rows * cols, -1)
-        targets = ~np.isnan(distance_m).reshape(flat)
+        flat = (rows * cols, targets)
+        has_target = ~np.isnan(distance_m).reshape(flat)
         seen = np.where(
-            targets.any(axis=1),
-            np.where(targets, reflectivity.reshape(flat), 0).sum(axis=1),
+            has_target.any(axis=1),
+            np.where(has_target, reflectivity.reshape(flat), 0).sum(axis=1),
             np.nan,
         )
         ambient = ambient_reflectivity(seen, background)

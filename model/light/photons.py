@@ -38,7 +38,7 @@ from ..shared.constants import SIGMA_PER_FWHM, SPEED_OF_LIGHT_M_S
 from ..shared.errors import SEED_MAX, InputError, check_integer
 from ..shared.quantities import real_array
 from ..shared.threads import Threads
-from .light import SIGNAL_MAX, Interferer, Light
+from .light import RATE_MAX_CPS, SIGNAL_MAX, Interferer, Light
 from .own_spad import own_chunk
 from .spad import OwnSpad, Spad, SpadGate
 from .timing import Timing
@@ -180,7 +180,8 @@ def _in_ticks(
     """Convert seconds, metres and rates to ticks and photons per period."""
     _check_pulse(light, spad, timing)
     tick_s, period_ticks, pixels = timing.tick_s, timing.period_ticks, light.pixels
-    rate_cps = light.background_cps + real_array("dark_cps", spad.dark_cps, (pixels,), 0)
+    dark_cps = real_array("dark_cps", spad.dark_cps, (pixels,), 0, RATE_MAX_CPS)
+    rate_cps = light.background_cps + dark_cps
     pulse = light.pulse
     jitter_fwhm_s = spad.jitter_fwhm_s if pulse is None else 0.0
     pulse_variance_s2 = light.system_fwhm_s**2 - jitter_fwhm_s**2
@@ -211,7 +212,7 @@ def _in_ticks(
         spacing_ticks=float(timing.spacing_ticks),
         phases=timing.phases,
         dead=spad.dead_time_s / tick_s,
-        paralyzable=bool(spad.paralyzable),
+        paralyzable=spad.paralyzable,
         jitter=jitter_fwhm_s * SIGMA_PER_FWHM / tick_s,
         tail_fraction=spad.jitter_tail_fraction,
         tail=spad.jitter_tail_s / tick_s,

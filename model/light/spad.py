@@ -12,7 +12,7 @@ from attrs import frozen
 from ..contract.config import Config
 from ..contract.pixels import pixel_table
 from ..shared.errors import SEED_MAX, check_integer
-from ..shared.quantities import Numbers, check_real, integer, real
+from ..shared.quantities import Numbers, check_real, integer, real, switch
 
 
 @frozen(kw_only=True, eq=False)
@@ -36,8 +36,8 @@ class Spad:
     pdp: float = real(0.05, 0, 1)
     fill_factor: float = real(0.5, 0, 1)
     dead_time_s: float = real(8e-9, 0)
-    paralyzable: bool = False
-    jitter_fwhm_s: float = real(100e-12, 0)
+    paralyzable: bool = switch(False)
+    jitter_fwhm_s: float = real(100e-12, 0, 1)
     jitter_tail_fraction: float = real(0.0, 0, 1)
     jitter_tail_s: float = real(0.0, 0)
     dark_cps: Numbers = 0.0

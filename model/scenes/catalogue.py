@@ -10,7 +10,7 @@ from attrs import fields
 
 from ..light.light import NEAREST_M
 from ..light.timing import RANGE_M
-from ..shared.errors import InputError, check_integer
+from ..shared.errors import InputError, check_integer, told_value
 from ..shared.files import FilePath
 from ..shared.quantities import check_real
 from .archives import is_in_archive
@@ -48,6 +48,14 @@ RETURNS, AT = ("returns", "@")
 NAMES = (*BUILT_IN, RETURNS)
 
 USUAL_KLUX, DAYLIGHT_KLUX = 50.0, {"sun-and-shade": 100.0, "tunnel": 100.0}
+
+
+def has_reflectivity(reflectivity: float | np.ndarray) -> bool:
+    """Return whether a reflectivity is another one than the default."""
+    try:
+        return bool(np.any(reflectivity != REFLECTIVITY))
+    except TypeError:  # NumPy does not compare arrays with fields
+        return True
 
 
 def usual_klux(source: str, bin_ps: float | None = None) -> float:
@@ -154,7 +162,7 @@ def load_scene(
         text = source = str(source)
         if is_ray_scene(text) or _is_built_in(text):
             _check_no_meaning(text, meaning)
-            if np.any(reflectivity != REFLECTIVITY):
+            if has_reflectivity(reflectivity):
                 raise InputError(
                     f"reflectivity: goes with depth files and arrays, not with scene {text!r}"
                     " (some built-in scenes take one after the colon, as in flat:5,0.9)"
@@ -198,11 +206,13 @@ def _check_only_histograms(
     """Raise `InputError` if something was said about depth, and the file holds histograms."""
     if colour is not None:
         raise InputError(f"colour = {str(colour)!r}: goes with depth files only, not with bin_ps")
-    if np.any(reflectivity != REFLECTIVITY):
+    if has_reflectivity(reflectivity):
         raise InputError("reflectivity: goes with depth files and arrays, not with bin_ps")
     for name, value in _said(meaning):
         if name not in ("bin_ps", "recorded_pulses"):
-            raise InputError(f"{name} = {value!r}: goes with depth files only, not with bin_ps")
+            raise InputError(
+                f"{name} = {told_value(value)}: goes with depth files only, not with bin_ps"
+            )
 
 
 def _histograms(
@@ -222,7 +232,7 @@ def _told(source: object) -> str:
     """Return what a user gave as a scene: a list is told by its kind, not by its numbers."""
     if isinstance(source, list | tuple):
         return f"{type(source).__name__} (numpy.array(scene) makes an array of it)"
-    return repr(source)
+    return told_value(source)
 
 
 def _depth_and_colour(text: str) -> tuple[str, str] | None:
@@ -254,7 +264,7 @@ def _check_no_meaning(source: str, meaning: Meaning) -> None:
     """Raise `InputError` if something was said about a depth file, and the scene is none."""
     for name, value in _said(meaning):
         raise InputError(
-            f"{name} = {value!r}: goes with depth files only, not with scene {source!r}"
+            f"{name} = {told_value(value)}: goes with depth files only, not with scene {source!r}"
         )
 
 

@@ -10,7 +10,7 @@ import re
 
 from attrs import frozen
 
-from ..shared.errors import InputError
+from ..shared.errors import wrong_value
 
 # depth files, which library, command line and explorer accept alike
 PICTURES = (".png", ".tif", ".tiff", ".pgm", ".pfm", ".exr")
@@ -110,11 +110,11 @@ _STORED = re.compile(
 def check_unit(unit: str) -> str:
     """Return `unit` if it is one. Raises `InputError`."""
     if not isinstance(unit, str):
-        raise InputError(f"unit = {unit!r}: must be one of {UNIT_FORMS}")
+        raise wrong_value("unit", unit, f"one of {UNIT_FORMS}")
     stored = stored_unit(unit)
     _, colon, _ = unit.partition(":")
     if not _STORED.fullmatch(stored) or (colon and not stored.startswith(DISPARITY)):
-        raise InputError(f"unit = {unit!r}: must be one of {UNIT_FORMS}")
+        raise wrong_value("unit", unit, f"one of {UNIT_FORMS}")
     return unit
 
 

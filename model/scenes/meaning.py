@@ -9,7 +9,7 @@ from attrs import frozen
 
 from ..light.light import NEAREST_M
 from ..shared.arguments import check_kind
-from ..shared.errors import InputError
+from ..shared.errors import InputError, told_value, wrong_value
 from ..shared.quantities import real
 from .conventions import check_unit, convention
 
@@ -48,7 +48,7 @@ class Meaning:
         check_kind("channel", self.channel, str, NoneType)
         if self.bin_ps is None and self.recorded_pulses is not None:
             raise InputError(
-                f"recorded_pulses = {self.recorded_pulses}: goes with histograms, whose bins need"
+                f"recorded_pulses = {told_value(self.recorded_pulses)}: goes with histograms, whose bins need"
                 " their width (bin_ps)"
             )
 
@@ -64,5 +64,5 @@ class Meaning:
                 raise TypeError
             numbers = np.asarray([*given, *MARKS, *(known.missing if known else ())], np.float64)
         except (TypeError, ValueError, OverflowError):
-            raise InputError(f"missing = {self.missing!r}: must be a number, or several") from None
+            raise wrong_value("missing", self.missing, "a number, or several") from None
         return numbers

@@ -71,6 +71,11 @@ class Scene:
                 f"distance_m: has {distance_m.ndim} dimensions, must have 2 or 3: rows, cols, targets"
             )
         shape = distance_m.shape
+        if not distance_m.size:
+            raise InputError(
+                f"distance_m: has shape {shape}, must have a target at least: rows, cols, targets",
+                field="distance_m",
+            )
         object.__setattr__(self, "distance_m", distance_m)
         object.__setattr__(
             self, "reflectivity", real_array("reflectivity", reflectivity, shape, 0, 1)

@@ -4,8 +4,9 @@ optional packages.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from numbers import Integral
+from operator import index
 
 TOLD_MAX = 100  # characters of a wrong value in a message
 BEHIND_FIELD = (" = ", ": ", "[")  # what follows a field at the beginning of a message
@@ -62,16 +63,26 @@ def told_number(value: float) -> str:
     return str(value)
 
 
+def told_value(value: object) -> str:
+    """Return a value as one line of a message. A long one is told by its first characters."""
+    try:
+        told = repr(value)
+    except ValueError:  # Python does not write integers of thousands of digits
+        return "a number of thousands of digits"
+    if "\n" in told:  # an array
+        told = " ".join(told.split())
+    return told if len(told) <= TOLD_MAX else f"{told[:TOLD_MAX]} ..."
+
+
 def wrong_value(
     name: str, value: object, legal: str, *, low: float | None = None, high: float | None = None
 ) -> InputError:
     """Return the error for the field `name` with an illegal `value`. legal: what it must be, as
-    "an integer from 1 to 8". A long value is told by its first characters.
+    "an integer from 1 to 8".
     """
-    told = repr(value)
-    if len(told) > TOLD_MAX:
-        told = f"{told[:TOLD_MAX]} ..."
-    return InputError(f"{name} = {told}: must be {legal}", field=name, low=low, high=high)
+    return InputError(
+        f"{name} = {told_value(value)}: must be {legal}", field=name, low=low, high=high
+    )
 
 
 def out_of_range(name: str, value: object, low: int, high: int, why: str = "") -> InputError:
@@ -86,10 +97,11 @@ def check_integer(name: str, value: object, low: int, high: int, why: str = "") 
     """Return `value` as an int if it is an integer, also one of NumPy (a bool is not), from
     `low` to `high`. Raises `InputError`.
     """
-    if isinstance(value, bool) or not isinstance(value, Integral):
-        raise out_of_range(name, value, low, high, why)
-    number = int(value)
-    if not low <= number <= high:
+    number = None
+    if isinstance(value, Integral) and not isinstance(value, bool):
+        with suppress(TypeError):  # NumPy's durations count as integers, too
+            number = index(value)
+    if number is None or not low <= number <= high:
         raise out_of_range(name, value, low, high, why)
     return number
 

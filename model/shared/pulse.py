@@ -18,6 +18,7 @@ from .quantities import check_real, given, real_array, shape_of
 PULSE_FILES = (".csv", ".npy")
 SAMPLES_MAX = 1 << 16
 TIME_MAX_S = 20e-9  # from time 0 to the first and to the last sample
+STEP_MIN_S = 1e-18  # between two samples: shorter light has no width that could be computed with
 PS = 1e-12
 DENSITY_MAX = 1e100  # of any scale, whose sums are still numbers,
 DENSITY_MIN = 1e-100  # from which on a sample is not nothing
@@ -37,7 +38,7 @@ class Pulse:
     Attributes
     ----------
     time_s : numpy.ndarray
-        float64[n], ascending, from -20 to 20 ns; n from 2 to 65536. 0 must lie within them.
+        float64[n], ascending by at least 1e-18 s, from -20 to 20 ns; n from 2 to 65536. 0 must lie within them.
     density : numpy.ndarray
         float64[n], at least 0, of any scale, and not all 0.
 
@@ -59,8 +60,11 @@ class Pulse:
             )
         time_s = real_array("pulse.time_s", self.time_s, shape, -TIME_MAX_S, TIME_MAX_S)
         density = real_array("pulse.density", self.density, shape, 0, DENSITY_MAX)
-        if np.any(np.diff(time_s) <= 0):
-            raise InputError("pulse.time_s: must ascend", field="pulse")
+        if np.any(np.diff(time_s) < STEP_MIN_S):
+            raise InputError(
+                f"pulse.time_s: must ascend, by at least {STEP_MIN_S:g} s from sample to sample",
+                field="pulse",
+            )
         if not time_s[0] <= 0 <= time_s[-1]:
             raise InputError(
                 "pulse.time_s: 0, the time of flight, must lie within the samples", field="pulse"

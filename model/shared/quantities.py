@@ -21,7 +21,8 @@ def check_real(name: str, value: Any, low: float, high: float = inf) -> float:
     """Return `value` as a float if it is finite and within [`low`, `high`]. Raises `InputError`."""
     number = nan
     if isinstance(value, Real) and not isinstance(value, bool):
-        with suppress(OverflowError):  # an integer that is larger than any float
+        # an integer that is larger than any float, or a duration of NumPy, which counts as an integer
+        with suppress(OverflowError, TypeError):
             number = float(value)
     if not low <= number <= high or not isfinite(number):
         raise wrong_value(name, value, f"a number {_range(low, high)}", low=low, high=high)
@@ -48,6 +49,16 @@ def real(default: float | None, low: float, high: float = inf) -> Any:
     the default.
     """
     return _checked_field(default, lambda name, value: check_real(name, value, low, high))
+
+
+def switch(default: bool) -> Any:
+    """Return an attrs field that holds a bool, also one of NumPy."""
+    return _checked_field(
+        default,
+        lambda name, value: check_switch(
+            name, bool(value) if isinstance(value, np.bool_) else value
+        ),
+    )
 
 
 def integer(default: Any, low: int, high: int) -> Any:

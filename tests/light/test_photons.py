@@ -698,6 +698,16 @@ def test_dark_counts_and_hot_pixels():
             r"system_fwhm_s = 1e-11: must be at least",
         ),
         (
+            lambda: edges_of(light(), Spad(dark_cps=1.1e12), pulses=1),
+            r"dark_cps\[0\] = 1100000000000.0: must be from 0 to 1e\+12",
+        ),
+        (
+            lambda: Spad(jitter_fwhm_s=1e300),
+            r"jitter_fwhm_s = 1e\+300: must be a number from 0 to 1",
+        ),
+        (lambda: Spad(paralyzable="false"), r"paralyzable = 'false': must be true or false"),
+        (lambda: light(range_ambiguity="no"), r"range_ambiguity = 'no': must be true or false"),
+        (
             lambda: SpadGate(start_cycles=0, len_cycles=1, steps=0),
             r"steps = 0: must be an integer from 1",
         ),

@@ -213,6 +213,13 @@ def test_bad_names(name, words):
         load_scene(name, 8, 8)
 
 
+@pytest.mark.parametrize("shape", [(0, 3), (3, 0), (2, 2, 0)])
+def test_a_scene_has_pixels_and_targets(shape):
+    told = re.escape(str(shape if len(shape) == 3 else (*shape, 1)))
+    with pytest.raises(InputError, match=f"^distance_m: has shape {told}, must have a target"):
+        Scene(name="nothing", distance_m=np.ones(shape), reflectivity=0.4)
+
+
 SIDES = st.integers(1, 40)
 
 

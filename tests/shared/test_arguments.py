@@ -61,6 +61,14 @@ def test_a_value_is_told_whole_up_to_its_longest(length):
     assert told == f"name = {shown}: must be short"
 
 
+def test_a_value_is_told_in_one_line_whatever_it_is():
+    told = str(wrong_value("name", np.ones((2, 2)), "a number"))
+    assert told == "name = array([[1., 1.], [1., 1.]]): must be a number"
+    told = str(wrong_value("name", 10**5000, "an integer from 0 to 3"))
+    assert told == "name = a number of thousands of digits: must be an integer from 0 to 3"
+    assert str(wrong_value("name", "a  b", "x")) == "name = 'a  b': must be x"
+
+
 def test_a_single_array_is_joined_as_it_is_if_it_is_contiguous():
     rows = np.arange(12).reshape(3, 4)
     assert joined([rows]) is rows

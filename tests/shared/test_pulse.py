@@ -52,7 +52,8 @@ def test_a_result_has_both_arrays_of_its_pulse_or_none():
 
 
 @pytest.mark.parametrize(
-    "time_s", [(0.0, 1e-9), (-1e-9, 0.0), (-TIME_MAX_S, TIME_MAX_S), (-1e-12, 0.0, 1e-12)]
+    "time_s",
+    [(0.0, 1e-9), (0.0, 1.1e-18), (-1e-9, 0.0), (-TIME_MAX_S, TIME_MAX_S), (-1e-12, 0.0, 1e-12)],
 )
 def test_time_0_and_the_ends_of_the_range_are_legal_samples(time_s):
     pulse = Pulse(time_s=np.array(time_s), density=np.ones(len(time_s)))
@@ -65,7 +66,7 @@ def test_time_0_lies_within_the_samples(time_s):
         Pulse(time_s=np.array(time_s), density=np.ones(2))
 
 
-@pytest.mark.parametrize("time_s", [(0.0, 0.0, 1e-9), (-1e-9, 1e-9, 0.5e-9)])
+@pytest.mark.parametrize("time_s", [(0.0, 0.0, 1e-9), (-1e-9, 1e-9, 0.5e-9), (0.0, 0.9e-18, 1e-9)])
 def test_samples_ascend(time_s):
     with pytest.raises(InputError, match="pulse.time_s: must ascend"):
         Pulse(time_s=np.array(time_s), density=np.ones(3))

@@ -15,6 +15,7 @@ from coincid.model.shared.quantities import (
     integer,
     real,
     real_array,
+    switch,
 )
 
 LOW, HIGH = -2.0, 3.0
@@ -30,6 +31,7 @@ class Quantities:
     rate_cps: float = real(2.0, LOW)
     pulses: int = integer(5, 1, 100)
     far_m: float | None = real(None, 1, 100)
+    gated: bool = switch(False)
 
 
 @frozen
@@ -77,7 +79,9 @@ def test_a_float_of_numpy_comes_back_as_one_of_python(kind):
     assert found == 100.0
 
 
-@pytest.mark.parametrize("value", (True, np.True_, 1.0, np.float64(1), "1", None, [1]))
+@pytest.mark.parametrize(
+    "value", (True, np.True_, 1.0, np.float64(1), "1", None, [1], np.timedelta64(1, "s"))
+)
 def test_what_is_no_integer_is_refused(value):
     with pytest.raises(InputError, match=r"^x = .*: must be an integer from 0 to 3 \(2 bits\)$"):
         check_integer("x", value, 0, 3, "2 bits")
@@ -104,6 +108,17 @@ def test_a_field_has_its_default_and_both_ends():
     for value in INSIDE:
         assert Quantities(share=value, rate_cps=value) == Quantities(value, value)
     assert Quantities(rate_cps=1e300).rate_cps == 1e300
+
+
+@pytest.mark.parametrize("value", (True, np.True_, False, np.False_))
+def test_a_field_of_a_switch_is_a_bool(value):
+    assert Quantities(gated=value).gated is bool(value)
+
+
+@pytest.mark.parametrize("value", (0, 1, "false", None, np.ones(2, bool)))
+def test_a_field_of_a_switch_refuses_everything_else(value):
+    with pytest.raises(InputError, match="^gated = .*: must be true or false$"):
+        Quantities(gated=value)
 
 
 @pytest.mark.parametrize("value", (*OUTSIDE, None, "1", True))

@@ -564,6 +564,25 @@ def test_what_has_no_normal_has_none_and_later_returns_have_none():
     assert (points["nz"][has_normal.ravel()] < 0).all()
 
 
+PLY_KINDS = {"float": "<f4", "uchar": "u1"}
+
+
+def test_ply_holds_some_of_the_fields_and_floats_of_any_kind(tmp_path):
+    """NumPy takes some fields of an array as one with gaps."""
+    depth_m = np.linspace(3, 4, 16).reshape(4, 4, 1)
+    depth = Depth(depth_m, np.ones_like(depth_m), np.zeros((4, 4), np.uint8))
+    points = coincid.point_cloud(depth)
+    doubles = points[["x", "reason"]].astype([("x", ">f8"), ("reason", "u1")])
+    for taken in (points[["z", "x", "reason"]], points[["y"]], doubles, points[::3]):
+        coincid.write_ply(tmp_path / "cloud.ply", taken)
+        header, _, data = (tmp_path / "cloud.ply").read_bytes().partition(b"end_header\n")
+        lines = [line.split()[1:] for line in header.decode().splitlines() if "property" in line]
+        read = np.frombuffer(data, [(name, PLY_KINDS[kind]) for kind, name in lines])
+        assert read.dtype.names == taken.dtype.names
+        for name in taken.dtype.names:
+            assert np.array_equal(read[name], taken[name].astype("f4"), equal_nan=True), name
+
+
 def test_ply_holds_normals_if_the_points_have_them(tmp_path):
     depth = Depth(
         np.full((4, 4, 1), 3.0),
@@ -576,10 +595,15 @@ def test_ply_holds_normals_if_the_points_have_them(tmp_path):
     header, _, data = (tmp_path / "cloud.ply").read_bytes().partition(b"end_header\n")
     lines = [line.split()[1:] for line in header.decode().splitlines() if "property" in line]
     assert [name for _, name in lines][-3:] == ["nx", "ny", "nz"]
-    kinds = {"float": "<f4", "uchar": "u1"}
-    read = np.frombuffer(data, [(name, kinds[kind]) for kind, name in lines])
+    read = np.frombuffer(data, [(name, PLY_KINDS[kind]) for kind, name in lines])
     for name in points.dtype.names:
         assert np.array_equal(read[name], points[name], equal_nan=True), name
-    for wrong in (points.reshape(4, 4), np.ones(3)):
+    for wrong in (
+        points.reshape(4, 4),
+        np.ones(3),
+        np.zeros(3, [("row", "i4")]),
+        np.zeros(3, [("row", "u2")]),
+        np.zeros(3, []),
+    ):
         with pytest.raises(coincid.InputError, match="points: must be the array of point_cloud"):
             coincid.write_ply(tmp_path / "cloud.ply", wrong)
