@@ -276,6 +276,7 @@ FOLDERS_OUT = ("advise flat:5 --out", "emulator serial --out", "emulate --simula
             ("engine = 'sliced'", "waveform", "verilator and icarus"),
         ),
         ("sim --out out --engine sliced --view async", ("async = 'sliced'", "verilator, icarus")),
+        (f"{REPLAY} --offset-seed 4", ("offset_seed = 4: goes with --view async",)),
         ("sim --out out --clock-mhz 0", ("clock",)),
         ("sim --out out --set format=short", ("frame.format = 'short'",)),
         ("sim --config config.toml --out edges.npz/out.npz", ("out.npz", "cannot be written")),

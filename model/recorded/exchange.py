@@ -153,7 +153,7 @@ def parse_channels(text: str) -> dict[int, int]:
         names, read = _csv(text)
         if not {"channel", "pixel"} <= set(names):
             raise InputError(
-                f"{text}: has the columns {', '.join(names)}; must have channel, pixel"
+                f"{text}: has the columns {', '.join(names) or 'none'}; must have channel, pixel"
             )
         columns = zip(("channel", "pixel"), read(("channel", "pixel")), strict=True)
         pairs = list(

@@ -9,6 +9,7 @@ import numpy as np
 from attrs import frozen
 
 from ..light.link_budget import Optics
+from ..shared.errors import InputError
 from ..shared.quantities import real
 
 
@@ -32,16 +33,21 @@ class View:
         return np.sqrt(1 + right**2 + down**2)
 
     @classmethod
-    def of_part(cls, h_deg: float, full: tuple[int, int], part: tuple[int, int]) -> "View":
-        """Return the view of the middle of a picture. h_deg: of its whole width; full, part:
+    def of_part(cls, whole_deg: float, full: tuple[int, int], part: tuple[int, int]) -> "View":
+        """Return the view of the middle of a picture. whole_deg: of its whole width; full, part:
         rows and columns.
 
-        The samples of the picture are square.
+        The samples of the picture are square. Raises `InputError` for a part that is too narrow or too
+        wide.
         """
-        per_sample = 2 * np.tan(np.radians(h_deg) / 2) / full[1]
+        per_sample = 2 * np.tan(np.radians(whole_deg) / 2) / full[1]
         half = np.arctan(per_sample * np.array(part) / 2)
         v_deg, h_deg = np.degrees(2 * half).tolist()
-        return cls(h_deg=h_deg, v_deg=v_deg)
+        try:
+            return cls(h_deg=h_deg, v_deg=v_deg)
+        except InputError as error:
+            message = f"fov_deg = {whole_deg:g}: does not go with the sensor's part of the picture: {error}"
+            raise InputError(message, field="fov_deg") from None
 
 
 def _tangents(pixels: int, fov_deg: float) -> np.ndarray:

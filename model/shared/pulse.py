@@ -121,6 +121,9 @@ class Pulse:
                 f"{name}: has shape {columns.shape}, must have two columns: time_ps,density",
                 field="pulse",
             )
+        if columns.dtype.kind not in "iuf":
+            raise InputError(f"{name}: holds {columns.dtype}, must hold numbers", field="pulse")
+        columns = np.asarray(columns, np.float64)
         return cls(time_s=columns[:, 0] * PS, density=columns[:, 1])
 
 
@@ -143,14 +146,14 @@ def pulse_of(source: PulseSource | None) -> Pulse | None:
     if isinstance(source, str | os.PathLike):
         return Pulse.load(source)
     if isinstance(source, np.ndarray) and source.dtype.kind in "iuf":
-        return Pulse._of_columns("pulse", np.asarray(source, np.float64))
+        return Pulse._of_columns("pulse", source)
     raise wrong_value("pulse", source, "a Pulse, an array [n, 2] of time_ps and density, or a file")
 
 
 def _npy(path: FilePath) -> np.ndarray:
     """Return the array of an NPY file."""
     with reading(path, "NPY file"):
-        return np.asarray(np.load(path, allow_pickle=False), np.float64)
+        return np.asarray(np.load(path, allow_pickle=False))
 
 
 def _csv(path: FilePath) -> np.ndarray:
@@ -159,4 +162,7 @@ def _csv(path: FilePath) -> np.ndarray:
         with Path(path).open(encoding="utf-8-sig") as file:
             if file.readline().strip() != "time_ps,density":
                 raise InputError(f"{path}: its first line must be time_ps,density", field="pulse")
-            return np.loadtxt(file, delimiter=",", ndmin=2)
+            lines = [line for line in file if line.partition("#")[0].strip()]
+        if not lines:
+            raise InputError(f"{path}: has no samples, must have at least 2", field="pulse")
+        return np.loadtxt(lines, delimiter=",", ndmin=2)

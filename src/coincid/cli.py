@@ -435,6 +435,10 @@ def replay(
     )
     check_suffix(_file(out), ".npz")
     if offset_seed is not None:
+        if view == DEFAULT_VIEW:
+            raise InputError(
+                f"offset_seed = {offset_seed}: goes with --view async, which has positions within a tick"
+            )
         with extra("rtl"):
             from coincid.tb.stimulus import off_centre
         loaded = off_centre(

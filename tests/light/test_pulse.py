@@ -84,6 +84,7 @@ def test_array_of_a_pulse_is_its_file(tmp_path):
         ("time_ps,density\n-1,-1\n1,0\n", "density.*must be from 0"),
         ("time_ps,density\n-1,1\n30000,0\n", "must be from -2e-08 to 2e-08"),
         ("time_ps,density\n-1,a\n1,0\n", "is not a readable CSV file"),
+        ("time_ps,density\n\n# none\n", r"pulse\.csv: has no samples, must have at least 2"),
     ],
 )
 def test_wrong_files_of_pulses_are_refused(tmp_path, text, message):

@@ -503,6 +503,17 @@ def test_the_field_of_view_of_a_file_is_that_of_its_whole_picture(tmp_path, shap
     assert "--z makes the corners 15% farther" in " ".join(load_scene(path, 8, 8).notes)
 
 
+@pytest.mark.parametrize(
+    ("fov_deg", "part"), [(0.001, "h_deg = 0.000125"), (178.99, "v_deg = 179.6")]
+)
+def test_a_field_of_view_that_the_sensors_part_cannot_have_is_told_by_its_name(fov_deg, part):
+    """The part is narrower or higher than the whole."""
+    distance_m = np.full((8, 24) if fov_deg < 1 else (24, 8), 4.0)
+    with pytest.raises(InputError, match=f"^fov_deg = {fov_deg}: .*{part}") as raised:
+        load_scene(distance_m, 24, 8, fov_deg=fov_deg)
+    assert raised.value.field == "fov_deg"
+
+
 def test_grey_pictures_give_the_reflectivity_by_their_type(tmp_path):
     grey = np.full(SHAPE, 60, np.uint8)
     grey[2:] = 20

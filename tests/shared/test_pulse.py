@@ -151,6 +151,13 @@ def test_a_pulse_has_two_columns(shape, tmp_path):
         pulse_of(tmp_path / "pulse.npy")
 
 
+@pytest.mark.parametrize("kind", ["complex", "U4", "m8[ps]", bool])
+def test_a_file_of_a_pulse_holds_numbers(kind, tmp_path):
+    np.save(tmp_path / "pulse.npy", np.array([[0, 1], [1, 1]]).astype(kind))
+    with pytest.raises(InputError, match=r"pulse\.npy: holds .*, must hold numbers$"):
+        Pulse.load(tmp_path / "pulse.npy")
+
+
 def test_what_is_no_pulse_is_refused():
     assert pulse_of(None) is None
     pulse = Pulse.gaussian(1e-10)
