@@ -414,6 +414,24 @@ def test_a_closed_standard_output_changes_nothing(files, closed, words, code):
 
 
 @pytest.mark.parametrize("words", ["show", "--help"])
+def test_an_output_that_nobody_reads_any_more_ends_as_the_signal_of_it_does(words):
+    """Without a word, as a shell expects it; code 1 means that the RTL differs."""
+    line = [sys.executable, "-m", "coincid", words]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        stderr = process.stderr.read()
+    assert (process.returncode, stderr) == (128 + signal.SIGPIPE, b"")
+
+
+def test_a_current_folder_that_is_gone_is_told(tmp_path):
+    command = f"{shlex.quote(sys.executable)} -m coincid photons --out edges.npz"
+    line = f"mkdir gone; cd gone; rmdir ../gone; exec {command}"
+    done = subprocess.run(["sh", "-c", line], cwd=tmp_path, capture_output=True, check=False)
+    told = f"coincid: the current folder: {os.strerror(errno.ENOENT)}\n"
+    assert (done.returncode, done.stderr.decode()) == (2, told)
+
+
+@pytest.mark.parametrize("words", ["show", "--help"])
 def test_a_full_standard_output_is_told_in_one_line(words):
     with open("/dev/full", "w", encoding="utf-8") as full:
         done = subprocess.run(

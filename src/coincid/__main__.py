@@ -5,12 +5,14 @@ Signals are handled before the command line and its libraries are imported, whic
 second. Once a command has ended, its exit code stands, and signals change nothing.
 """
 
+import errno
 import os
 import signal
 import sys
 from typing import TextIO
 
 BAD_INPUT = 2
+READER_GONE = 128 + signal.SIGPIPE  # as of a program that the signal ends
 SIGNALS = signal.SIGINT, signal.SIGTERM
 STDERR = 2  # number of the last of the standard files
 SIZES = "COLUMNS", "LINES"  # of a terminal, in the environment
@@ -40,6 +42,9 @@ def _run() -> int | str | None:
         _tell("interrupted")
         _forget_interrupt()
         return exit_code(why)
+    except BrokenPipeError:  # who read the output has enough
+        _forget(sys.stdout)
+        return READER_GONE
     except OSError as error:
         _forget(sys.stdout)
         _tell(_told(error))
@@ -85,7 +90,8 @@ def _command() -> int | str | None:
     try:
         app()
     except SystemExit as ended:
-        return ended.code
+        # Typer ends with code 1, which stands for something else here
+        return READER_GONE if isinstance(ended.__context__, BrokenPipeError) else ended.code
     return None
 
 
@@ -119,6 +125,8 @@ def _replace_closed_files() -> None:
 def _told(error: OSError) -> str:
     """Return what the operating system refused, in one line."""
     place = "standard output" if error.filename is None else str(error.filename)
+    if error.filename is None and error.errno == errno.ENOENT:
+        place = "the current folder"
     return f"{place}: {error.strerror}" if error.strerror else str(error)
 
 

@@ -3,7 +3,8 @@
 
 Commands check all their input before they build or simulate anything. Each command imports the modules that it needs, so
 `--help` appears immediately. Exit codes: 0 for success; 1 if the RTL differs from the golden model or lint found something;
-2 for bad input or a missing tool (one line on stderr); 130 after an interruption, and 143 after SIGTERM.
+2 for bad input or a missing tool (one line on stderr); 130 after an interruption, 143 after SIGTERM, and 141 if nobody
+reads the output any more.
 """
 
 import contextlib
