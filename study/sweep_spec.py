@@ -242,6 +242,13 @@ def _point(
         settings = _settings(
             {name: document.pop(name, default) for name, default in SETTINGS.items()}
         )
+        for unknown, value in document.items():
+            # `parse_config` reports tables that it does not know
+            if unknown not in (*TABLES, "override") and not isinstance(value, dict):
+                legal = ", ".join(("config", *SETTINGS, CLOCK))
+                raise InputError(
+                    f"{unknown}: unknown setting, must be one of {legal}", field=unknown
+                )
         config = parse_config(document)
         config.check_map()
         range_m = Timing.from_config(config).range_m

@@ -664,6 +664,8 @@ BAD = [  # rules of the SPEC; the others' errors name the point
     ("config = 5", "config = 5: must be the name of a file or one of", "silicon"),
     ("[[axis]]\nconfig = ['fpga', 5]", "point config=5", "config = 5: must be the name"),
     ("scene = 5", "scene = 5: must be a string"),
+    ("seeds = [1, 2]", "seeds: unknown setting, must be one of config, scene, klux", "clock_mhz"),
+    ("[moon]\nrows = 1", "[moon]: unknown table, must be one of sensor"),
     ("spad_gate = 'yes'", "spad_gate = 'yes'"),
     ("background = 'odd'", "background = 'odd'", "reflected, even"),
     ("sensor = 'silicon'\n[[axis]]\nsensor.rows = [8]", "sensor"),
