@@ -75,9 +75,7 @@ class Uploads:
             )
         if not 0 < len(content) <= BYTES_MAX:
             raise InputError(f"{name}: holds {len(content)} bytes, must hold 1 to {BYTES_MAX}")
-        # a path of its own, because results are cached by path
-        path = Path(tempfile.mkdtemp(dir=folder)) / name
-        path.write_bytes(content)
+        path = _written(folder, name, content)
         try:
             return self.with_path(kind, path)
         except InputError:  # nobody asks for it again
@@ -103,6 +101,22 @@ class Uploads:
             return picture_share(self.sun, rows, cols)
         except InputError as error:
             raise InputError(self.named(str(error)), field="sun") from None
+
+
+def _written(folder: Path, name: str, content: bytes) -> Path:
+    """Write a file to a folder of its own, because results are cached by path, and return its path.
+    Raises `InputError` if it cannot be written, as on a full disk; then nothing of it is left.
+    """
+    try:
+        own = Path(tempfile.mkdtemp(dir=folder))
+        try:
+            (own / name).write_bytes(content)
+        except OSError:
+            shutil.rmtree(own, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise InputError(f"{name}: cannot be kept: {error.strerror}") from None
+    return own / name
 
 
 def parts_of(path: Path | None) -> list[str]:

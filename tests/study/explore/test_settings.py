@@ -3,6 +3,7 @@
 with the legal range.
 """
 
+import errno
 import io
 import os
 import re
@@ -758,6 +759,20 @@ def test_a_refused_upload_leaves_no_file(tmp_path, kind, name):
     with pytest.raises(InputError, match=name):
         kept.with_file(kind, name, b"no such file", tmp_path)
     assert sorted(tmp_path.rglob("*")) == before and kept.pulse in before
+
+
+def test_an_upload_that_fills_the_disk_is_told_and_leaves_no_file(tmp_path, monkeypatch):
+    def fills_it(path, content):
+        with path.open("wb") as file:
+            file.write(content[:1])
+        raise OSError(errno.ENOSPC, "no space")
+
+    monkeypatch.setattr(Path, "write_bytes", fills_it)
+    with pytest.raises(InputError, match=r"^pulse\.csv: cannot be kept: no space$"):
+        Uploads().with_file("pulse", "pulse.csv", b"0,1", tmp_path)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(InputError, match=r"^pulse\.csv: cannot be kept: No such file"):
+        Uploads().with_file("pulse", "pulse.csv", b"0,1", tmp_path / "lost")
 
 
 def test_an_upload_that_is_missing_is_asked_for():
