@@ -492,6 +492,8 @@ def test_channel_maps(tmp_path):
         ("1:" + "9" * 19, "must be CHANNEL:PIXEL"),
         ("4:1,4:2", "channel 4 comes twice"),
         ("4:1,5:1", "pixel 1 comes twice"),
+        ("0:1,0:2", "channel 0 comes twice"),
+        ("4:0,5:0", "pixel 0 comes twice"),
         ("4:1,5:2,5:3,4:4", "channel 4 comes twice"),  # the first of them
         ("4:1,4:2,5:3,5:4", "channel 4 comes twice"),
     ):
@@ -649,6 +651,16 @@ def test_times_keep_their_picoseconds(tmp_path):
             read_recording(tmp_path / "d.npz", 0)
 
 
+@pytest.mark.parametrize("wrong", [-1.0, np.inf, np.nan])
+@pytest.mark.parametrize("since_trigger", [True, False])
+def test_times_are_finite_and_not_negative(tmp_path, since_trigger, wrong):
+    table = {"channel": [0, 1], "time_ns": [5.0, wrong]}
+    np.savez(tmp_path / "a.npz", **table | ({"sync": [0, 0]} if since_trigger else {}))
+    says = re.escape(f"a.npz: time_ns[1] = {wrong}: must be a number of at least 0")
+    with pytest.raises(InputError, match=says):
+        read_recording(tmp_path / "a.npz", None if since_trigger else 0)
+
+
 @pytest.mark.parametrize("column", ["sync", "channel"])
 def test_numbers_of_triggers_and_channels_are_exact_or_refused(tmp_path, column):
     """Integers of any size are; floats are up to 2^53."""
@@ -718,6 +730,7 @@ def test_a_scan_that_begins_within_a_frame(tmp_path, marked):
     placed = read.sync >= 0
     assert placed.sum() == 2 * rows * cols and "2 image(s)" in read.kind
     assert np.array_equal((bins // 16 * cols + bins % 16)[placed], read.channel[placed])
+    assert set(read.sync[~placed].tolist()) == {-1}, "they belong to no sync of the image"
 
 
 def test_a_line_of_a_scan_whose_positions_are_not_equally_long(tmp_path):
@@ -727,7 +740,7 @@ def test_a_line_of_a_scan_whose_positions_are_not_equally_long(tmp_path):
     cols, syncs = 3, 10
     records = [t3(1, 1, 0, 20)]
     records += [t3(0, 0, sync, 20 + sync) for sync in range(syncs)]
-    records.append(t3(1, 2, 0, 20 + syncs))
+    records += [t3(1, 2, 0, 20 + syncs), t3(0, 0, syncs, 20 + syncs)]  # no longer in the line
     read, sync_in_line = scan(tmp_path, records, 1, cols)
     placed = read.sync >= 0
     found = zip(sync_in_line[placed], read.channel[placed], read.sync[placed], strict=True)
@@ -755,6 +768,18 @@ def test_positions_of_a_scan_last_as_long_as_in_most_of_its_lines(tmp_path, long
     config = parse_config({"sensor": {"rows": 8, "cols": 8}, "frame": {"pulses": 20}})
     _, lost = recorded_edges(read, config, TIMING)
     assert lost == {"between the positions of the scan": 40}
+
+
+def test_lines_of_a_scan_without_an_end_do_not_shorten_its_positions(tmp_path):
+    cols, syncs, records = 4, 40, []
+    for row in range(3):
+        records.append(t3(1, 1, 0, row * 50))
+        records += [t3(0, 0, 1, row * 50 + sync) for sync in range(syncs)]
+        if row == 1:
+            records.append(t3(1, 2, 0, row * 50 + syncs))
+    read, _ = scan(tmp_path, records, 3, cols)
+    assert "scan of 3 x 4 positions, 10 syncs each" in read.kind
+    assert np.bincount(read.channel[read.sync >= 0]).tolist() == [0] * cols + [10] * cols
 
 
 @pytest.mark.parametrize(

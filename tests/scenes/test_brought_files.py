@@ -442,6 +442,12 @@ def test_what_is_no_depth_picture_is_doubted(tmp_path):
     assert load_scene(path, 8, 8, unit="nyu-raw").doubts == ()
 
 
+def test_a_small_picture_has_too_few_samples_for_a_doubt(tmp_path):
+    """A scene of a few steps would look like noise."""
+    samples = np.random.default_rng(7).integers(1000, 5000, (16, 16)).astype(np.uint16)
+    assert load_scene(npy(tmp_path / "d.npy", samples), 8, 8).doubts == ()
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_noise_on_a_slope_is_no_doubt(tmp_path, axis):
     """Distant samples differ far more than neighbours, whether it rises downwards or sideways."""
