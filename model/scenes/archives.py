@@ -17,6 +17,7 @@ from ..shared.files import FilePath, reading
 from .conventions import ARCHIVES
 
 MATLAB = ".mat"  # of which only later versions are HDF5
+NO_NUMBERS = ("char", "cell", "struct", "object", "function")  # kinds of MATLAB's variables
 PICTURE = 2  # dimensions of an array: rows, cols
 SEQUENCE = 3  # frames, rows, cols
 # by the version of the NPY format, of which later ones hold no plain numbers
@@ -85,7 +86,7 @@ def _archive(path: Path) -> tuple[Shapes, Callable[[str], np.ndarray]]:
         return _hdf5(path)
     from scipy.io import loadmat, whosmat
 
-    shapes = {name: shape for name, shape, kind in whosmat(path) if kind != "char"}
+    shapes = {name: shape for name, shape, kind in whosmat(path) if kind not in NO_NUMBERS}
     return shapes, lambda name: np.asarray(loadmat(path, variable_names=[name])[name])
 
 

@@ -748,6 +748,18 @@ def test_an_old_error_of_a_mapped_sensor_is_no_refusal_and_hides_none(mapped, ol
     assert driver.status().errors == ()
 
 
+def test_an_old_error_of_a_mapped_sensor_is_no_refusal_of_a_read(mapped):
+    mapped._words.refuse("bad_address")
+    assert mapped.read(address("period")) == mapped._words[address("period") // 4]
+
+
+def test_the_errors_of_a_mapped_sensor_are_cleared_and_not_that_it_is_done(mapped):
+    for name in ("done", "bad_value"):
+        mapped._words.refuse(name)
+    mapped.read(address("period"))
+    assert Driver(mapped, SENSOR).status().done
+
+
 def test_a_driver_tells_and_clears_the_new_reason_only(mapped):
     mapped._words.refuse("bad_address")
     driver = Driver(mapped, SENSOR)

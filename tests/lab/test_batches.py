@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Setups of a campaign in batches, and the told progress of long frames."""
 
+from concurrent.futures import Future
 from itertools import chain
 from types import SimpleNamespace
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from coincid.lab import campaign
-from coincid.lab.campaign import TOGETHER_MAX, batches, read_batch
+from coincid.lab.campaign import TOGETHER_MAX, Processes, batches, read_batch
 from coincid.lab.long_frames import play_last_frame, play_long_frames
 from coincid.lab.setup import Setup, seeded
 from coincid.model.contract.config import parse_config
@@ -44,6 +45,13 @@ def test_setups_are_spread_over_the_workers(numbers, workers):
         assert len(of_sensor) >= min(workers, number) / 2
 
 
+def test_a_batch_has_no_more_setups_than_the_engine_plays_at_once():
+    """Its words have a lane for each of 512 subgroups."""
+    large = parse_config({"sensor": {"rows": 128, "cols": 128}}).sensor  # of 256 subgroups
+    given = [SimpleNamespace(engine="sliced", config=SimpleNamespace(sensor=large))] * 5
+    assert batches(given, 1) == [[0, 1], [2, 3], [4]]
+
+
 @pytest.mark.parametrize("engine", ["golden", "verilator"])
 def test_other_engines_play_one_setup_at_a_time(engine):
     assert batches(setups(engine, 3, 2), 2) == [[0], [1], [2], [3], [4]]
@@ -65,6 +73,21 @@ def test_setups_that_cannot_be_played_together_are_played_alone(monkeypatch):
     outcomes = read_batch(read, seeded(wall, 3))
     assert [found for found, _ in outcomes] == [1, None, 3]
     assert [str(error or "") for _, error in outcomes] == ["", "the second", ""]
+
+
+def test_all_setups_of_a_batch_fail_if_its_process_is_lost():
+    class Lost:
+        def submit(self, *_):
+            future = Future()
+            future.set_exception(OSError("lost"))
+            return future
+
+    processes = Processes(2)
+    processes._pool = Lost()
+    played = list(processes.play(str, setups("sliced", 5)))
+    assert sorted(number for number, _, _ in played) == list(range(5))
+    assert {str(error) for _, _, error in played} == {"lost"}
+    assert processes.done == processes.total == 5
 
 
 def chunks():

@@ -313,10 +313,46 @@ def test_the_sky_is_at_a_distance_before_the_scale(tmp_path):
     assert np.all(larger.truth_m == 40)
 
 
-def test_the_offset_of_a_disparity_is_in_pixels_however_many_numbers_a_pixel_has(tmp_path):
-    numbers = np.full(SHAPE, round((800 * 0.2 / 4 - 3) * 16), np.uint16)
+@pytest.mark.parametrize("offset_px", [3, 0, -3])
+def test_the_offset_of_a_disparity_is_in_pixels_however_many_numbers_a_pixel_has(
+    tmp_path, offset_px
+):
+    numbers = np.full(SHAPE, round((800 * 0.2 / 4 - offset_px) * 16), np.uint16)
     path = png(tmp_path / "d.png", numbers)
-    assert np.all(load_scene(path, *SHAPE, unit="disparity/16:800,0.2,3").truth_m == 4)
+    assert np.all(load_scene(path, *SHAPE, unit=f"disparity/16:800,0.2,{offset_px}").truth_m == 4)
+
+
+def test_numbers_that_mean_no_depth_are_told(tmp_path):
+    samples = np.full(SHAPE, 4000, np.uint16)
+    path = npy(tmp_path / "d.npy", samples)
+    assert "no depth" not in " ".join(load_scene(path, *SHAPE).notes)
+    samples[0, :3] = 7, 65535, 7
+    path = npy(tmp_path / "d.npy", samples)
+    told = f"{path}: 3 samples are 7 or 65535, which is taken for no depth"
+    assert told in load_scene(path, *SHAPE, missing=7).notes
+
+
+@pytest.mark.parametrize("unit", ["sun-rgbd", "nyu-raw"])
+def test_the_largest_number_of_16_bits_is_a_hole_also_where_bits_are_moved(tmp_path, unit):
+    samples = np.full(SHAPE, {"sun-rgbd": 4000 << 3, "nyu-raw": 0xED03}[unit], np.uint16)
+    samples[0, 0] = 0xFFFF
+    truth_m = load_scene(npy(tmp_path / "d.npy", samples), *SHAPE, unit=unit).truth_m
+    assert np.argwhere(np.isnan(truth_m)).tolist() == [[0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("samples", "unit", "range_m", "told"),
+    [
+        (5 * np.arange(80, 121), "m", 75, "with the unit cm it is 5 m"),  # not 0.1 m of TUM
+        (np.arange(4980, 5021), "mm", 3, "integers millimetres, unless a unit is given"),
+    ],
+)
+def test_a_refusal_proposes_a_unit_that_makes_distances_usual(
+    tmp_path, samples, unit, range_m, told
+):
+    path = npy(tmp_path / "d.npy", np.tile(samples, (40, 1)))
+    with pytest.raises(InputError, match=told):
+        load_scene(path, 8, 8, unit=unit, range_m=range_m)
 
 
 def test_nyus_raw_files_are_recognized(tmp_path):
@@ -354,6 +390,16 @@ HINTS = {  # samples, options, unit of the hint; "": none
         "",
     ),
     "a wall, which is a multiple of 5 by accident": (np.full((64, 64), 4000, np.uint16), {}, ""),
+    "what millimetres would bring too far, with the unit of TUM": (
+        np.linspace(15000, 25000, 64 * 64).reshape(64, 64).astype(np.uint16),
+        {"unit": "tum"},
+        "",
+    ),
+    "disparities that are given, of something near": (
+        np.full((64, 64), 1601, np.uint16),
+        {"unit": "disparity/16:100,0.1"},
+        "",
+    ),
     "centimetres of a street, as they are given": (of_a_room(3000), {"unit": "cm"}, ""),
 }
 
@@ -431,6 +477,7 @@ def test_what_is_no_depth_picture_is_doubted(tmp_path):
         (noisy, ""),
         (noisy.byteswap(), "bytes of the samples seem to be swapped"),
         (noise, "as in noise"),
+        (np.where(steps == 0, 65535, noise).astype(np.uint16), "as in noise"),  # with other holes
         (noise / 1000, "as in noise"),
         (noise / 10_000, "as in noise"),  # all nearer than 1 m
         (np.full((64, 64), 4000, np.uint16), ""),
@@ -604,7 +651,8 @@ def test_arrays_in_archives(tmp_path):
     for source in ("a.npz", "a.npz:none"):
         with pytest.raises(InputError, match="two dimensions depth, mask; must name one"):
             load_scene(str(tmp_path / source), *SHAPE)
-    savemat(tmp_path / "g.mat", {"depth": depth_m, "camera": "left"})  # texts are no pictures
+    others = {"camera": "left", "lens": {"f": 1.4}, "names": np.array([["a", 2]], object)}
+    savemat(tmp_path / "g.mat", {"depth": depth_m, **others})  # they are no pictures
     assert np.array_equal(load_scene(str(tmp_path / "g.mat"), *SHAPE).truth_m, depth_m)
     moving_m = np.stack([depth_m, depth_m + 1])
     np.savez(tmp_path / "f.npz", depth=depth_m, moving=moving_m, k=np.ones(3))

@@ -132,13 +132,16 @@ def test_a_peak_that_is_too_near_is_no_surface():
     assert any("1 of 64 histograms have no peak in this range" in note for note in scene.notes)
 
 
-def test_a_peak_at_or_beyond_the_range_is_no_surface():
+@pytest.mark.parametrize("in_file", [True, False])
+def test_a_peak_at_or_beyond_the_range_is_no_surface(tmp_path, in_file):
     """Of a recording that lasts longer than the laser period."""
-    scene = load_scene(counts(), *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES, range_m=5.9)
+    np.save(tmp_path / "h.npy", counts())
+    source = tmp_path / "h.npy" if in_file else counts()
+    scene = load_scene(source, *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES, range_m=5.9)
     assert np.array_equal(scene.valid, WALL_M == 3)
     assert any("32 of 64 histograms have no peak in this range" in note for note in scene.notes)
     with pytest.raises(InputError, match="no histogram has a peak from 0.05 m to .* of 2.9 m;"):
-        load_scene(counts(), *SHAPE, bin_ps=BIN_PS, range_m=2.9)
+        load_scene(source, *SHAPE, bin_ps=BIN_PS, range_m=2.9)
 
 
 def test_what_the_histograms_are_is_told_in_numbers():

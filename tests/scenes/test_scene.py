@@ -127,6 +127,16 @@ def test_parameters_in_the_name():
     assert np.array_equal(four.reflectivity[0, 0], [0.1, 0.3, 0.1, 0.1])
 
 
+@pytest.mark.parametrize(
+    "name", ["flat:{}", "two-targets:4,{}", "two-returns:4,{}", "returns:4,{}@0.3"]
+)
+def test_distances_in_the_name_end_with_the_range(name):
+    far = load_scene(name.format(90), 8, 8, range_m=100)
+    assert far.distance_m.max() == 90
+    with pytest.raises(InputError, match="= 60.0: must be a number from 0.05 to 50"):
+        load_scene(name.format(60), 8, 8, range_m=50)
+
+
 DEFAULTS = {  # scene: distances, reflectivity of each surface, least share of the sun
     "flat": ([10.0], 0.4, 1.0),
     "flat:3": ([3.0], 0.4, 1.0),
@@ -743,8 +753,11 @@ def scene_of(distance_m, reflectivity, klux):  # noqa: ARG001 as of `Light.from_
 
 def test_what_is_wrong_with_the_light_of_a_scene_is_told_as_it_was_given():
     scene = load_scene("flat:5", 4, 4)
-    with pytest.raises(InputError, match="^klux = 1000000000000.0: is too much ambient light"):
+    with pytest.raises(
+        InputError, match="^klux = 1000000000000.0: is too much ambient light"
+    ) as refused:
         scene_light(scene, 1e12)
+    assert refused.value.field == "klux"
     with pytest.raises(InputError, match="^background = 'dark': must be one of"):
         scene_light(scene, 5, background="dark")
     with pytest.raises(InputError, match="^system_fwhm_s"):

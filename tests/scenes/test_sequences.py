@@ -159,6 +159,14 @@ def test_a_pattern_may_have_several_numbers(tmp_path):
     assert [scene.at(k).truth_m[0, 0] for k in range(scene.pictures)] == [3.0, 4.0, 5.0]
 
 
+def test_a_pattern_may_have_the_signs_of_a_copy(tmp_path):
+    """A file system permits them; only the number differs."""
+    for name, wall_m in (("d+ (1).5.png", 3.0), ("d+ (1).6.png", 4.0), ("d+ (1)x7.png", 5.0)):
+        png(tmp_path / name, np.full(SHAPE, wall_m))
+    scene = load_scene(f"{tmp_path}/d+ (1).%d.png", *SHAPE)
+    assert [scene.at(k).truth_m[0, 0] for k in range(scene.pictures)] == [3.0, 4.0]
+
+
 @pytest.mark.parametrize("pattern", ["d_%d.png", "d_*.png", "d_?.png", ""])
 def test_copies_beside_a_sequence_are_no_pictures_of_it(tmp_path, pattern):
     """As editors and programs that save pictures leave them."""
