@@ -372,6 +372,20 @@ def test_avalanches_between_two_periods_are_no_edges():
         assert len(late) == pytest.approx(share * len(ready), rel=0.1)
 
 
+def test_a_spad_of_a_users_own_is_told_rows_and_then_columns():
+    """It needs them for crosstalk."""
+    told = []
+
+    def edges_of(self, photons, *, pixels, seed):
+        told.append(pixels)
+        return photons
+
+    own = type("Told", (Ready,), {"edges_of": edges_of, "name": "told"})()
+    light = Light(rows=2, cols=6, distance_m=2.0, signal_per_pulse=0.5)
+    generate_edges(light, own, Timing(), pulses=2, seed=1)
+    assert told == [(2, 6)]
+
+
 def edges_by(pixel, time_s, timing, **options):
     """Return the edges of 4 x 4 pixels with a SPAD that makes these, whatever the photons are."""
 

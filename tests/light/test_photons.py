@@ -662,6 +662,10 @@ def test_dark_counts_and_hot_pixels():
             r"tap_width_lsb: sums to 35.2, must sum to the 32 phases",
         ),
         (
+            lambda: Timing(tap_width_lsb=np.r_[np.ones(31), 0.5]),
+            r"tap_width_lsb: sums to 31.5, must sum to the 32 phases",
+        ),
+        (
             lambda: Timing(tap_width_lsb=np.r_[np.ones(31), 1.001]),
             r"tap_width_lsb: sums to 32.001, must sum to the 32 phases",
         ),

@@ -106,6 +106,7 @@ def test_what_is_wrong_is_named(tmp_path):
     Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(colour)
     np.save(negative, np.full((4, 4), -1.0))
     np.save(flat, np.ones(4))
+    np.save(tmp_path / "colour.npy", np.ones((4, 4, 3)))
     for source, message in {
         "-1": "klux = -1.0: must be a number of at least 0",
         "nan": "klux = nan",
@@ -114,6 +115,7 @@ def test_what_is_wrong_is_named(tmp_path):
         "1|x": "klux = '1|x': must be a number",
         "2|-5": "klux = -5.0",
         str(colour): "needs its white level in klux",
+        str(colour.with_suffix(".npy")): "must hold numbers in two dimensions",
         f"{colour},100": "mode RGB, must be grey",
         f"{colour},-1": "klux = -1.0",
         str(negative): "klux[0, 0] = -1.0: must be at least 0",

@@ -165,6 +165,7 @@ CHANNELS = {  # channels of an EXR file, options, distance or part of the error
     "Mitsuba's AOV": ({"R": 0.5, "dd.y.T": 4, "nn.X": 0.1, "nn.Z": 0.7}, {"unit": "mitsuba"}, 4),
     "pbrt's GBufferFilm": ({"R": 0.5, "Pz": 4, "Nz": 0.7}, {"unit": "pbrt"}, 4),
     "the user's choice": ({"R": 0.5, "Nz": 0.7, "far": 4}, {"channel": "far"}, 4),
+    "a choice beside the unit's": ({"T": 9, "far": 4}, {"unit": "mitsuba", "channel": "far"}, 4),
     "a choice that is not there": ({"R": 0.5, "Z": 4}, {"channel": "far"}, "R, Z; must have far"),
 }
 
@@ -177,7 +178,10 @@ def test_the_channel_of_depth(tmp_path, case):
         with pytest.raises(InputError, match=re.escape(expected)):
             load_scene(path, *SHAPE, **options)
     else:
-        assert np.all(load_scene(path, *SHAPE, **options).truth_m == expected)
+        scene = load_scene(path, *SHAPE, **options)
+        assert np.all(scene.truth_m == expected)
+        if "channel" in options:
+            assert "--channel" not in " ".join(scene.notes), "it was chosen already"
 
 
 @pytest.mark.parametrize("wrong", [3, b"Z", ["Z"], True])

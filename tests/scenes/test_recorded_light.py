@@ -111,6 +111,27 @@ def test_signal_and_background_of_the_histograms_are_told_apart():
     assert run.but(pulse=wide)["bound_mm"] == pytest.approx(of_wide.pixel_mm)
 
 
+def test_signal_and_background_are_all_photons_also_if_the_last_bins_have_none():
+    """The background lasts as long as the histograms do."""
+    given = mean_counts()
+    given[:, :, 500:] = 0
+    light = scene_light(load_scene(given, *SHAPE, bin_ps=BIN_PS, recorded_pulses=PULSES), 0)
+    of_background = light.total_background_cps * BINS * BIN_PS * 1e-12
+    photons = given.sum(axis=2).ravel() / PULSES
+    assert light.total_signal + of_background == pytest.approx(photons)
+
+
+def test_counts_without_a_number_of_pulses_are_scaled_by_the_peaks_in_the_range():
+    far = WALL_M == 6
+    brighter = counts() * np.where(far, 10, 1)[:, :, None]
+    signal = [
+        scene_light(load_scene(given, *SHAPE, bin_ps=BIN_PS, range_m=5.9), 0).total_signal
+        for given in (counts(), brighter)
+    ]
+    same, other = (each[~far.ravel()] for each in signal)
+    assert other == pytest.approx(same)
+
+
 def test_further_surfaces_are_signal_and_no_background():
     """As behind a window. The truth is the highest peak."""
     twice = counts()

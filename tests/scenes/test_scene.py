@@ -543,6 +543,14 @@ def test_files_that_are_no_depth(tmp_path):
         load_scene(f"{tmp_path / 'depth.png'},{colour}", 8, 8, colour=colour)
 
 
+@pytest.mark.parametrize("name", ["tunnel", "flat:5"])
+def test_a_file_with_the_name_of_a_built_in_scene_is_that_file(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    png(tmp_path / "d.png", np.full((4, 4), 3000))
+    (tmp_path / "d.png").rename(name)
+    assert np.all(load_scene(name, 4, 4).truth_m == 3)
+
+
 def test_an_empty_name_is_not_the_folder_where_one_is(tmp_path, monkeypatch):
     png(tmp_path / "d.png", np.full((4, 4), 3000))
     monkeypatch.chdir(tmp_path)
