@@ -138,7 +138,8 @@ def test_what_an_estimator_does_not_find_is_nan_in_all_that_it_tells():
     def estimate(self, reading):
         one = np.full((*run.scene.truth_m.shape, 1), 2.0)
         light = Intensity(signal=one + 1, error=one + 2)
-        return evolve(Depth.of(one), error_m=one + 3, light=light)
+        slope_m = np.full((*run.scene.truth_m.shape, 2), 6.0)
+        return evolve(Depth.of(one), error_m=one + 3, slope_m=slope_m, light=light)
 
     found = run.depth(type("Single", (Far,), {"estimate": estimate, "name": "single"})(), returns=3)
     told = {"depth_m": 2.0, "signal_per_pulse": 3.0, "signal_error": 4.0, "error_m": 5.0}
@@ -146,6 +147,8 @@ def test_what_an_estimator_does_not_find_is_nan_in_all_that_it_tells():
         values = getattr(found, name)
         assert values.shape == (*run.scene.truth_m.shape, 3), name
         assert (values[:, :, 0] == value).all() and np.isnan(values[:, :, 1:]).all(), name
+    assert np.array_equal(found.confidence, np.ones((*run.scene.truth_m.shape, 3)) * [1, 0, 0])
+    assert np.all(found.slope_m == 6) and found.slope_m.shape == (*run.scene.truth_m.shape, 2)
 
 
 @pytest.mark.parametrize("part", ["signal_per_pulse", "signal_error"])

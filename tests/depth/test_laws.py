@@ -493,6 +493,11 @@ def test_a_depth_is_sure_unless_it_is_told_how_sure():
     assert (told.confidence.item(), told.reason.item()) == (1.0, Reason.BELIEVED)
 
 
+def test_the_reason_of_a_pixel_is_that_of_its_first_return():
+    depth = Depth.of([[[5.0, np.nan], [np.nan, 5.0]]], [[[0.1, 0.0], [0.0, 1.0]]])
+    assert depth.reason.tolist() == [[Reason.FEW_PHOTONS, Reason.NO_LIGHT]]
+
+
 def test_the_confidence_of_a_pixel_without_a_depth_does_not_matter():
     depth = Depth.of([[5.0, np.nan, np.nan]], [[0.5, np.nan, 0.9]])
     assert depth.confidence.ravel().tolist() == [0.5, 0.0, 0.0]
