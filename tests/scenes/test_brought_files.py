@@ -285,9 +285,13 @@ def test_numbers_are_read_as_they_are(tmp_path, case):
     assert np.all(load_scene(FILES[case](tmp_path), *SHAPE).truth_m == 4)
 
 
-def test_sun_rgbd_in_a_big_endian_array(tmp_path):
-    bits = np.full(SHAPE, 4000 << 3, ">u2")
-    assert np.all(load_scene(npy(tmp_path / "d.npy", bits), *SHAPE, unit="sun-rgbd").truth_m == 4)
+@pytest.mark.parametrize("distance_m", [4, 9])
+def test_sun_rgbd_in_a_big_endian_array(tmp_path, distance_m):
+    """Its bits are rotated, so those of distances beyond 8.192 m are at both ends."""
+    number = 1000 * distance_m
+    bits = np.full(SHAPE, (number << 3 | number >> 13) & 0xFFFF, ">u2")
+    read = load_scene(npy(tmp_path / "d.npy", bits), *SHAPE, unit="sun-rgbd")
+    assert np.all(read.truth_m == distance_m)
 
 
 def test_disparities_of_kitti(tmp_path):

@@ -269,8 +269,9 @@ def test_numbers_and_names_that_do_not_fit_are_refused():
             for wrong in (most + 1, -1, 2.5):
                 with pytest.raises(InputError, match=f"{name} = .*0 to {most}"):
                     act(name, wrong)
-            with pytest.raises(InputError, match=f"{name}: has 63 numbers"):
-                act(name, [0] * 63)
+            for number in (63, 65):
+                with pytest.raises(InputError, match=f"{name}: has {number} numbers"):
+                    act(name, [0] * number)
             act(name, np.full(64, most))
         for act in (slices.get, lambda port: slices.set(port, 0)):
             with pytest.raises(InputError, match="port = 'nothing'"):
