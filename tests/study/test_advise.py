@@ -192,23 +192,29 @@ def test_the_advice_for_a_scene_that_moves_plays_its_pictures(
 
 
 @pytest.mark.parametrize(
-    ("asked", "auto", "written"),
+    ("pictures", "asked", "auto", "written"),
     [
-        ({"frames": 3}, False, "frames = 3"),
-        ({"frames": 1}, False, "frames = 1"),
-        ({}, False, None),
-        ({"frames": 3}, True, "frames = 3"),
-        ({}, True, "frames = 7"),  # in which the controller has settled
+        (1, {"frames": 3}, False, "frames = 3"),
+        (1, {"frames": 1}, False, "frames = 1"),
+        (1, {}, False, None),
+        (1, {"frames": 3}, True, "frames = 3"),
+        (1, {}, True, "frames = 7"),  # in which the controller has settled
+        (7, {}, True, None),
+        (7, {"frames": 3}, True, "frames = 3"),
     ],
 )
-def test_advice_writes_the_frames_that_were_asked_for(tmp_path, monkeypatch, asked, auto, written):
-    """Of a scene that does not move, and not those that the advice played."""
+def test_advice_writes_the_frames_that_were_asked_for(
+    tmp_path, monkeypatch, pictures, asked, auto, written
+):
+    """And not those that the advice played; the pictures of a scene tell their own number."""
     monkeypatch.setattr("coincid.study.advise._draw", lambda *given: None)
     monkeypatch.setattr("coincid.study.advise._limit", lambda *given: "")
     monkeypatch.setattr("coincid.study.advise._settings", lambda *given: iter([best]))
     monkeypatch.setattr("coincid.study.advise._links", lambda *given: iter([best]))
     sensor = {"rows": 8, "cols": 8}
-    setup = Setup.of("flat:4", sensor=sensor, frame=asked | {"pulses": 5}, klux=1.0)
+    wall_m = np.full((pictures, 8, 8), 4.0)
+    scene = load_scene(wall_m if pictures > 1 else wall_m[0], 8, 8)
+    setup = Setup.of(scene, sensor=sensor, frame=asked | {"pulses": 5}, klux=1.0)
     config = setup.config.with_frame(frames=7 if auto else 1).with_settings(auto=auto)
     best = Tried(config=config, wrong=0.1, far=0.0, error_mm=9.0, bits=10, dropped=0.0, load=0.1)
     file = write_advice(tmp_path, advise(setup, klux=1.0), "a wall")[-1]
@@ -686,8 +692,9 @@ def test_an_advice_tells_the_controller_and_a_single_tick():
 def test_beside_an_overload_the_best_of_what_fits_is_told():
     full = outcome(0.004, load=1.5)
     others = [outcome(wrong) for wrong in (0.3, 0.1, 0.2)]
-    advice = Advice(settings=others[:2], chosen=full, links=[full, others[2]], best=full, klux=1.0)
-    assert "without an overload leaves 10.0% of the pixels wrong" in advice.sentence
+    for before, behind in ((others[:2], others[2:]), (others[2:], others[:2])):
+        advice = Advice(settings=before, chosen=full, links=[full, *behind], best=full, klux=1.0)
+        assert "without an overload leaves 10.0% of the pixels wrong" in advice.sentence
 
 
 def test_the_table_has_all_that_was_tried_in_its_order(tmp_path, monkeypatch):
@@ -727,11 +734,13 @@ def test_an_outcome_has_the_measures_of_its_last_frame_in_the_units_of_its_field
 def advised(monkeypatch):
     """Advice for a wall, of outcomes that a function makes from each configuration."""
 
-    def advised(wrong, *, sensor=None, frame=None, progress=lambda *told: None):
+    def advised(
+        wrong, *, sensor=None, frame=None, progress=lambda *told: None, limit=lambda *given: ""
+    ):
         nothing = Edges(*(np.zeros(0, np.int64) for _ in range(3)))
         for name, stand_in in {
             "_tried": lambda run: outcome(wrong(run.config), config=run.config),
-            "_limit": lambda *given: "",
+            "_limit": limit,
             "Run._generated_edges": lambda run: nothing,
         }.items():
             monkeypatch.setattr(f"coincid.study.advise.{name}", stand_in)
@@ -816,6 +825,22 @@ def test_a_scene_is_useless_only_if_no_link_and_no_format_helps(
     advice = advised(lambda config: best if config.format == "id" else 0.9)
     assert advice.useless == ("useless" if is_told else "")
     assert [given[0] for given in told] == [best] * is_told
+
+
+@pytest.mark.parametrize("window", [8, 32])
+def test_what_would_help_and_the_limit_are_those_of_the_window_that_is_advised(
+    advised, monkeypatch, window
+):
+    """The configuration that one begins with has one of 16 ticks."""
+    helped, limited = [], []
+    monkeypatch.setattr(
+        "coincid.study.advise.useless_sentence", lambda *given: helped.append(given[2]) or ""
+    )
+    advised(
+        lambda config: 0.5 if config.window[0] == window else 0.9,
+        limit=lambda run, config: limited.append(config.window[0]) or "",
+    )
+    assert helped == limited == [window]
 
 
 def test_what_counts_would_do_is_told_with_both_shares(advised, monkeypatch):

@@ -51,12 +51,13 @@ CONFIG = parse_config({"sensor": {"rows": ROWS, "cols": COLS, "subgroup": [4, 10
 NAMES = (*MAPS, *LIGHT)
 
 
-def view_of(seed, scale=1.0):
+def view_of(seed, scale=1.0, config=CONFIG):
     """Return a view whose maps are all different."""
     rng = np.random.default_rng(seed)
-    maps = {name: scale * (k + rng.random((ROWS, COLS))) for k, name in enumerate(NAMES)}
-    reason = rng.integers(0, 3, (ROWS, COLS), np.uint8)
-    return SimpleNamespace(config=CONFIG, reason=reason, **maps)
+    shape = config.sensor.rows, config.sensor.cols
+    maps = {name: scale * (k + rng.random(shape)) for k, name in enumerate(NAMES)}
+    reason = rng.integers(0, 3, shape, np.uint8)
+    return SimpleNamespace(config=config, reason=reason, **maps)
 
 
 def covered(rectangle):
@@ -227,8 +228,11 @@ def scale_of(one):
 
 
 def test_compared_maps_have_their_letters_and_one_scale():
-    """A and B, whichever has the larger numbers; alone, a frame has no letter."""
-    small, large = view_of(1), view_of(2, scale=3.0)
+    """A and B, whichever has the larger numbers, each of its own array; alone, a frame has no
+    letter.
+    """
+    config = parse_config({"sensor": {"rows": 8, "cols": 16}})
+    small, large = view_of(1), view_of(2, scale=3.0, config=config)
     views = Views(compared=True)
     for b, a in ((small, large), (large, small)):
         views.show(b, a)
@@ -241,6 +245,10 @@ def test_compared_maps_have_their_letters_and_one_scale():
         assert scale_of(of_b["depth_m"])[:2] == map_scales([small, large])["depth_m"]
         for source, view in ((views.pictures, b), (views.others, a)):
             assert np.array_equal(source.data["depth_m"][0], view.depth_m.astype(np.float32))
+        for maps, view in ((views.maps, b), (views.a_maps, a)):
+            ends = view.config.sensor.cols - 0.5, view.config.sensor.rows - 0.5
+            for one in maps:
+                assert (one.figure.x_range.end, one.figure.y_range.start) == ends
     views.show(small)
     assert [one.figure.title.text for one in views.maps] == [title for title, _ in MAPS.values()]
 

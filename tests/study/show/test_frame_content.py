@@ -123,7 +123,7 @@ def test_background_in_bins_is_shown_and_no_share_of_the_sun_is_told(recorded):
         assert view.numbers["sun_share"] is None
 
 
-def test_a_report_has_the_gates_and_the_returns_of_all_pixels():
+def test_a_report_has_the_periods_the_gates_and_the_returns_of_all_pixels():
     """A period has the number subgroup * pulses + pulse, of the pulses that are kept."""
     setup = Setup.of(
         "two-returns:3,6",
@@ -131,9 +131,24 @@ def test_a_report_has_the_gates_and_the_returns_of_all_pixels():
         frame={"pulses": 8, "gate_every": 2, "gate_steps": 3, "gate_step": 7},
         klux=5.0,
     )
-    config = setup.config.with_settings(gating=[True, False], gate_start=[9, 4], gate_len=60)
+    config = setup.config.with_settings(
+        gating=[True, False],
+        gate_start=[9, 4],
+        gate_len=60,
+        coincidence=[True, False],
+        threshold=2,
+    )
     view = FrameView("a frame", Run(setup.but(config=config)).frame())
     sources = report._sources(view, 5)
+    assert sources["threshold"] == [2, 1]
+    edges, windows, bounds = (sources[name].data for name in ("edges", "windows", "bounds"))
+    for k, (subgroup, pulse) in enumerate(np.ndindex(2, 5)):
+        period = view.period(subgroup, pulse)
+        here = slice(*bounds["edges"][k : k + 2])
+        assert len(period.tick) and np.array_equal(edges["tick"][here], period.tick)
+        assert np.array_equal(edges["pixel"][here], period.pixel)
+        here = slice(*bounds["windows"][k : k + 2])
+        assert np.array_equal(windows["start"][here], period.windows.start)
     gates = sources["gates"].data
     first = [9, 9, 16, 16, 23]
     assert gates["first"].tolist() == [*first, *[0] * 5]
@@ -226,6 +241,13 @@ def test_two_million_edges_fit_into_a_report_and_those_of_one_pulse_in_any_case(
         SimpleNamespace(pulses_seen=100, timeline=SimpleNamespace(tick=range(one))) for one in edges
     ]
     assert report._pulses_kept(views) == kept
+
+
+@pytest.mark.parametrize("seen", [(40, 100), (100, 40)])
+def test_a_report_has_the_pulses_that_were_kept_of_all_its_frames(seen):
+    timeline = SimpleNamespace(tick=range(10))
+    views = [SimpleNamespace(pulses_seen=one, timeline=timeline) for one in seen]
+    assert report._pulses_kept(views) == 40
 
 
 def test_a_report_that_is_written_is_that_of_all_its_frames(recorded, tmp_path):

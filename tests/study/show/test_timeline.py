@@ -24,6 +24,8 @@ BUSY = {  # name: document; there are many edges, so that FIFOs overflow
     "records between events": {"frame": {"minigroup_records": True}, "subgroup": {"threshold": 1}},
     "two streams, re-arm gap": {"sensor": {"cols": 24, "streams": 2, "rearm": 2}, "subgroup": {"threshold": 1, "window": 40}},
     "dither": {"frame": {"dither_bits": 3}, "subgroup": {"threshold": 1}},
+    "two thresholds": {"frame": {"pulses": 60}, "subgroup": {"threshold": 3, "window": 128}, "override": [{"subgroups": [1], "threshold": 2}]},
+    "2^32 cycles apart": {"frame": {"gap": (1 << 28) - 40, "pulses": 17}, "subgroup": {"coincidence": False}},
 }  # fmt: skip
 
 
