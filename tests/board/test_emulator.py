@@ -470,6 +470,7 @@ def test_every_damaged_frame_is_dropped_and_counted():
     """Also one that is too short; flags without anything between them are no frames."""
     whole = frame(b"whole body")
     damaged = [b"\1", b"12345", b"no right check", whole[1:-1] + b"\0", whole[2:-1]]
+    damaged += [frame(short)[1:-1] for short in (b"", b"\1")]  # with a right check
     deframer = Deframer()
     for number, inside in enumerate(damaged, 1):
         assert deframer.add(_FLAGS + inside + _FLAGS) == []

@@ -160,7 +160,7 @@ def test_every_port_of_the_board_has_its_pin():
     ) == 13
 
 
-@pytest.mark.parametrize("clock_mhz", [10.5, 11.7, 20])
+@pytest.mark.parametrize("clock_mhz", [1, 9, 10.5, 11.7, 20])
 def test_a_clock_that_makes_no_line_is_refused(clock_mhz):
     """A bit has four clocks at least, and its rate is right to 2 %."""
     told = f"frame.clock_mhz = {clock_mhz:g}: does not make 3000000 baud to 2%"

@@ -24,6 +24,7 @@ from coincid.model.depth.intensity import Intensity
 from coincid.model.depth.pulse_ticks import pulse_ticks
 from coincid.model.light.link_budget import Optics
 from coincid.model.scenes.catalogue import load_scene
+from coincid.model.scenes.scene import REFLECTIVITY
 from coincid.model.scenes.view import View
 from coincid.study import run as study_run
 from coincid.study.point_cloud import write_ply
@@ -370,6 +371,7 @@ def test_an_array_of_distances_is_a_scene():
             {},
             "config = 'five-objects': is a scene; the configuration comes first",
         ),
+        (("flat:5",), {}, "config = 'flat:5': is a scene"),
         ((np.ones((8, 8)),), {}, "config = ndarray: is no configuration"),
         ((None, None), {}, "scene = None: must be a Scene"),
         ((None, "flat:5"), {"thresold": 3}, "thresold: unknown argument or setting"),
@@ -384,6 +386,11 @@ def test_an_array_of_distances_is_a_scene():
         (
             (None, load_scene("flat:5", 8, 8)),
             {"reflectivity": 0.9},
+            "^reflectivity: goes with depth",
+        ),
+        (
+            (None, load_scene("flat:5", 8, 8)),
+            {"reflectivity": np.linspace(REFLECTIVITY, 0.9, 64).reshape(8, 8)},
             "^reflectivity: goes with depth",
         ),
         (

@@ -587,8 +587,9 @@ def test_a_picture_of_every_form_can_be_uploaded(tmp_path, kind, form):
     file = io.BytesIO()
     Image.new("L", (32, 32), 255).save(file, form)
     suffixes = {"PNG": ".png", "TIFF": ".tif", "JPEG": ".jpg"}
-    used = Uploads().with_file(kind, f"a{suffixes[form]}", file.getvalue(), tmp_path)
-    assert used.files()[kind].is_file()
+    for name in (f"a{suffixes[form]}", f"A{suffixes[form]}".upper()):
+        used = Uploads().with_file(kind, name, file.getvalue(), tmp_path)
+        assert used.files()[kind].name == name and used.files()[kind].is_file()
 
 
 def test_each_picture_of_an_uploaded_sequence_is_scaled(tmp_path):
@@ -797,6 +798,8 @@ def test_a_default_that_does_not_fit_says_what_counts():
     small = check_settings({"window_max": 8, "coarse_bits": 7})
     assert small.told(CONTROL["window"]) == "1 to 8 ticks; now 8 = 0.5 ns"
     assert small.told(CONTROL["period"]) == "1 to 128 cycles; now 128 = 256 ns"
+    coarse = check_settings({"coarse_bits": 7, "phases": 8, "offset_phases": 8})
+    assert coarse.told(CONTROL["period"]) == "1 to 128 cycles; now 128 = 256 ns"
     assert "now" not in small.told(CONTROL["rows"])
     integers = [control for control in CONTROLS if control.where and control.kind == "integer"]
     assert all("now" not in check_settings({}).told(control) for control in integers)
@@ -849,6 +852,6 @@ def test_uploads_are_kept_under_a_number_of_their_own():
     assert len(set(numbers)) == len(given)
     assert [kept.number_of(one) for one in reversed(given)] == numbers[::-1]
     assert [kept.get(number) for number in numbers] == given
-    for unknown in (max(numbers) + 1, max(numbers) + 2, 1 << 70):
+    for unknown in (max(numbers) + 1, max(numbers) + 2, 1 << 70, -1, -2):
         assert kept.get(unknown) == Uploads()
     assert Kept().get(1) == Uploads()  # a page of a server that ran before
