@@ -161,8 +161,10 @@ def test_a_is_what_was_kept_last_and_is_gone_once_dropped(page):
         results.append(answered(page, threshold=threshold, frames=1))
     first, second, third = (number_rows(result.view(0)) for result in results)
     beside = [[*row, kept[1]] for row, kept in zip(third, second, strict=True)]
-    assert [list(row) for row in page.link.answer["words"]["numbers"]] == beside
+    words = page.link.answer["words"]
+    assert [list(row) for row in words["numbers"]] == beside
     assert second != first
+    assert "threshold 2" in words["a_says"] and "threshold 3" in words["status"]
     for _ in range(2):  # the second time, nothing is left to drop
         page._ordered(messages.DropA())
         assert [list(row) for row in page.link.new_words["words"]["numbers"]] == third
