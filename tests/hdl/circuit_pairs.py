@@ -34,12 +34,12 @@ OF_VIEWS: dict[str, View] = {
 FEATURES: Features = BUILT | {"view": tuple(OF_VIEWS)}
 UNCOUNTED = [name for name, view in OF_VIEWS.items() if not view.has_quarters]
 CASES = covering_cases(FEATURES, impossible_of(FEATURES, UNCOUNTED))
-# All that is counted is one more than a power of two: 9 subgroups of 9 minigroups, ... A register
+# All that is counted is one more than a power of two: 9 subgroups of 5 minigroups, ... A register
 # that is a bit too narrow is too narrow here.
 ABOVE = dict(
-    rows=18,
-    cols=18,
-    subgroup=[6, 6],
+    rows=6,
+    cols=30,
+    subgroup=[2, 10],
     minigroup=[2, 2],
     phases=8,
     window_max=33,
