@@ -4,14 +4,9 @@
 import ast
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
-import coincid
-from coincid.model.shared.sources import package_files, room_files
+from .checkout import package_sources
 
-from .test_layers import STUDIES, rooms
-
-PACKAGE = Path(coincid.__file__).parent
 OPTIONAL = re.compile(r"(Annotated\[)?(int|float) \| None\b")  # an annotation
 ALIKE = {  # (file, name): why 0 may be the same as None there
     ("flow/synth.py", "levels"): "a block without levels adds none",
@@ -77,12 +72,7 @@ def taken_for_none(text: str) -> set[str]:
 
 
 def test_a_number_that_may_be_none_is_held_against_none():
-    found = {
-        (str(path.relative_to(PACKAGE)), name)
-        for path in [*package_files("coincid"), *room_files(*set(rooms()) - {STUDIES})]
-        if path.suffix == ".py"
-        for name in taken_for_none(path.read_text(encoding="utf-8"))
-    }
+    found = {(file, name) for file, text in package_sources() for name in taken_for_none(text)}
     assert found == ALIKE.keys()
 
 

@@ -329,6 +329,12 @@ def test_a_scheduler_that_does_not_answer_is_told_and_its_workers_end(address, m
     assert local.ended == (address is None)
 
 
+def played_by(monkeypatch, client):
+    """Let a client stand in for that of a cluster."""
+    monkeypatch.setattr(dask_workers, "cluster", lambda *given: contextlib.nullcontext(client))
+    monkeypatch.setattr(dask_workers, "as_completed", lambda tasks, loop: iter(tasks))
+
+
 def test_a_scheduler_that_is_lost_ends_the_campaign(monkeypatch):
     """Not as an error of the setup that was played: it runs again next time."""
 
@@ -342,12 +348,7 @@ def test_a_scheduler_that_is_lost_ends_the_campaign(monkeypatch):
         def submit(self, *given, **options):
             return Lost()
 
-    @contextlib.contextmanager
-    def cluster(*given):
-        yield Client()
-
-    monkeypatch.setattr(dask_workers, "cluster", cluster)
-    monkeypatch.setattr(dask_workers, "as_completed", lambda tasks, loop: iter(tasks))
+    played_by(monkeypatch, Client())
     monkeypatch.setattr(dask_workers, "evolve", lambda setup, scene: setup)
     monkeypatch.setattr(dask_workers, "batches", lambda setups, workers: [[0]])
     one = SimpleNamespace(key="a", scene=None, engine="golden")
@@ -375,8 +376,7 @@ def test_what_a_batch_could_not_play_is_the_error_of_each_of_its_setups(monkeypa
         def submit(self, function, *given, **options):
             return Task(given[1]) if function is dask_workers._read_batch else None
 
-    monkeypatch.setattr(dask_workers, "cluster", lambda *given: contextlib.nullcontext(Client()))
-    monkeypatch.setattr(dask_workers, "as_completed", lambda tasks, loop: iter(tasks))
+    played_by(monkeypatch, Client())
     monkeypatch.setattr(dask_workers, "evolve", lambda setup, scene: setup)
     monkeypatch.setattr(dask_workers, "batches", lambda setups, workers: [[0, 2], [1], [3, 4]])
     setups = {name: SimpleNamespace(key=name, scene=None, engine="golden") for name in "abcde"}
@@ -408,8 +408,7 @@ def test_a_batch_is_played_with_its_own_scenes_and_versions(monkeypatch):
             return Task(lambda: function(*given))
 
     monkeypatch.setattr(dask_workers, "versions", lambda engine: {"code": f"of {engine}"})
-    monkeypatch.setattr(dask_workers, "cluster", lambda *given: contextlib.nullcontext(Client()))
-    monkeypatch.setattr(dask_workers, "as_completed", lambda tasks, loop: iter(tasks))
+    played_by(monkeypatch, Client())
     monkeypatch.setattr(
         dask_workers,
         "evolve",

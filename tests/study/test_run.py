@@ -574,6 +574,13 @@ def test_what_has_no_normal_has_none_and_later_returns_have_none():
 PLY_KINDS = {"float": "<f4", "uchar": "u1"}
 
 
+def points_of(path):
+    """Return the points of a PLY file, by the fields that its header names."""
+    header, _, data = path.read_bytes().partition(b"end_header\n")
+    lines = [line.split()[1:] for line in header.decode().splitlines() if "property" in line]
+    return np.frombuffer(data, [(name, PLY_KINDS[kind]) for kind, name in lines])
+
+
 def test_ply_holds_some_of_the_fields_and_floats_of_any_kind(tmp_path):
     """NumPy takes some fields of an array as one with gaps."""
     depth_m = np.linspace(3, 4, 16).reshape(4, 4, 1)
@@ -582,9 +589,7 @@ def test_ply_holds_some_of_the_fields_and_floats_of_any_kind(tmp_path):
     doubles = points[["x", "reason"]].astype([("x", ">f8"), ("reason", "u1")])
     for taken in (points[["z", "x", "reason"]], points[["y"]], doubles, points[::3]):
         coincid.write_ply(tmp_path / "cloud.ply", taken)
-        header, _, data = (tmp_path / "cloud.ply").read_bytes().partition(b"end_header\n")
-        lines = [line.split()[1:] for line in header.decode().splitlines() if "property" in line]
-        read = np.frombuffer(data, [(name, PLY_KINDS[kind]) for kind, name in lines])
+        read = points_of(tmp_path / "cloud.ply")
         assert read.dtype.names == taken.dtype.names
         for name in taken.dtype.names:
             assert np.array_equal(read[name], taken[name].astype("f4"), equal_nan=True), name
@@ -599,10 +604,8 @@ def test_ply_holds_normals_if_the_points_have_them(tmp_path):
     )
     points = coincid.point_cloud(depth, normals=True)
     coincid.write_ply(tmp_path / "cloud.ply", points)
-    header, _, data = (tmp_path / "cloud.ply").read_bytes().partition(b"end_header\n")
-    lines = [line.split()[1:] for line in header.decode().splitlines() if "property" in line]
-    assert [name for _, name in lines][-3:] == ["nx", "ny", "nz"]
-    read = np.frombuffer(data, [(name, PLY_KINDS[kind]) for kind, name in lines])
+    read = points_of(tmp_path / "cloud.ply")
+    assert read.dtype.names[-3:] == ("nx", "ny", "nz")
     for name in points.dtype.names:
         assert np.array_equal(read[name], points[name], equal_nan=True), name
     for wrong in (
