@@ -6,11 +6,12 @@ ones). `HYPOTHESIS_PROFILE=thorough` tries ten times as many unless a test fixes
 test that needs an extra is marked with it (`needs.py`) and skipped without it. `--no-skips` makes a
 skipped test fail; with all extras installed, no test is skipped. `--skipped-before` plays the tests
 that the last run skipped. A failure ends with the command that repeats it. A test that leaves
-threads or open files behind fails, too.
+something behind fails, too (`leftovers.py`).
 """
 
 import os
 import shlex
+import tempfile
 from collections.abc import Iterator
 
 import hypothesis
@@ -132,9 +133,19 @@ def _repeat(item: pytest.Item) -> str:
     return f".venv/bin/python -m pytest {' '.join(seeds)} {shlex.quote(item.nodeid)}"
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_temporary_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Give this process, and those that it starts, a folder of its own for temporary files."""
+    folder = str(tmp_path_factory.mktemp("temporary"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", folder)
+        patch.setattr(tempfile, "tempdir", folder)
+        yield
+
+
 @pytest.fixture(autouse=True)
 def leaves_nothing_behind(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Fail a test that leaves threads or open files in its process."""
+    """Fail a test that leaves something behind."""
     before = Held.now()
     yield
     left = [] if request.node.get_closest_marker("leaves") else leftovers(before)

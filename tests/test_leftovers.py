@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The check that every test ends and closes what it begins and opens."""
+"""The check that every test ends, closes, removes and restores what it begins, opens, makes and
+changes.
+"""
 
+import os
+import tempfile
 from threading import Event, Thread
 
+import numpy as np
 import pytest
 
 from . import leftovers
@@ -34,4 +39,31 @@ def test_a_file_that_is_left_open_is_told(tmp_path):
     with path.open("w", encoding="utf-8"):
         told = leftovers.leftovers(before)
     assert told == [f"file {path}"] * KNOWN
+    assert not leftovers.leftovers(before)
+
+
+def test_a_temporary_file_that_is_left_is_told():
+    before = Held.now()
+    with tempfile.NamedTemporaryFile() as file:
+        told = leftovers.leftovers(before)
+    assert f"temporary {os.path.basename(file.name)}" in told
+    assert not leftovers.leftovers(before)
+
+
+def test_a_changed_process_is_told(tmp_path):
+    before = Held.now()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path)
+        patch.setenv("COINCID_NEW", "1")
+        patch.delenv("PATH")
+        patch.syspath_prepend("modules")
+        with np.errstate(divide="raise"):
+            told = leftovers.leftovers(before)
+    assert told == [
+        "another variable PATH",
+        "another set of variables",
+        "another working directory",
+        "another path of modules",
+        "another errors of NumPy",
+    ]
     assert not leftovers.leftovers(before)
