@@ -35,6 +35,7 @@ from ..model.depth.quality import OTHER_SURFACE_M
 from ..model.depth.tree import kept_shares
 from ..model.light.light import Light, background_cps, signal_per_pulse
 from ..model.shared.arguments import check_kind
+from ..model.shared.constants import SIGMA_PER_FWHM
 from ..model.shared.errors import InputError, check_integer
 from ..model.shared.pulse import TIME_MAX_S, Pulse, PulseSource, pulse_of
 from ..model.shared.quantities import check_real
@@ -44,6 +45,7 @@ FINE = 8  # steps per tick of a photon's time
 SHIFT_TICKS = 0.02  # by which derivatives are taken
 PHASES = 8  # positions of the pulse in a cycle, over which the information is averaged
 RARE = 1e-12
+NARROWEST_TICKS = 0.125  # sigma of a pulse, below which `SHIFT_TICKS` and `PHASES` are too coarse
 LIGHTS = 5  # between which the bounds of pixels are interpolated
 TRIALS = 400  # frames from which the share of gross errors is estimated
 SEED = 1
@@ -109,7 +111,8 @@ def bound(
     Raises
     ------
     InputError
-        If a value is out of range, or subgroup 0 has no events of the wall.
+        If a value is out of range, the pulse is much shorter than a tick, or subgroup 0 has no events
+        of the wall.
     """
     chosen = check_kind("config", config, Config, NoneType) or parse_config({})
     if "pulses" in settings:
@@ -122,9 +125,11 @@ def bound(
     light = float(signal_per_pulse(distance_m, reflectivity))
     noise_cps = float(background_cps(check_real("klux", klux, 0), reflectivity))
     shape = pulse_ticks(chosen, system_fwhm_s, pulse_of(pulse))
+    _check_length(chosen, shape, "system_fwhm_s" if pulse is None else "pulse")
     lit_share = _open_at(chosen, np.array([distance_m]))[0]
     words = word_bounds_mm(chosen, light, noise_cps, shape, lit_share)
-    _check_events(chosen, distance_m, words, lit_share)
+    if light:
+        _check_events(chosen, distance_m, words, lit_share)
     photons_mm = photon_bound_mm(chosen, light, noise_cps, shape)
     return Bound(
         signal_per_pulse=light,
@@ -135,6 +140,16 @@ def bound(
         wall_bound_mm=words.wall_mm,
         gross_share=gross_share(chosen, light, noise_cps, shape, trials),
     )
+
+
+def _check_length(config: Config, pulse: PulseTicks, name: str) -> None:
+    """Raise `InputError`, which names an argument, if a pulse is too short."""
+    if too_short(pulse):
+        least_s = NARROWEST_TICKS * config.tick_s / SIGMA_PER_FWHM
+        raise InputError(
+            f"{name}: the pulse is much shorter than a tick, where no bound is known; its FWHM must be at least {least_s:.2g} s",
+            field=name,
+        )
 
 
 def _check_events(config: Config, distance_m: float, words: "WordBounds", lit_share: float) -> None:
@@ -183,6 +198,11 @@ def mm_per_tick(config: Config) -> float:
     return 1e3 * config.tick_m
 
 
+def _error_mm(config: Config, information: float) -> float:
+    """Return the lowest RMS error with some information per squared tick; inf if there is none."""
+    return mm_per_tick(config) / math.sqrt(information) if information > 0 else math.inf
+
+
 def _noise_per_tick(config: Config, noise_cps: float) -> float:
     return noise_cps * config.tick_s
 
@@ -215,7 +235,7 @@ def photon_bound_mm(
         places = np.arange(PHASES) / PHASES
         told = [_tick_information(shape, place, signal_per_pulse, noise) for place in places]
         information = config.pulses * _alive(noise_cps) * float(np.mean(told))
-        return mm_per_tick(config) / math.sqrt(max(1e-300, information))
+        return _error_mm(config, information)
     sigma = shape.sigma
     step = sigma / (FINE * 4)
     at = np.arange(-REACH_SIGMAS * sigma, REACH_SIGMAS * sigma, step)
@@ -225,7 +245,7 @@ def photon_bound_mm(
     before = np.concatenate([[0.0], np.cumsum(rate[:-1])]) * step
     alive = _alive(noise_cps) * np.exp(-before)
     information = config.pulses * np.sum(rise**2 / np.maximum(rate, 1e-300) * alive) * step
-    return mm_per_tick(config) / math.sqrt(max(1e-300, information))
+    return _error_mm(config, information)
 
 
 def _tick_information(
@@ -282,6 +302,13 @@ class Wall(NamedTuple):
     cycles: int  # their number
 
 
+def too_short(pulse: PulseTicks) -> bool:
+    """Return whether a pulse is so much shorter than a tick that its time only shows near the
+    borders of ticks. The mean information then says nothing of the error.
+    """
+    return pulse.sigma < NARROWEST_TICKS
+
+
 def word_bounds_mm(
     config: Config,
     signal_per_pulse: float,
@@ -290,11 +317,13 @@ def word_bounds_mm(
     lit_share: float = 1.0,
 ) -> WordBounds:
     """Return the lowest RMS errors from the sensor's words, with the settings of subgroup 0; inf if
-    it has no events.
+    it has no events, NaN if the pulse is too short (`too_short`).
 
     signal_per_pulse: detected photons of each pixel. noise_cps: detected background of each.
     lit_share: of the pulses, in which the gate is open for the light.
     """
+    if too_short(pulse or pulse_ticks(config)):
+        return WordBounds(math.nan, math.nan)
     wall = subgroup_wall(config, signal_per_pulse, noise_cps, pulse)
     pulses = config.pulses * lit_share
     return WordBounds(
@@ -313,7 +342,7 @@ def _lowest_mm(config: Config, wall: Wall, pulses: float, *, of_all: bool) -> fl
     places = (np.arange(PHASES) + 0.3) * wall.phases / PHASES
     found = [_information(wall, place, of_all=of_all) for place in places]
     information = pulses * _armed_share(wall) * float(np.mean(found))
-    return mm_per_tick(config) / math.sqrt(max(1e-300, information))
+    return _error_mm(config, information)
 
 
 class MedianLight(NamedTuple):
@@ -348,7 +377,7 @@ def with_usual_threshold(config: Config, threshold: np.ndarray) -> Config:
 
 def pixel_bounds_mm(config: Config, light: Light, pulse: Pulse | None = None) -> np.ndarray:
     """float64[pixels]: lowest RMS error of each pixel's distance from the words, in millimetres, as
-    if its neighbours had the same light; NaN without light or events.
+    if its neighbours had the same light; NaN without light or events, or if the pulse is too short.
 
     It is interpolated between `LIGHTS` lights, at the median background of the pixels that have
     some light. The settings are those of subgroup 0. pulse: measured shape of laser pulse and jitter
@@ -367,6 +396,8 @@ def pixel_bounds_mm(config: Config, light: Light, pulse: Pulse | None = None) ->
     if lights[0] == lights[-1]:
         lights = lights[:1]
     shape = pulse_ticks(config, pulse=pulse)
+    if too_short(shape):
+        return found
     lowest = []
     for one in lights:
         wall = subgroup_wall(config, float(one), usual.noise_cps, shape)

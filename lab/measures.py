@@ -132,7 +132,7 @@ def _not(share: str) -> Callable[[MeasuredFrame], float | None]:
 
 def _bound_mm(frame: MeasuredFrame) -> float | None:
     """Return the bound of a wall with the median light of the pixels that have some; None if there
-    are no events of it.
+    are no events of it, or its pulse is too short.
     """
     usual = median_light(frame.light)
     if usual is None or frame.config.counting:
@@ -141,7 +141,7 @@ def _bound_mm(frame: MeasuredFrame) -> float | None:
     pulse = pulse_ticks(config, pulse=frame.run.pulse)
     lit_share = usual_open_share(config, frame.light)
     lowest_mm = word_bounds_mm(config, *usual, pulse, lit_share).pixel_mm
-    return None if math.isinf(lowest_mm) else lowest_mm
+    return lowest_mm if math.isfinite(lowest_mm) else None
 
 
 def _per_s(words: str) -> Callable[[MeasuredFrame], float]:

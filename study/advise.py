@@ -17,7 +17,7 @@ from typing import Any
 
 from attrs import Factory, evolve, field, frozen
 
-from ..lab.bound import median_light, photon_bound_mm, usual_open_share, word_bounds_mm
+from ..lab.bound import median_light, photon_bound_mm, too_short, usual_open_share, word_bounds_mm
 from ..lab.outcomes import Frame, Run
 from ..lab.pace import frames_per_s, told_pace
 from ..lab.setup import SETTLING, Setup
@@ -312,6 +312,8 @@ def _limit(run: Run, config: Config) -> str:
         return "No pixel has light."
     usual = config.with_settings(coincidence=True, auto=False)
     pulse = pulse_ticks(usual, pulse=run.pulse)
+    if too_short(pulse):
+        return "The pulse is much shorter than a tick, so no limit of its words is told."
     lit_share = usual_open_share(usual, seen)
     of_words = []
     for threshold in LIMITED:

@@ -248,6 +248,34 @@ def test_where_no_event_tells_of_the_wall_there_is_no_bound(frame, subgroup, say
         assert np.isnan(bounds.pixel_bounds_mm(setup.config, run.light)).all()
 
 
+def test_a_pulse_much_shorter_than_a_tick_has_no_bound_of_words():
+    """Half a tick has one, which grows with the pulse."""
+    config = parse_config({"sensor": {"rows": 8, "cols": 8}})
+    told = [
+        coincid.bound(config, system_fwhm_s=ticks * config.tick_s, **WALL).bound_mm
+        for ticks in (0.3, 0.5, 1.0, 2.0)
+    ]
+    assert told == sorted(told)
+    assert told[0] < 0.3 * told[-1]
+    with pytest.raises(coincid.InputError, match="at least 1.8e-11 s") as caught:
+        coincid.bound(config, system_fwhm_s=1e-12, **WALL)
+    assert caught.value.field == "system_fwhm_s"
+    short = Pulse(time_s=[0, 1e-12, 2e-12], density=[0, 1, 0])
+    with pytest.raises(coincid.InputError, match="much shorter than a tick") as caught:
+        coincid.bound(config, pulse=short, **WALL)
+    assert caught.value.field == "pulse"
+    run = coincid.simulate(scene="flat:4", pulses=50, rows=8, cols=8, pulse=short)
+    assert run["bound_mm"] is None
+    assert np.isnan(bounds.pixel_bounds_mm(run.config, run.light, short)).all()
+    photons_mm = bounds.photon_bound_mm(config, 0.5, 1e6, pulse_ticks(config, 1e-12))
+    assert 0 < photons_mm < told[0]
+
+
+def test_nothing_tells_of_a_wall_without_light():
+    found = coincid.bound(**WALL | {"reflectivity": 0})
+    assert (found.photons_mm, found.bound_mm, found.wall_bound_mm) == (np.inf, np.inf, np.inf)
+
+
 def test_bounds_of_a_map_count_the_open_gates_of_each_distance():
     """One gate covers the first pixel, the second one's light comes before it."""
     light = Light(

@@ -170,6 +170,13 @@ def test_the_limit_of_a_mask_or_a_gate_is_told():
         assert "no events" in limit(Run(setup), setup.config)
 
 
+def test_the_limit_of_a_pulse_much_shorter_than_a_tick_is_none():
+    sensor = {"rows": 8, "cols": 8, "phases": 4}
+    frame = {"clock_mhz": 20.0, "pulses": 50}
+    setup = Setup.of("flat:3", sensor=sensor, frame=frame, klux=30.0)
+    assert limit(Run(setup), setup.config).startswith("The pulse is much shorter than a tick")
+
+
 @pytest.mark.parametrize(
     ("frame", "written"),
     [({}, 3), ({"frames": 3}, 3), ({"frames": 2}, 2)],
