@@ -27,6 +27,7 @@ THREADS_OF_LIBRARIES = "Dask-"
 # Matplotlib keeps fonts open, libraries that are loaded stay so, and Asyncio closes the
 # files of a loop when nobody refers to it.
 FILES_OF_LIBRARIES = (".ttf", ".so", "anon_inode:", "socket:", "pipe:", "/dev/")
+TEMPORARY_OF_LIBRARIES = {"dask-scratch-space"}
 VARIABLE_OF_PYTEST = "PYTEST_CURRENT_TEST"  # the test that runs
 OWN = "COINCID"  # how variables of the program begin
 
@@ -49,7 +50,7 @@ class Held(NamedTuple):
                 if THREADS_OF_LIBRARIES not in thread.name
             ),
             frozenset(_files()),
-            frozenset(os.listdir(tempfile.gettempdir())),
+            frozenset({*os.listdir(tempfile.gettempdir())} - TEMPORARY_OF_LIBRARIES),
             _state(),
         )
 
