@@ -70,11 +70,14 @@ def _read(path: FilePath, sync_channel: int | None) -> Recording:
         not_negative(path, OFFSET, offset_ps)
         found = _of_syncs(path, NAMES, of_edges, "table of edges", sync_channel)
         return evolve(found, offset_ps=offset_ps.astype(np.float64))
-    unit = next((name for name in UNITS_PS if name in names), None)
-    if unit is None or "channel" not in names:
+    units = [name for name in UNITS_PS if name in names]
+    if not units or "channel" not in names:
         raise InputError(
             f"{path}: has the columns {', '.join(names) or 'none'}; must have {EXPECTED}"
         )
+    if len(units) > 1:
+        raise InputError(f"{path}: has the columns {', '.join(units)}; must have one of them")
+    (unit,) = units
     if "sync" in names:
         of_photons = ("sync", "channel", unit)
         found = _of_syncs(path, of_photons, read(of_photons), "table of syncs", sync_channel)

@@ -357,6 +357,10 @@ def test_gaps_that_just_fill_a_count_of_wraps(tmp_path, wraps):
 BAD_TABLES = {
     "no columns": ("", "must have pulse, pixel, tick"),
     "no times": ("sync,channel\n1,1\n", "must have pulse, pixel, tick"),
+    "two times": (
+        "sync,channel,time_ns,time_ps\n1,1,1,1000\n",
+        "has the columns time_ps, time_ns; must have one of them",
+    ),
     "no channels": ("sync,time_ps\n1,1\n", "must have pulse, pixel, tick"),
     "text": ("sync,channel,time_ps\n1,one,1\n", "could not convert"),
     "short line": ("sync,channel,time_ps\n1,2,3\n1,1\n", "row 2"),
@@ -1053,11 +1057,12 @@ def test_photon_hdf5_that_cannot_be_used(tmp_path):
     lacking = {name: values for name, values in SYNCED.items() if "tcspc" not in name}
     with pytest.raises(InputError, match="has no photon_data/nanotimes_specs/tcspc_unit"):
         read_recording(photon_hdf5(tmp_path / "a.h5", **lacking))
-    with h5py.File(tmp_path / "b.h5", "w") as archive:
-        archive["photon_data0/timestamps"] = [1]
-        archive["photon_data1/timestamps"] = [1]
-    with pytest.raises(InputError, match="has photon_data0, photon_data1, must have one"):
-        read_recording(tmp_path / "b.h5")
+    for first in ("photon_data", "photon_data0"):
+        with h5py.File(tmp_path / "b.h5", "w") as archive:
+            archive[f"{first}/timestamps"] = [1]
+            archive["photon_data1/timestamps"] = [1]
+        with pytest.raises(InputError, match=f"has {first}, photon_data1, must have one"):
+            read_recording(tmp_path / "b.h5")
     with pytest.raises(InputError, match="sync-channel = 3"):
         read_recording(photon_hdf5(tmp_path / "c.h5", **SYNCED), 3)
 
