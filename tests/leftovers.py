@@ -27,7 +27,9 @@ THREADS_OF_LIBRARIES = "Dask-"
 # Matplotlib keeps fonts open, libraries that are loaded stay so, and Asyncio closes the
 # files of a loop when nobody refers to it.
 FILES_OF_LIBRARIES = (".ttf", ".so", "anon_inode:", "socket:", "pipe:", "/dev/")
-TEMPORARY_OF_LIBRARIES = {"dask-scratch-space"}
+# Dask keeps its folder. That of the explorer's uploads lives as long as a page of it, which pytest
+# holds.
+TEMPORARY_THAT_STAYS = ("dask-scratch-space", "coincid-explore-")
 VARIABLE_OF_PYTEST = "PYTEST_CURRENT_TEST"  # the test that runs
 OWN = "COINCID"  # how variables of the program begin
 
@@ -50,7 +52,11 @@ class Held(NamedTuple):
                 if THREADS_OF_LIBRARIES not in thread.name
             ),
             frozenset(_files()),
-            frozenset({*os.listdir(tempfile.gettempdir())} - TEMPORARY_OF_LIBRARIES),
+            frozenset(
+                name
+                for name in os.listdir(tempfile.gettempdir())
+                if not name.startswith(TEMPORARY_THAT_STAYS)
+            ),
             _state(),
         )
 

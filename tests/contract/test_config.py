@@ -286,6 +286,9 @@ def test_what_follows_the_period_follows_it_beside_an_override():
         config.with_sensor(rows=16)
     of_all = config.with_settings(gate_len=config.gate_len)
     assert (of_all.with_frame(period=400).gate_len == 250).all()
+    overrides = [override, {"subgroups": [2], "gate_len": 100}]
+    two = parse_config({"override": overrides}).with_frame(period=400)
+    same(two, parse_config({"frame": {"period": 400}, "override": overrides}))
     table = parse_config({"subgroup": {"gate_len": 20}, "override": [override]})
     assert (table.with_frame(period=400).gate_len == table.gate_len).all()
 
