@@ -35,16 +35,17 @@ def check_path(path: Any) -> Path:
 @contextmanager
 def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
     """Open a file beside `path`, and rename it to `path` if the block ends well; after an
-    exception nothing is left.
+    exception nothing is left. A link stays, and what it leads to is replaced.
 
     Raises `InputError` if the folder cannot be written to, or the name is that of no file.
     """
     path = check_path(path)
     check_replaceable(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        target = Path(os.path.realpath(path))
+        target.parent.mkdir(parents=True, exist_ok=True)
         prefix = f".{path.name[:BESIDE_MAX]}."
-        handle, beside = tempfile.mkstemp(prefix=prefix, dir=path.parent)
+        handle, beside = tempfile.mkstemp(prefix=prefix, dir=target.parent)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
     except ValueError:  # a NUL byte
@@ -55,7 +56,7 @@ def whole_file(path: FilePath, mode: str = "wb") -> Iterator[IO[Any]]:
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(beside, 0o666 & ~umask)
-        os.replace(beside, path)
+        os.replace(beside, target)
     except BaseException as error:
         Path(beside).unlink(missing_ok=True)
         if isinstance(error, OSError):

@@ -185,6 +185,19 @@ def test_a_whole_file_takes_the_place_of_another_at_its_end(tmp_path):
     assert path.read_bytes() == "\N{MICRO SIGN}\n".encode()
 
 
+def test_a_link_stays_and_what_it_leads_to_is_written(tmp_path):
+    """Also if there is nothing yet, or only the link's folder exists."""
+    (tmp_path / "runs").mkdir()
+    link = tmp_path / "newest.txt"
+    link.symlink_to(Path("runs") / "one.txt")
+    for text in ("first", "second"):
+        with whole_file(link, "w") as file:
+            file.write(text)
+        assert link.is_symlink()
+        assert (tmp_path / "runs" / "one.txt").read_text(encoding="utf-8") == text
+    assert len([*tmp_path.rglob("*")]) == 3
+
+
 def test_a_table_has_a_comma_between_two_values_and_a_line_for_each_row(tmp_path):
     """With quotes only where a text needs them."""
     write_csv(tmp_path / "a.csv", iter([("a", "b,c"), (1, 2.5), (np.float64(1 / 3), None)]))
