@@ -27,9 +27,9 @@ THREADS_OF_LIBRARIES = "Dask-"
 # Matplotlib keeps fonts open, libraries that are loaded stay so, and Asyncio closes the
 # files of a loop when nobody refers to it.
 FILES_OF_LIBRARIES = (".ttf", ".so", "anon_inode:", "socket:", "pipe:", "/dev/")
-# Dask keeps its folder. That of the explorer's uploads lives as long as a page of it, which pytest
-# holds.
-TEMPORARY_THAT_STAYS = ("dask-scratch-space", "coincid-explore-")
+# Dask and Yosys keep their folders. That of the explorer's uploads lives as long as a page of it,
+# which pytest holds.
+TEMPORARY_THAT_STAYS = ("dask-scratch-space", "yosys-liberty-", "coincid-explore-")
 VARIABLE_OF_PYTEST = "PYTEST_CURRENT_TEST"  # the test that runs
 OWN = "COINCID"  # how variables of the program begin
 
