@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from typer.main import get_command
 
+import coincid
 from coincid import __main__ as program
 from coincid.cli import Commands, app
 from coincid.flow.lint import findings
@@ -453,12 +454,14 @@ def test_a_full_standard_output_is_told_in_one_line(words):
         ("999", "999"),
         ("1000", "999"),
         ("²", "999"),
+        ("0", None),
+        ("10", "10"),
         ("", ""),
         (None, None),
     ],
 )
 @pytest.mark.parametrize("name", ["COLUMNS", "LINES"])
-def test_only_sizes_of_a_terminal_that_are_too_large_are_replaced(monkeypatch, name, told, kept):
+def test_only_sizes_of_a_terminal_that_it_cannot_have_are_replaced(monkeypatch, name, told, kept):
     monkeypatch.delenv(name, raising=False)
     if told is not None:
         monkeypatch.setenv(name, told)
@@ -474,12 +477,18 @@ def test_a_time_of_the_build_stays_if_it_is_a_number(monkeypatch, told, stays):
     assert os.environ.get("SOURCE_DATE_EPOCH") == (told if stays else None)
 
 
-@pytest.mark.parametrize("size", ["99999999", "²"])
+def test_the_version_is_that_of_the_library():
+    """Before a command is looked for."""
+    done = command("--version no-such-command")
+    assert (done.exit_code, done.output) == (0, f"coincid {coincid.__version__}\n")
+
+
+@pytest.mark.parametrize("size", ["99999999", "²", "0"])
 def test_help_for_a_terminal_of_an_odd_size_is_short(size):
     environment = os.environ | {"COLUMNS": size, "LINES": size}
     line = [sys.executable, "-m", "coincid", "replay", "--help"]
     done = subprocess.run(line, env=environment, capture_output=True, check=True)
-    assert len(done.stdout) < 100_000
+    assert 100 < len(done.stdout) < 100_000
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])

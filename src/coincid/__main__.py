@@ -96,11 +96,15 @@ def _command() -> int | str | None:
 
 
 def _bound_terminal() -> None:
-    """Replace sizes of the terminal that are too large, or no numbers that Python reads."""
+    """Replace sizes of the terminal that are too large, or no numbers that Python reads. Remove those
+    of 0, which mean that nobody knows them; Rich would print nothing.
+    """
     for name in SIZES:
         told = os.environ.get(name, "")
         if len(told) > len(str(SIZE_MAX)) or not told.isascii():
             os.environ[name] = str(SIZE_MAX)
+        elif told and not told.strip("0"):
+            del os.environ[name]
 
 
 def _forget_bad_epoch() -> None:

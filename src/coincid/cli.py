@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.markup import escape
 from typer.core import TyperGroup
 
+import coincid
 from coincid.lab.options import OPTIONS
 from coincid.model.contract.preset_files import PRESETS
 from coincid.model.shared.errors import SEED_MAX, InputError, check_integer, extra
@@ -93,6 +94,23 @@ app = typer.Typer(
         "Open, cycle-accurate model of a SPAD direct time-of-flight sensor with coincidence detection."
     ),
 )
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(f"coincid {coincid.__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _options(
+    _version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the version and exit.", is_eager=True, callback=_print_version
+        ),
+    ] = False,
+) -> None: ...
 
 
 def option(help: str, metavar: str | None = None, flag: str | None = None) -> Any:
