@@ -267,8 +267,10 @@ def test_reflectivities_of_each_picture():
     for frame in range(3):
         assert np.array_equal(scene.at(frame).reflectivity[:, :, 0], shares[frame])
         assert np.array_equal(one.at(frame).reflectivity[:, :, 0], shares[1])
-    with pytest.raises(InputError, match="reflectivity: has 2 pictures, must have 3"):
-        load_scene(pictures(), *SHAPE, reflectivity=shares[:2])
+    for number in (2, 4):
+        others = np.resize(shares, (number, *SHAPE))
+        with pytest.raises(InputError, match=f"reflectivity: has {number} pictures, must have 3"):
+            load_scene(pictures(), *SHAPE, reflectivity=others)
 
 
 def test_colours_of_each_picture(tmp_path):
@@ -286,6 +288,9 @@ def test_colours_of_each_picture(tmp_path):
     assert [white.at(frame).reflectivity.min() for frame in range(3)] == pytest.approx([0.8] * 3)
     one = load_scene(f"{folder},{tmp_path / 'c1.png'}", *SHAPE)
     assert all(np.all(one.at(frame).reflectivity == 0.8) for frame in range(3))
+    (tmp_path / "colours" / "3.jpg").write_bytes((tmp_path / "colours" / "2.jpg").read_bytes())
+    with pytest.raises(InputError, match="has 4 pictures, must have one or as many as frames: 3"):
+        load_scene(folder, *SHAPE, colour=tmp_path / "colours")
     (tmp_path / "c2.png").unlink()
     with pytest.raises(InputError, match="has 2 pictures, must have one or as many as frames: 3"):
         load_scene(f"{folder},{tmp_path}/c*.png", *SHAPE)
