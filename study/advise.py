@@ -223,13 +223,12 @@ def advise(
             for ns in WINDOWS_NS
         }
     )
-    thresholds = [one for one in THRESHOLDS if one <= setup.config.sensor.pixels]
     klux = check_real("klux", klux, 0)
     workers = os.cpu_count() or 1
     run = Run(setup, workers=workers)
     progress(first_time("photons", edge_chunks.__module__), 0, 1)
     _ = run.edges
-    rows = len(windows) * (len(thresholds) + setup.config.sensor.controller)
+    rows = len(windows) * (len(THRESHOLDS) + setup.config.sensor.controller)
 
     def tell(stage: str, found: Iterator[Tried], total: int) -> list[Tried]:
         tried: list[Tried] = []
@@ -240,7 +239,7 @@ def advise(
         return tried
 
     stage = first_time("thresholds and windows", Golden.__module__)
-    settings = tell(stage, _settings(run, thresholds, windows), rows)
+    settings = tell(stage, _settings(run, windows), rows)
     chosen = cheapest(settings, lambda one: one.bits)
     rates_gbps = links_of(run.config)
     counting = _in_counts(run.config)
@@ -329,9 +328,9 @@ def _limit(run: Run, config: Config) -> str:
     )
 
 
-def _settings(run: Run, thresholds: list[int], windows: list[int]) -> Iterator[Tried]:
+def _settings(run: Run, windows: list[int]) -> Iterator[Tried]:
     for window in windows:
-        for threshold in thresholds:
+        for threshold in THRESHOLDS:
             yield _tried(
                 run.alone(
                     -1,

@@ -41,11 +41,6 @@ class Trials(NamedTuple):
     misses: np.ndarray  # float64[subgroups, pixels, gates, bins]
     width: int  # ticks of a bin
 
-    @property
-    def there(self) -> np.ndarray:
-        """bool[subgroups, pixels, gates]: whether there is a gate."""
-        return self.first > NO_TICK
-
     def of_minigroups(self, values: np.ndarray, config: Config) -> np.ndarray:
         """Sum values of the pixels, [subgroups, pixels, ...], over their minigroups."""
         table = pixel_table(config.sensor)
