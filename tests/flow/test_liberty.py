@@ -62,6 +62,8 @@ def test_an_edge_that_does_not_occur_has_no_part_in_the_mean(tmp_path):
     path = tmp_path / "toy.lib"
     assert of_tables(path, 'values ("0.0");', 'values ("3.0");').at(1.0) == 3.0
     assert of_tables(path, 'values ("0.0");') is None
+    with_loads = 'index_1 ("0.0"); index_2 ("1.0,2.0"); values ("0.0,4.0");'
+    assert of_tables(path, with_loads, 'values ("3.0");').fj.tolist() == [1.5, 3.5]
 
 
 def test_the_mean_of_tables_with_different_loads(tmp_path):
