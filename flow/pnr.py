@@ -19,6 +19,7 @@ from attrs import field, frozen
 
 from ..model.shared import markdown
 from ..model.shared.folders import build_root
+from ..model.shared.interrupts import in_background
 from ..model.shared.sources import digest
 from ..tools.build import build_once
 from ..tools.pages import put_page
@@ -253,7 +254,14 @@ def _told_skew(board: Board, placements: Sequence[Placement]) -> str:
 
 
 def place(board: Board) -> list[Placement]:
-    """Place `board` with every seed. Raises `ToolchainError`."""
-    netlist = synthesize(board)
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        return list(pool.map(lambda seed: place_and_route(board, netlist, seed), SEEDS))
+    """Place `board` with every seed. Whatever ends this early, as Ctrl-C does, also ends the
+    programs. Raises `ToolchainError`.
+    """
+
+    def placed() -> list[Placement]:
+        netlist = synthesize(board)
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            return list(pool.map(lambda seed: place_and_route(board, netlist, seed), SEEDS))
+
+    with in_background(placed) as found:
+        return found.result()

