@@ -9,7 +9,10 @@ import shlex
 import shutil
 import subprocess
 import sys
+import threading
+import time
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, requires, version
@@ -293,6 +296,26 @@ def test_who_may_not_install_is_told_the_command(machine, capsys, programs, root
     assert ("apt's words" in capsys.readouterr().err) == tried
 
 
+def test_two_installations_of_system_packages_take_turns(machine, monkeypatch):
+    """Because apt-get does not wait for its lists, as it does for packages."""
+    machine("apt-get", root=True)
+    together, calls = threading.Barrier(2), []
+
+    def noted(*command):
+        if command == ("true",):
+            together.wait(60)
+        else:
+            calls.append(threading.get_ident())
+            time.sleep(0.02)
+        return subprocess.CompletedProcess(command, 0, stdout="")
+
+    monkeypatch.setattr(system, "_run", noted)
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(system.system_packages, ("one", "two")))
+    first, *_, last = calls
+    assert calls == [first, first, last, last] and first != last
+
+
 def test_without_a_registry_one_sentence_says_what_to_do(tmp_path):
     python = [sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")]
     subprocess.run(python, check=True)
@@ -466,6 +489,46 @@ def test_a_lock_is_installed_when_it_is_new_or_has_changed_and_only_then(place):
     assert set_up(place, "sweep")[2] == ["locked.py requirements-sweep.lock"]
 
 
+def test_of_two_set_ups_at_once_the_second_finds_the_work_done(place):
+    """It waits for the first, which takes its time."""
+    (place / "requirements-sweep.lock").write_text("a==1\n", encoding="utf-8")
+    waits = "import time\nwhile not Path('go').exists():\n    time.sleep(0.01)\n"
+    (place / "tools" / "locked.py").write_text(
+        NOTED.replace("sys.exit(", f"{waits}sys.exit("), encoding="utf-8"
+    )
+    command = [place / "scripts" / "setup", "sweep"]
+    environment = {"PATH": str(place.parent / "programs")}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as first:
+        while not (place / "noted").exists():
+            assert first.poll() is None
+            time.sleep(0.01)
+        with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as second:
+            time.sleep(0.2)
+            (place / "go").touch()
+            assert (first.wait(), second.wait()) == (0, 0)
+    noted = (place / "noted").read_text(encoding="utf-8")
+    assert noted == "locked.py requirements-sweep.lock\n"
+
+
+@pytest.mark.parametrize("brought", [False, True])
+def test_packages_come_by_uv_where_pip_can_bring_it(place, brought):
+    """Otherwise the installer is told of none, and takes pip."""
+    (place / "requirements-sweep.lock").write_text("a==1\n", encoding="utf-8")
+    (place / "tools" / "locked.py").write_text(
+        NOTED.replace("*sys.argv[1:]", "os.environ['COINCID_UV']"), encoding="utf-8"
+    )
+    uv = place / ".venv" / "bin" / "uv"
+    uv.unlink()
+    brings = f"Path({str(uv)!r}).touch(0o755)" if brought else "sys.exit(3)"
+    (place / "pip.py").write_text(
+        "import sys\nfrom pathlib import Path\nif __name__ == '__main__':\n"
+        f"    Path('pip').write_text(' '.join(sys.argv), encoding='utf-8')\n    {brings}\n",
+        encoding="utf-8",
+    )
+    assert set_up(place, "sweep")[2] == [f"locked.py {uv if brought else ''}"]
+    assert (place / "pip").read_text(encoding="utf-8").endswith(" -r requirements-uv.lock")
+
+
 @pytest.mark.parametrize(
     ("need", "missing", "packages"),
     [
@@ -529,6 +592,29 @@ def test_another_python_has_the_packages_of_the_lock_and_the_project(place):
     with (place / "requirements.lock").open("a", encoding="utf-8") as file:
         file.write("# changed\n")
     assert made in set_up(place, "python3.12")[2]
+
+
+@pytest.mark.parametrize("beside", [[], ["3.11.2"], ["3.12.1", "3.12.4", "3.13.0"]])
+def test_another_python_is_one_that_lies_beside_ours_or_that_uv_finds(place, beside):
+    """Pyenv and uv put all versions into one folder; of several that fit, the last one counts."""
+    versions = place.parent / "versions"
+    for name in ["3.11.9", *beside]:
+        program = versions / name / "bin" / f"python{name.rpartition('.')[0]}"
+        program.parent.mkdir(parents=True)
+        program.touch()
+    ours = f"    *base_prefix*) echo {versions / '3.11.9'} ;;\n"
+    another_python(place.parent, (3, 11, 9), ours)
+    for name in ("cmp", "cp", "tail"):
+        (place.parent / "programs" / name).symlink_to(shutil.which(name))
+    uv = place / ".venv" / "bin" / "uv"
+    uv.write_text(f"{uv.read_text(encoding='utf-8')}mkdir -p build/python3.12\n", encoding="utf-8")
+    code, said, (made, *_) = set_up(place, "python3.12")
+    assert code == 0, said
+    (named,) = re.findall(r"--python (\S+) ", made)
+    if beside[1:]:
+        assert Path(named).resolve() == versions / "3.12.4" / "bin" / "python3.12"
+    else:
+        assert named == "3.12"
 
 
 def test_an_interrupted_installation_ends_and_counts_as_none(place):

@@ -453,6 +453,33 @@ def test_what_a_program_says_is_also_shown_if_that_is_asked_for(tmp_path, capsys
     assert capsys.readouterr().out == "one\nt\ufffdwo\n"
 
 
+WAITS_TO_BE_SEEN = """
+import sys, time
+from pathlib import Path
+print("one")
+for _ in range(300):
+    if Path("seen").exists():
+        sys.exit(0)
+    time.sleep(0.01)
+sys.exit("was not seen")
+"""
+
+
+def test_what_a_program_says_is_shown_and_logged_while_it_runs(tmp_path, monkeypatch):
+    """Also by a program in Python, which keeps its words for the end if it does not talk to a
+    terminal.
+    """
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
+    logged = []
+
+    def show(line):
+        logged.append((tmp_path / "log").read_text(encoding="utf-8"))
+        (tmp_path / "seen").touch()
+
+    assert run_here(WAITS_TO_BE_SEEN, tmp_path, echo=show) == (0, "one\n")
+    assert logged == ["one\n"]
+
+
 def test_settings_of_the_calling_make_do_not_reach_a_compiler(tmp_path, monkeypatch):
     """All others do."""
     for name in (*COMPILER_VARIABLES, "OTHER_VARIABLE"):
