@@ -4,9 +4,12 @@
 import re
 
 import pytest
+from attrs import evolve
 
 from coincid.flow import gls
 from coincid.flow.synth import CELLS, GATES
+from coincid.model.contract.coincidence import Rule
+from coincid.model.contract.packet import built_formats
 from coincid.model.shared.errors import InputError
 
 from .sensors import SMALL
@@ -52,6 +55,34 @@ def test_periods_windows_and_gates_of_random_frames_fit(jobs):
     windows = {int(job.config.window[0]) for job in jobs}
     assert windows <= set(range(1, SMALL.window_max + 1)) and len(windows) > 3
     assert len({job.config.period for job in jobs}) > 5
+
+
+class Pair(Rule):
+    """Two pixels, at any threshold."""
+
+    name, version = "pair", "1"
+
+    def meets(self, maps, threshold):
+        return maps.sum(axis=(1, 2)) >= 2
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"offsets": 0, "records": 0, "controller": 0},
+        {"minigroup": (1, 1)},
+        {"coarse_bits": 5},
+        {"rule": Pair()},
+    ],
+    ids=["lean", "single pixels", "short periods", "own rule"],
+)
+def test_random_frames_fit_their_sensor(changes):
+    """What it does not have is not asked of it, and nothing lies beyond its ranges."""
+    sensor = evolve(SMALL, **changes)
+    jobs = gls.random_frames(sensor, gls.FRAMES)
+    assert [job.config.sensor for job in jobs] == [sensor] * gls.FRAMES
+    assert all(job.config.period <= sensor.period_max for job in jobs)
+    assert {job.config.format for job in jobs} == {*built_formats(sensor)}
 
 
 def test_random_edges_are_in_range_and_as_many_as_are_meant(jobs):

@@ -186,6 +186,24 @@ def test_strips_of_pins_on_one_track_do_not_touch(tmp_path, order):
     assert found["A"].high + 0.07 <= found["Z"].low < found["Z"].via < found["Z"].high
 
 
+def test_a_pin_takes_the_place_that_is_far_enough_from_another_on_its_track(tmp_path):
+    """Though the other place is longer; their strips would touch there."""
+    near, far = "0.05 0.5 0.15 0.72", "0.05 0.2 0.15 0.4"
+    found = strips_of(tmp_path, A=f"{near} ; RECT {far}", Z="0.05 0.74 0.15 0.9")
+    assert (found["A"].via, found["Z"].via) == pytest.approx((0.3, 0.82))
+    assert found["A"].high + 0.07 <= found["Z"].low
+
+
+def test_a_via_that_its_metal_encloses_is_worth_a_neighbour(tmp_path):
+    """Rather than one on a track further away, where the metal is too short."""
+    short = "0.43 0.3 0.52 0.4"
+    found = strips_of(tmp_path, A="0.05 0.3 0.14 0.9", Z=f"0.24 0.3 0.33 0.9 ; RECT {short}")
+    assert {pin: (strip.x, strip.fits) for pin, strip in found.items()} == {
+        "A": (0.095, True),
+        "Z": (0.285, True),
+    }
+
+
 def test_delays_scale():
     assert delays.scaled("(IOPATH A ZN (0.010:0.010:0.010) (0.020:0.020:0.020))", 3) == (
         "(IOPATH A ZN (0.0300:0.0300:0.0300) (0.0600:0.0600:0.0600))"

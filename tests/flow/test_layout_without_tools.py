@@ -369,6 +369,19 @@ def test_wires_are_stars_around_their_drivers(module, lef):
     ]
     assert nets[0].splitlines()[2:4] == ["*P a I", "*I u1:A I"]
     assert nets[2].splitlines()[2:4] == ["*P y O", "*I u2:Z O"]
+    # Ports have no place: they are a micrometre away.
+    half_ff = 2 * 0.047 / 2 + 0.05 / 2
+    assert nets[0].splitlines()[4:] == [
+        "*CAP",
+        f"1 a {half_ff:.5f}",
+        f"2 u1:A {half_ff:.5f}",
+        "*RES",
+        "1 a u1:A 23.00",
+        "*END",
+        "",
+    ]
+    assert nets[2].splitlines()[4:8] == ["*CAP", "1 u2:Z 0.02500", "2 y 0.02500", "*RES"]
+    assert nets[2].splitlines()[8:] == ["1 u2:Z y 23.00", "*END", ""]
 
 
 def test_the_power_of_a_clock_tree(module):

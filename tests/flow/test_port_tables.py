@@ -13,6 +13,7 @@ from amaranth.hdl import ClockDomain, Module
 from amaranth.sim import Simulator
 
 from coincid.flow.contract_tables import counts_table
+from coincid.flow.ip_xact import AFTER_MAPS, BEFORE_MAPS, with_interfaces
 from coincid.flow.limits import beats_beside_cycles
 from coincid.flow.ports import EXAMPLE, UNDEFINED, instantiation, pages, port_rows, stream_words
 from coincid.flow.release import README, release_files
@@ -60,6 +61,27 @@ def test_rows_are_the_ports_of_several_streams_and_cells():
         view_at("async", 400),
     )
     check_rows(of.sensor, TOP, view, release_files(of, view).__getitem__)
+
+
+def test_each_stream_is_a_bus_of_the_ip_xact():
+    """In the order of their numbers, and all of them belong to the clock."""
+    sensor = attrs.evolve(EXAMPLE, cols=24, streams=3)
+    text = with_interfaces(BEFORE_MAPS + AFTER_MAPS, sensor, POLYPHASE)
+    buses = ["s_axi", "m_axis0", "m_axis1", "m_axis2"]
+    named = re.findall(r"<ipxact:busInterface>\s*<ipxact:name>(\w+)<", text)
+    assert named == [*buses, "clk", "rst"]
+    assert f'"{":".join(buses)}"' in text
+    ports = [row.name for row in port_rows(sensor) if row.name.startswith("m_axis")]
+    connected = re.findall(r"<ipxact:physicalPort>\s*<ipxact:name>(m_axis\w+)<", text)
+    assert sorted(connected) == sorted(ports)
+
+
+@pytest.mark.parametrize("built", [0, 1])
+def test_words_that_a_sensor_does_not_have_are_not_told(built):
+    shown = stream_words(attrs.evolve(EXAMPLE, offsets=built, records=built))
+    for told in ("* Offsets, ", "* Entries, ", "minigroup record", "event, format full", "formats"):
+        assert (told in shown) == bool(built), told
+    assert "* Map, " in shown and "* Counters, " in shown
 
 
 def check_rows(sensor, top, view, text):

@@ -128,6 +128,22 @@ def test_frames_of_unequal_lengths_count_their_own_cycles(lengths):
     assert toggles["inner.net"][:, 0].tolist() == lengths
 
 
+@pytest.mark.parametrize("pulses", [1, 2, 3])
+def test_a_frame_begins_with_the_first_of_its_pulses(pulses):
+    """A net changes in the cycle of that pulse only."""
+    header, _, _ = VCD.partition(b"#0 ")
+    changes = [b"#0 0! 1$ 0#", b"#500 0$"]
+    for frame in range(2):
+        for pulse in range(pulses):
+            begin = 1000 + 10_000 * frame + 2000 * pulse
+            net = b" %d#" % (1 - frame) if pulse == 0 else b""
+            changes += [b"#%d 1!%s" % (begin, net), b"#%d 0!" % (begin + 1000)]
+    vcd = BytesIO(header + b"\n".join(changes) + b"\n")
+    toggles = transitions(vcd, pulses, [2 * pulses] * 2, 1000)
+    assert toggles["inner.net"].tolist() == [[1], [1]]
+    assert toggles["laser"].tolist() == [[2 * pulses]] * 2
+
+
 def test_changes_at_the_end_of_a_simulation_count():
     """The simulation ends in the last cycle of its last frame, with no later time in its file."""
     header, _, _ = VCD.partition(b"#0 ")

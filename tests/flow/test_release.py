@@ -39,6 +39,7 @@ from coincid.hdl.front_end_views import POLYPHASE, view_at
 from coincid.hdl.sensor import FPGA_TOP, SensorTop
 from coincid.hdl.unit import Port
 from coincid.model.contract import latency, registers
+from coincid.model.contract.coincidence import Rule
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.counts import GATES
@@ -742,6 +743,42 @@ def test_the_clock_of_a_manifest_is_a_whole_number_only_if_it_is_one(clock_mhz, 
     text = manifest_of(of, {f"a_{TOP}.sdc": b""}, POLYPHASE, "a_")
     assert f'"clock_mhz": {told},' in text
     assert json.loads(text)["tops"] == [f"a_{TOP}"]
+
+
+class Pair(Rule):
+    """Two pixels, at any threshold."""
+
+    name, version = "pair", "4"
+
+    def meets(self, maps, threshold):
+        return maps.sum(axis=(1, 2)) >= 2
+
+
+def test_a_manifest_names_an_own_rule_and_no_other():
+    """A sensor with another rule is another circuit."""
+    of = config("silicon")
+    own = evolve(of, sensor=evolve(of.sensor, rule=Pair()))
+    plain, named = (json.loads(manifest_of(one, {}, POLYPHASE, "")) for one in (of, own))
+    assert named.pop("parameters") == plain.pop("parameters") | {"rule": "pair 4"}
+    assert named == plain
+
+
+def test_an_export_goes_behind_a_link(monkeypatch, tmp_path):
+    """The link stays one; what is told of a folder names it as it was given."""
+    monkeypatch.setattr(release, "_contents", lambda *_: {FILE_LIST: b"new"})
+    monkeypatch.chdir(tmp_path)
+    for name in ("rtl", "other"):
+        (tmp_path / "deep" / name).mkdir(parents=True)
+        (tmp_path / name).symlink_to(tmp_path / "deep" / name)
+    (tmp_path / "deep" / "rtl" / FILE_LIST).write_text("old", encoding="utf-8")
+    (tmp_path / "deep" / "other" / "mine").touch()
+    assert write_release(Path("rtl"), load_config("silicon")) == [
+        tmp_path / "deep" / "rtl" / FILE_LIST
+    ]
+    assert (tmp_path / "rtl").is_symlink()
+    assert (tmp_path / "rtl" / FILE_LIST).read_bytes() == b"new"
+    with pytest.raises(InputError, match="^other: holds other things"):
+        write_release(Path("other"), load_config("silicon"))
 
 
 def of_core(folder):
