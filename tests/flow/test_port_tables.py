@@ -76,14 +76,6 @@ def test_each_stream_is_a_bus_of_the_ip_xact():
     assert sorted(connected) == sorted(ports)
 
 
-@pytest.mark.parametrize("built", [0, 1])
-def test_words_that_a_sensor_does_not_have_are_not_told(built):
-    shown = stream_words(attrs.evolve(EXAMPLE, offsets=built, records=built))
-    for told in ("* Offsets, ", "* Entries, ", "minigroup record", "event, format full", "formats"):
-        assert (told in shown) == bool(built), told
-    assert "* Map, " in shown and "* Counters, " in shown
-
-
 def check_rows(sensor, top, view, text):
     """Check the rows against the release whose files `text` returns by name."""
     found = re.findall(r"^  (input|output) (?:\[(\d+):0\] )?(\w+);", text(f"{top}.v"), re.MULTILINE)

@@ -781,6 +781,20 @@ def test_an_export_goes_behind_a_link(monkeypatch, tmp_path):
         write_release(Path("other"), load_config("silicon"))
 
 
+@pytest.mark.parametrize("inside", [None, "mine/deep.v"])
+def test_what_is_no_export_is_not_replaced(monkeypatch, tmp_path, inside):
+    """A file, or a folder with something in it; nothing is left beside it."""
+    monkeypatch.setattr(release, "_contents", lambda *_: {FILE_LIST: b""})
+    place = tmp_path / "rtl"
+    own = place / inside if inside else place
+    own.parent.mkdir(parents=True, exist_ok=True)
+    own.write_text("own", encoding="utf-8")
+    with pytest.raises(InputError, match=f"^{re.escape(str(place))}: holds other things"):
+        write_release(place, load_config("silicon"))
+    assert own.read_text(encoding="utf-8") == "own"
+    assert list(tmp_path.iterdir()) == [place]
+
+
 def of_core(folder):
     """Return the file sets and the targets of FuseSoC's core."""
     text = (folder / f"{TOP}.core").read_text(encoding="utf-8")
