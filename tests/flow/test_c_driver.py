@@ -435,9 +435,10 @@ def assert_decoded(library, info, beats, sensor, first=0):
     group = -1
     for packet in packets(library, info, beats):
         where = ctypes.byref(packet)
-        if packet.kind == GROUP_KIND and packet.number != group:
+        if packet.kind == GROUP_KIND:
             events += events_of_group(library, info, packet)
-            group = packet.number
+            group += 1
+            assert packet.number == group % 256
         elif packet.kind in EVENT_KINDS:
             events.append(event(library, info, packet))
             if packet.map:
@@ -532,6 +533,35 @@ def test_events_of_the_largest_subgroup_are_decoded(library, form):
     assert len(hits) > 20
     assert (hits != 0).any(axis=0).all() and (hits == 0).any(axis=0).all()
     assert_decoded(library, probed(library, sensor), beats, sensor)
+
+
+def test_groups_are_numbered_from_0_on_again_after_255(library):
+    """By these numbers a receiver sees that groups are lost."""
+    table = {"rows": 8, "cols": 8}
+    sensor = random_cases.built_sensor(table)
+    frame = {"period": 120, "pulses": 300, "format": "compact"}
+    of = configured(table, frame, {"threshold": 1})
+    (beats,) = Golden(sensor).frame(of, random_edges(of, 6_000, seed=1)).beats
+    info = probed(library, sensor)
+    numbers = [one.number for one in packets(library, info, beats) if one.kind == GROUP_KIND]
+    assert numbers == [number % 256 for number in range(len(numbers))]
+    assert len(numbers) > 256
+
+
+def test_what_was_in_a_place_before_is_not_in_what_is_found(library):
+    """As on a stack: each field is set, also those of what a sensor or a packet does not have."""
+    constants = bus_of(Words(CONSTANTS))
+    start = ctypes.c_uint64(FRAME_START.code << 61)
+    for_one = ctypes.byref(start), ctypes.c_size_t(1)
+    found = []
+    for byte in (0x00, 0xFF):
+        info, packet = Info(), Packet()
+        for place in (info, packet):
+            ctypes.memset(ctypes.byref(place), byte, ctypes.sizeof(place))
+        assert library.coincid_probe(ctypes.byref(constants), ctypes.byref(info)) == 0
+        assert library.coincid_decode(ctypes.byref(info), 2, *for_one, ctypes.byref(packet)) == 1
+        found.append([getattr(one, name) for one in (info, packet) for name, _ in one._fields_])
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize("form", FORMATS)
