@@ -283,6 +283,24 @@ def test_edges_come_back_from_every_format(tmp_path_factory, suffix, rows):
     assert path.read_bytes() == first
 
 
+def test_written_tables_are_those_that_other_programs_read(tmp_path):
+    """A line of names without any mark and a line for each edge; a dataset for each column."""
+    placed = evolve(edges((0, 3, 5), (1, 4, 6)), offset_ps=np.array([0.25, 62.0]))
+    write_edges(tmp_path / "a.csv", placed, TIMING)
+    assert (
+        tmp_path / "a.csv"
+    ).read_bytes() == b"pulse,pixel,tick,offset_ps\n0,3,5,0.25\n1,4,6,62\n"
+    write_edges(tmp_path / "a.h5", placed, TIMING)
+    with h5py.File(tmp_path / "a.h5") as file:
+        columns = {name: (column.dtype.name, column[()].tolist()) for name, column in file.items()}
+    assert columns == {
+        "pulse": ("int64", [0, 1]),
+        "pixel": ("int64", [3, 4]),
+        "tick": ("int64", [5, 6]),
+        "offset_ps": ("float64", [0.25, 62.0]),
+    }
+
+
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_suffix_in_capitals_is_the_same_format(tmp_path, suffix):
     """As cameras and other systems write it, for reading, writing, and what is left out."""
@@ -665,14 +683,20 @@ def test_times_are_finite_and_not_negative(tmp_path, since_trigger, wrong):
         read_recording(tmp_path / "a.npz", None if since_trigger else 0)
 
 
-@pytest.mark.parametrize("column", ["sync", "channel"])
-def test_numbers_of_triggers_and_channels_are_exact_or_refused(tmp_path, column):
-    """Integers of any size are; floats are up to 2^53."""
+@pytest.mark.parametrize(
+    "column, since_trigger", [("sync", True), ("channel", True), ("channel", False)]
+)
+def test_numbers_of_triggers_and_channels_are_exact_or_refused(tmp_path, column, since_trigger):
+    """Integers of any size are; floats are up to 2^53. Channels also beside absolute times."""
     table = {"sync": [0, 1, 2], "channel": [3, 3, 3], "time_ps": [5, 6, 7]}
 
     def read(numbers):
-        np.savez(tmp_path / "a.npz", **table | {column: numbers})
-        return getattr(read_recording(tmp_path / "a.npz"), column).tolist()
+        if since_trigger:
+            np.savez(tmp_path / "a.npz", **table | {column: numbers})
+            return getattr(read_recording(tmp_path / "a.npz"), column).tolist()
+        np.savez(tmp_path / "a.npz", channel=[*numbers, numbers[2]], time_ps=[5, 6, 7, 4])
+        read = read_recording(tmp_path / "a.npz", int(numbers[2]))
+        return [*read.channel.tolist(), int(numbers[2])]
 
     for whole in ([0, 2**62 + 1, 1], [0, 2**63 - 1, 1]):
         assert read(np.array(whole)) == read(np.array(whole, np.uint64)) == whole
@@ -973,6 +997,9 @@ def test_pulses_that_cannot_be_counted_are_refused(tmp_path):
         told = "timestamps: holds 281474976710656, which is pulse 9.14794e.15 .* below 2.53$"
         with pytest.raises(InputError, match=told):
             read_recording(path)
+        first = late | {"timestamps": late["timestamps"][::-1]}
+        with pytest.raises(InputError, match=told):
+            read_recording(photon_hdf5(tmp_path / "d.h5", **first, **{rate: 40e6 * pulses}))
     path = photon_hdf5(tmp_path / "b.h5", **late)
     assert read_recording(path, sync_divider=1 << 14).sync.max() >> 14 == 1 << 48
     with pytest.raises(InputError, match=r"sync-divider = 32768: sync 281474976710656 .*710654$"):
@@ -995,6 +1022,45 @@ def test_a_trigger_may_stand_for_as_many_pulses_as_messages_tell(tmp_path):
         InputError, match="sync-divider = 65537: must be an integer from 1 to 65536"
     ):
         read_recording(plain, sync_divider=most + 1)
+
+
+PHOTONS = {"channel": [3, 2, 3, 5], "time_ps": [1050, 501_100, 502_050, 1_503_050]}
+TRIGGERS = {"channel": [9, 9, 9], "time_ps": [0, 500_000, 1_500_000]}
+ABSOLUTE = {name: TRIGGERS[name] + PHOTONS[name] for name in PHOTONS}
+UNIT = {"timestamps_specs__timestamps_unit": 500e-9}
+
+
+@pytest.mark.parametrize(
+    ("columns", "more", "sync_channel"),
+    [
+        (PHOTONS | {"sync": [0, 1, 1, 3], "time_ps": [1050, 1100, 2050, 3050]}, {}, None),
+        (ABSOLUTE, {}, 9),
+        ({"pulse": [0, 1, 1, 3], "pixel": [3, 2, 3, 5], "tick": [16, 17, 32, 48]}, {}, None),
+        (
+            {"detectors": [3, 2, 3, 5], "timestamps": [0, 1, 1, 3], "nanotimes": [20, 21, 40, 60]},
+            UNIT | {"nanotimes_specs__tcspc_unit": 50e-12},
+            None,
+        ),
+        (
+            {"detectors": ABSOLUTE["channel"], "timestamps": ABSOLUTE["time_ps"]},
+            {"timestamps_specs__timestamps_unit": 1e-12},
+            9,
+        ),
+    ],
+)
+def test_photons_of_a_file_may_be_in_any_order(tmp_path, columns, more, sync_channel):
+    expected = [(0, 3, 16), (1, 2, 17), (1, 3, 32), (3, 5, 48)]
+    if sync_channel is not None:  # a trigger that nobody recorded is no pulse
+        expected[-1] = (2, 5, 48)
+    order = np.arange(len(next(iter(columns.values()))))
+    for shuffled in (order, order[::-1], np.roll(order, 2), np.roll(order[::-1], 1)):
+        table = {name: np.array(column)[shuffled] for name, column in columns.items()}
+        path = tmp_path / "a.npz"
+        if more:
+            path = photon_hdf5(tmp_path / "a.h5", **table, **more)
+        else:
+            np.savez(path, **table)
+        assert edges_of(path, sync_channel=sync_channel) == (expected, {})
 
 
 def test_photon_hdf5_without_nanotimes(tmp_path):
