@@ -9,6 +9,7 @@ them.
 
 import gc
 import locale
+import logging
 import os
 import signal
 import sys
@@ -113,4 +114,6 @@ def _state() -> dict[str, object]:
         "answer to a termination": signal.getsignal(signal.SIGTERM),
         "errors of NumPy": np.geterr(),
         "print options of NumPy": np.get_printoptions(),
+        "level up to which nothing is logged": logging.root.manager.disable,
+        "collection of garbage": gc.isenabled(),
     }

@@ -3,6 +3,8 @@
 changes.
 """
 
+import gc
+import logging
 import os
 import tempfile
 from threading import Event, Thread
@@ -57,13 +59,19 @@ def test_a_changed_process_is_told(tmp_path):
         patch.setenv("COINCID_NEW", "1")
         patch.delenv("PATH")
         patch.syspath_prepend("modules")
+        gc.disable()
+        logging.disable(logging.CRITICAL)
         with np.errstate(divide="raise"):
             told = leftovers.leftovers(before)
+        logging.disable(logging.NOTSET)
+        gc.enable()
     assert told == [
         "another variable PATH",
         "another set of variables",
         "another working directory",
         "another path of modules",
         "another errors of NumPy",
+        "another level up to which nothing is logged",
+        "another collection of garbage",
     ]
     assert not leftovers.leftovers(before)
