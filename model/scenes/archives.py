@@ -17,7 +17,11 @@ from ..shared.files import FilePath, reading
 from .conventions import ARCHIVES
 
 MATLAB = ".mat"  # of which only later versions are HDF5
-NO_NUMBERS = ("char", "cell", "struct", "object", "function")  # kinds of MATLAB's variables
+# kinds of MATLAB's variables
+NO_NUMBERS = ("char", "cell", "struct", "object", "function", "function_handle")
+# in its HDF5: attribute with the kind of a variable, and how groups of its own begin
+MATLAB_KIND = "MATLAB_class"
+MATLAB_OWN = "#"
 PICTURE = 2  # dimensions of an array: rows, cols
 SEQUENCE = 3  # frames, rows, cols
 # by the version of the NPY format, of which later ones hold no plain numbers
@@ -113,7 +117,7 @@ def _hdf5(path: Path) -> tuple[Shapes, Callable[[str], np.ndarray]]:
     shapes: Shapes = {}
 
     def note(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset):
+        if isinstance(item, h5py.Dataset) and _is_array(name, item):
             shapes[name] = item.shape
 
     with h5py.File(path, "r") as archive:
@@ -125,3 +129,10 @@ def _hdf5(path: Path) -> tuple[Shapes, Callable[[str], np.ndarray]]:
         return samples.T if path.suffix.lower() == MATLAB else samples
 
     return shapes, read
+
+
+def _is_array(name: str, dataset: h5py.Dataset) -> bool:
+    """Return whether a dataset is no text, cell or other variable of MATLAB, and no part of one."""
+    kind = dataset.attrs.get(MATLAB_KIND, "")
+    told = kind.decode() if isinstance(kind, bytes) else kind
+    return not name.startswith(MATLAB_OWN) and told not in NO_NUMBERS

@@ -662,6 +662,18 @@ def test_arrays_in_archives(tmp_path):
     others = {"camera": "left", "lens": {"f": 1.4}, "names": np.array([["a", 2]], object)}
     savemat(tmp_path / "g.mat", {"depth": depth_m, **others})  # they are no pictures
     assert np.array_equal(load_scene(str(tmp_path / "g.mat"), *SHAPE).truth_m, depth_m)
+    with h5py.File(tmp_path / "h.mat", "w") as archive:  # the same in MATLAB 7.3
+        for name, kind in (
+            ("camera", "char"),
+            ("names", "cell"),
+            ("lens/focus", "function_handle"),
+        ):
+            archive[name] = np.ones((4, 1), np.uint16)
+            archive[name].attrs["MATLAB_class"] = np.bytes_(kind)
+        archive["#refs#/b"] = np.ones(SHAPE)  # a part of a cell
+        archive["depth"] = depth_m.T
+        archive["depth"].attrs["MATLAB_class"] = "double"
+    assert np.array_equal(load_scene(str(tmp_path / "h.mat"), *SHAPE).truth_m, depth_m)
     moving_m = np.stack([depth_m, depth_m + 1])
     np.savez(tmp_path / "f.npz", depth=depth_m, moving=moving_m, k=np.ones(3))
     still, moving = (load_scene(f"{tmp_path}/f.npz{name}", *SHAPE) for name in ("", ":moving"))
