@@ -33,6 +33,9 @@ ARRAY = "array"  # name of distances that are no file
 COLOURS_MAX = 4  # length of a last axis that holds colours
 NUMBER = re.compile(r"%\d*d")  # of a picture, in a pattern of names
 WILD = re.compile(r"[*?\[]")
+HIDDEN = (
+    "."  # begins the name of a file that is none of the user's, as macOS puts them beside files
+)
 
 
 @frozen(eq=False, kw_only=True)
@@ -84,7 +87,8 @@ def pictures_of(source: FilePath | np.ndarray, meaning: Meaning) -> Pictures:
 
 
 def picture_files(source: str, suffixes: tuple[str, ...]) -> list[Path] | None:
-    """Return the files of a folder or a pattern in order; None if `source` is neither.
+    """Return the files of a folder or a pattern in order, without hidden ones; None if `source` is
+    neither.
 
     suffixes: of the files of a folder. Raises `InputError` if there is none.
     """
@@ -106,6 +110,8 @@ def picture_files(source: str, suffixes: tuple[str, ...]) -> list[Path] | None:
         wanted = "files that the pattern fits"
     else:
         return None
+    if os.path.isdir(path) or not path.name.startswith(HIDDEN):
+        found = [one for one in found if not one.name.startswith(HIDDEN)]
     if not found:
         raise InputError(f"{source}: has no pictures, must have {wanted}")
     return sorted(found, key=_in_order)

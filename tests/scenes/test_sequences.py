@@ -167,15 +167,30 @@ def test_a_pattern_may_have_the_signs_of_a_copy(tmp_path):
     assert [scene.at(k).truth_m[0, 0] for k in range(scene.pictures)] == [3.0, 4.0]
 
 
-@pytest.mark.parametrize("pattern", ["d_%d.png", "d_*.png", "d_?.png", ""])
+@pytest.mark.parametrize("pattern", ["d_%d.png", "d_*.png", "d_?.png", "*.png", "*d_?.png", ""])
 def test_copies_beside_a_sequence_are_no_pictures_of_it(tmp_path, pattern):
-    """As editors and programs that save pictures leave them."""
+    """As editors, programs that save pictures, and macOS leave them."""
     for name, wall_m in (("d_1.png", 3.0), ("d_2.png", 4.0)):
         png(tmp_path / name, np.full(SHAPE, wall_m))
-        for copy in (f"{name}.bak", f"{name}~", f".#{name}.tmp"):
+        for copy in (f"{name}.bak", f"{name}~", f".#{name}.tmp", f"._{name}"):
             (tmp_path / copy).write_bytes(b"no picture")
     scene = load_scene(f"{tmp_path}/{pattern}", *SHAPE)
     assert [scene.at(k).truth_m[0, 0] for k in range(scene.pictures)] == [3.0, 4.0]
+
+
+@pytest.mark.parametrize("pattern", [".d_%d.png", ".d_*.png", ".*.png"])
+def test_a_pattern_may_ask_for_hidden_files(tmp_path, pattern):
+    for name, wall_m in ((".d_1.png", 3.0), (".d_2.png", 4.0), ("d_3.png", 5.0)):
+        png(tmp_path / name, np.full(SHAPE, wall_m))
+    scene = load_scene(f"{tmp_path}/{pattern}", *SHAPE)
+    assert [scene.at(k).truth_m[0, 0] for k in range(scene.pictures)] == [3.0, 4.0]
+
+
+def test_a_hidden_folder_has_pictures_as_any_other(tmp_path):
+    (tmp_path / ".frames").mkdir()
+    for name in ("d_1.png", "._d_1.png"):
+        png(tmp_path / ".frames" / name, np.full(SHAPE, 3.0))
+    assert load_scene(str(tmp_path / ".frames"), *SHAPE).pictures == 1
 
 
 def test_the_last_frame_counts_from_the_end_of_the_frames_not_of_the_pictures():
