@@ -71,7 +71,13 @@ def pictures_of(source: FilePath | np.ndarray, meaning: Meaning) -> Pictures:
     if files is not None:
 
         def read(number: int) -> Stored:
-            return pictures_of(files[number], meaning).read(0)
+            in_file = pictures_of(files[number], meaning)
+            if in_file.count > 1:
+                raise InputError(
+                    f"{files[number]}: holds {in_file.count} pictures, must hold one, because {path}"
+                    " names several files"
+                )
+            return in_file.read(0)
 
         return Pictures(name=Path(path).name, count=len(files), read=read, moves=True)
     samples = array_in_file(path)

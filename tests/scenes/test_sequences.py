@@ -318,6 +318,13 @@ def test_messages_name_the_picture(tmp_path):
         load_scene(folder, *SHAPE)
     with pytest.raises(InputError, match=r"x_\*.png: has no pictures, must have files that the"):
         load_scene(f"{folder}/x_*.png", *SHAPE)
+    (tmp_path / "arrays").mkdir()
+    for frames, name in ((1, "d_1.npy"), (3, "d_2.npy")):
+        np.save(tmp_path / "arrays" / name, pictures()[:frames])
+    with pytest.raises(
+        InputError, match=r"d_2.npy: holds 3 pictures, must hold one, .*\*.npy names"
+    ):
+        load_scene(f"{tmp_path}/arrays/d_*.npy", *SHAPE)
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="empty: has no pictures, must have files that end with"):
         load_scene(str(tmp_path / "empty"), *SHAPE)
