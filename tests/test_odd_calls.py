@@ -3,6 +3,7 @@
 command in odd surroundings: a right result, or a sentence.
 """
 
+import inspect
 import os
 import stat
 import subprocess
@@ -179,6 +180,7 @@ WITH_PATH = {
     "Depth.save": lambda run, path: run.depth().save(path),
     "read_recording": lambda run, path: read_recording(path),
     "write_edges": lambda run, path: write_edges(path, run.edges, coincid.Timing()),
+    "Pulse.load": lambda run, path: Pulse.load(path),
 }
 
 
@@ -187,6 +189,24 @@ def test_what_is_no_name_of_a_file_is_refused(name, run):
     for path in NO_PATHS:
         with pytest.raises(InputError, match=r"path = .*: must be the name of a file"):
             WITH_PATH[name](run, path)
+
+
+def test_every_path_of_the_library_is_among_them():
+    """That of `load_config` may also be the name of a preset, and has a sentence of its own."""
+    found = set()
+    for name in coincid.__all__:
+        one = getattr(coincid, name)
+        functions = {name: one}
+        if inspect.isclass(one):
+            members = inspect.getmembers(
+                one, lambda it: inspect.isfunction(it) or inspect.ismethod(it)
+            )
+            functions = {f"{name}.{member}": it for member, it in members if member[0] != "_"}
+        for told, function in functions.items():
+            if inspect.isroutine(function) and "path" in inspect.signature(function).parameters:
+                found.add(told)
+    assert {"load_config", "read_result", "Run.save"} <= found
+    assert found - {"load_config"} <= set(WITH_PATH)
 
 
 def test_a_pipe_in_place_of_a_file_stays(tmp_path, run):

@@ -12,7 +12,7 @@ from attrs import field, frozen
 
 from .constants import SIGMA_PER_FWHM
 from .errors import InputError, wrong_value
-from .files import FilePath, reading
+from .files import FilePath, check_path, reading
 from .quantities import check_real, given, real_array, shape_of
 
 PULSE_FILES = (".csv", ".npy")
@@ -88,7 +88,7 @@ class Pulse:
         A CSV has commas, and its first line names the columns: time_ps,density. An NPY file holds
         an array [n, 2]. Raises `InputError`.
         """
-        columns = _npy(path) if Path(path).suffix.lower() == ".npy" else _csv(path)
+        columns = _npy(path) if check_path(path).suffix.lower() == ".npy" else _csv(path)
         return cls._of_columns(str(path), columns)
 
     @classmethod

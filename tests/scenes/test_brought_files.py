@@ -387,6 +387,12 @@ HINTS = {  # samples, options, unit of the hint; "": none
     "TUM: 0.05 % of a real picture are no multiples of 5": (of_a_room(1500) * 5, {}, "tum"),
     "TUM, whose unit is given wrongly": (of_a_room(1500) * 5, {"unit": "realsense"}, "tum"),
     "TUM with its unit": (of_a_room(1500) * 5, {"unit": "tum"}, ""),
+    "TUM, with the scale that makes metres of it": (of_a_room(1500) * 5, {"scale": 0.2}, ""),
+    "centimetres, with the scale that makes metres of them": (
+        of_a_room(4000) // 10,
+        {"scale": 10},
+        "",
+    ),
     "SUN RGB-D: 3 % of a real picture are no multiples of 8": (of_a_room(950) << 3, {}, "sun-rgbd"),
     "SUN RGB-D with its unit": (of_a_room(950) << 3, {"unit": "sun-rgbd"}, ""),
     "millimetres": (of_a_room(7900), {}, ""),
