@@ -325,9 +325,13 @@ def test_the_sky_is_at_a_distance_before_the_scale(tmp_path):
 def test_the_offset_of_a_disparity_is_in_pixels_however_many_numbers_a_pixel_has(
     tmp_path, offset_px
 ):
+    """A number of 0 is no disparity, whatever the offset is."""
     numbers = np.full(SHAPE, round((800 * 0.2 / 4 - offset_px) * 16), np.uint16)
+    numbers[1, 2] = 0
     path = png(tmp_path / "d.png", numbers)
-    assert np.all(load_scene(path, *SHAPE, unit=f"disparity/16:800,0.2,{offset_px}").truth_m == 4)
+    truth_m = load_scene(path, *SHAPE, unit=f"disparity/16:800,0.2,{offset_px}").truth_m
+    assert np.argwhere(np.isnan(truth_m)).tolist() == [[1, 2]]
+    assert np.nanmin(truth_m) == np.nanmax(truth_m) == 4
 
 
 def test_numbers_that_mean_no_depth_are_told(tmp_path):
@@ -338,6 +342,17 @@ def test_numbers_that_mean_no_depth_are_told(tmp_path):
     path = npy(tmp_path / "d.npy", samples)
     told = f"{path}: 3 samples are 7 or 65535, which is taken for no depth"
     assert told in load_scene(path, *SHAPE, missing=7).notes
+
+
+@pytest.mark.parametrize("unit", ["sun-rgbd", "nyu-raw"])
+@pytest.mark.parametrize("wrong", [-1, 0x10000])
+def test_bits_that_are_moved_are_16(tmp_path, unit, wrong):
+    """In integers of any size."""
+    samples = np.full(SHAPE, {"sun-rgbd": 4000 << 3, "nyu-raw": 0xED03}[unit], np.int64)
+    assert load_scene(npy(tmp_path / "d.npy", samples), *SHAPE, unit=unit).valid.all()
+    samples[2, 1] = wrong
+    with pytest.raises(InputError, match=f"d.npy: holds int64, must hold 16-bit .* unit {unit}$"):
+        load_scene(npy(tmp_path / "d.npy", samples), *SHAPE, unit=unit)
 
 
 @pytest.mark.parametrize("unit", ["sun-rgbd", "nyu-raw"])

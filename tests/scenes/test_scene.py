@@ -451,11 +451,11 @@ def test_invalid_samples_become_a_mask_and_a_note(tmp_path):
 @pytest.mark.parametrize("several", [False, True])
 @pytest.mark.parametrize("rows", [1, 3])
 def test_one_number_out_of_range_is_a_mark_unless_it_is_a_near_distance(bad_m, what, several, rows):
-    """Such marks may be many. Other samples out of range may be a tenth."""
+    """Such marks may be many. Other samples out of range may be a tenth; of more, the first is told."""
     depth_m = np.full((20, 20), 5.0)
-    depth_m[:rows] = bad_m
+    depth_m[-rows:] = bad_m
     if several:
-        depth_m[0, 0] *= 1.001
+        depth_m[-rows, 0] *= 1.001
     number = 20 * rows
     if not several and bad_m != 0.02:
         scene = load_scene(depth_m, 20, 20)
@@ -465,7 +465,7 @@ def test_one_number_out_of_range_is_a_mark_unless_it_is_a_near_distance(bad_m, w
         scene = load_scene(depth_m, 20, 20)
         assert f"array: {number} samples {what} left out" in scene.notes
     else:
-        told = f"^array: 15% of the samples are {what} \\(such as {depth_m[0, 0]:.6g} m\\), must be"
+        told = f"^array: 15% of the samples are {what} \\(such as {depth_m[-rows, 0]:.6g} m\\), must be"
         with pytest.raises(InputError, match=told):
             load_scene(depth_m, 20, 20)
         return
