@@ -54,7 +54,7 @@ def test_a_circuit_that_cannot_be_is_refused(given, told):
         Circuit(**given)
 
 
-SENSOR = Sensor(rows=8, cols=8, phases=8, window_max=16)
+SENSOR = Sensor(rows=16, cols=8, phases=8, window_max=16)  # of two subgroups
 
 
 @pytest.mark.parametrize(
