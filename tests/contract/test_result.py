@@ -185,6 +185,8 @@ def test_streams_in_another_order_are_refused(format):
         result.add([second, first])
     with pytest.raises(StreamError, match="beats of 1 streams, not of 2"):
         result.add([first])
+    with pytest.raises(StreamError, match="beats of 3 streams, not of 2"):
+        result.add([first, second, second])
     result.add([first, second])
 
 
