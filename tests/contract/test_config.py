@@ -123,6 +123,7 @@ def test_settings_of_every_subgroup():
         ("subgroup", {"threshold": 2.5}, ("subgroup.threshold = 2.5", "from 1 to 64")),
         ("subgroup", {"threshold": None}, ("subgroup.threshold = None", "from 1 to 64")),
         ("subgroup", {"auto": None}, ("subgroup.auto = None", "true or false")),
+        ("subgroup", {"gate_len": None}, ("subgroup.gate_len = None", "from 0 to 65535")),
         ("subgroup", {"threshold": [1] * 15 + [0]}, ("subgroup.threshold[15] = 0", "from 1 to 64")),
         ("subgroup", {"threshold": [1, 2]}, ("subgroup.threshold", "2 values", "16")),
         ("subgroup", {"coincidence": 1}, ("subgroup.coincidence = 1", "true or false")),

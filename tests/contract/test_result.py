@@ -30,7 +30,7 @@ from ..random_cases import GOLDEN_SENSORS, configured, random_edges
 
 EVENTS = configured(
     GOLDEN_SENSORS["tiny"],
-    {"format": "full", "minigroup_records": True, "mg_threshold": 1, "pulses": 20},
+    {"format": "full", "minigroup_records": True, "mg_threshold": 1, "pulses": 10, "frames": 2},
     {"threshold": 1},
 )
 COUNTS = configured(
@@ -95,6 +95,7 @@ def test_a_file_of_frames_is_the_file_of_their_arrays(config, tmp_path):
         trace = golden.frame(config, edges)
         for result in (grown, whole):
             result.add(trace.beats, trace.commit_subgroup, trace.commit_cycle)
+    assert grown.events == len(whole.arrays()["pulse"])
     grown.write(tmp_path / "grown.npz", {"more": np.arange(3)})
     write_result(tmp_path / "whole.npz", whole.arrays())
     assert not differences(read_result(tmp_path / "grown.npz"), whole.arrays())
