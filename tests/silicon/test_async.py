@@ -40,6 +40,8 @@ from ..benches import bench_environment
 from ..random_cases import SENSORS, SMALL, configured, predicted, trouble
 from ..tb.test_cosim import assert_all_checked, frames
 
+SKEW_FS = tuple(range(0, 64 * 300, 300))  # of the pixels of a subgroup
+
 TINIEST = dict(
     rows=4,
     cols=4,
@@ -205,7 +207,7 @@ def assert_within_a_tick(settings, edges, golden, found):
         pytest.param(
             Circuit(mismatch_fs=tuple((-12000, 9000, 14000, -5000) * 8)), marks=pytest.mark.long
         ),
-        Circuit(pixel_skew_fs=tuple(range(0, 64 * 300, 300))),
+        Circuit(pixel_skew_fs=SKEW_FS),
     ),
     ids=("nominal", "delay line", "taps", "skew"),
 )
@@ -216,6 +218,23 @@ def test_edges_anywhere_in_their_ticks(circuit):
     assert_within_a_tick(
         settings, edges, golden, replay("icarus", settings, edges, view=Asynchronous(circuit))
     )
+
+
+def test_a_skew_takes_edges_across_the_border_of_a_tick():
+    """All edges come as long before a border as the skew of the middle pixel; so those of later
+    pixels are counted one tick later.
+    """
+    settings = config(pulses=8)
+    pixel = np.arange(0, 64, 8)
+    middle_ps = (SKEW_FS[31] + SKEW_FS[32]) / 2e3
+    edges = Edges(
+        pulse=np.arange(8),
+        pixel=pixel,
+        tick=np.full(8, 100),
+        offset_ps=np.full(8, settings.tick_s * 1e12 - middle_ps),
+    )
+    found = replay("icarus", settings, edges, view=Asynchronous(Circuit(pixel_skew_fs=SKEW_FS)))
+    assert found["stamp"].tolist() == np.where(pixel < 32, 100, 101).tolist()
 
 
 def test_nominal_circuits_keep_the_ticks_of_dense_edges():
