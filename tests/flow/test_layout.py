@@ -617,6 +617,37 @@ def test_the_picture_shows_the_whole_block_in_the_colours_of_its_metals(monkeypa
     assert (rgb[~below & ~right] == 0xFFFFFF).all()
 
 
+def test_the_pattern_of_a_picture_tells_wells_and_gates_from_metals_along_rows_and_columns(
+    monkeypatch, tmp_path
+):
+    """Layers whose wires cross or cover each other have different patterns."""
+    layout = db.Layout()
+    layout.dbu = drawn.DBU_UM
+    top = layout.create_cell("top")
+    layers = (3, 9, *map(drawn.metal, range(1, 5)))
+    for k, layer in enumerate(layers):
+        top.shapes(layout.layer(layer, 0)).insert(
+            drawn.box(40 * k, 40 * k, 40 * k + 32, 40 * k + 32)
+        )
+    gds, png = tmp_path / "block.gds", tmp_path / "block.png"
+    layout.write(str(gds))
+    monkeypatch.setattr(drawn, "PICTURE_PIXELS", 480)
+    drawn.draw_picture(gds, png)
+    rgb = np.rint(255 * imread(png)[:, :, :3]).astype(int) @ [1 << 16, 1 << 8, 1]
+    patterns = []
+    for layer in layers:
+        down, right = np.nonzero(rgb == drawn.COLOURS[layer])
+        filled = rgb[down.min() : down.max(), right.min() : right.max()] == drawn.COLOURS[layer]
+        density = round(10 * filled[9:-9, 9:-9].mean())
+        falling = (filled[:-1, :-1] & filled[1:, 1:]).sum()
+        rising = (filled[:-1, 1:] & filled[1:, :-1]).sum()
+        patterns.append((density, bool(falling > rising)))
+    wells, gates, *metals = patterns
+    assert wells == gates
+    assert metals[:2] == metals[2:]
+    assert len({wells, *metals}) == 3
+
+
 @pytest.mark.needs("cells")
 def test_a_small_minigroup_is_routed():
     from coincid.flow.layout.flow import PLACED, lay_out
