@@ -100,7 +100,7 @@ class Emission:
         self.layout = Layout()
         used = dict.fromkeys(instance.unit for instance in self.top.instances)
         flags = {name: _dark_fields(blocks[name], dark_inputs) for name in (*used, top)}
-        nodes = {name: with_dark_tables(blocks[name], flags[name]) for name in (*used, top)}
+        nodes = {name: with_dark_tables(blocks[name], flags[name], blocks) for name in (*used, top)}
         schedules = {
             name: Schedule(blocks[name], blocks, nodes[name], name != top) for name in (*used, top)
         }
@@ -178,6 +178,9 @@ class Emission:
         layout.ones += [place[flop.output] for flop in top.flops if flop.init]
         layout.inputs = {port: [place[net] for net in nets] for port, nets in top.inputs.items()}
         layout.outputs = {port: [place[net] for net in nets] for port, nets in top.outputs.items()}
+        given = {net for nets in top.inputs.values() for net in nets}
+        if flags_of.keys() - given - {ZERO}:  # nobody would set its flag
+            raise NetlistError(f"{top.name}: a dark input of a unit that is not one of the top")
         for port, nets in top.inputs.items():
             if any(net in flags_of for net in nets):
                 layout.flags_of[port] = [flags_of[net] for net in nets]

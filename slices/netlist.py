@@ -169,12 +169,19 @@ def _block(name: str, module: Mapping[str, Any], units: Mapping[str, Any]) -> Bl
         elif kind == "$mem_v2":
             block.memories.append(_memory(name, of["parameters"], nets, clock))
         elif kind in units:
+            given = _open_inputs(units[kind]) | nets
             block.instances.append(
-                Instance(cell, kind, {port: n for port, n in nets.items() if port != CLOCK})
+                Instance(cell, kind, {port: n for port, n in given.items() if port != CLOCK})
             )
         elif kind not in IGNORED:
             raise NetlistError(f"{name}: a cell {kind}, which slices do not know")
     return block
+
+
+def _open_inputs(unit: Mapping[str, Any]) -> dict[str, Nets]:
+    """Return what the inputs of a unit read where nothing is connected, by port."""
+    inputs = {port: of for port, of in unit["ports"].items() if of["direction"] == "input"}
+    return {port: (ZERO,) * len(of["bits"]) for port, of in inputs.items()}
 
 
 def _check_clock(block: str, nets: Nets, clock: Nets) -> None:

@@ -10,6 +10,7 @@ are skipped if no lane enables them (`Guard`). Logic that is constant while some
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -30,8 +31,10 @@ from .netlist import (
 )
 
 ELSEWHERE = -1
+NO_UNITS: Mapping[str, Block] = MappingProxyType({})
 FORCED = 1e6  # weight of an order that must be kept
 T = TypeVar("T")
+N = TypeVar("N", bound="Node | _Through")
 GUARD_MIN = (
     12  # flip-flops and nodes of a group for which it is worth asking whether any lane enables it
 )
@@ -54,6 +57,15 @@ class DarkTables:
 
 
 Node: TypeAlias = Table | Read | DarkTables
+
+
+@frozen(eq=False)
+class _Through:
+    """Logic that is computed together: all instances of a unit, or tables that are dark together."""
+
+    inputs: Nets
+    outputs: Nets
+    tables: Sequence[Table] = ()
 
 
 @frozen(eq=False)
@@ -140,7 +152,7 @@ class _Group:
         return self.flops[0].reset
 
 
-def in_order(nodes: Iterable[Node]) -> list[Node]:
+def in_order(nodes: Iterable[N]) -> list[N]:
     """Return nodes so that each comes after those that it reads. Raises `NetlistError` if they
     form a loop.
     """
@@ -151,28 +163,16 @@ def in_order(nodes: Iterable[Node]) -> list[Node]:
     )
 
 
-def with_dark_tables(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) -> list[Node]:
+def with_dark_tables(
+    block: Block,
+    flags: Sequence[tuple[int, frozenset[int]]],
+    units: Mapping[str, Block] = NO_UNITS,
+) -> list[Node]:
     """Return the tables of a block, gathered where they are dark together. flags: (number,
-    inputs), smaller ones first.
+    inputs), smaller ones first. units: the blocks of the instances.
     """
-    order = [node for node in in_order(block.tables) if isinstance(node, Table)]
-    chosen: dict[Table, int] = {}
-    dark_values: dict[int, int] = {}
-    for k, (_, zeros) in enumerate(flags):
-        known: dict[int, int] = dict.fromkeys(zeros, 0)
-        # nets that depend on this DarkTables's tables, and are not among them
-        behind: set[int] = set()
-        mine: set[int] = set()
-        for table in order:
-            value = _constant(table, known)
-            if value is not None:
-                known[table.outputs[0]] = value
-            if value is not None and table not in chosen and not behind & set(table.inputs):
-                chosen[table] = k
-                dark_values[table.outputs[0]] = value
-                mine.add(table.outputs[0])
-            elif (behind | mine) & set(table.inputs):
-                behind.add(table.outputs[0])
+    order = in_order(block.tables)
+    chosen, dark_values = _dark_together(block, flags, units) if flags else ({}, {})
     gathered: list[list[Table]] = [[] for _ in flags]
     for table in order:
         if table in chosen:
@@ -199,6 +199,54 @@ def with_dark_tables(block: Block, flags: Sequence[tuple[int, frozenset[int]]]) 
                 )
             )
     return nodes
+
+
+def _dark_together(
+    block: Block, flags: Sequence[tuple[int, frozenset[int]]], units: Mapping[str, Block]
+) -> tuple[dict[Table, int], dict[int, int]]:
+    """Return table -> place of its flag in `flags`, and the value of its output while it is dark."""
+    # Tables before and behind a memory, a unit or other dark tables are not dark together.
+    nodes: list[Table | Read | _Through] = [*block.tables, *_reads(block), *_through(block, units)]
+    chosen: dict[Table, int] = {}
+    dark_values: dict[int, int] = {}
+    for k, (_, zeros) in enumerate(flags):
+        known: dict[int, int] = dict.fromkeys(zeros, 0)
+        mine: list[Table] = []
+        outputs: set[int] = set()  # of mine
+        # nets that depend on this DarkTables's tables, and are not among them
+        behind: set[int] = set()
+        for node in in_order(nodes):
+            for table in (node,) if isinstance(node, Table) else _tables_in(node):
+                value = _constant(table, known)
+                if value is not None:
+                    known[table.outputs[0]] = value
+            inputs = set(node.inputs)
+            if isinstance(node, Table) and node.outputs[0] in known and not behind & inputs:
+                mine.append(node)
+                outputs.update(node.outputs)
+            elif (behind | outputs) & inputs:
+                behind.update(node.outputs)
+        chosen |= dict.fromkeys(mine, k)
+        dark_values |= {net: known[net] for net in outputs}
+        nodes = [node for node in nodes if node not in chosen]
+        inner = {net for table in mine for net in table.inputs}
+        nodes.append(_Through(tuple(sorted(inner - outputs)), tuple(sorted(outputs)), mine))
+    return chosen, dark_values
+
+
+def _tables_in(node: Read | _Through) -> Sequence[Table]:
+    return node.tables if isinstance(node, _Through) else ()
+
+
+def _through(block: Block, units: Mapping[str, Block]) -> list[_Through]:
+    computed, _ = _of_units(block, units)
+    return [
+        _Through(
+            tuple(_read_by(instances, units)),
+            tuple(net for net, unit in computed.items() if unit == name),
+        )
+        for name, instances in _by_unit(block).items()
+    ]
 
 
 def _read_elsewhere(block: Block) -> set[int]:
@@ -260,8 +308,10 @@ class Schedule:
         feeds = set(_read_by(block.instances, units))
         given = {net for nets in block.inputs.values() for net in nets}
         self.homes = feeds & (given | {flop.output for flop in block.flops})
+        self.homes -= _passed_on(block.instances, units)
         self._names: dict[int, int] = {}
         self._done: set[Node | _Group] = set()
+        self._begun: set[_Group] = set()  # calls, also those whose inputs are not computed yet
         self._alias = 0
         self._need(self._shown, self.ops)
         self._read(self._shown)
@@ -425,7 +475,8 @@ class Schedule:
         if self.homes & {flop.output for flop in group.flops}:
             for call in self._calls.values():
                 self._update(call)
-        self._done.add(group)
+        if not group.instances:
+            self._done.add(group)
         if group.memory:
             self._put(group)
         elif group.instances:
@@ -460,31 +511,19 @@ class Schedule:
 
     def _call(self, group: _Group) -> None:
         inputs = self._inputs(group)
-        if any(
-            net in self._called and self._calls[self._called[net]] is group
-            for net in self._cone(inputs)
-        ):
+        if group in self._begun:  # by itself, perhaps through another unit
             raise NetlistError(
                 f"{group.instances[0].unit}: an output leads to an input without a register"
             )
+        self._begun.add(group)
         self._need(inputs, self.ops)
+        self._done.add(group)
         self._read(inputs)
         names = self._named(inputs)
         for net, writer in self._writer.items():
             if writer is group and self._readers[net] and net not in self._names:
                 self._copy(net, self.ops)
         self.ops.append(Call(group.instances, names))
-
-    def _cone(self, nets: Iterable[int]) -> set[int]:
-        """Return all nets from which some nets are computed, and themselves."""
-        seen, todo = set(nets), list(nets)
-        while todo:
-            node = self._producer.get(todo.pop())
-            for net in node.inputs if node else ():
-                if net not in seen:
-                    seen.add(net)
-                    todo.append(net)
-        return seen
 
     def _guard(self, group: _Group) -> None:
         own = set(group.own)
@@ -574,6 +613,21 @@ def _by_unit(block: Block) -> dict[str, list[Instance]]:
 def _read_by(instances: Iterable[Instance], units: Mapping[str, Block]) -> list[int]:
     """Return what instances read."""
     return [net for i in instances for port in units[i.unit].inputs for net in i.nets.get(port, ())]
+
+
+def _passed_on(instances: Iterable[Instance], units: Mapping[str, Block]) -> set[int]:
+    """Return what instances read at inputs that are also outputs of their unit. Such an input must
+    stay as it was before the edge.
+    """
+    found: set[int] = set()
+    for instance in instances:
+        unit = units[instance.unit]
+        outputs = {net for nets in unit.outputs.values() for net in nets}
+        for port, nets in unit.inputs.items():
+            for net, inner in zip(instance.nets.get(port, ()), nets, strict=False):
+                if inner in outputs:
+                    found.add(net)
+    return found
 
 
 def _of_units(block: Block, units: Mapping[str, Block]) -> tuple[dict[int, str], dict[int, str]]:

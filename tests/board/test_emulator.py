@@ -743,6 +743,21 @@ def test_a_reset_behind_a_dead_line_is_told_once():
     assert operations == [*GREETED, Operation.READ, *GREETED]
 
 
+@pytest.mark.parametrize("operation", Operation)
+def test_an_answer_with_a_status_that_is_not_known_is_asked_for_again(operation):
+    """It is that of another protocol, or damaged; a single word is read as a single one again."""
+    line = Answering({int(operation != Operation.HELLO): max(Answer) + 1})
+    transport = SerialTransport(line, tries=2, patience_s=1.0)
+    if operation == Operation.WRITE:
+        transport.write(8, 5)
+        assert line.written == {8: 5}
+    else:
+        assert transport.read(8) == 8
+    assert transport.repeats == 1
+    asked = [one for one in line.asked if one[0] == operation]
+    assert len(asked) == 2 and asked[0] == asked[1]
+
+
 class Slow(Counting):
     """A device whose answers come in parts, each a little later."""
 

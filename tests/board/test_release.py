@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from attrs import evolve
+from attrs import astuple, evolve
 
 from coincid.board.driver import EmulatorDriver
 from coincid.board.lint import lint_emulator
@@ -81,6 +81,31 @@ def test_pll(clock_mhz):
     found = pll(clock_mhz)
     assert OSCILLATOR_MHZ * found.feedback / found.reference == clock_mhz
     assert 400 <= clock_mhz * found.output <= 800
+
+
+def dividers_of(clock_mhz):
+    """Return all dividers of the PLL that make a clock: the data sheet's limits, one by one."""
+    return {
+        (reference, feedback, output)
+        for reference in range(1, 9)
+        for feedback in range(1, 81)
+        for output in range(1, 129)
+        if OSCILLATOR_MHZ * feedback == clock_mhz * reference and 400 <= clock_mhz * output <= 800
+    }
+
+
+@pytest.mark.parametrize("eighths", [4, 5, 8, 23, 24, 41, 80, 81, 128, 256, 257])
+def test_the_pll_makes_every_clock_that_it_can(eighths):
+    """Multiples of an eighth of the oscillator; others have no dividers."""
+    clock_mhz = OSCILLATOR_MHZ * eighths / 8
+    possible = dividers_of(clock_mhz)
+    if possible:
+        assert astuple(pll(clock_mhz)) in possible
+    else:
+        with pytest.raises(InputError, match=f"^frame.clock_mhz = {clock_mhz:g}: the board's PLL"):
+            pll(clock_mhz)
+    with pytest.raises(InputError, match="the board's PLL does not make it"):
+        pll(clock_mhz + OSCILLATOR_MHZ / 9)
 
 
 @pytest.mark.parametrize(

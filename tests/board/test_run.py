@@ -3,6 +3,7 @@
 ports are refused.
 """
 
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -115,15 +116,18 @@ def test_a_scene_without_distances_is_refused():
         source_settings(config, scene, 0.0)
 
 
-def test_a_scene_as_settings():
+@pytest.mark.parametrize(("metres", "klux"), [(6, 50.0), (4, 51.0), (8, 20.0), (10, 0.0)])
+def test_a_scene_as_settings(metres, klux):
+    """Probabilities are the nearest that the source can have."""
     config = load_config("emulator")
-    scene = scene_of(config, "flat:6,0.4")
-    settings = source_settings(config, scene, 50.0)
-    tick = int(2 * 6 / 299_792_458 / config.tick_s)
+    scene = scene_of(config, f"flat:{metres},0.4")
+    settings = source_settings(config, scene, klux)
+    tick = int(2 * metres / 299_792_458 / config.tick_s)
     cycle_s = 1e-6 / config.clock_mhz
     assert (settings.tick == tick).all()
-    assert (settings.level == round((1 - np.exp(-0.613 * (4 / 6) ** 2)) * 256)).all()
-    assert (settings.background == round((1 - np.exp(-1.226e6 * cycle_s)) * 65536)).all()
+    assert (settings.level == round((1 - np.exp(-0.613 * (4 / metres) ** 2)) * 256)).all()
+    rate = 1.226e6 * klux / 50 * cycle_s
+    assert (settings.background == round((1 - np.exp(-rate)) * 65536)).all()
     assert settings.dead_cycles == 1
 
 
@@ -325,6 +329,20 @@ def test_only_a_buffer_that_was_full_in_this_session_is_an_error():
     assert session.tally.frames == 2
 
 
+@pytest.mark.parametrize("number", [255, 256, 0xFFFF])
+def test_a_frame_of_any_number_is_as_predicted(number):
+    """The number has 16 bits, and begins anew behind the last one."""
+    driver = Changing(CONFIG, LIT)
+    driver.golden.frames = number
+    session = Session(driver, CONFIG, LIT)
+    beats = [session.frame() for _ in range(3)]
+    numbers = [number, number + 1, number + 2]
+    assert [int(of[0]) >> 32 & 0xFFFF for of in beats] == [n & 0xFFFF for n in numbers]
+    driver.change = lambda beats: beats[:-1]
+    with pytest.raises(Mismatch, match=f"^frame {number + 3 & 0xFFFF}, beat"):
+        session.frame()
+
+
 class Losing(Predicted):
     """The same, whose line fails: `frames` and `rests` are numbers of failures to come."""
 
@@ -343,6 +361,30 @@ class Losing(Predicted):
             self.frames -= 1
             raise DeviceResetError("reset") if self.frames % 2 else LinkError("no answer")
         return super().frame()
+
+
+class Emptied(Stalling):
+    """The same, which is reset in its second frame."""
+
+    def frame(self):
+        if self.golden.frames == 1:
+            self.golden.frames = 0
+            raise DeviceResetError("reset")
+        return super().frame()
+
+
+@pytest.mark.parametrize("later", [0, 3])
+def test_after_a_reset_the_stalls_are_counted_from_what_they_are_then(later):
+    """They were more before it; a buffer that is full after it is an error, too."""
+    driver = Emptied(CONFIG, LIT)
+    driver.stalls = [7, 7, 0, 0, later]
+    session = Session(driver, CONFIG, LIT)
+    session.frame()
+    session.frame()
+    assert (session.tally.frames, session.tally.recoveries) == (2, 1)
+    driver.golden.frames = 2
+    with pytest.raises(InputError, match="was full") if later else nullcontext():
+        session.frame()
 
 
 @pytest.mark.parametrize("failures", range(RECOVERIES_MAX))

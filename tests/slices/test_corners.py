@@ -6,9 +6,21 @@ and what a design is kept by.
 import json
 import re
 
+import pytest
+
 from coincid.slices import synthesis
 from coincid.slices.emit import DarkInput, Emission
-from coincid.slices.netlist import ONE, ZERO, Block, Flop, Instance, Table
+from coincid.slices.netlist import (
+    ONE,
+    ZERO,
+    Block,
+    Flop,
+    Instance,
+    Memory,
+    NetlistError,
+    Read,
+    Table,
+)
 from coincid.slices.slices import Slices
 from coincid.slices.synthesis import Design
 
@@ -137,6 +149,54 @@ def test_a_dark_input_of_a_design_without_units_sets_its_flags():
         assert f"if (F[{number}]) {{" in emission.source
     light = Emission({"own": block}, "own")
     assert light.layout.flags == 0 and not light.layout.flags_of and "F[" not in light.source
+
+
+def of_dark_units(*inputs):
+    """Return the emission of a top with units that read these nets at a dark input of two bits."""
+    unit = Block("unit", {"d": (2, 3)}, {"q": (200,)}, [], [Flop(2, 200)], [], [], {})
+    units = [
+        Instance(f"u{k}", "unit", {"d": nets, "q": (300 + k,)}) for k, nets in enumerate(inputs)
+    ]
+    ports = {"in": (2, 3, 4)}, {"out": (300,)}
+    top = Block("top", *ports, [Table((2,), (100,), 1)], [Flop(100, 50)], [], units, {})
+    return Emission({"unit": unit, "top": top}, "top", [DarkInput("unit", "d", 2)])
+
+
+def test_a_bit_sets_the_flags_of_all_units_that_it_reaches():
+    """Another bit of the same port reaches fewer of them, or none."""
+    emission = of_dark_units((3, 4), (ZERO, 4))
+    assert emission.layout.flags_of == {"in": [[], [0], [0, 1]]}
+    assert "FLAGS_OF_in[][2] = {{}, {0, 0}, {0, 1}};" in emission.header
+
+
+def test_dark_tables_lead_to_each_other_in_one_way():
+    """Where a memory, or tables that are dark at other times, lie between them, too: a hint makes
+    no loop of a design that has none.
+    """
+    first, second, light = 2, 3, 4
+
+    def both(k, *nets):
+        return Table(nets, (k,), 8)
+
+    rows = Memory("rows", 2, 1, [0, 0])
+    rows.reads.append(Read(rows, (100,), (101,)))
+    behind_rows = [both(100, first, light), both(102, first, 101)], [rows]
+    crossed = [both(100, first, light), Table((second, 100), (101,), 2)]
+    crossed += [both(102, second, light), both(103, first, 102)]
+    for tables, memories in (behind_rows, (crossed, [])):
+        flops = [Flop(table.outputs[0], 200 + k) for k, table in enumerate(tables)]
+        ports = {"in": (first, second), "light": (light,)}, {"out": (200, 201)}
+        block = Block("own", *ports, tables, flops, memories, [], {})
+        source = Emission({"own": block}, "own", [DarkInput("own", "in", 1)]).source
+        assert "if (F[0]) {" in source
+
+
+@pytest.mark.parametrize("net", [50, 100, 300, ONE])
+def test_a_dark_input_of_a_unit_is_one_of_the_top(net):
+    """Nobody would set the flag for what the top makes, and the unit would be dark for ever."""
+    told = "^top: a dark input of a unit that is not one of the top$"
+    with pytest.raises(NetlistError, match=told):
+        of_dark_units((2, net))
 
 
 def test_a_table_without_inputs_is_a_constant():

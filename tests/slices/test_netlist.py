@@ -162,3 +162,21 @@ def test_of_a_block_the_signals_with_names_and_the_units_are_left(tmp_path):
     assert instance.nets == {"a": (3, 1, 0), "b": (0, 0)}
     assert block.inputs == block.outputs == {}
     assert [(flop.output, flop.init) for flop in block.flops] == [(4, 0), (5, 1)]
+
+
+def test_an_input_of_a_unit_to_which_nothing_is_connected_is_0(tmp_path):
+    """As all that Yosys leaves undefined; an output stays open."""
+    ports = {
+        "clk": {"direction": "input", "bits": [2]},
+        "a": {"direction": "input", "bits": [3, 4]},
+        "b": {"direction": "input", "bits": [5]},
+        "q": {"direction": "output", "bits": [6]},
+    }
+    modules = {"unit": {"ports": ports, "netnames": {}, "cells": {}}}
+    cell = {"type": "unit", "connections": {"clk": [2], "b": [9]}}
+    clock = {"clk": {"direction": "input", "bits": [2]}}
+    modules["top"] = {"ports": clock, "netnames": {}, "cells": {"one": cell}}
+    path = tmp_path / "netlist.json"
+    path.write_text(json.dumps({"modules": modules}), encoding="utf-8")
+    (instance,) = read_netlist(path)["top"].instances
+    assert instance.nets == {"a": (0, 0), "b": (9,)}

@@ -371,6 +371,17 @@ def test_what_slices_cannot_play_is_said():
     )
     with pytest.raises(NetlistError, match="an output leads to an input without a register"):
         Design("through", {"through.v": through}, "through", ["inner"])
+    turn = (
+        inout.replace("inner", "other")
+        + inout
+        + (
+            "module turn(input clk, input d, output reg q); wire x, y, z;"
+            " inner i(.clk(clk), .a(z ^ d), .b(x)); other o(.clk(clk), .a(x), .b(z), .c(y));"
+            " always @(posedge clk) q <= y; endmodule\n"
+        )
+    )
+    with pytest.raises(NetlistError, match="an output leads to an input without a register"):
+        Design("turn", {"turn.v": turn}, "turn", ["inner", "other"])
 
 
 UNIT = "module {}(input clk, input [1:0] a, input d, output q);{} endmodule\n"
