@@ -186,7 +186,9 @@ def test_pulse_and_jitter_add_up_to_the_system_width(jitter_fwhm_s):
 @pytest.mark.parametrize("width_s", [20e-12, [[500e-12], [20e-12]]])
 def test_no_pixels_system_width_is_less_than_the_jitter(width_s):
     scene = light(1, 2, distance_m=4.0, signal=1.0, system_fwhm_s=width_s)
-    with pytest.raises(InputError, match="system_fwhm_s = 2e-11: must be at least the SPAD's 3e-11"):
+    with pytest.raises(
+        InputError, match="system_fwhm_s = 2e-11: must be at least the SPAD's 3e-11"
+    ):
         edges_of(scene, Spad(jitter_fwhm_s=30e-12), pulses=1)
 
 
