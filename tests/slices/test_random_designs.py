@@ -104,7 +104,8 @@ def design(rng):
         if rng.random() < 0.5:
             memories.append(memory(drawn, len(memories)))
         drawn.add_tables(4)
-        shared, before = drawn.some(3), list(drawn.nets)
+        before = list(drawn.nets)
+        shared = tuple(rng.choices([*4 * (ZERO, ONE), *before], k=3))
         for (name, k), outputs in connected.items():
             if name == of.name:
                 own = tuple(rng.choices([ZERO, ONE, *before], k=3))
