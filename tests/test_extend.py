@@ -14,10 +14,12 @@ from attrs import evolve
 
 import coincid
 from coincid.hdl.front_end_views import Polyphase
+from coincid.lab.bound import bound
 from coincid.lab.campaign import FinishedFiles, Processes, campaign
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
 from coincid.model.contract.coincidence import AT_LEAST, Rule, rises
+from coincid.model.contract.config import parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.edges import Edges
 from coincid.model.contract.parameters import Sensor
@@ -39,6 +41,7 @@ from coincid.study.sweep_spec import read_spec
 from coincid.tb.replay import replay
 
 from .commands import BLOCK
+from .depth.equal import assert_equal_depths
 from .told import Told
 
 PAGE = Path(__file__).parents[1] / "docs" / "extend.md"
@@ -568,6 +571,43 @@ def test_a_threshold_means_to_light_what_the_rule_says(page):
         coincid.InputError, match="knows only the paper's rule, not sensor.rule = 'neighbours'"
     ):
         histogram(2.0, 0.05, 1e6, form=FORMS[0], sensor=own, **light)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_depth_and_light_by_a_rule_are_those_of_what_it_means(method):
+    """One pixel more than a threshold of 2 is the paper's threshold of 3."""
+    setup = Setup.of("flat:5,0.4", **SMALL, klux=20.0, subgroup={"threshold": 3})
+    own = setup.config.with_rule(OneMore()).with_settings(threshold=2)
+    edges = Run(setup).edges
+    expected, found = (
+        estimate_depth(golden_result(config, edges), config, method=method)
+        for config in (setup.config, own)
+    )
+    assert np.nanmedian(found.signal_per_pulse) > 0
+    assert_equal_depths(found, expected, ("depth_m", "confidence", "reason", "signal_per_pulse"))
+
+
+def test_a_bound_by_a_rule_is_that_of_what_it_means():
+    usual = parse_config({"subgroup": {"threshold": 3}})
+    own = usual.with_rule(OneMore()).with_settings(threshold=2)
+    assert bound(own, trials=1) == bound(usual, trials=1)
+
+
+@pytest.mark.parametrize("method", ["planes", "background"])
+def test_a_rule_that_windows_meet_more_and_more_often_does_not_move_a_wall(page, method):
+    """Nor its light: of the windows of two pixels, few have two that touch; of those of ten, most."""
+    setup = Setup.of(
+        "flat:4,0.2",
+        sensor={"rows": 16, "cols": 16},
+        frame={"pulses": 500, "link_gbps": 0},
+        subgroup={"threshold": 2},
+        klux=20.0,
+    )
+    run = Run(setup.but(config=setup.config.with_rule(page.Neighbours())))
+    assert run["rejected"] > 0.3 * run["opened"]
+    depth = run.depth(method)
+    assert np.mean(depth.depth_m) == pytest.approx(4, abs=4e-3)
+    assert np.mean(depth.signal_per_pulse) == pytest.approx(run.light.total_signal.mean(), rel=0.05)
 
 
 class EveryPixel(Rule):

@@ -383,8 +383,9 @@ def test_methods_of_events_are_refused(method):
         InputError, match=f"method = '{method}': must be planes, because the format"
     ):
         run.depth(method)
-    with pytest.raises(InputError, match="the format counts has no events"):
-        counted("flat:4,0.4", estimators=(f"{method}/map",))
+    for others in ((), ("planes",)):
+        with pytest.raises(InputError, match="the format counts has no events"):
+            counted("flat:4,0.4", estimators=(*others, f"{method}/map"))
 
 
 def test_views_of_events_are_refused():

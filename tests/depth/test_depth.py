@@ -8,6 +8,7 @@ from scipy.stats import poisson
 
 from coincid.lab.outcomes import Run
 from coincid.lab.setup import Setup
+from coincid.model.depth import estimate
 from coincid.model.depth.arrivals import photons_of
 from coincid.model.depth.belief import Reason
 from coincid.model.depth.depth import Depth
@@ -26,7 +27,10 @@ from coincid.model.light.timing import Timing
 from coincid.model.scenes.catalogue import load_scene
 from coincid.model.shared.constants import SIGMA_PER_FWHM
 from coincid.model.shared.errors import InputError
+from coincid.model.shared.threads import Threads
 from coincid.study.pictures import Panel, depth_row
+
+from ..told import Told
 
 SIGMA_TICKS = 500e-12 * SIGMA_PER_FWHM / Timing().tick_s
 PULSE = PulseTicks(SIGMA_TICKS)
@@ -241,6 +245,22 @@ def test_frames_are_told_apart():
     assert wrong_share(first, scene.truth_m) == wrong_share(second, scene.truth_m) == 0
     with pytest.raises(InputError, match="from 0 to 1"):
         depth_of(result, config, frame=2)
+
+
+@pytest.mark.parametrize(
+    ("method", "parts"), [("planes", 2), ("background", 2), (Told(5.0), 1)], ids=str
+)
+def test_every_part_of_an_estimate_has_its_threads(method, parts, monkeypatch):
+    """One that forgets them gives the same, later: surfaces, and their light."""
+    told = []
+    monkeypatch.setattr(
+        estimate, "Threads", lambda workers: told.append(workers) or Threads(workers)
+    )
+    _, config, result = capture("flat:5", 5, sensor={"rows": 8, "cols": 8}, frame={"pulses": 20})
+    for workers in (3, None):
+        depth = estimate_depth(result, config, method=method, workers=workers)
+        assert depth.signal_per_pulse is not None
+    assert told == [3] * parts + [None] * parts
 
 
 def test_bad_input(five_objects):

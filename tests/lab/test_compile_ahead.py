@@ -8,6 +8,8 @@ from types import SimpleNamespace
 import pytest
 
 from coincid.lab import compile_ahead as ahead
+from coincid.lab import outcomes
+from coincid.lab.setup import Setup
 from coincid.model.contract.config import parse_config
 from coincid.model.contract.result import checked_events
 
@@ -42,6 +44,33 @@ def test_another_process_compiles_only_what_is_not_compiled_yet(compiled, monkey
     (end,) = at_end
     end()
     assert started[1:] == ["killed"]
+
+
+@pytest.mark.parametrize(
+    ("workers", "estimators", "asked"),
+    [
+        (2, ("planes",), 1),
+        (2, ("maximum", "planes"), 1),
+        (1, ("planes",), 0),
+        (2, ("maximum",), 0),
+        (2, (), 0),
+    ],
+)
+def test_a_run_compiles_ahead_if_it_has_a_core_to_spare_and_a_use_for_it(
+    workers, estimators, asked, monkeypatch
+):
+    """Once, while photons are drawn: not before, and not if they are there already."""
+    calls = []
+    monkeypatch.setattr(outcomes, "compile_ahead", lambda: calls.append(True))
+    sensor = {"rows": 8, "cols": 8}
+    setup = Setup.of("flat:5", sensor=sensor, frame={"pulses": 2}, estimators=estimators)
+    run = outcomes.Run(setup, workers=workers)
+    assert not calls
+    edges = run.edges
+    assert run.edges is edges
+    assert len(calls) == asked
+    assert outcomes.Run(setup, workers=workers, edges=edges).edges is edges
+    assert len(calls) == asked
 
 
 @pytest.mark.parametrize("sensor", [{}, {"subgroup": [16, 16]}, {"subgroup": [4, 4], "cols": 64}])

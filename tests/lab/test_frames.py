@@ -54,6 +54,7 @@ def test_frames_have_all_edges_and_events_once(run):
     assert np.array_equal(np.sort(rows), np.arange(len(run.result["pulse"])))
     for number in range(FRAMES):
         own = run.frame(number).edges
+        assert run.seen_edges(number).pulses == FRAME["pulses"]
         assert own.pulse.min() >= 0
         assert own.pulse.max() < FRAME["pulses"]
 

@@ -124,6 +124,13 @@ def test_tables_that_are_legal_together_are_taken_together():
     assert changed.register_writes() == expected.register_writes()
 
 
+@pytest.mark.parametrize("kind", [list, tuple, np.array, np.uint8])
+def test_values_of_subgroups_may_be_a_list_or_an_array(kind):
+    changed = small().but(subgroup={"threshold": kind([2, 5, 3]), "window": 9}).config
+    assert changed.threshold.tolist() == [2, 5, 3]
+    assert changed.window.tolist() == [9, 9, 9]
+
+
 def test_without_an_estimator_there_is_no_depth():
     run = Run(small(estimators=()))
     assert run["edges"]

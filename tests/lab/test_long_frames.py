@@ -16,6 +16,7 @@ from coincid.model.contract.edges import Edges
 from coincid.model.contract.gate_counts import Counts
 from coincid.model.golden.frame import Golden, golden_result
 from coincid.model.scenes.catalogue import load_scene
+from coincid.model.shared.pulse import Pulse
 
 SENSOR = {"rows": 8, "cols": 16}
 
@@ -52,14 +53,19 @@ def test_a_long_run_gives_the_same_events_and_depth(subgroup, sensor, monkeypatc
 
 @pytest.mark.parametrize("form", ["full", "compact"])
 def test_each_frame_of_a_long_run_has_its_rows_of_other_runs(form, long):
-    """Decoded alone: pulses count from the first frame, and counters are those of all frames."""
-    setup = setup_of(pulses=70, format=form, minigroup_records=True)
+    """Decoded alone: pulses count from the first frame, counters are those of all frames, and a
+    measured pulse of the laser is with them.
+    """
+    shape = Pulse.gaussian(4e-10)
+    setup = setup_of(pulses=70, format=form, minigroup_records=True).but(pulse=shape)
     expected = dict(Run(setup).result)
     run = Run(setup)
     rows = {"pulse": ("subgroup", "stamp", "count"), "mg_pulse": ("mg_subgroup", "mg_stamp")}
     for number in range(3):
         frame = run.frame(number)
         found = frame.result
+        assert found.keys() == expected.keys() - {"fate"}
+        assert np.array_equal(Pulse.of_result(found).density, shape.density)
         assert len(frame.events) == len(found["pulse"]) > 0
         for pulse, others in rows.items():
             own = expected[pulse] // 70 == number

@@ -53,11 +53,18 @@ def test_a_light_that_is_given_is_that_of_every_frame():
         given.light_of(3)
 
 
-def test_edges_and_results_that_are_given_are_not_made_again():
+@pytest.mark.parametrize("is_long", [False, True])
+def test_edges_and_results_that_are_given_are_not_made_again(is_long, monkeypatch):
+    """Also if so many edges would not be kept."""
     edges = run().edges
+    if is_long:
+        monkeypatch.setattr(long_frames, "EDGES_MAX", 0)
+    expected = run().frame(1).counter("stored").tolist()
     given = Run(run().setup.but(seed=9), edges=edges)
     assert given.edges is edges
-    assert given.frame(1).counter("stored").tolist() == run().frame(1).counter("stored").tolist()
+    for one in (given, Run(given.setup.but(edges=edges))):
+        assert not one.is_long
+        assert one.frame(1).counter("stored").tolist() == expected
     known = Run(run().setup.but(seed=9), result=run().result)
     assert known.has_result and not given.has_result
     assert known.result is run().result
