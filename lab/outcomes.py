@@ -336,8 +336,11 @@ class Run:
         options: those of `estimate_depth`. The estimator is told the measured pulse of the setup,
         unless `pulse` is given.
         """
-        _check_estimator(estimator)
-        method = estimator or _check_estimator(options.pop("method", None))
+        method = _check_estimator(estimator)
+        named = _check_estimator(options.pop("method", None))
+        if method is not None and named is not None:
+            raise InputError("method: is the estimator, which is given already", field="method")
+        method = method or named
         if method is None and not self.setup.estimators:
             raise InputError("estimators: is empty, so there is no depth", field="estimators")
         method = method or self.setup.estimators[0]

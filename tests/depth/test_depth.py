@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Depth from events: arrivals, histograms, estimators, pictures."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -13,7 +16,8 @@ from coincid.model.depth.arrivals import photons_of
 from coincid.model.depth.belief import Reason
 from coincid.model.depth.depth import Depth
 from coincid.model.depth.estimate import estimate_depth
-from coincid.model.depth.histograms import SOURCES, subgroup_histograms
+from coincid.model.depth.histograms import SOURCES, frame_events, subgroup_histograms
+from coincid.model.depth.methods import METHODS
 from coincid.model.depth.peaks import _poisson_cdf
 from coincid.model.depth.pulse_ticks import PulseTicks
 from coincid.model.depth.quality import (
@@ -261,6 +265,24 @@ def test_every_part_of_an_estimate_has_its_threads(method, parts, monkeypatch):
         depth = estimate_depth(result, config, method=method, workers=workers)
         assert depth.signal_per_pulse is not None
     assert told == [3] * parts + [None] * parts
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_depth_with_its_light_keeps_no_events(method, monkeypatch):
+    """Those of a long run do not fit into memory beside those of its next frame."""
+    stamps = []
+
+    def noted(*given):
+        events = frame_events(*given)
+        stamps.append(weakref.ref(events.stamp))
+        return events
+
+    monkeypatch.setattr(estimate, "frame_events", noted)
+    _, config, result = capture("flat:5", 5, sensor={"rows": 8, "cols": 8}, frame={"pulses": 20})
+    depth = estimate_depth(result, config, method=method).with_light()
+    gc.collect()
+    assert [stamp() for stamp in stamps] == [None]
+    assert np.isfinite(depth.signal_per_pulse).any()
 
 
 def test_bad_input(five_objects):

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from coincid.model.contract.coincidence import AT_LEAST, rises
+from coincid.model.contract.coincidence import Rise, rises
 from coincid.model.depth.histograms import frame_events
 from coincid.model.depth.law import RARE
 from coincid.model.depth.pulse_ticks import PulseTicks
@@ -63,16 +63,20 @@ def test_the_tree_is_busy_until_the_next_cycle_and_ready_if_no_window_lasts_long
     assert len(np.unique(ready)) > CYCLES / 2
 
 
-@pytest.mark.parametrize("threshold", [2, 3, 6])
-def test_the_table_of_shares_has_each_share_at_its_place(threshold):
-    """From the first to the last: the photons at a place make so many windows events."""
-    law = rises(AT_LEAST, (8, 8), threshold)
+@pytest.mark.parametrize(
+    "law", [((2, 1.0),), ((3, 1.0),), ((6, 1.0),), ((2, 0.1), (3, 0.3), (5, 0.6))], ids=str
+)
+def test_the_table_of_shares_has_each_share_at_its_place(law):
+    """From the first to the last: the photons at a place make so many windows events. Also by a
+    rule of a user's own, which some windows of a few pixels meet, and more of many.
+    """
+    law = tuple(Rise(*rise) for rise in law)
     shares = _shares(law)
     for place in (5, SHARES // 2, SHARES - 5):
         share = np.exp(shares.low + place / shares.per)
         photons = -np.log(np.float64(shares.dark[place]))
         assert _event_share(law, photons) == pytest.approx(share, rel=1e-3)
-    one_less = rises(AT_LEAST, (8, 8), threshold - 1)
+    one_less = tuple(Rise(rise.pixels - 1, rise.share) for rise in law)
     photons = -np.log(np.float64(shares.dark[SHARES // 2]))
     assert shares.met[SHARES // 2] == pytest.approx(_event_share(one_less, photons), rel=1e-3)
     assert -shares.low * shares.per == pytest.approx(SHARES - 1, rel=1e-6)

@@ -99,6 +99,15 @@ def test_a_method_of_a_run_may_name_its_source(method, frame):
         assert np.array_equal(found.depth_m, expected.depth_m, equal_nan=True)
 
 
+def test_a_depth_has_one_estimator():
+    """Of two, one would be ignored."""
+    for other in ("maximum", "planes", Told(5.0)):
+        with pytest.raises(InputError, match="^method: is the estimator, which is given already$"):
+            run().depth("maximum", method=other)
+    found, expected = run().depth("maximum", method=None), run().depth("maximum")
+    assert np.array_equal(found.depth_m, expected.depth_m, equal_nan=True)
+
+
 def test_an_estimator_is_told_the_pulse_of_the_setup_unless_another_is_given():
     late = Pulse(time_s=[-1e-10, 0, 1e-10, 3e-9], density=[0, 1, 1, 0])
     wide = Pulse.gaussian(2e-9)
