@@ -336,10 +336,13 @@ def test_a_benchmark_is_not_named_as_the_table_beside_it(monkeypatch, files):
     assert isinstance(command("bench --out a").exception, ZeroDivisionError)
 
 
+@pytest.mark.parametrize("missing", [os.W_OK, os.X_OK])
 @pytest.mark.parametrize("words", ["sim --out out/deep", "photons --out out/a.npz"])
-def test_a_folder_that_is_not_writable_is_told(files, monkeypatch, words):
-    """The nearest one that there is: the others would be made."""
-    monkeypatch.setattr(os, "access", lambda path, mode: False)
+def test_a_folder_that_is_not_writable_is_told(files, monkeypatch, words, missing):
+    """The nearest one that there is: the others would be made. Who may not enter a folder makes no
+    files in it, either.
+    """
+    monkeypatch.setattr(os, "access", lambda path, mode: not mode & missing)
     told = f"cannot be written: {files} is not writable"
     assert_refused(command(words), "out = 'out/", told)
     assert not (files / "out").exists()
@@ -520,6 +523,7 @@ def end_of_program(folder, *lines):
         ("OSError('no more files')", "no more files"),
         ("OSError(13, 'Permission denied', 'a.npz')", "a.npz: Permission denied"),
         ("OSError(28, 'No space left')", "standard output: No space left"),
+        ("OSError(2, 'No such file', 'a.npz')", "a.npz: No such file"),
     ],
 )
 def test_a_lack_of_memory_is_told_in_one_line(tmp_path, error, told):
@@ -527,9 +531,12 @@ def test_a_lack_of_memory_is_told_in_one_line(tmp_path, error, told):
         tmp_path,
         "def command():",
         "    try:",
-        f"        raise {error}",
-        "    except ImportError as cause:",
-        "        raise ImportError('many\\nlines') from cause",
+        "        try:",
+        f"            raise {error}",
+        "        except ImportError as cause:",
+        "            raise ImportError('many\\nlines') from cause",
+        "    except ImportError:",
+        "        raise ImportError('more\\nlines')",
         "__main__._command = command",
     )
     assert ended == (2, f"coincid: {told}\n")
@@ -670,13 +677,13 @@ def test_the_table_of_an_advice_has_each_number_under_its_head(monkeypatch, tmp_
     monkeypatch.setattr("coincid.study.advise.advise", advice_of)
     monkeypatch.setattr("coincid.study.advise.write_advice", lambda out, *given: [out / "a.csv"])
     words = "--klux 10|30 --set rows=8 --set cols=8"
-    shown = command(f"advise flat:4 {words} --out", tmp_path).stdout.splitlines()
+    shown = command(f"advise sun-and-shade:0.5 {words} --out", tmp_path).stdout.splitlines()
     cells = next(re.split(r"\s{2,}", line.strip()) for line in shown if "1,234,567" in line)
     window_ns = f"{16 * config.tick_s * 1e9:.3g}"
     rate = f"{one.frames_per_s:,.0f}"
     shares = "1.2%", "0.5%", "7.8", "1,234,567", "3.1%", "42%"
     assert cells == ["4", window_ns, config.format, "2.5", *shares, rate]
-    assert asked == [pytest.approx(20.0)]
+    assert asked == [pytest.approx((0.5 * 10 + 30) / 2)]
 
 
 def test_show_has_a_line_for_each_value_and_each_warning(monkeypatch):

@@ -319,11 +319,16 @@ def test_spad_of_the_page_recovers_slowly(page):
 
 
 def test_a_spad_that_is_always_ready_gets_the_photons_of_the_built_in_one():
-    """With dither, a gate, unequal taps, unequal dark counts and a span that begins later."""
+    """With dither, gaps, light from beyond the period, a gate, unequal taps, unequal dark counts and
+    a span that begins later.
+    """
     taps = np.linspace(0.5, 1.5, 32)
-    timing = Timing(period_cycles=40, tap_width_lsb=taps, dither_bits=4, frame_pulses=50)
+    timing = Timing(
+        period_cycles=40, tap_width_lsb=taps, dither_bits=4, gap_cycles=9, frame_pulses=50
+    )
     gate = SpadGate(start_cycles=3, len_cycles=30)
-    light = Light(rows=4, cols=4, distance_m=2.0, signal_per_pulse=0.5, background_cps=2e6)
+    distance_m = np.where(np.arange(16) % 2, 2.0, 20.0)
+    light = Light(rows=4, cols=4, distance_m=distance_m, signal_per_pulse=0.5, background_cps=2e6)
     options = {"pulses": 80, "pulse_start": 20, "seed": 5, "gate": gate}
     detector = {"jitter_fwhm_s": 0.0, "dark_cps": np.linspace(0, 5e6, 16)}
     own = generate_edges(light, Ready(**detector), timing, **options)

@@ -116,6 +116,8 @@ def test_background_of_a_ratio_is_that_of_its_window(reading):
         for window_s in (0.2e-9, 2e-9)
     ]
     assert ratios_db[0] - ratios_db[1] == pytest.approx(10)
+    none = link_budget(4.0, 0.4, 50, sbr_reading=reading, sbr_window_s=0)
+    assert (none.sbr_window_s, none.sbr_db) == (0.0, np.inf)
 
 
 @given(st.floats(0.5, 50), st.floats(0.01, 1), st.floats(0.1, 120))

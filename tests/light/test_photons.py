@@ -711,6 +711,19 @@ def test_dark_counts_and_hot_pixels():
             r"system_fwhm_s = 1e-11: must be at least",
         ),
         (
+            lambda: edges_of(light(1, 2, system_fwhm_s=np.array([5e-10, 1e-11])), Spad(), pulses=1),
+            r"system_fwhm_s = 1e-11: must be at least the SPAD's 1e-10",
+        ),
+        *(
+            (
+                lambda pixels=pixels: light(
+                    1, 2, arrivals=Arrivals(first=[0] * (pixels + 1), start_s=[], photons=[])
+                ),
+                f"arrivals: has {pixels} pixels, must have 2",
+            )
+            for pixels in (1, 3)
+        ),
+        (
             lambda: edges_of(light(), Spad(dark_cps=1.1e12), pulses=1),
             r"dark_cps\[0\] = 1100000000000.0: must be from 0 to 1e\+12",
         ),

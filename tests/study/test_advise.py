@@ -135,6 +135,7 @@ def test_frames_of_too_few_pulses_for_counts_have_advice(counts):
         ({}, {"threshold": 2, "window": 8}, {}),
         ({"frames": 5}, {"auto": True}, {}),  # one for each picture of a scene that moves
         ({}, {"mask": "f" * 15 + "0"}, {}),
+        ({"gap": 0, "minigroup_records": False}, {"gate_start": 0, "auto": False}, {}),
         ({}, {"gating": True}, {"subgroups": [1, 3], "gate_start": 30, "mask": "fffe"}),
         ({}, {"gate_start": 7}, {"subgroups": [0, 2], "gate_start": 30, "auto": True}),
         ({"auto_bounds": [1, 2, 3, 4, 5, 6]}, {}, {"subgroups": [3], "threshold": 5}),

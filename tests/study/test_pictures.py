@@ -110,13 +110,14 @@ def test_each_picture_of_light_has_the_same_room(monkeypatch, tmp_path):
 @pytest.mark.parametrize(("suffix", "kind"), [("gif", "GIF"), ("png", "PNG"), ("PNG", "PNG")])
 def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path, suffix, kind):
     """That of all their truths, so that the same colour is the same distance. Each has its number,
-    and the heading of all.
+    the marks of its own pixels, and the heading of all.
     """
-    spans, titles = [], []
+    spans, titles, marked = [], [], []
 
     def draw(panels, truth_m, heading, *, span_m):
         spans.append(span_m)
         titles.append((heading, panels[0].title))
+        marked.append(np.argwhere(panels[0].reason == Reason.BACKGROUND).tolist())
         return draw_row(panels, truth_m, heading, span_m=span_m)
 
     monkeypatch.setattr(animation, "draw_row", draw)
@@ -124,10 +125,12 @@ def test_all_frames_of_an_animation_have_one_scale(monkeypatch, tmp_path, suffix
     for number, wall_m in {4: 5.0, 2: 3.0, 7: 12.0}.items():
         wall = np.full((4, 4), wall_m)
         first = SimpleNamespace(reason=np.zeros((4, 4), np.uint8))
+        first.reason[1, number % 4] = Reason.BACKGROUND
         frames.append(SimpleNamespace(number=number, truth_m=wall, depth_m=wall, first=first))
     animation.write_animation(tmp_path / f"moves.{suffix}", frames, "a wall")
     assert spans == [(3.0, 12.0)] * 3
     assert titles == [("a wall", f"depth, frame {number}") for number in (4, 2, 7)]
+    assert marked == [[[1, 0]], [[1, 2]], [[1, 3]]]
     with Image.open(tmp_path / f"moves.{suffix}") as written:
         assert (written.format, written.n_frames) == (kind, 3)
         for number in range(3):  # shown long enough, and again after the last one

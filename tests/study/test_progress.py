@@ -35,6 +35,15 @@ def share(line):
     return re.search(r"(\w+) .*?(\d+) %", line).groups()
 
 
+def test_a_bar_is_gone_at_its_end():
+    """Results stand where it was."""
+    text = io.StringIO()
+    with Bar(Console(file=text, force_terminal=True, width=100)) as bar:
+        bar.at("photons", 3, 10)
+    _, last, behind = text.getvalue().rpartition("%")
+    assert last and "\x1b[2K" in behind
+
+
 def test_a_stage_shows_the_part_of_its_own_total():
     """Whether it begins with its first part or before it."""
     assert share(shown(("at", ("photons", 3, 10)))) == ("photons", "30")

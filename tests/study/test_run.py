@@ -81,6 +81,28 @@ def test_a_file_is_what_its_name_says(run, tmp_path, write, suffix):
     assert (tmp_path / f"out.{suffix}").stat().st_size
 
 
+@pytest.mark.parametrize(
+    ("write", "name", "told"),
+    [
+        ("save_depth", "out.h5", "must end with .npz"),
+        ("save_depths", "out.h5", "must end with .npz"),
+        ("animate", "out.mp4", "must end with .gif or .png"),
+        ("to_ply", "out.h5", "must end with .ply"),
+        ("to_ply", "none/out.ply", "the folder .*none does not exist"),
+        ("to_ply", "file/out.ply", "the folder .*file does not exist"),
+    ],
+)
+def test_a_file_that_cannot_be_is_refused_before_its_depth_is_computed(
+    run, monkeypatch, tmp_path, write, name, told
+):
+    """Which takes minutes in a large array."""
+    for computes in ("depth", "frame"):
+        monkeypatch.setattr(type(run), computes, lambda *given, **options: 1 / 0)
+    (tmp_path / "file").touch()
+    with pytest.raises(coincid.InputError, match=told):
+        getattr(run, write)(tmp_path / name)
+
+
 def test_one_line_says_what_a_thing_is(run):
     told = {
         run: "<Run of flat:5,0.5: 16 x 8 pixels, 1 frame of 60 pulses, engine golden>",

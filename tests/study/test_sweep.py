@@ -13,6 +13,7 @@ import time
 import tomllib
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import psutil
 import pyarrow.parquet as pq
@@ -339,8 +340,10 @@ def test_every_panel_of_the_plot_is_labelled_as_what_it_shows():
 def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, drawn):
     """Across is the first axis, a line each value of the second; bands span the third.
 
-    Every point and every measure has a value of its own, and those of a band are skewed.
+    Every point and every measure has a value of its own, and those of a band are skewed. No line has
+    the brightest colour, which is hard to see on white.
     """
+    brightest = matplotlib.colormaps["viridis"](1.0)
     axes = ("klux = [5, 50]", "subgroup.threshold = [1, 2, 3]", "seed = [1, 2, 3, 4]")
     text = "scene = 'flat:5'\n" + "\n".join(f"[[axis]]\n{axis}" for axis in axes)
     spec = grid(tmp_path, text)
@@ -357,6 +360,7 @@ def test_the_plot_shows_measures_in_the_units_of_its_labels(tmp_path, drawn):
         shown = (k + values) * factor
         for threshold, line in enumerate(axis.lines):
             assert line.get_xdata().tolist() == [5.0, 50.0]
+            assert not np.allclose(line.get_color(), brightest, atol=0.1)
             means = shown[:, threshold].mean(axis=1)
             assert line.get_ydata().tolist() == pytest.approx(means.tolist())
         for threshold, band in enumerate(axis.collections):
@@ -627,7 +631,12 @@ BAD = [  # rules of the SPEC; the others' errors name the point
         "point subgroup.threshold=0: subgroup.threshold = 0",
         "from 1 to 64",
     ),
+    (
+        "[[axis]]\nsensor.subgroup = [[8, 8], [3, 3]]",
+        "point sensor.subgroup=[3,3]: sensor.subgroup = [3, 3]",
+    ),
     ("[[axis]]\nthreshold = [1]", "axis[0].threshold", "subgroup.KEY"),
+    ("[[axis]]\nsensor = [8]", "axis[0].sensor: cannot be swept", "sensor.KEY"),
     ("klx = 5", "klx", "unknown"),
     ("[[axis]]\nklux = 5", "axis[0].klux = 5", "list"),
     ("[[axis]]\nklux = []", "axis[0].klux = []", "list"),

@@ -61,11 +61,10 @@ def address():
         {"Host": "example.org"},
         {"Sec-Fetch-Site": "cross-site"},
         {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"},
-        {
-            "Sec-Fetch-Site": "cross-site",
-            "Sec-Fetch-Mode": "navigate",
-            "Sec-Fetch-Dest": "iframe",
-        },
+        *(
+            {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": part}
+            for part in ("iframe", "frame", "embed", "object")
+        ),
         {"Origin": "http://127.0.0.1:1"},
     ],
     ids=json.dumps,

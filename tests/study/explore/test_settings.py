@@ -577,8 +577,10 @@ def test_a_depth_file_of_every_form_can_be_uploaded(tmp_path, suffix):
     else:
         with h5py.File(path, "w") as archive:
             archive["depth"] = depth_m
-    used = Uploads().with_file("depth", path.name, path.read_bytes(), tmp_path)
-    assert np.allclose(check_settings({"scene": "upload"}, used).scene().truth_m, 4.0)
+    for name in (path.name, path.name.upper()):
+        used = Uploads().with_file("depth", name, path.read_bytes(), tmp_path)
+        assert used.depth.name == name
+        assert np.allclose(check_settings({"scene": "upload"}, used).scene().truth_m, 4.0)
 
 
 @pytest.mark.parametrize("form", ["PNG", "TIFF", "JPEG"])
@@ -823,6 +825,14 @@ def test_a_refused_value_is_told_by_its_label(control):
     assert control_of(refused.value) is control
     assert told_by_labels(refused.value).startswith(f"{control.label} = {above}")
     assert not re.search(r"\b(sensor|frame|subgroup)\.", told_by_labels(refused.value))
+
+
+def test_all_settings_in_a_refusal_are_told_by_their_labels():
+    """Of every table of the file; what has no control keeps its key."""
+    text = "{} and {} do not go with {}, nor with subgroup.moon"
+    keys = "sensor.rows", "frame.period", "subgroup.gate_start"
+    labels = "Rows", "Laser period", "Gate start"
+    assert told_by_labels(InputError(text.format(*keys))) == text.format(*labels)
 
 
 def test_the_files_of_a_server_go_with_it(tmp_path):

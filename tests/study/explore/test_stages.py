@@ -280,7 +280,8 @@ def test_the_saved_events_are_the_arrays_of_all_frames():
     columns["overrun"] = np.array([False, True, True])
     hits = np.array([[0, 0], [10, 0], [255, 1 << 63]], np.uint64)
     explored = SimpleNamespace(run=SimpleNamespace(result={**columns, "hits": hits}))
-    lines = events_csv(explored, 1).decode().splitlines()
+    lines = events_csv(explored, 1).decode().split("\n")
+    assert lines.pop() == ""
     assert lines[0] == ",".join([*EVENT_COLUMNS, "hits"])
     for n, hexadecimal in enumerate(("0", "a", f"8{'0' * 29}ff")):
         numbers = [str(int(columns[name][n])) for name in EVENT_COLUMNS]
@@ -335,7 +336,9 @@ def test_saved_counts_name_their_place_and_their_gate():
     pulses = 10_000 + np.arange(frames * subgroups * pixels).reshape(frames, subgroups, pixels)
     result = {"gate_cycle": gate_cycle, "gate_hits": hits, "count_pulses": pulses}
     explored = SimpleNamespace(run=SimpleNamespace(config=config, result=result))
-    lines = [line.split(",") for line in counts_csv(explored, 1).decode().splitlines()]
+    text, end = counts_csv(explored, 1).decode().rsplit("\n", 1)
+    assert end == ""
+    lines = [line.split(",") for line in text.split("\n")]
     names = [f"hits{one}" for one in range(GATE_BINS)]
     assert lines[0] == ["frame", "subgroup", "pixel", "gate", "gate_cycle", *names, "count_pulses"]
     expected = []

@@ -22,6 +22,7 @@ from coincid.study.explore.controls import CONTROL, DEFAULTS
 from coincid.study.explore.stages import Explorer
 from coincid.study.explore.tab import TRIES, Page, _summary
 from coincid.study.explore.uploads import Kept, Uploads
+from coincid.study.show.figures import map_columns
 from coincid.study.show.words import number_rows, object_table, story, where_to_look
 
 SMALL = {"rows": 8, "cols": 16, "pulses": 20, "frames": 3}
@@ -187,6 +188,24 @@ def test_what_is_looked_at_is_in_the_result(page, name, last):
         assert getattr(page.look, name) == 1
 
 
+def test_the_maps_are_those_of_the_frame_that_is_looked_at(page):
+    """Which another pixel or pulse does not change."""
+    explored = answered(page)
+    frames = range(SMALL["frames"])
+    confidences = [map_columns(explored.view(frame))["confidence"][0] for frame in frames]
+
+    def drawn():
+        shown = page.views.pictures.data["confidence"][0]
+        return [np.array_equal(shown, one, equal_nan=True) for one in confidences].index(True)
+
+    assert drawn() == 2
+    for name, value, frame in (("frame", 1, 1), ("row", 2, 1), ("frame", 0, 0), ("pulse", 3, 0)):
+        look(page, name, value)
+        assert drawn() == frame
+    page._ordered(messages.Step(name="frame"))
+    assert drawn() == 1
+
+
 def test_after_a_result_the_last_frame_is_looked_at_inside_the_array(page):
     """As the page is told, too."""
     answered(page, rows=24, cols=40, pulses=20)
@@ -219,6 +238,9 @@ def test_the_address_of_a_page_repeats_its_settings_and_its_uploads(page):
         words = page.link.answer["words"]
         assert words["query"] == query(explored.settings) + suffix
         assert words["uploads"] == bool(suffix)
+    page.uploads = uploads  # of the next question, not of what is shown
+    look(page, "row", 1)
+    assert page.link.new_words["words"]["query"] == query(explored.settings)
     default = EXPLORER.run(check_settings({"scene": "flat"}))
     page._computed(page._run, "done", evolve(default, settings=check_settings({})))
     assert page.link.answer["words"]["query"] == ""

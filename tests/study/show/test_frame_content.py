@@ -2,6 +2,7 @@
 """Maps of a frame in a scene with several targets per pixel, in an array that is no square."""
 
 import re
+from copy import copy
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +16,7 @@ from coincid.model.scenes.catalogue import load_scene
 from coincid.model.scenes.scene import Scene
 from coincid.model.shared.errors import InputError
 from coincid.study.show import report
-from coincid.study.show.figures import FATE_MARKS, REASON_MARKS, VERDICT_MARKS
+from coincid.study.show.figures import FATE_MARKS, REASON_MARKS, VERDICT_MARKS, map_scales
 from coincid.study.show.frame_content import FrameView, seen_objects
 
 ROWS, COLS, TARGETS = 8, 24, 3
@@ -263,6 +264,17 @@ def test_a_report_that_is_written_is_that_of_all_its_frames(recorded, tmp_path):
     assert page == unnumbered(report.report_html("a <run>", recorded[:2]))
     assert "a &lt;run&gt;" in page
     assert [one.name for one in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_report_has_one_scale_for_all_its_frames_and_the_words_of_each(recorded, monkeypatch):
+    far = copy(recorded[1])
+    far.truth_m = recorded[1].truth_m + 30
+    given, told = [], []
+    monkeypatch.setattr(report.Views, "show", lambda *views, scales: given.append(scales))
+    monkeypatch.setattr(report, "_words", lambda view: told.append(view) or "words")
+    report.report_html("a run", [recorded[0], far])
+    assert given == [map_scales([recorded[0], far])]
+    assert told == [recorded[0], far]
 
 
 def test_a_report_holds_its_key_and_the_numbers_of_a_sensor_that_is_no_square():

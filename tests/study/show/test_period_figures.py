@@ -141,6 +141,16 @@ def test_both_histograms_of_a_pixel_fill_their_own_scale():
     assert (bars["pixel"][4], bars["subgroup"][6]) == (10, 200)
 
 
+def test_histograms_without_an_event_have_room_for_a_few():
+    """As those of a pixel in the dark."""
+    view = pixel_view()
+    view.histogram = lambda row, col: (np.zeros(8, int), np.zeros(8, int))
+    drawn = HistogramFigure()
+    drawn.show(view, 2, 3)
+    for span in (drawn.figure.y_range, drawn.subgroup_range):
+        assert span.start < 0 and 3 < span.end < 4
+
+
 def test_each_histogram_of_a_pixel_stands_on_the_axis_with_its_name():
     """The scale of the pixel is on the left, that of its subgroup on the right."""
     drawn = HistogramFigure()

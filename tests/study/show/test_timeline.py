@@ -94,6 +94,7 @@ def test_a_drop_finds_the_fifo_full_and_a_commit_does_not(name):
         period = timeline.period(s, pulse)
         windows = period.windows
         inside = windows.commit < config.period
+        assert np.all(period.fill_cycle < config.period)
         at = np.searchsorted(period.fill_cycle, windows.commit[inside], "right") - 1
         after = fill[
             np.searchsorted(cycles, timeline.start_cycles[pulse] + windows.commit, "right") - 1
