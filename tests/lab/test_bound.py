@@ -260,7 +260,7 @@ def test_a_pulse_much_shorter_than_a_tick_has_no_bound_of_words():
     with pytest.raises(coincid.InputError, match="at least 1.8e-11 s") as caught:
         coincid.bound(config, system_fwhm_s=1e-12, **WALL)
     assert caught.value.field == "system_fwhm_s"
-    short = Pulse(time_s=[0, 1e-12, 2e-12], density=[0, 1, 0])
+    short = Pulse(time_s=[0, 12e-12, 24e-12], density=[0, 1, 0])
     with pytest.raises(coincid.InputError, match="much shorter than a tick") as caught:
         coincid.bound(config, pulse=short, **WALL)
     assert caught.value.field == "pulse"
