@@ -249,18 +249,18 @@ def test_where_no_event_tells_of_the_wall_there_is_no_bound(frame, subgroup, say
 
 
 def test_a_pulse_much_shorter_than_a_tick_has_no_bound_of_words():
-    """Half a tick has one, which grows with the pulse."""
+    """One tick has one, which grows with the pulse."""
     config = parse_config({"sensor": {"rows": 8, "cols": 8}})
     told = [
         coincid.bound(config, system_fwhm_s=ticks * config.tick_s, **WALL).bound_mm
-        for ticks in (0.3, 0.5, 1.0, 2.0)
+        for ticks in (0.8, 1.0, 2.0, 4.0)
     ]
     assert told == sorted(told)
-    assert told[0] < 0.3 * told[-1]
-    with pytest.raises(coincid.InputError, match="at least 1.8e-11 s") as caught:
+    assert told[0] < 0.4 * told[-1]
+    with pytest.raises(coincid.InputError, match="at least 4.4e-11 s") as caught:
         coincid.bound(config, system_fwhm_s=1e-12, **WALL)
     assert caught.value.field == "system_fwhm_s"
-    short = Pulse(time_s=[0, 12e-12, 24e-12], density=[0, 1, 0])
+    short = Pulse(time_s=[0, 25e-12, 50e-12], density=[0, 1, 0])
     with pytest.raises(coincid.InputError, match="much shorter than a tick") as caught:
         coincid.bound(config, pulse=short, **WALL)
     assert caught.value.field == "pulse"
