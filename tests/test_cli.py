@@ -19,6 +19,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from attrs import evolve
 from typer.main import get_command
 
 import coincid
@@ -31,6 +32,7 @@ from coincid.flow.waivers import CONTROL_FILE, OF_CELLS, OF_SENSOR
 from coincid.hdl.export import FILE_LIST
 from coincid.hdl.front_end_views import POLYPHASE
 from coincid.host.transport import HostError
+from coincid.lab.setup import scene_of
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.edges import NAMES, Edges
 from coincid.model.contract.parameters import TOP
@@ -277,7 +279,10 @@ FOLDERS_OUT = ("advise flat:5 --out", "emulator serial --out", "emulate --simula
             ("engine = 'sliced'", "waveform", "verilator and icarus"),
         ),
         ("sim --out out --engine sliced --view async", ("async = 'sliced'", "verilator, icarus")),
-        (f"{REPLAY} --offset-seed 4", ("offset_seed = 4: goes with --view async",)),
+        *(
+            (f"{REPLAY} --offset-seed {seed}", (f"offset_seed = {seed}: goes with --view async",))
+            for seed in (0, 4)
+        ),
         ("sim --out out --clock-mhz 0", ("clock",)),
         ("sim --out out --set format=short", ("frame.format = 'short'",)),
         ("sim --config config.toml --out edges.npz/out.npz", ("out.npz", "cannot be written")),
@@ -715,7 +720,9 @@ def test_an_export_is_told_with_its_number_of_files_and_their_size(monkeypatch, 
 
 
 def test_the_sentences_of_an_advice_stand_around_its_table(monkeypatch, tmp_path):
-    """First whether any setting is of use, then what limits it, and the advice at the end."""
+    """First whether any setting is of use, then what is known of the scene and what limits it, and
+    the advice at the end.
+    """
     config = parse_config({"sensor": {"rows": 8, "cols": 8}})
     one = Tried(config=config, wrong=0, far=0, error_mm=7.84, bits=1, dropped=0, load=0)
     told = {"useless": "No use.", "limit": "A limit.", "counts": "Counts do."}
@@ -723,11 +730,15 @@ def test_the_sentences_of_an_advice_stand_around_its_table(monkeypatch, tmp_path
     written = [tmp_path / "a.csv", tmp_path / "b.png"]
     monkeypatch.setattr("coincid.study.advise.advise", lambda *_, **__: advice)
     monkeypatch.setattr("coincid.study.advise.write_advice", lambda *_: written)
+    monkeypatch.setattr(
+        "coincid.lab.setup.scene_of",
+        lambda *given, **meaning: evolve(scene_of(*given, **meaning), notes=("Two holes.",)),
+    )
     words = f"advise flat:4 --set rows=8 --set cols=8 --out {tmp_path}"
-    first, *table, price, limit, counts, sentence, files = command(words).stdout.splitlines()
+    first, *table, price, note, limit, counts, sentence, files = command(words).stdout.splitlines()
     assert first == "No use." and any("7.8" in line for line in table)
     assert price.startswith("Every row: 5 mW. ")
-    assert (limit, counts, sentence) == ("A limit.", "Counts do.", "Take it.")
+    assert (note, limit, counts, sentence) == ("Two holes.", "A limit.", "Counts do.", "Take it.")
     assert files == f"{written[0]} {written[1]}"
     advice.useless = advice.counts = ""
     shown = command(words).stdout.splitlines()
@@ -888,6 +899,17 @@ def test_doubts_about_a_scene_are_told_first_and_notes_at_the_end(doubtful, file
         "The rest is there.",
         "a.npz: 3 edges of 14 pulses",
     ]
+
+
+def test_photons_are_written_at_the_clock_of_their_configuration(doubtful, files, monkeypatch):
+    """Formats of other programs have times, not ticks."""
+    written = []
+    monkeypatch.setattr(
+        "coincid.model.recorded.exchange.write_edges", lambda *given: written.append(given[-1])
+    )
+    assert command("photons --clock-mhz 200 --set period=60 --out a.ptu").exit_code == 0
+    (timing,) = written
+    assert (timing.clock_hz, timing.period_cycles) == (200e6, 60)
 
 
 @pytest.mark.parametrize("scene", ["flat:5", "flat", "five-objects", "sun-and-shade"])

@@ -287,6 +287,22 @@ def test_the_bar_of_a_sweep_has_the_points_that_are_played(tmp_path, monkeypatch
     assert begun.args == (2, "s.toml")
 
 
+def test_a_sweep_tells_its_rows_of_all_points_and_its_plot_is_named_as_the_spec(
+    tmp_path, monkeypatch
+):
+    """A row for each point, also of equal content."""
+    asked = []
+
+    def played(grid, out, **options):
+        asked.append(options["title"])
+        return job.Summary(2, 1, {})
+
+    monkeypatch.setattr(job, "sweep", played)
+    told = sweep(tmp_path, f"{BASE}[[axis]]\nklux = [5, 5.0, 50]\n").stdout
+    assert told == f"{tmp_path}/s.parquet: 2 of 3 points, 1 of them finished before\n"
+    assert asked == ["s"]
+
+
 def test_only_new_points_run_and_stale_ones_are_not_in_the_result(tmp_path, quick):
     sweep(tmp_path)
     before = points(tmp_path)

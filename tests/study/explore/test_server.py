@@ -169,8 +169,10 @@ def test_a_port_that_does_not_exist_has_its_range(port):
 @pytest.mark.parametrize("number", [errno.EADDRINUSE, errno.EACCES])
 def test_a_port_that_the_system_refuses_is_named(monkeypatch, number):
     """In use, or for administrators only; what else goes wrong is no matter of the port."""
+    tried = []
 
     def refused(port, address):
+        tried.append(port)
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(server, "bind_sockets", refused)
@@ -178,6 +180,7 @@ def test_a_port_that_the_system_refuses_is_named(monkeypatch, number):
         port_of(80)
     with pytest.raises(InputError, match="^ports 5006 to 5025: in use or not allowed"):
         port_of(None)
+    assert tried == [80, *range(5006, 5026)]
     number = errno.EMFILE
     with pytest.raises(OSError, match=os.strerror(errno.EMFILE)):
         port_of(80)
@@ -252,7 +255,7 @@ def test_a_link_changes_what_the_explorer_was_started_with(opened):
     values, uploads, told = opened(start, klux="7", **{"bokeh-session-id": "x", "moon": "1"})
     assert (values["klux"], values["threshold"]) == (7, 3)
     assert uploads == start.uploads and "moon" in told
-    values, uploads, told = opened(None, threshold="4")
+    values, uploads, told = opened(None, threshold="4", **{"bokeh-session-id": "x"})
     assert (values, uploads, told) == ({"threshold": 4}, Uploads(), "")
 
 

@@ -439,17 +439,26 @@ def test_half_the_scene_lies_in_the_shade(rows, cols):
     assert np.allclose(background[:, : cols // 2], 10 * background[:, cols // 2 :])
 
 
-@pytest.mark.parametrize("distance_m", [(0.2, 8.0), (2.0, 60.0), (8.0, 8.0)])
-def test_the_range_that_a_refused_scale_names_is_the_legal_one(distance_m):
+@pytest.mark.parametrize(
+    ("distance_m", "end"),
+    [
+        ((0.2, 8.0), "high"),
+        ((2.0, 60.0), "high"),
+        ((8.0, 8.0), "high"),
+        ((0.2, 8.0), "low"),
+        ((0.2, 0.5), "low"),
+    ],
+)
+def test_the_range_that_a_refused_scale_names_is_the_legal_one(distance_m, end):
     """A little within either end is legal, a little beyond is not."""
     near_m, far_m = distance_m
     scene = {"scene": "two-targets", "near_m": near_m, "far_m": far_m}
     with pytest.raises(InputError) as refused:
-        check_settings(scene | {"scale": CONTROL["scale"].high}).scene()
-    for end, inwards in ((refused.value.low, 1.001), (refused.value.high, 0.999)):
-        check_settings(scene | {"scale": end * inwards}).scene()
+        check_settings(scene | {"scale": getattr(CONTROL["scale"], end)}).scene()
+    for scale, inwards in ((refused.value.low, 1.001), (refused.value.high, 0.999)):
+        check_settings(scene | {"scale": scale * inwards}).scene()
         with pytest.raises(InputError):
-            check_settings(scene | {"scale": end / inwards}).scene()
+            check_settings(scene | {"scale": scale / inwards}).scene()
 
 
 def uploaded(folder, kind, name, content):
