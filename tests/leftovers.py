@@ -28,11 +28,10 @@ THREADS_OF_LIBRARIES = "Dask-"
 # Matplotlib keeps fonts open, libraries that are loaded stay so, and Asyncio closes the
 # files of a loop when nobody refers to it.
 FILES_OF_LIBRARIES = (".ttf", ".so", "anon_inode:", "socket:", "pipe:", "/dev/")
-# Dask keeps its folder. That of the explorer's uploads lives as long as a page of it, which pytest
-# holds.
-TEMPORARY_THAT_STAYS = ("dask-scratch-space", "coincid-explore-")
-# Of Yosys, which keeps tables of cells, and of GCC and Icarus; they remove nothing when killed.
-TEMPORARY_OF_KILLED = ("yosys-", "cc", "ivrl")
+# How temporary files of the program begin; others' remain when they are killed.
+TEMPORARY = ("coincid-", tempfile.gettempprefix())
+# That of the explorer's uploads lives as long as a page of it, which pytest holds.
+TEMPORARY_THAT_STAYS = "coincid-explore-"
 VARIABLE_OF_PYTEST = "PYTEST_CURRENT_TEST"  # the test that runs
 OWN = "COINCID"  # how variables of the program begin
 
@@ -58,7 +57,7 @@ class Held(NamedTuple):
             frozenset(
                 name
                 for name in os.listdir(tempfile.gettempdir())
-                if not name.startswith(TEMPORARY_THAT_STAYS + TEMPORARY_OF_KILLED)
+                if name.startswith(TEMPORARY) and not name.startswith(TEMPORARY_THAT_STAYS)
             ),
             _state(),
         )
