@@ -322,8 +322,6 @@ def word_bounds_mm(
     signal_per_pulse: detected photons of each pixel. noise_cps: detected background of each.
     lit_share: of the pulses, in which the gate is open for the light.
     """
-    if too_short(pulse or pulse_ticks(config)):
-        return WordBounds(math.nan, math.nan)
     wall = subgroup_wall(config, signal_per_pulse, noise_cps, pulse)
     pulses = config.pulses * lit_share
     return WordBounds(
@@ -333,12 +331,15 @@ def word_bounds_mm(
 
 
 def _lowest_mm(config: Config, wall: Wall, pulses: float, *, of_all: bool) -> float:
-    """Return the lowest RMS error of one pixel's time, or of that of all; inf without events.
+    """Return the lowest RMS error of one pixel's time, or of that of all; inf without events, NaN if
+    the pulse is too short.
 
     pulses: in which the gate is open for the light.
     """
     if not pulses or np.all(wall.rejected[1:] >= 1):
         return math.inf
+    if too_short(wall.pulse):
+        return math.nan
     places = (np.arange(PHASES) + 0.3) * wall.phases / PHASES
     found = [_information(wall, place, of_all=of_all) for place in places]
     information = pulses * _armed_share(wall) * float(np.mean(found))
@@ -396,8 +397,6 @@ def pixel_bounds_mm(config: Config, light: Light, pulse: Pulse | None = None) ->
     if lights[0] == lights[-1]:
         lights = lights[:1]
     shape = pulse_ticks(config, pulse=pulse)
-    if too_short(shape):
-        return found
     lowest = []
     for one in lights:
         wall = subgroup_wall(config, float(one), usual.noise_cps, shape)

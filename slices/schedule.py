@@ -216,7 +216,7 @@ def _dark_together(
         # nets that depend on this DarkTables's tables, and are not among them
         behind: set[int] = set()
         for node in in_order(nodes):
-            for table in (node,) if isinstance(node, Table) else _tables_in(node):
+            for table in _tables_in(node):
                 value = _constant(table, known)
                 if value is not None:
                     known[table.outputs[0]] = value
@@ -234,7 +234,9 @@ def _dark_together(
     return chosen, dark_values
 
 
-def _tables_in(node: Read | _Through) -> Sequence[Table]:
+def _tables_in(node: Table | Read | _Through) -> Sequence[Table]:
+    if isinstance(node, Table):
+        return (node,)
     return node.tables if isinstance(node, _Through) else ()
 
 

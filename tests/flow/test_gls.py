@@ -8,10 +8,10 @@ from attrs import evolve
 
 from coincid.flow import gls
 from coincid.flow.synth import CELLS, GATES
-from coincid.model.contract.coincidence import Rule
 from coincid.model.contract.packet import built_formats
 from coincid.model.shared.errors import InputError
 
+from .pair_rule import Pair
 from .sensors import SMALL
 
 PLAIN = """\
@@ -55,15 +55,6 @@ def test_periods_windows_and_gates_of_random_frames_fit(jobs):
     windows = {int(job.config.window[0]) for job in jobs}
     assert windows <= set(range(1, SMALL.window_max + 1)) and len(windows) > 3
     assert len({job.config.period for job in jobs}) > 5
-
-
-class Pair(Rule):
-    """Two pixels, at any threshold."""
-
-    name, version = "pair", "1"
-
-    def meets(self, maps, threshold):
-        return maps.sum(axis=(1, 2)) >= 2
 
 
 @pytest.mark.parametrize(

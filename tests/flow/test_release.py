@@ -39,7 +39,6 @@ from coincid.hdl.front_end_views import POLYPHASE, view_at
 from coincid.hdl.sensor import FPGA_TOP, SensorTop
 from coincid.hdl.unit import Port
 from coincid.model.contract import latency, registers
-from coincid.model.contract.coincidence import Rule
 from coincid.model.contract.config import load_config, parse_config
 from coincid.model.contract.counters import COUNTER_NAMES
 from coincid.model.contract.counts import GATES
@@ -59,6 +58,7 @@ from coincid.tools.wheels import run_program, run_yosys
 from ..exports import EXPORTS, PASSED, complaint, readme_commands, write_export
 from ..random_cases import LEAN, SENSORS, built_sensor, configured, random_edges
 from ..releases import CLOCK_MHZ, SMALL, config, small_releases
+from .pair_rule import Pair
 
 TOPS = [
     ("silicon", TOP, SMOKE),
@@ -743,15 +743,6 @@ def test_the_clock_of_a_manifest_is_a_whole_number_only_if_it_is_one(clock_mhz, 
     text = manifest_of(of, {f"a_{TOP}.sdc": b""}, POLYPHASE, "a_")
     assert f'"clock_mhz": {told},' in text
     assert json.loads(text)["tops"] == [f"a_{TOP}"]
-
-
-class Pair(Rule):
-    """Two pixels, at any threshold."""
-
-    name, version = "pair", "4"
-
-    def meets(self, maps, threshold):
-        return maps.sum(axis=(1, 2)) >= 2
 
 
 def test_a_manifest_names_an_own_rule_and_no_other():
